@@ -32,16 +32,16 @@ from arm_emulator.analysis.judged_motions import (
     judged_motions,
 )
 from arm_emulator.analysis.true_motion import Method
-from arm_emulator.machine.parts.backlash_gear import BacklashGear
-from arm_emulator.machine.parts.current_motor import CurrentMotor
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.drawn import scaled
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.gears.gear import RigidGear
+from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
 from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
-from arm_emulator.machine.parts.pmsm import Pmsm
-from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.pmsm import Pmsm
+from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.sample import scaled
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from oracles import mixtures
 from oracles.random_chain import moving_joints, random_chain_urdf

@@ -6,11 +6,10 @@ damper, and steps that are cut at events.
 
 from __future__ import annotations
 
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.friction import LinkFriction
-from arm_emulator.machine.parts.gear import RigidGear
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.friction import LinkFriction
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.gears.gear import RigidGear
 from arm_emulator.machine.parts.known import (
     DECORATORS,
     EXTRAS,
@@ -19,6 +18,7 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     without,
 )
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import Scene
 
 # The parts that a bare scene has.

@@ -16,13 +16,13 @@ import numpy as np
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.friction import RotorFriction
+from arm_emulator.machine.parts.drive_stages.torque_ripple import TorqueRipple
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.friction import RotorFriction
+from arm_emulator.machine.parts.frictions.lugre import RotorLuGre
+from arm_emulator.machine.parts.frictions.stribeck import RotorStribeck
 from arm_emulator.machine.parts.input import TORQUE
 from arm_emulator.machine.parts.known import EXTRAS, MOTORS, without
-from arm_emulator.machine.parts.lugre import RotorLuGre
-from arm_emulator.machine.parts.stribeck import RotorStribeck
-from arm_emulator.machine.parts.torque_ripple import TorqueRipple
 from arm_emulator.machine.scene.fault_catalogue import variable_numbers
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.varied import of_child

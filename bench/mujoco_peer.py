@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator import Diverged, Plant, Refusal, Scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.joint import Joint
 from bench.bare import odd_parts
 from oracles.reference import links_model

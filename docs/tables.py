@@ -9,17 +9,17 @@ from pathlib import Path
 
 from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
 from arm_emulator.machine.faults.known import FAULTS
-from arm_emulator.machine.parts.decorator import DriveStage
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.fault import Fault
-from arm_emulator.machine.parts.gear import RATIO_UNIT, Gear
-from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.gears.gear import RATIO_UNIT, Gear
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.known import LINK_FRICTIONS, MOTORS, PARTS, ROTOR_FRICTIONS
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.measuring.imu import Imu
+from arm_emulator.machine.parts.measuring.sensors import IMU_SENSORS, SENSORS
+from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part, PartNumber
-from arm_emulator.machine.parts.sensors import IMU_SENSORS, SENSORS
 from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES

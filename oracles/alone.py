@@ -22,17 +22,17 @@ import numpy as np
 
 from arm_emulator import Diverged, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.backlash_gear import BacklashGear
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.current_motor import CurrentMotor
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.drawn import scaled
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.parts.gear import RigidGear
-from arm_emulator.machine.parts.lugre import LinkLuGre, RotorLuGre
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.lugre import LinkLuGre, RotorLuGre
+from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.gears.gear import RigidGear
+from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
+from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.sample import scaled
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run

@@ -27,7 +27,7 @@ from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.io.yaml_file import read_yaml
-from arm_emulator.machine.parts.brake import Brake
+from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, without
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.reference import links_model

@@ -29,10 +29,9 @@ import yaml
 
 from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import DriveStage
-from arm_emulator.machine.parts.drawn import scaled
-from arm_emulator.machine.parts.gear import Gear
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.known import (
     DECORATORS,
     EXTRAS,
@@ -42,8 +41,9 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     read_motor,
 )
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.sample import scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them

@@ -30,8 +30,8 @@ import numpy as np
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import DriveStage
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
+from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import (
     DECORATORS,
     EXTRAS,

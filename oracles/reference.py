@@ -18,14 +18,14 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.current_loop import CurrentLoop
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.parts.friction import LinkFriction
-from arm_emulator.machine.parts.gear import RigidGear
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.friction import LinkFriction
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.gears.gear import RigidGear
+from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene
 

@@ -21,18 +21,18 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator import Refusal, Scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.backlash_gear import BacklashGear
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.current_loop import CurrentLoop
-from arm_emulator.machine.parts.current_motor import CurrentMotor
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.elastic_gear import ElasticGear
-from arm_emulator.machine.parts.end_stops import EndStops
-from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
-from arm_emulator.machine.parts.gear import RigidGear
-from arm_emulator.machine.parts.lugre import LinkLuGre, LuGre, RotorLuGre
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
-from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.frictions.lugre import LinkLuGre, LuGre, RotorLuGre
+from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.gears.gear import RigidGear
+from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
+from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.scene.joint import Joint
 from oracles.reference import links_model
 

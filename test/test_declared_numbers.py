@@ -15,7 +15,7 @@ import pytest
 
 from arm_emulator.base.validation import bound
 from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
-from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import kinds_of
 from arm_emulator.machine.scene.integrator import Integrator

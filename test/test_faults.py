@@ -16,8 +16,8 @@ from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
-from arm_emulator.machine.parts.sensors import ANALOG
-from arm_emulator.machine.parts.thermometer import Thermometer
+from arm_emulator.machine.parts.measuring.sensors import ANALOG
+from arm_emulator.machine.parts.measuring.thermometer import Thermometer
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.scene.fault_catalogue import variable_numbers

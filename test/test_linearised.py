@@ -17,9 +17,9 @@ from draws import some
 from arm_emulator import LinearMachine, Plant, Refusal, Scene, linearise, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.parts.current_loop import CurrentLoop
-from arm_emulator.machine.parts.dc_motor import DcMotor
-from arm_emulator.machine.parts.torque_motor import TorqueMotor
+from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from oracles.event_reference import MachineWithModes
 from oracles.reference import ReferenceMachine
 

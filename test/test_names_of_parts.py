@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.encoder import Encoder, LinkEncoder
-from arm_emulator.machine.parts.imu import Imu
+from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.measuring.encoder import Encoder, LinkEncoder
+from arm_emulator.machine.parts.measuring.imu import Imu
+from arm_emulator.machine.parts.measuring.sensors import SENSORS
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/")

@@ -19,7 +19,7 @@ from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.robot_file import read_limits
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.motion.planner.tool_controller import controller_for
 from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import move, reachable

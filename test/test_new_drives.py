@@ -26,7 +26,7 @@ from arm_emulator.design.sizing import (
     size,
 )
 from arm_emulator.design.survey import survey
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.kinematics import Kinematics
 from oracles.own_robots import OWN, Part, serial

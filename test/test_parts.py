@@ -16,13 +16,13 @@ from documents import DOCS
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import LARGEST, REQUIRED, SMALLEST
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.encoder import Encoder
-from arm_emulator.machine.parts.extra import JointEffect
+from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
+from arm_emulator.machine.parts.joint_effects.torque_table import TorqueTable
 from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.measuring.encoder import Encoder
+from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
+from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
-from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
-from arm_emulator.machine.parts.torque_table import TorqueTable
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
 OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)

@@ -16,7 +16,7 @@ from machines import GANTRY, gantry_urdf, moving_joints, random_chain_urdf, writ
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
-from arm_emulator.machine.parts.pmsm import Pmsm
+from arm_emulator.machine.parts.motors.pmsm import Pmsm
 from oracles.reference import links_model
 
 PERIOD = 1e-3  # s, over which a command is held

@@ -17,8 +17,8 @@ from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import CORE
-from arm_emulator.machine.parts.gear import RigidGear
-from arm_emulator.machine.parts.progressive_gear import ProgressiveGear
+from arm_emulator.machine.parts.gears.gear import RigidGear
+from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant.compiler import FLAGS
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES

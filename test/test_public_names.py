@@ -40,8 +40,8 @@ from arm_emulator import (
     testing,
 )
 from arm_emulator.base.config_files import find_config, find_scene
-from arm_emulator.machine.parts.dc_motor import DcMotor
 from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -19,7 +19,7 @@ from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.io.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 from arm_emulator.cli.command_line import main
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.model.kinematics import moving_joints

@@ -13,7 +13,7 @@ from draws import some
 from test_new_drives import untuned
 
 from arm_emulator.design.new_scene import NewScene, write_new
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from oracles.own_robots import Part, serial
 
 __all__ = ["untuned"]  # a fixture

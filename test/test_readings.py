@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arm_emulator import Plant, Refusal, load_scene
-from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.measuring.sensors import ANALOG
 
 TICKS = 2000
 GAIN, STEPS, NOISE, DELAY = 0.02, 2**10, 0.02, 2

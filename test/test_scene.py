@@ -15,7 +15,7 @@ from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.command_line import main
-from arm_emulator.machine.parts.dc_motor import DcMotor
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.urdf_chain import read_chain
 from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.machine.schemes.known import SCHEMES

@@ -18,7 +18,7 @@ from machines import Oracle, write_scene
 
 from arm_emulator import Diverged, Measured, Plant, Scene, load_scene
 from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
-from arm_emulator.machine.parts.current_loop import CurrentLoop
+from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.varied import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
 from oracles.mixtures import STEPS, commands, push, write_mixture

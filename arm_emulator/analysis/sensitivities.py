@@ -21,7 +21,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import ANY_COMMANDS, ANY_STATE, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.parts.sensors import JointSensors
+from arm_emulator.machine.parts.measuring.sensors import JointSensors
 from arm_emulator.machine.plant.call_arguments import LARGEST_STEPS
 from arm_emulator.machine.plant.compiler import DIRECTIONS, sensitivity_library_of
 from arm_emulator.machine.plant.core_calls import SENSITIVITY

@@ -51,9 +51,11 @@ class Registry(Generic[Kind]):
         """Return all classes by their names, in the order of their modules' names."""
         if not self._complete:
             package: ModuleType = importlib.import_module(self._package)
-            for module in pkgutil.iter_modules(package.__path__):
-                importlib.import_module(f"{self._package}.{module.name}")
+            for module in pkgutil.walk_packages(package.__path__, f"{self._package}."):
+                importlib.import_module(module.name)
             self._complete = True
-            in_order = sorted(self._kinds.items(), key=lambda one: (one[1].__module__, one[0]))
+            in_order = sorted(
+                self._kinds.items(), key=lambda item: (item[1].__module__.split(".")[-1], item[0])
+            )
             self._kinds = dict(in_order)
         return dict(self._kinds)

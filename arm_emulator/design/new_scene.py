@@ -30,7 +30,7 @@ from arm_emulator.design.sizing import Demand, Sized, full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
 from arm_emulator.machine.parts.known import SIZED_MOTORS
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.scene.urdf_chain import MovedBody, moved_bodies

@@ -13,7 +13,7 @@ from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.rated_tool import RatedTool
 from arm_emulator.design.sizing import Demand, Sized, rounded
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.motion.model.drive_parameters import SECTION, DriveParameters

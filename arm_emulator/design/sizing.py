@@ -15,9 +15,9 @@ import numpy as np
 
 from arm_emulator.design.data_sheets import JointSheet
 from arm_emulator.machine.parts.known import DECORATORS, MOTORS, gear_of, link_friction_of
-from arm_emulator.machine.parts.motor import Motor, Rating
+from arm_emulator.machine.parts.measuring.sensors import JointSensors
+from arm_emulator.machine.parts.motors.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import JointSensors
 from arm_emulator.machine.scene.joint import Joint
 
 # Largest plausible limits of a description. Larger ones mean "unknown".

@@ -26,7 +26,7 @@ from arm_emulator.base.urdf.urdf_text import limits_of
 from arm_emulator.build.c_header import Library
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE
-from arm_emulator.machine.parts.end_stops import EndStops
+from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.executor.goal_status import State

@@ -19,9 +19,9 @@ from arm_emulator.build.c_header import NULL, text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
 from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
+from arm_emulator.machine.parts.measuring.torque_sensor import TorqueSensor
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.sensors import ANALOG, SENSOR_PARTS
-from arm_emulator.machine.parts.torque_sensor import TorqueSensor
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.machine.plant.outputs import (

@@ -35,7 +35,7 @@ for package in (parts, schemes, faults):
                     made.append(type("My" + kind.__name__, (kind,), {}))
 assert len(made) > 50, len(made)
 from arm_emulator.machine.parts.known import PARTS
-from arm_emulator.machine.parts.sensors import ANALOG
+from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator import load_scene
 kinds = [*PARTS, *ANALOG, *KNOWN.values(), *fault.known_faults().values()]

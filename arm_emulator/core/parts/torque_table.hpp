@@ -3,9 +3,10 @@
 //
 //   T = T0 + T1 s + T2 s^2 + T3 s^3      s = q - q0
 //
-// with coefficients (parts/torque_table.py) that make torque and slope continuous. Beyond its ends
-// the table keeps their torque, or repeats with its period. It dissipates nothing; its potential,
-// the integral of -T, is 0 at the first point and may become negative, like gravity's.
+// with coefficients (parts/joint_effects/torque_table.py) that make torque and slope continuous.
+// Beyond its ends the table keeps their torque, or repeats with its period. It dissipates nothing;
+// its potential, the integral of -T, is 0 at the first point and may become negative, like
+// gravity's.
 #pragma once
 
 #include <array>

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import DriveStage
-from arm_emulator.machine.parts.extra import JointEffect
-from arm_emulator.machine.parts.friction import Friction, LinkFriction, OfRotor
-from arm_emulator.machine.parts.gear import Gear
-from arm_emulator.machine.parts.motor import Motor
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.gears.gear import Gear
+from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
+from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import kinds_of
 

@@ -27,10 +27,10 @@ from arm_emulator.base.validation.number import (
 )
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.parts.drawn import Numbers, Rng, usual
 from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.parts.sample import Numbers, Rng, usual
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.varied import Varied
 

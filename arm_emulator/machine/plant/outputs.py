@@ -7,8 +7,8 @@ from typing import ClassVar, Protocol
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.known import MOTORS, PARTS
+from arm_emulator.machine.parts.measuring.sensors import SENSORS
 from arm_emulator.machine.parts.output import COMMAND, FAULTS, FURTHER, READINGS, Output
-from arm_emulator.machine.parts.sensors import SENSORS
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.inputs import further_inputs, input_at, input_units
 from arm_emulator.machine.scene.scene import Scene

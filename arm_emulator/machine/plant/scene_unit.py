@@ -13,11 +13,11 @@ from arm_emulator.base.products import applied
 from arm_emulator.machine.chain import Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import fields, number, vector
 from arm_emulator.machine.faults.scene_faults import put_faults
-from arm_emulator.machine.parts.decorator import Supply
+from arm_emulator.machine.parts.drive_stages.drive_stage import Supply
 from arm_emulator.machine.parts.line import lines
-from arm_emulator.machine.parts.motor import CxxMotor
+from arm_emulator.machine.parts.measuring.sensors import measured_kinds, quantities, suite
+from arm_emulator.machine.parts.motors.motor import CxxMotor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import measured_kinds, quantities, suite
 from arm_emulator.machine.plant.inputs import further_inputs, input_at
 from arm_emulator.machine.plant.outputs import readings_of
 from arm_emulator.machine.scene.joint import Joint

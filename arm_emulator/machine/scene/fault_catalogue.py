@@ -6,8 +6,8 @@ from collections.abc import Collection
 
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
-from arm_emulator.machine.parts.imu import Imu
 from arm_emulator.machine.parts.line import line_numbers
+from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.varied import Varied, varied_body
 

@@ -11,13 +11,12 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import LARGEST, number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Chain
-from arm_emulator.machine.parts.brake import Brake
-from arm_emulator.machine.parts.decorator import DriveStage
-from arm_emulator.machine.parts.encoder import Encoder
-from arm_emulator.machine.parts.extra import JointEffect
-from arm_emulator.machine.parts.friction import Friction
-from arm_emulator.machine.parts.gear import Gear
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
+from arm_emulator.machine.parts.frictions.brake import Brake
+from arm_emulator.machine.parts.frictions.friction import Friction
+from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.input import VOLTAGE, Input
+from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
@@ -29,9 +28,10 @@ from arm_emulator.machine.parts.known import (
     read_gear,
     read_motor,
 )
-from arm_emulator.machine.parts.motor import Motor, ServoData
+from arm_emulator.machine.parts.measuring.encoder import Encoder
+from arm_emulator.machine.parts.measuring.sensors import JointSensors
+from arm_emulator.machine.parts.motors.motor import Motor, ServoData
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sensors import JointSensors
 
 Kind = TypeVar("Kind", bound=Part)
 

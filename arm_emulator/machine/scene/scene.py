@@ -27,8 +27,8 @@ from arm_emulator.base.validation.number import Number, number, numbers_of
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
-from arm_emulator.machine.parts.imu import Imu
-from arm_emulator.machine.parts.sensors import SENSOR_PARTS
+from arm_emulator.machine.parts.measuring.imu import Imu
+from arm_emulator.machine.parts.measuring.sensors import SENSOR_PARTS
 from arm_emulator.machine.scene.fault_catalogue import fault_catalogue, variable_numbers
 from arm_emulator.machine.scene.integrator import Integrator, dividing, odds
 from arm_emulator.machine.scene.joint import Joint, read_joints

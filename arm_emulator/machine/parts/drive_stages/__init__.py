@@ -1,0 +1,1 @@
+"""Parts around a motor: loops, inverter, winding, ripple."""

@@ -1,0 +1,107 @@
+"""The current loop of a motor's drive."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Self
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine import cxx_literals
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supply
+from arm_emulator.machine.parts.input import CURRENT, Input
+from arm_emulator.machine.parts.motors.motor import Circuit, CxxMotor, Motor, Rating
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@register_part
+class CurrentLoop(DriveStage):
+    """A PI controller within the drive: the motor's command is a current.
+
+    Its gains follow from the bandwidth and the data sheet, or are given.
+    """
+
+    section = "motor.current_loop"
+    layer = 1
+    needs_circuit = True
+    inputs: ClassVar[tuple[Input, ...]] = (CURRENT,)
+    header = "current_loop.hpp"
+    cxx = "CurrentControl"
+    loop: ClassVar[str] = "CurrentLoop"  # in C++, around a motor
+
+    bandwidth: float | None = number(
+        "bandwidth",
+        "Hz",
+        above=0.0,
+        default=None,
+        absent="by the gains",
+        text="f; P and I follow from it",
+    )
+    proportional_gain: float | None = number(
+        "P", "V/A", above=0.0, default=None, absent="by the bandwidth", text="P"
+    )
+    integral_gain: float | None = number(
+        "I", "V/(A s)", at_least=0.0, default=None, absent="by the bandwidth", text="I"
+    )
+    emf_feedforward: float = number(
+        "feedforward",
+        "1",
+        ends=(0.0, 1.0),
+        default=1.0,
+        text="E, share of the induced voltages that the drive compensates",
+    )
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: measured torques are those behind it."""
+        return np.zeros_like(motion.t)
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}
+        for key, value in gains.items():
+            if self.bandwidth is not None and value is not None:
+                raise section.refusal(key, "be absent together with a bandwidth", value)
+            if self.bandwidth is None and value is None:
+                rule = f"be given where {key} is not"
+                raise section.refusal("bandwidth", rule, "nothing")
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:
+        """By its bandwidth, or by its gains."""
+        if rng.random() < 0.5:
+            return {"bandwidth": scaled(rng, 100.0, 1000.0)}
+        share = float(rng.uniform(0.0, 1.0))
+        return {
+            "proportional_gain": scaled(rng, 1.0, 10.0),
+            "integral_gain": scaled(rng, 100.0, 5e3),
+            "emf_feedforward": share,
+        }
+
+    @classmethod
+    def sized(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102
+        return None if motor.circuit is None else cls(bandwidth=rating.bandwidth)
+
+    def inner_per_command(self, motor: Motor) -> float:  # noqa: D102
+        return _circuit(motor).resistance
+
+    def bandwidth_around(self, motor: Motor) -> float:  # noqa: D102
+        if self.bandwidth is not None:
+            return self.bandwidth
+        assert self.proportional_gain is not None, "see check"
+        return self.proportional_gain / (2.0 * math.pi * _circuit(motor).inductance)
+
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
+        """Return a motor with it in C++, set up for the motor's winding."""
+        *known, most = map(cxx_literals.number, motor.data_sheet(supply.voltage))
+        most = f"{most} * {supply.share}" if supply.share else most
+        kind = f"arm::{self.loop}<{inner.type}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{', '.join([*known, most])}}}}}")
+
+
+def _circuit(motor: Motor) -> Circuit:
+    assert motor.circuit is not None, "see check_motor"
+    return motor.circuit

@@ -1,0 +1,45 @@
+"""Voltage that the inverter of a drive loses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supply
+from arm_emulator.machine.parts.fault import GROWS, Fault, rise
+from arm_emulator.machine.parts.motors.motor import CxxMotor, Motor
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@register_part
+class Inverter(DriveStage):
+    """Dead time and transistors take a voltage along the current."""
+
+    section = "motor.inverter"
+    layer = 4
+    needs_circuit = True
+    header = "inverter.hpp"
+    cxx = "Inverter"
+
+    voltage_error: float = number(
+        "U", "V", at_least=0.0, typical=(0.3, 3.0), text="U, lost along the current"
+    )
+    knee: float = number(
+        "knee", "A", above=0.0, typical=(0.2, 1.0), text="current at which 0.71 U are lost"
+    )
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: measured torques are those behind it."""
+        return np.zeros_like(motion.t)
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        text = "the inverter's transistors switch later or conduct worse"
+        sets = {"motor.inverter.voltage_error": GROWS}
+        return (Fault("inverter_ages", text, sets=sets, magnitude=rise("1", 1.0, 1e3)),)
+
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
+        kind = f"arm::InvertedMotor<{inner.type}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}}}")

@@ -1,0 +1,66 @@
+"""Torque ripple of motors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supply
+from arm_emulator.machine.parts.motors.motor import CxxMotor, Motor
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
+
+
+@register_part
+class TorqueRipple(DriveStage):
+    """A motor's torque per current varies with the angle of its rotor."""
+
+    section = "motor.ripple"
+    layer = 3
+    hides = "phase_lost"
+    electrical = False
+    header = "torque_ripple.hpp"
+    cxx = "RippledMotor"
+    keys = (
+        waves_key(
+            "waves",
+            "1",
+            "amplitudes that sum up to 0.9 at most",
+            "waves per turn of the motor, share of the torque, phase",
+        ),
+    )
+
+    waves: tuple[Wave, ...] = ()  # of 1
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """The torque that the ripple takes from the motor's."""
+        torque: Array = -wave_sum(self.waves, motion.angle) * motion.motor_torque
+        return torque
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        return {"waves": read_waves(section, "waves", "1")}
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        # More would turn the torque about at some angles.
+        most = sum(abs(amplitude) for _, amplitude, _ in self.waves)
+        if most > 0.9:
+            raise section.refusal("waves", "have amplitudes that sum up to at most 0.9", most)
+
+    def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
+        if motor.follows_speed_at_once:
+            rule = "come with an inductance: the current would follow each wave at once"
+            raise joint.refusal(self.section, rule, "none")
+
+    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
+        if not self.waves:
+            return inner
+        kind = f"arm::{self.cxx}<{inner.type}, {len(self.waves)}>"
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {cxx_waves(self.waves)}}}")

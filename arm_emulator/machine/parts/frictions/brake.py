@@ -1,0 +1,107 @@
+"""Brakes on the shafts of motors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.machine.parts.fault import Fault, falling, share
+from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor, RotorFriction
+from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.parts.part import Part, number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+@register_part
+class Brake(Part):
+    """Dry friction while the drives have no power."""
+
+    section = "brake"
+    shaft = "rotor"
+    header = "brake.hpp"
+    cxx = "Brake"
+    outputs = (
+        Output(
+            "brake_closed", "whether each brake is closed", "joint.brake", kind="flag", cia=0x2004
+        ),
+    )
+
+    torque: float = number(
+        "torque", "N m", above=0.0, text="Tb, at the motor's shaft; at the link it is Tb / Ng"
+    )
+    close_delay: float = number(
+        "close_delay",
+        "s",
+        ends=(0.0, 10.0),
+        varied=False,
+        default=0.0,
+        text="from power off to closed",
+    )
+    release_delay: float = number(
+        "release_delay",
+        "s",
+        ends=(0.0, 10.0),
+        varied=False,
+        default=0.0,
+        text="from power on to open",
+    )
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: in motion it is open."""
+        return np.zeros_like(motion.t)
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:
+        """With delays of whole steps of 0.5 ms."""
+        close, release = (5e-4 * int(n) for n in rng.integers(0, 30, 2))
+        return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:
+        """Faults of the brake; the drive reports its command, not these."""
+        return (
+            Fault(
+                "brake_slips",
+                "oil on the brake: it holds a smaller torque",
+                sets=falling("brake.torque"),
+                magnitude=share(0.9),
+            ),
+            Fault(
+                "brake_stays_open",
+                "the brake does not close, at a share of its way",
+                sets=falling("brake.closed"),
+                magnitude=share(),
+            ),
+            Fault(
+                "brake_drags",
+                "the brake presses while it is open, at 1 as if closed",
+                sets={"brake.closed": "{x} + {m} * (1.0 - {x})"},
+                magnitude=share(),
+            ),
+        )
+
+    def fault_numbers(self) -> dict[str, float | None]:
+        """Its numbers, and whether it is closed, as it is before the drives get power."""
+        return {**super().fault_numbers(), "closed": 1.0}
+
+    def rotor(
+        self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str
+    ) -> tuple[str, str]:
+        """Return type and initialiser of the rotor's friction with this brake, in C++.
+
+        Args:
+            friction: of the rotor without it.
+            joint: the joint's name.
+            places: where the values of varied numbers stand, by their name.
+            closed: where the number stands that is 1 while the brake is closed.
+        """
+        friction = friction or RotorFriction()
+        assert isinstance(friction, OfRotor)
+        law, values = friction.law(joint, places)
+        kind = f"arm::Braked<{law}>"
+        brake = self.initialiser(joint, places)
+        return f"arm::RotorFriction<{kind}>", f"{{{kind}{{{values}, {brake}, {closed}}}}}"

@@ -1,0 +1,59 @@
+"""Friction that grows with the torque of the gear."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
+from arm_emulator.machine.parts.frictions.stribeck import stribeck_torque
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+class LoadFriction(Friction):
+    """Further friction: `load` times the gear's torque on that shaft."""
+
+    header = "load_friction.hpp"
+    cxx = "LoadFriction"
+    named_by = ("load",)
+
+    stribeck: float | None = number(
+        "vs",
+        "rad/s",
+        above=0.0,
+        sought="known",
+        default=None,
+        absent="Coulomb friction",
+        text="vs, see [Stribeck friction](stribeck.md)",
+    )
+    load: float = number("mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", text="mu")
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:
+        """With and without a fall of the dry torque."""
+        falls = {"stribeck": cls.usual_speed} if rng.random() < 0.5 else {}
+        return super().drawn(rng) | {"load": 0.2, **falls}
+
+    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        dry = super().sliding(motion)
+        if self.stribeck is not None:
+            dry = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
+        torque: Array = dry + self.load * np.abs(motion.gear_torque)
+        return torque
+
+    @property
+    def sticks(self) -> bool:  # noqa: D102
+        return self.coulomb > 0.0 or self.load > 0.0
+
+
+@register_part
+class LinkLoadFriction(LoadFriction, LinkFriction):
+    """Friction of a link that grows with the load on its gear."""
+
+
+@register_part
+class RotorLoadFriction(OfRotor, LoadFriction):
+    """Friction of a rotor that grows with the load on its gear."""

@@ -1,0 +1,110 @@
+"""Friction by bristles that bend before they slip."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.machine.parts.fault import Fault, rise, rising
+from arm_emulator.machine.parts.frictions.stribeck import stribeck_torque
+from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+class LuGre(JointEffect):
+    """Bristle friction, for motion before sliding: positioning, reversals, stick-slip."""
+
+    header = "lugre.hpp"
+    cxx = "LuGre"
+
+    coulomb: float = number("Dc", "N m", above=0.0, sought="unknown", text="Dc, sliding fast")
+    breakaway: float = number(
+        "Ds", "N m", follows="coulomb", default=0.0, text="Ds, sliding slowly"
+    )
+    stribeck: float = number("vs", "rad/s", above=0.0, default=0.1, text="vs")
+    bristle_stiffness: float = number(
+        "s0", "N m/rad", above=0.0, text="s0; the shaft yields by Ds / s0 at most before it slides"
+    )
+    bristle_damping: float = number(
+        "s1",
+        "N m s/rad",
+        at_least=0.0,
+        default=0.0,
+        text="s1; √(s0 times the inertia that moves) damps its swing on the bristles",
+    )
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """Bend the bristles along the motion, from straight ones."""
+        w = motion.speed
+        g = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
+        rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
+        kept = np.exp(-np.gradient(motion.t) * rate)
+        # Limit for bristles that slip at once.
+        end = np.sign(w) * g / self.bristle_stiffness
+        step = np.where(rate > 0.0, (1.0 - kept) * end, 0.0)
+        z = np.empty_like(w)
+        bent = 0.0
+        for k, (share, more) in enumerate(zip(kept.tolist(), step.tolist(), strict=True)):
+            bent = share * bent + more
+            z[k] = bent
+        torque: Array = self.bristle_stiffness * z + self.bristle_damping * (w - rate * z)
+        return torque
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                "seal_grips",
+                "friction of bristles rises",
+                sets=rising("lugre.coulomb", "motor.lugre.coulomb"),
+                magnitude=rise("N m", 1.0, 1e6),
+            ),
+        )
+
+    @classmethod
+    def drawn_of(cls, rng: Rng, dry: tuple[float, float], bend: tuple[float, float],
+                 damping: tuple[float, float], **more: float) -> Numbers:  # fmt: skip
+        """Return a random section by the usual dry torque [N m], bend [rad] and damping."""
+        torque = scaled(rng, *dry)
+        return {
+            "coulomb": torque,
+            "breakaway": torque * float(rng.uniform(1.0, 1.5)),
+            **more,
+            "bristle_stiffness": torque / scaled(rng, *bend),
+            "bristle_damping": scaled(rng, *damping),
+        }
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
+
+
+@register_part
+class LinkLuGre(LuGre):
+    """Friction of a link by bristles that bend before they slip."""
+
+    section = "lugre"
+    rank = 2
+    shaft = "link"
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return cls.drawn_of(rng, dry=(0.2, 2.0), bend=(2e-3, 2e-2), damping=(0.3, 3.0))
+
+
+@register_part
+class RotorLuGre(LuGre):
+    """Friction of a rotor by bristles that bend before they slip."""
+
+    section = "motor.lugre"
+    rank = 3
+    shaft = "rotor"
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return cls.drawn_of(
+            rng, dry=(0.003, 0.03), bend=(0.2, 1.0), damping=(3e-4, 3e-3), stribeck=5.0
+        )

@@ -1,0 +1,1 @@
+"""Gears between rotor and link."""

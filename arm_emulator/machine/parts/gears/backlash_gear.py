@@ -1,0 +1,45 @@
+"""Gears with play."""
+
+from __future__ import annotations
+
+import math
+
+from arm_emulator.machine.parts.fault import Fault, rise, rising
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+
+
+@register_part
+class BacklashGear(ElasticGear):
+    """An elastic gear whose teeth do not touch within its play."""
+
+    header = "backlash.hpp"
+    cxx = "BacklashGear"
+    named_by = ("stiffness", "backlash")
+
+    # Free play of the link with the motor held.
+    backlash: float = number(
+        "play", "rad", at_least=0.0, text="free play of the link while the motor is held"
+    )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return super().drawn(rng) | {"backlash": scaled(rng, 1e-3, 2e-2)}
+
+    @classmethod
+    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+        return (
+            Fault(
+                "backlash_grows",
+                "the teeth wear, and the gear's play grows",
+                sets=rising("gear.backlash"),
+                magnitude=rise("rad", 1e-3, 1.0),
+            ),
+        )
+
+    def wind_up(self, torque: float) -> float:
+        """Return the gear's wind-up at rest, with the play."""
+        free = math.copysign(0.5 * self.backlash, torque) if torque else 0.0
+        return free + super().wind_up(torque)

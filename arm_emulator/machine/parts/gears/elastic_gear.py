@@ -1,0 +1,38 @@
+"""Gears with a linear spring and a damper."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from arm_emulator.machine.parts.gears.gear import Gear
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+
+
+@register_part
+class ElasticGear(Gear):
+    """A spring and a damper between the rotor, reduced, and the link."""
+
+    header = "gear.hpp"
+    cxx = "ElasticGear"
+    named_by: ClassVar[tuple[str, ...]] = ("stiffness",)
+
+    stiffness: float = number(
+        "Kg", "N m/rad", above=0.0, absent="a rigid gear", text="Kg, seen at the link"
+    )
+    damping: float = number(
+        "Dg",
+        "N m s/rad",
+        at_least=0.0,
+        default=0.0,
+        text="Dg, seen at the link; refused without a stiffness",
+    )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        gear = super().drawn(rng)
+        return gear | {"stiffness": scaled(rng, 1e3, 1e4), "damping": scaled(rng, 0.5, 10.0)}
+
+    def wind_up(self, torque: float) -> float:  # noqa: D102
+        return torque / self.stiffness

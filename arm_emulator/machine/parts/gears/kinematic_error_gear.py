@@ -1,0 +1,79 @@
+"""Gears with errors of their teeth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
+from arm_emulator.machine.parts.key import Key
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
+
+
+@register_part
+class KinematicErrorGear(ElasticGear):
+    """An elastic gear whose twist has an error that depends on both angles."""
+
+    header = "kinematic_error.hpp"
+    cxx = "KinematicErrorGear"
+    named_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
+
+    keys = tuple(
+        Key(
+            f"kinematic_error.{shaft}",
+            unit=f"1{slide}, rad (m), rad",
+            range=f"at most {MOST} waves",
+            text=f"waves [order, amplitude at the link, phase] of the {shaft}'s angle",
+        )
+        for shaft, slide in (("motor", ""), ("link", " (1/m)"))
+    )
+
+    motor: tuple[Wave, ...] = ()
+    link: tuple[Wave, ...] = ()
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """Torque on the rotor from the gear's torque, beside that by the nominal ratio."""
+        by_motor = wave_slope(self.motor, motion.angle) / self.ratio
+        by_link = wave_slope(self.link, motion.angle * self.ratio)
+        torque: Array = motion.gear_torque * ((1.0 + by_motor) / (1.0 - by_link) - 1.0)
+        return torque
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        values = super().read_numbers(section)
+        if (errors := section.section("kinematic_error")) is not None:
+            values |= {shaft: read_waves(errors, shaft, "rad") for shaft in ("motor", "link")}
+        return values
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        gear = super().drawn(rng)
+        of_motor = [2.0, 0.1 * gear["ratio"], float(rng.uniform(0.0, 6.0))]
+        of_link = [3.0, scaled(rng, 1e-4, 1e-2)]
+        return gear | {"kinematic_error": {"motor": [of_motor], "link": [of_link]}}
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        # A steeper error would turn the gear back at some angles.
+        for shaft, most in (("motor", abs(self.ratio)), ("link", 1.0)):
+            waves: tuple[Wave, ...] = getattr(self, shaft)
+            steepest = sum(abs(order * amplitude) for order, amplitude, _ in waves)
+            if steepest > 0.9 * most:
+                rule = f"have order times amplitude sum up to at most {0.9 * most:g}"
+                raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<{len(self.motor)}, {len(self.link)}>"
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        waves = [
+            (shaft, cxx_waves(getattr(self, shaft)))
+            for shaft in ("motor", "link")
+            if getattr(self, shaft)
+        ]
+        return super().members(joint, places) + waves

@@ -1,0 +1,1 @@
+"""Further torques on link or rotor."""

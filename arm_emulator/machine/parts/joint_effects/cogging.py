@@ -1,0 +1,47 @@
+"""Cogging of motors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
+
+
+@register_part
+class Cogging(JointEffect):
+    """Attraction of the magnets by the stator's teeth, with or without current."""
+
+    section = "motor.cogging"
+    rank = 4
+    of_angle = True
+    shaft = "rotor"
+    header = "cogging.hpp"
+    cxx = "Cogging"
+    keys = (waves_key("waves", "N m", "a ±1e3", "waves per turn of the motor, amplitude, phase"),)
+
+    waves: tuple[Wave, ...] = ()  # N m
+
+    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return wave_sum(self.waves, motion.angle)
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        return {"waves": read_waves(section, "waves", "N m")}
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {"waves": [[4.0, scaled(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<{len(self.waves)}>"
+
+    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        return [("waves", cxx_waves(self.waves))] if self.waves else []

@@ -1,0 +1,159 @@
+"""The sensors of a scene, in C++ as core/mechanics/sensors.hpp has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.measuring.analog_sensor import AnalogSensor
+from arm_emulator.machine.parts.measuring.current_sensor import CurrentSensor
+from arm_emulator.machine.parts.measuring.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
+from arm_emulator.machine.parts.measuring.imu import Accelerometer, Gyroscope, Imu
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.parts.registry import kinds_of
+
+
+def _analog() -> tuple[type[AnalogSensor], ...]:
+    """Return the kinds of analog sensors, which are those that are registered."""
+    last = math.inf  # behind those that have a channel of their own
+    return tuple(sorted(kinds_of(AnalogSensor), key=lambda one: one.channel or last))
+
+
+ANALOG = _analog()
+
+# Sensors of joints and of links.
+SENSORS: tuple[type[Part] | type[Imu], ...] = (Encoder, LinkEncoder, *ANALOG, Imu)
+
+# Kinds of numbers that they have; those of both encoders are alike.
+IMU_SENSORS: tuple[type[Part], ...] = (Accelerometer, Gyroscope)
+SENSOR_PARTS: tuple[type[Part], ...] = (Encoder, *ANALOG, *IMU_SENSORS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointSensors:
+    """Sensors of a joint; without an encoder, counts have the finest resolution."""
+
+    encoder: Encoder | None = None
+    link_encoder: LinkEncoder | None = None
+    analog: tuple[AnalogSensor, ...] = ()
+
+    @classmethod
+    def read(cls, joint: Section, kind: str) -> JointSensors:
+        """Return the sensors that a joint's section describes.
+
+        Args:
+            joint: the section.
+            kind: revolute or prismatic.
+
+        Raises:
+            Refusal: a value breaks its rule, or a sensor of a motor that is not there.
+        """
+        for key, needed in {"encoder": "motor", **{one.section: one.of for one in ANALOG}}.items():
+            if needed and joint.has(key) and joint.below(needed) is None:
+                rule = f"belong to a joint with a {needed.replace('.', ' with a ')}"
+                raise joint.refusal(key, rule, f"no {needed} section")
+        motor, link = joint.section("encoder"), joint.section("link_encoder")
+        given = ((one, joint.section(one.section)) for one in ANALOG)
+        turn = 1.0 if kind == "prismatic" else 2.0 * math.pi
+        return cls(
+            encoder=None if motor is None else Encoder.read(motor),
+            link_encoder=None if link is None else LinkEncoder.read(link, turn),
+            analog=tuple(one.read(section) for one, section in given if section is not None),
+        )
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        """The sensors that are present, by their sections."""
+        encoders = {"encoder": self.encoder, "link_encoder": self.link_encoder}
+        there: dict[str, Part] = {name: one for name, one in encoders.items() if one is not None}
+        return there | {one.section: one for one in self.analog}
+
+    @classmethod
+    def with_counts(cls, counts_per_turn: int) -> JointSensors:
+        """Return sensors of which the encoder at the motor is the only one."""
+        return cls(encoder=Encoder(counts_per_turn=counts_per_turn))
+
+    @property
+    def counting(self) -> Encoder:
+        """The encoder at the motor; without one, the finest."""
+        return self.encoder or Encoder(counts_per_turn=IDEAL_COUNTS_PER_TURN)
+
+    @property
+    def measuring(self) -> dict[str, Part]:
+        """The sensors by their sections; the finest encoder where the motor has no encoder."""
+        return {Encoder.section: self.counting, **self.parts}
+
+    @property
+    def current(self) -> CurrentSensor | None:
+        """Sensor of its motor's current, which servos use."""
+        return next((one for one in self.analog if isinstance(one, CurrentSensor)), None)
+
+    @property
+    def plain(self) -> bool:
+        """Whether its only sensor is an exact encoder at the motor."""
+        return not self.parts or (
+            self.encoder is not None and self.parts.keys() == {"encoder"} and self.encoder.plain
+        )
+
+
+def measured_kinds(joints: Iterable[JointSensors]) -> tuple[type[AnalogSensor], ...]:
+    """Return the kinds of analog sensors of some joints; a current is always measured."""
+    there = {type(sensor) for sensors in joints for sensor in sensors.analog}
+    return tuple(kind for kind in ANALOG if kind in there or kind is CurrentSensor)
+
+
+def quantities(kinds: Iterable[type[AnalogSensor]]) -> str:
+    """Return the quantities that kinds of sensors read, as structs in C++."""
+    return "".join(
+        f"""\
+struct {kind.__name__} {{
+  static constexpr arm::Field field = arm::Field::{kind.field};
+  static void of(const auto& now, double* row) {{
+    const auto& values = {kind.reads};
+    for (int j = 0; j < now.N; ++j) row[j] = values[j];
+  }}
+}};
+
+"""
+        for kind in kinds
+    )
+
+
+def suite(
+    seed: str,
+    joints: Mapping[str, JointSensors],
+    imus: Sequence[Imu],
+    places: Mapping[str, str],
+) -> str:
+    """Return the function that makes the sensors of a scene.
+
+    Args:
+        seed: of the noise, in C++.
+        joints: by name, base to tool.
+        imus: inertial measurement units.
+        places: where the values of varied numbers stand, by their name.
+    """
+    kinds = measured_kinds(joints.values())
+    quantities = "".join(f", {kind.__name__}" for kind in kinds)
+    lines = [
+        f"arm::SensorSuite<N, {len(imus)}{quantities}> all;",
+        f"all.seed = {seed};",
+    ]
+    for k, kind in enumerate(kinds):
+        first, stride = kind.draws()
+        row = f"std::get<{k}>(all.analog)"
+        lines.append(f"{row}.first = {first}, {row}.stride = {stride};")
+    rows = {kind.section: f"std::get<{k}>(all.analog).at" for k, kind in enumerate(kinds)}
+    members = {"encoder": "all.encoder", "link_encoder": "all.link_encoder", **rows}
+    for j, (name, sensors) in enumerate(joints.items()):
+        for section, part in sensors.measuring.items():
+            lines.append(f"{members[section]}[{j}] = {part.initialiser(name, places)};")
+    lines += [f"all.imu[{m}] = {imu.initialiser(places)};" for m, imu in enumerate(imus)]
+    body = "\n".join(f"    {line}" for line in [*lines, "return all;"])
+    return f"""\
+  static constexpr auto sensors([[maybe_unused]] const double* p) {{
+{body}
+  }}
+"""

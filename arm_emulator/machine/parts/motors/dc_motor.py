@@ -1,0 +1,115 @@
+"""Direct-current motors."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from arm_emulator.machine.parts.motors.motor import (
+    Circuit,
+    Motor,
+    Rating,
+    ServoData,
+    inertia_of_rotor,
+)
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
+
+
+@register_part
+class DcMotor(Motor):
+    """Armature circuit and rotor, eq. (1) and (2). `inductance` 0: the current has no delay."""
+
+    kind = "dc"
+    cia_type = 13  # permanent magnets, commutator
+    is_default = True
+    has_winding = True
+    header = "dc_motor.hpp"
+    cxx = "DcMotor"
+    limit = "current_limit"  # with a current loop
+    rules = (
+        "back EMF 60 % of the supply at full speed, 25 % for the winding at peak torque,",
+        "L/R 1 ms; current of the peak torque; current loop of drives that sample at 16 kHz",
+    )
+
+    resistance: float = number("R", "ohm", above=0.0, text="R of the winding")
+    inductance: float = number(
+        "L", "H", at_least=0.0, default=0.0, text="L of the winding; 0: the current has no delay"
+    )
+    torque_constant: float = number("Kt", "N m/A", above=0.0, text="Kt")
+    back_emf_constant: float = number(
+        "Kb",
+        "V s/rad",
+        at_least=0.0,
+        text="Kb; equals Kt in SI units if the motor has no other losses",
+    )
+    rotor_inertia: float = inertia_of_rotor()
+    current_limit: float | None = number(
+        "current_limit",
+        "A",
+        above=0.0,
+        default=None,
+        text="the drive lets no larger current flow, in either direction",
+    )
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+        return cls(
+            resistance=rating.resistance,
+            inductance=rating.inductance,
+            torque_constant=rating.torque_constant,
+            back_emf_constant=rating.back_emf_constant,
+            rotor_inertia=rating.rotor_inertia,
+            current_limit=rating.current,
+        )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        inductive = rng.random() < 0.5
+        return {
+            "resistance": scaled(rng, 0.5, 2.0),
+            "torque_constant": 0.05,
+            "back_emf_constant": 0.05,
+            **({"inductance": scaled(rng, 1e-3, 5e-3)} if inductive else {}),
+            **({"current_limit": scaled(rng, 3.0, 10.0)} if rng.random() < 0.5 else {}),
+        }
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return "arm::DcMotor" if self.current_limit is None else "arm::LimitedDcMotor"
+
+    @property
+    def follows_speed_at_once(self) -> bool:  # noqa: D102
+        return self.inductance == 0.0
+
+    @property
+    def circuit(self) -> Circuit | None:  # noqa: D102
+        if self.inductance == 0.0:
+            return None
+        return Circuit(self.resistance, self.inductance, self.back_emf_constant)
+
+    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
+        return self.resistance, self.inductance, self.back_emf_constant, supply_voltage
+
+    @property
+    def servo_data(self) -> ServoData:  # noqa: D102
+        return ServoData(
+            torque_constant=self.torque_constant,
+            resistance=self.resistance,
+            inductance=self.inductance,
+            back_emf_constant=self.back_emf_constant,
+        )
+
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return self.torque_constant / self.resistance
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return supply_voltage
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {
+            "rotor inertia": self.rotor_inertia / ratio**2,
+            "torque per current": self.torque_constant / abs(ratio),
+            "voltage per speed": self.back_emf_constant / abs(ratio),
+        }

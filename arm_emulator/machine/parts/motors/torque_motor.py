@@ -1,0 +1,69 @@
+"""Motors with ideal torque control."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from arm_emulator.machine.parts.input import TORQUE
+from arm_emulator.machine.parts.motors.motor import (
+    AT_ONCE,
+    Motor,
+    Rating,
+    ServoData,
+    inertia_of_rotor,
+)
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.sample import Numbers, Rng
+
+
+@register_part
+class TorqueMotor(Motor):
+    """The torque follows the command, with a bandwidth if there is one."""
+
+    kind = "torque"
+    regulated = True
+    hides = ("current_sensor.gain_error", "current_sensor.range")  # whose readings are 0
+    header = "torque_motor.hpp"
+    cxx = "TorqueMotor"
+    inputs = (TORQUE,)
+    limit = "torque_limit"
+    rules = ("limit at the peak torque, bandwidth of drives that sample at 16 kHz",)
+
+    rotor_inertia: float = inertia_of_rotor()
+    bandwidth: float | None = number(
+        "bandwidth", "Hz", above=0.0, default=None, text="f; without it the torque has no delay"
+    )
+    torque_limit: float | None = number(
+        "torque_limit",
+        "N m",
+        above=0.0,
+        default=None,
+        text="largest command at the motor shaft, in either direction",
+    )
+
+    @classmethod
+    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+        return cls(
+            rotor_inertia=rating.rotor_inertia,
+            bandwidth=rating.bandwidth,
+            torque_limit=rating.torque,
+        )
+
+    @classmethod
+    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
+        return {"torque_limit": 0.5, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
+
+    @property
+    def servo_data(self) -> ServoData:  # noqa: D102
+        return ServoData(torque_constant=1.0, torque_bandwidth=self.bandwidth or AT_ONCE)
+
+    @property
+    def torque_per_command(self) -> float:  # noqa: D102
+        return 1.0
+
+    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+        return self.torque_limit
+
+    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+        return {"rotor inertia": self.rotor_inertia / ratio**2}
