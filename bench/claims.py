@@ -24,8 +24,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
+from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from bench import advice
 from bench.measure import progress
 from oracles import alone, mixtures, random_machines

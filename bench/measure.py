@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.machine.plant.compiler import library_of
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.toolchain.compiler_command import find_compiler
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")

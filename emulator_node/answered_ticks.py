@@ -6,10 +6,10 @@ import time
 
 from rclpy.subscription import Subscription
 
-from arm_emulator.build.c_header import NULL, CData
-from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
+from arm_emulator.toolchain.c_header import NULL, CData
+from arm_emulator.toolchain.unit import compiled_once
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
 from emulator_node.command_reader import CommandReader

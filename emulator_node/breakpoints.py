@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import NULL
+from arm_emulator.toolchain.c_header import NULL
 from arm_emulator_msgs.srv import BreakWhen
 from emulator_node.context import Context
 

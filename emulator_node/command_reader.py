@@ -8,11 +8,11 @@ import numpy as np
 from rclpy.serialization import serialize_message
 
 from arm_emulator.base.validation.bound import COMMAND
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.plant.inputs import further_inputs
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.ros.duplicate_nodes import started
 from arm_emulator.ros.message_reader import MessageReader, Row
+from arm_emulator.toolchain.c_header import CData
 from arm_emulator_msgs.msg import MotorCommand
 from emulator_node.c import MOTOR_COMMANDS
 

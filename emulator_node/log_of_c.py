@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MESSAGES, MIDDLEWARE
 from arm_emulator.ros.middleware import Outgoing
+from arm_emulator.toolchain.c_header import CData
 
 if TYPE_CHECKING:
     from arm_emulator.ros.run_record import RunRecord  # a stock machine may lack packages for bags

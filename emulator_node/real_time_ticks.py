@@ -8,14 +8,14 @@ import numpy as np
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from arm_emulator.build.c_header import CData
-from arm_emulator.build.unit import compiled_once
 from arm_emulator.machine.plant.call_arguments import commands_of
 from arm_emulator.machine.plant.compiler import real_time_library
 from arm_emulator.machine.plant.measured import MeasuredPlace
 from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.ros.middleware import Outgoing, middleware
+from arm_emulator.toolchain.c_header import CData
+from arm_emulator.toolchain.unit import compiled_once
 from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context

@@ -13,11 +13,11 @@ from arm_emulator.base.validation.bound import (
     POSITION,
     VELOCITY,
 )
-from arm_emulator.build.unit import compiled_once
 from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
 from arm_emulator.ros.middleware import Outgoing, middleware
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
+from arm_emulator.toolchain.unit import compiled_once
 from arm_emulator_msgs.msg import MotorState
 from servo_node.c import ANSWERED_STATES, answered_states_unit
 

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import clang_tidy
 
-from arm_emulator.build.unit import Unit
 from arm_emulator.machine.plant.compiler import (
     equations_unit,
     fleet_unit,
@@ -21,6 +20,7 @@ from arm_emulator.machine.plant.compiler import (
     real_time_unit,
 )
 from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_firmware.microcontroller import runner_unit
 from arm_emulator_fmu.unit import VERSIONS, unit_of

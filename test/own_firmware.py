@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from arm_emulator import Plant, load_scene, load_servo_config
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import library
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import library
 
 ROOT = Path(__file__).resolve().parents[1]
 

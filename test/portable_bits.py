@@ -25,12 +25,12 @@ from test_fleet_calls import SENSED
 
 import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Scene, load_scene
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compile_units
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from arm_emulator.runs.table_run import load_table_run
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compile_units
 from oracles.mixtures import write_mixture
 
 KEPT = Path(__file__).with_suffix(".json")

@@ -19,9 +19,9 @@ from draws import some
 from fuzz.cores import random_machine
 
 from arm_emulator import Diverged, Plant, PlantState, Refusal, Scene, load_scene
-from arm_emulator.build import library_cache
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.compiler import compile_ahead
+from arm_emulator.toolchain import library_cache
 
 MACHINES = some([0, 1, 3, 4, 2, 5, 6, 7], 2)  # their seeds
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps

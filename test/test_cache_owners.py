@@ -18,11 +18,11 @@ import pytest
 from test_library_cache import ROOT, SOMEBODY, Sound, as_root, cache, sound
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.machine.plant.compiler import library_of
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.tick.c import REAL_TIME
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 
 __all__ = ["cache", "sound"]  # fixtures
 

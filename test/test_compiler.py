@@ -18,14 +18,14 @@ from fake_compiler import fake_compiler
 from machines import random_chain
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.build import cxx, unit
-from arm_emulator.build.compiler_command import find_compiler, identity
-from arm_emulator.build.flags import SHARED
-from arm_emulator.build.library_cache import CACHE_VARIABLE, SEAL_SIZE
 from arm_emulator.core import CORE
 from arm_emulator.machine.plant.compiler import FLAGS, compile_ahead, library_of
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.tick.c import tick_unit
+from arm_emulator.toolchain import cxx, unit
+from arm_emulator.toolchain.compiler_command import find_compiler, identity
+from arm_emulator.toolchain.flags import SHARED
+from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, SEAL_SIZE
 
 READY = (
     "from arm_emulator.machine.scene.scene import load_scene;"

@@ -16,11 +16,11 @@ from test_network import go, pause_at
 
 from arm_emulator import load_scene
 from arm_emulator.base.config_files import find_config
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.ros import duplicate_nodes
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 from emulator_node.c import FOLDERS, MOTOR_COMMANDS
 from emulator_node.command_reader import CommandReader

@@ -32,9 +32,6 @@ from own_firmware import (
 )
 from sensor_msgs.msg import JointState
 
-from arm_emulator.build.c_header import pointer
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.machine.session.session import Session
 from arm_emulator.runs.servo_step import ServoStep
@@ -44,6 +41,9 @@ from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
+from arm_emulator.toolchain.c_header import pointer
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.flags import C_FLAGS
 
 MORE_WARNINGS = ["-Wconversion", "-Wdouble-promotion"]
 

@@ -19,9 +19,9 @@ from draws import some
 from own_firmware import NO_TABLE, builder, code, command
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.session.firmware import Firmware, RunningCode
 from arm_emulator.runs import guarded
+from arm_emulator.toolchain.c_header import CData
 
 
 @pytest.fixture(scope="module")

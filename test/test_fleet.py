@@ -12,9 +12,9 @@ import pytest
 from draws import FULL, some
 
 from arm_emulator import Diverged, Fleet, Plant, Refusal, Scene, load_scene
-from arm_emulator.build.library_cache import CACHE_VARIABLE
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.compiler import compile_ahead
+from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart

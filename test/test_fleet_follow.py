@@ -13,7 +13,6 @@ from hard_cases import EARTH, Rod, chain
 from test_fleet_step import COUNT, LOCATED
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.cxx import run_compiler
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.fleet.fleet import Fleet
 from arm_emulator.machine.fleet.fleet_control import FleetControl
@@ -22,6 +21,7 @@ from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.servo.servo_arm import ServoArm, Target
+from arm_emulator.toolchain.cxx import run_compiler
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {

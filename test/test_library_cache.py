@@ -18,9 +18,6 @@ from fake_compiler import fake_compiler
 from machines import one_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
-from arm_emulator.build import library_cache, unit
-from arm_emulator.build.elf import with_data
-from arm_emulator.build.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 from arm_emulator.machine.plant.compiler import (
     compile_ahead,
     equations_library_of,
@@ -28,6 +25,9 @@ from arm_emulator.machine.plant.compiler import (
     machine_unit,
     real_time_library,
 )
+from arm_emulator.toolchain import library_cache, unit
+from arm_emulator.toolchain.elf import with_data
+from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 
 SOMEBODY = 65534  # a user who is neither we nor root
 ROOT = os.geteuid() == 0

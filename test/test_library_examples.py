@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from test_manners import VARIED
 
-from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.toolchain.compiler_command import find_compiler
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"

@@ -15,13 +15,13 @@ from scipy.special import ellipj, ellipk
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import CORE
 from arm_emulator.machine.parts.gears.gear import RigidGear
 from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant.compiler import FLAGS
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
+from arm_emulator.toolchain.compiler_command import find_compiler
 from oracles.reference import reference, reference_states
 
 PERIOD = 1e-2  # s, over which a voltage is held

@@ -15,13 +15,13 @@ from machines import GRAVITY, random_chain
 
 from arm_emulator import Diverged, Plant, load_scene
 from arm_emulator.base.cpu_load import load_processors
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.flags import SHARED
 from arm_emulator.core import CORE
 from arm_emulator.machine.plant.compiler import FLAGS
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.tick.c import FOLDERS
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.flags import SHARED
 
 # Table 1 of the paper: difference between one and two threads after 1 s [rad].
 PAPER_TABLE_1 = {

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from machines import DC, GANTRY, gantry_urdf, write_scene
 
-from arm_emulator.build.c_header import Header, pointer
 from arm_emulator.machine.plant.compiler import library_with
 from arm_emulator.machine.scene.scene import load_scene
+from arm_emulator.toolchain.c_header import Header, pointer
 
 ELASTIC = {"ratio": 0.02, "stiffness": 2e4, "damping": 20.0}
 STOPS = {"lower": -0.5, "upper": 0.7, "stiffness": 3e3, "damping": 5.0}

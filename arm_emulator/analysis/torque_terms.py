@@ -12,9 +12,9 @@ import numpy as np
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
-from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.toolchain.c_header import NULL, pointer
 
 # Rows of arm_torque_terms before those of extras.
 _OF_LINK = (

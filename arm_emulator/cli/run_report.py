@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.cli.output import output
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.session import END_OF_TIME, Session
+from arm_emulator.toolchain.flags import ARITHMETIC
 
 
 @contextlib.contextmanager

@@ -12,7 +12,6 @@ import numpy as np
 import yaml
 
 from arm_emulator.base.escape import xml_text
-from arm_emulator.build.unit import stem_of
 from arm_emulator.design import ros2_control
 from arm_emulator.design.ros2_control import TRAJECTORY_CONTROLLER
 from arm_emulator.machine.scene.scene import Scene
@@ -22,6 +21,7 @@ from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.mesh_units import package_folders
 from arm_emulator.motion.model.pinocchio_model import rate_limits
+from arm_emulator.toolchain.unit import stem_of
 
 MACHINE = "machine"  # folder of the compiled scene
 RUNS = (

@@ -1,18 +1,18 @@
 """Libraries compiled from C and C++, and the folders of the documented headers."""
 
-from arm_emulator.build.c_header import NULL as C_NULL
-from arm_emulator.build.c_header import CData, Header, Library
-from arm_emulator.build.c_header import pointer as c_pointer
-from arm_emulator.build.c_header import text as c_text
-from arm_emulator.build.cxx import run_compiler
-from arm_emulator.build.flags import ARITHMETIC, C_FLAGS
-from arm_emulator.build.flags import SHARED as SHARED_FLAGS
-from arm_emulator.build.unit import Unit, compiled_bytes, compiled_once, fingerprint
-from arm_emulator.build.unit import library as compiled_library
 from arm_emulator.core import BOUNDARY as BOUNDARY_FOLDER
 from arm_emulator.core import CORE as CORE_FOLDER
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.tick.c import FOLDERS as TICK_FOLDERS
+from arm_emulator.toolchain.c_header import NULL as C_NULL
+from arm_emulator.toolchain.c_header import CData, Header, Library
+from arm_emulator.toolchain.c_header import pointer as c_pointer
+from arm_emulator.toolchain.c_header import text as c_text
+from arm_emulator.toolchain.cxx import run_compiler
+from arm_emulator.toolchain.flags import ARITHMETIC, C_FLAGS
+from arm_emulator.toolchain.flags import SHARED as SHARED_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_bytes, compiled_once, fingerprint
+from arm_emulator.toolchain.unit import library as compiled_library
 
 __all__ = [
     "ARITHMETIC",

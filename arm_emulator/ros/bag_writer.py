@@ -20,7 +20,6 @@ from arm_emulator.base.io.atomic_write import UnbufferedFile, flush_to_disk, wri
 from arm_emulator.base.io.mcap_records import NO_ROOM, recover_mcap
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.flags import ARITHMETIC
 from arm_emulator.ros.bag_metadata import (
     ABOUT,
     ARITHMETIC_OF,
@@ -31,6 +30,7 @@ from arm_emulator.ros.bag_metadata import (
     qos_to_yaml,
     text_of,
 )
+from arm_emulator.toolchain.flags import ARITHMETIC
 
 METADATA = "metadata.yaml"
 UNFINISHED = "metadata.yaml.tmp"

@@ -14,10 +14,10 @@ from rclpy.serialization import deserialize_message
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.base.validation.number import LARGEST, Number
-from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MESSAGE_READER
 from arm_emulator.ros.fixed_layout import CODES, fields_of
 from arm_emulator.ros.node_shell import time_of
+from arm_emulator.toolchain.c_header import CData
 
 STAMP = "header.stamp.sec"  # stands for the whole time
 _READ, _OF_ITS_TYPE, _OF_A_TIME = map(

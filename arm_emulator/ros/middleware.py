@@ -13,10 +13,10 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import CData, Library
-from arm_emulator.build.unit import library
 from arm_emulator.ros.c import MIDDLEWARE, middleware_unit
 from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.toolchain.c_header import CData, Library
+from arm_emulator.toolchain.unit import library
 
 LIBRARIES = ("librcutils.so", "librcl.so")  # rclpy has loaded them, but for itself
 

@@ -21,7 +21,6 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import CData
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.exit_watchdog import start_exit_watchdog
@@ -31,6 +30,7 @@ from arm_emulator.ros.middleware import middleware
 from arm_emulator.ros.recorder_presence import STATES, RecorderPresence
 from arm_emulator.ros.shared_memory import clear_left_over
 from arm_emulator.ros.sole_publisher import OwnExecutorOnly, parts_of, receive
+from arm_emulator.toolchain.c_header import CData
 from arm_emulator_msgs.msg import MotorState, RecorderReport
 
 LOOK_PERIOD = 0.1  # s, wall: interval of the search for new topics

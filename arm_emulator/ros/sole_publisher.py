@@ -16,9 +16,9 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import CData
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.middleware import middleware
+from arm_emulator.toolchain.c_header import CData
 
 # Kinds of nodes, and topics by which such a node is known: it publishes all of them. The first one
 # is named in its diagnostics, see `DuplicateNodes`.

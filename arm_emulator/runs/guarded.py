@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import IO, NoReturn, TypeVar
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.session.firmware import RunningCode, new_progress
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
+from arm_emulator.toolchain.c_header import CData
 
 Outcome = TypeVar("Outcome")
 

@@ -16,9 +16,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count, whole_numbers
 from arm_emulator.base.validation.number import Number
-from arm_emulator.build.c_header import NULL, CData, Header, Library, pointer
-from arm_emulator.build.flags import SHARED
-from arm_emulator.build.unit import Unit, library
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.fleet.fleet import Fleet
 from arm_emulator.machine.fleet.fleet_control import FleetControl
@@ -30,13 +27,16 @@ from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig, check_joints, load_servo_config
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds
+from arm_emulator.toolchain.c_header import NULL, CData, Header, Library, pointer
+from arm_emulator.toolchain.flags import SHARED
+from arm_emulator.toolchain.unit import Unit, library
 
 HERE = Path(__file__).resolve().parent
 SERVOS = Header(HERE / "servo_fleet.h", (BOUNDARY, FOLDER))
 _MOST_PERIODS = 10**9
 
 
-# The bits are those of the servo in C, see `arm_emulator.build.flags.C_FLAGS`.
+# The bits are those of the servo in C, see `arm_emulator.toolchain.flags.C_FLAGS`.
 _FLAGS = (*"-std=c++20 -O2 -ffp-contract=off -fno-semantic-interposition".split(), *SHARED)
 
 

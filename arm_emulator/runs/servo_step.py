@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.tick import c as tick
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 
 HERE = Path(__file__).resolve().parent
 STEP = Header(HERE / "servo_step.h", (*tick.FOLDERS, FOLDER))

@@ -13,7 +13,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.machine.session.firmware import Firmware
@@ -24,6 +23,7 @@ from arm_emulator.runs.gains import check_servo, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
 from arm_emulator.servo.servo_arm import ServoArm
+from arm_emulator.toolchain.c_header import CData
 
 _PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed
 

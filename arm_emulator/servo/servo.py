@@ -14,7 +14,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.validation.bound import COMMAND, CURRENT, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.number import Number
-from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.servo.servo_config import (
     JointServo,
     ServoConfig,
@@ -23,6 +22,7 @@ from arm_emulator.servo.servo_config import (
 )
 from arm_emulator.servo.servo_law import SERVO, Rows, servo_law
 from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.toolchain.c_header import NULL, CData, pointer
 
 __all__ = ["JointServo", "Servo", "ServoConfig", "load_servo_config"]
 

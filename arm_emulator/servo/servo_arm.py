@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.bound import BRAKE_CLOSED
-from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.servo.servo import Servo, ServoConfig
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.servo.watchdog import DOES, Watchdog, WatchdogState
+from arm_emulator.toolchain.c_header import NULL, pointer
 
 
 @dataclass(frozen=True)

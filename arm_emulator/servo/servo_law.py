@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.servo.c import FOLDER
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 
 SERVO = Header(FOLDER / "servo.h")
 

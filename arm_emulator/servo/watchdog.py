@@ -6,7 +6,6 @@ import enum
 from dataclasses import replace
 
 from arm_emulator.base.validation.number import numbers_of
-from arm_emulator.build.c_header import CData
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import (
     CUT,
@@ -18,6 +17,7 @@ from arm_emulator.servo.servo_law import (
     SERVO,
     servo_law,
 )
+from arm_emulator.toolchain.c_header import CData
 
 _NANOSECONDS = 1e9
 _LONGEST = 2**62  # ns, which no run lasts

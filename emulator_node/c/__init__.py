@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit
 from arm_emulator.ros.c import FOLDER as ROS_FOLDER
 from arm_emulator.tick.c import FOLDERS as TICK_FOLDERS
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit
 
 FOLDER = Path(__file__).resolve().parent
 FOLDERS = (FOLDER, ROS_FOLDER, *TICK_FOLDERS)

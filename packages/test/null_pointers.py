@@ -15,7 +15,6 @@ import numpy as np
 
 from arm_emulator import Breakpoint, Plant, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.plant.call_arguments import options_of
 from arm_emulator.machine.plant.compiler import (
     equations_library_of,
@@ -34,6 +33,7 @@ from arm_emulator.machine.session.record_ring import LISTENERS, RING, record_rin
 from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
 from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls
+from arm_emulator.toolchain.c_header import NULL
 from arm_emulator_fieldbus.drives_unit import DRIVES
 from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 

@@ -14,9 +14,6 @@ import numpy as np
 import pytest
 
 from arm_emulator import Plant, load_scene
-from arm_emulator.build import c_header, library_cache
-from arm_emulator.build.c_header import NULL, Header, Library, pointer, text
-from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.compiler import library_of
 from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE, FLEET
@@ -25,6 +22,9 @@ from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.servo.servo_law import SERVO
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK
 from arm_emulator.tick.c import FOLDER as TICK_FOLDER
+from arm_emulator.toolchain import c_header, library_cache
+from arm_emulator.toolchain.c_header import NULL, Header, Library, pointer, text
+from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator_fieldbus.drives_unit import DRIVES, DRIVES_CORE
 from arm_emulator_fieldbus.ethercat import SEGMENT
 from arm_emulator_firmware import FOLDER as MICROCONTROLLER

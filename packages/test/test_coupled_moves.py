@@ -23,7 +23,6 @@ from test_rerun_stream import read
 from arm_emulator import OfflineRun, Plant, Pose, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.urdf.shafts import Shafts, shaft_limits
 from arm_emulator.base.urdf.urdf_text import limits_of
-from arm_emulator.build.c_header import Library
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE
 from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
@@ -34,6 +33,7 @@ from arm_emulator.motion.executor.jog import joint_command, twist_command
 from arm_emulator.motion.model.obstacles import Obstacle
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.runs.gains import Gains
+from arm_emulator.toolchain.c_header import Library
 from arm_emulator.view.rerun_batches import QUANTITIES
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_fieldbus.canopen_node import Frame

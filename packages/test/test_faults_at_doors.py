@@ -27,7 +27,6 @@ from test_driven_machine import compile_client
 from test_udp import datagram, read
 
 from arm_emulator import Breakpoint, OfflineRun, Plant, Session, load_gains
-from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.doors.json_lines import JsonLinesServer, TcpServer, UnixSocketServer
 from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
@@ -37,6 +36,7 @@ from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.ros.bringup import Bringup
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
+from arm_emulator.toolchain.unit import compile_units
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator_fmu.export import export
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState

@@ -24,11 +24,11 @@ from markdown_it import MarkdownIt
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base import escape
-from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.doors.udp import Datagrams
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.runs.gains import load_gains
+from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN

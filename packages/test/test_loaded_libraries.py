@@ -10,8 +10,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.unit import Unit
 from arm_emulator.machine.plant.compiler import (
     equations_unit,
     fleet_unit,
@@ -24,6 +22,8 @@ from arm_emulator.machine.session.record_ring import record_ring_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from arm_emulator.tick.c import tick_unit
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit

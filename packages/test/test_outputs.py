@@ -15,7 +15,6 @@ from rclpy.serialization import deserialize_message
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.build.c_header import NULL, text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import data_sheet
 from arm_emulator.machine.parts.known import MOTORS, PARTS
@@ -37,6 +36,7 @@ from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.session.real_time import real_time_session
 from arm_emulator.ros.fixed_layout import FixedLayout
 from arm_emulator.ros.middleware import Outgoing, middleware
+from arm_emulator.toolchain.c_header import NULL, text
 from arm_emulator_fieldbus.converter import Converter, blocks
 from arm_emulator_fieldbus.declared import index_of, places
 from arm_emulator_fieldbus.drives import Drives

@@ -12,11 +12,11 @@ from documents import ROOT
 
 from arm_emulator import Breakpoint, Diverged, Plant, Refusal, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.machine.session.firmware_loop import FirmwareLoop
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
+from arm_emulator.toolchain.c_header import NULL, CData
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
 

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit
 from arm_emulator.ros.c import FOLDER as ROS_FOLDER
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit
 
 FOLDER = Path(__file__).resolve().parent
 ANSWERED_STATES = Header(FOLDER / "answered_states.h", (SERVO_FOLDER, ROS_FOLDER))

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import time
 
-from arm_emulator.build.library_cache import (
+from arm_emulator.cli.command import command
+from arm_emulator.cli.output import output
+from arm_emulator.toolchain.library_cache import (
     SIZE_VARIABLE,
     entries,
     largest_size,
@@ -14,9 +16,7 @@ from arm_emulator.build.library_cache import (
     remove,
     why_not_trusted,
 )
-from arm_emulator.build.trusted import Untrusted, check_folder
-from arm_emulator.cli.command import command
-from arm_emulator.cli.output import output
+from arm_emulator.toolchain.trusted import Untrusted, check_folder
 
 
 @command(keys="`folders`")

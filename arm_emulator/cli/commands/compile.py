@@ -8,7 +8,6 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.base.packages import UNITS, load_all
-from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
@@ -22,6 +21,7 @@ from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from arm_emulator.tick.c import tick_unit
+from arm_emulator.toolchain.unit import compile_units
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from servo_node.c import answered_states_unit
 

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import package_of
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.library_cache import largest_size, writable_caches
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.ros.ros_domain import LARGEST
 from arm_emulator.ros.shared_memory import left_over
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.library_cache import largest_size, writable_caches
 from arm_emulator.version import VERSION
 
 if TYPE_CHECKING:  # this machine may have no ROS 2

@@ -10,7 +10,6 @@ from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.unit import compile_units, stem_of
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
@@ -18,6 +17,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.design import ros2_control as files
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.toolchain.unit import compile_units, stem_of
 
 
 @command(keys="`libraries`, `description`, `controllers`, `update_rate`")

@@ -17,7 +17,6 @@ from arm_emulator.base.packages import PAGE, registered_as
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
 from arm_emulator.base.warning import given, warn
-from arm_emulator.build.c_header import CData
 from arm_emulator.cli.command import command
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
@@ -34,6 +33,7 @@ from arm_emulator.runs.recorder import Recorder, viewer_command
 from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.runs.timeline import Timeline
+from arm_emulator.toolchain.c_header import CData
 
 
 @command(

@@ -11,9 +11,6 @@ from cyclopts import Parameter
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.escape import c_string
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
@@ -24,6 +21,9 @@ from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import SERVO
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import nanoseconds
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit
 
 
 @command(keys="`scene`, `file`, `header` (null in a file)")

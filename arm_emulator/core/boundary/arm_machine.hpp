@@ -14,7 +14,7 @@
 #ifndef ARM_FINGERPRINT
 #define ARM_FINGERPRINT 0
 #endif
-// Version of the arithmetic, likewise (build/flags.py).
+// Version of the arithmetic, likewise (toolchain/flags.py).
 #ifndef ARM_ARITHMETIC
 #define ARM_ARITHMETIC 0
 #endif

@@ -17,7 +17,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import synchronized
 from arm_emulator.base.validation.bound import ANY_COMMAND, ANY_COMMANDS
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.machine.fleet.fleet_control import FleetControl, FleetFrame
 from arm_emulator.machine.fleet.fleet_schedule import FleetWay
 from arm_emulator.machine.fleet.work_threads import WorkThreads
@@ -29,6 +28,7 @@ from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.plant.inputs import check_inputs, further_rows
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene, scene_of
+from arm_emulator.toolchain.c_header import NULL, pointer
 
 
 class Fleet(CoreMachines):

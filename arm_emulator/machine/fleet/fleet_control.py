@@ -11,11 +11,11 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.plant.core_calls import FLEET, PLACES
 from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant.outputs import outputs_of
 from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.toolchain.c_header import CData
 
 _LARGEST = 2**64 - 1  # address
 

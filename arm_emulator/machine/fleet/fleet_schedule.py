@@ -10,13 +10,13 @@ from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.coerce import coerce_flag, coerce_kind
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.plant.core_calls import ARM, FLEET
 from arm_emulator.machine.plant.core_machines import LARGEST_FLEET
 from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_moving_link
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.varied import varied_number
+from arm_emulator.toolchain.c_header import CData
 
 _PARAMETER, _WRENCH, _POWER = (
     FLEET.constant(f"ARM_CHANGES_{name}") for name in ("PARAMETER", "WRENCH", "POWER")

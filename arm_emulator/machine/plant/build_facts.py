@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from arm_emulator.build.unit import sources_digest
 from arm_emulator.machine.plant.compiler import machine_unit
 from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.toolchain.unit import sources_digest
 
 COMPILED_BY, COMPILED_WITH, COMPILED_FROM = "compiled by", "compiled with", "compiled from"
 # Compilers leave their name in each library; clang's have GCC's start-up code in them, too.

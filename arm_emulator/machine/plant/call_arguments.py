@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.joint_order import check_joint_names
-from arm_emulator.build.c_header import CData, Library, text
 from arm_emulator.machine.plant.core_calls import ARM, PLACES
 from arm_emulator.machine.plant.inputs import modes_of
 from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.toolchain.c_header import CData, Library, text
 
 LARGEST_STEPS = 10**15  # of one call
 PIECE = 2**20  # steps after which a long call checks for Ctrl-C

@@ -6,14 +6,14 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
-from arm_emulator.build.c_header import Header, Library
-from arm_emulator.build.flags import CPP_FLAGS
-from arm_emulator.build.unit import Unit, compile_units, library
 from arm_emulator.core import CORE
 from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS, FLEET, SENSITIVITY
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import FOLDERS, REAL_TIME
+from arm_emulator.toolchain.c_header import Header, Library
+from arm_emulator.toolchain.flags import CPP_FLAGS
+from arm_emulator.toolchain.unit import Unit, compile_units, library
 
 # Directions of derivatives that one run follows. With 16, whose numbers fill more registers than
 # there are, one direction takes twice as long.
@@ -105,7 +105,8 @@ def real_time_library() -> Library:
 def compile_ahead(
     scene: Scene, target: str, folder: Path | None, fleet: bool = False
 ) -> list[Path]:
-    """Compile machine, equations and real-time loop, see `arm_emulator.build.unit.compile_units`.
+    """Compile machine, equations and real-time loop, see
+    `arm_emulator.toolchain.unit.compile_units`.
 
     Args:
         scene: the scene.

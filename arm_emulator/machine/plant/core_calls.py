@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from arm_emulator.build.c_header import Header
 from arm_emulator.core import BOUNDARY
+from arm_emulator.toolchain.c_header import Header
 
 ARM = Header(BOUNDARY / "arm.h")
 EQUATIONS = Header(BOUNDARY / "equations.h")

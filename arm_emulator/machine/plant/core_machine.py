@@ -15,7 +15,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.validation.coerce import coerce_flag
-from arm_emulator.build.c_header import NULL, CData, Library, pointer
 from arm_emulator.machine.plant.call_arguments import options_of, refusal_of, truth_at
 from arm_emulator.machine.plant.compiler import equations_library_of, library_of
 from arm_emulator.machine.plant.core_calls import ARM, REFUSED
@@ -23,6 +22,7 @@ from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_
 from arm_emulator.machine.plant.plant_state import ROWS, SET, PlantState, bounds_of
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import varied_number
+from arm_emulator.toolchain.c_header import NULL, CData, Library, pointer
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from arm_emulator.base.validation.bound import ANY_COMMAND
 from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.number import Number
-from arm_emulator.build.c_header import NULL, CData, pointer
 from arm_emulator.machine.plant.call_arguments import Commands, by_joint, options_of, refusal_of
 from arm_emulator.machine.plant.compiler import fleet_library_of
 from arm_emulator.machine.plant.core_calls import ARM, FLEET, PLACES, REFUSED
@@ -26,6 +25,7 @@ from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant.plant_state import ROWS, link_angle_per_count, start_bounds
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import varied_number
+from arm_emulator.toolchain.c_header import NULL, CData, pointer
 
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 

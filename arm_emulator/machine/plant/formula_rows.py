@@ -18,11 +18,11 @@ from arm_emulator.base.expression.formula import (
     Window,
     fold,
 )
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
 from arm_emulator.tick.c import FOLDER, FOLDERS
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 
 Row = tuple[str, int, int, float]
 _KINDS = {

@@ -13,7 +13,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import POSITION
 from arm_emulator.base.validation.number import Number
-from arm_emulator.build.c_header import pointer
+from arm_emulator.toolchain.c_header import pointer
 
 QUANTITIES = {
     "q": Number.within("q", "rad or m", POSITION.most),

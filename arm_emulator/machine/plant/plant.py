@@ -17,7 +17,6 @@ from arm_emulator.base.synchronized import synchronized
 from arm_emulator.base.validation.bound import ANY_COMMAND, ANY_COMMANDS, ANY_STATE
 from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.base.validation.count import check_count
-from arm_emulator.build.c_header import NULL, Library, pointer
 from arm_emulator.machine.plant.call_arguments import (
     LARGEST_STEPS,
     PIECE,
@@ -35,6 +34,7 @@ from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
 from arm_emulator.machine.plant.plant_state import link_angle_per_count, start_bounds
 from arm_emulator.machine.scene.scene import Scene, scene_of
 from arm_emulator.tick.c import TICK, tick_calls
+from arm_emulator.toolchain.c_header import NULL, Library, pointer
 
 
 class Plant(CoreMachine):

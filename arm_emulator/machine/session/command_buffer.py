@@ -12,10 +12,10 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.base.validation.count import LARGEST, check_count
 from arm_emulator.base.validation.joint_order import JointOrder
-from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.plant.inputs import further_inputs, further_rows
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import ANSWERS, tick_calls
+from arm_emulator.toolchain.c_header import pointer
 
 NEW, BEFORE_RESET, FUTURE, STALE = (
     ANSWERS.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")

@@ -6,8 +6,8 @@ import contextlib
 from typing import Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import NULL, CData
 from arm_emulator.machine.plant.plant import Plant
+from arm_emulator.toolchain.c_header import NULL, CData
 
 
 class ControlCode:

@@ -12,12 +12,12 @@ from pathlib import Path
 
 from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.c_header import CData, Library, text
-from arm_emulator.build.elf import address_in, called_functions, why_no_library, written_memory
 from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, tick_calls
+from arm_emulator.toolchain.c_header import CData, Library, text
+from arm_emulator.toolchain.elf import address_in, called_functions, why_no_library, written_memory
 
 ENTRY = "arm_firmware"
 VERSION = FIRMWARE.constant("FIRMWARE_VERSION")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import weakref
 from typing import Any
 
-from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.record_ring import LISTENERS, record_ring
+from arm_emulator.toolchain.c_header import NULL
 
 _all: weakref.WeakKeyDictionary[Plant, Any] = weakref.WeakKeyDictionary()
 

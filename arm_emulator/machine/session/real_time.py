@@ -13,7 +13,6 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized
 from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.base.validation.count import LARGEST, check_count
-from arm_emulator.build.c_header import NULL
 from arm_emulator.machine.plant.call_arguments import commands_of
 from arm_emulator.machine.plant.compiler import real_time_library
 from arm_emulator.machine.plant.core_calls import ARM, PLACES
@@ -26,6 +25,7 @@ from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.clock import Clock, ReachedTick, RealTimeFigures
 from arm_emulator.machine.session.session import Session
 from arm_emulator.tick.c import REAL_TIME
+from arm_emulator.toolchain.c_header import NULL
 
 LONGEST_PERIOD = 10**12  # ns; a quarter of an hour, so that sums of periods fit
 LARGEST_CORE = 1023

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.column import Rows
-from arm_emulator.build.c_header import Header, Library
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.tick.c import FOLDER, FOLDERS
+from arm_emulator.toolchain.c_header import Header, Library
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 
 RING = Header(FOLDER / "record_ring.h", FOLDERS)
 LISTENERS = Header(FOLDER / "listeners.h", FOLDERS)

@@ -18,7 +18,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.validation.coerce import coerce_flag
-from arm_emulator.build.c_header import CData
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.plant.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.plant.measured import Measured
@@ -31,6 +30,7 @@ from arm_emulator.machine.session.firmware_loop import FirmwareLoop
 from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.read_cache import ReadCache
 from arm_emulator.machine.session.state_of_joints import StateOfJoints
+from arm_emulator.toolchain.c_header import CData
 
 CLOCKS = ("lockstep", "realtime")
 END_OF_TIME = 2**31 * 10**9  # ns

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.build.c_header import pointer
 from arm_emulator.machine.plant.formula_rows import TOOL_POSITION, formula_library
 from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.toolchain.c_header import pointer
 
 TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
 

@@ -12,9 +12,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.urdf.shafts import Shafts
-from arm_emulator.build.c_header import NULL, CData, Header, pointer
-from arm_emulator.build.flags import CPP_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import CORE
 from arm_emulator.motion.cpp import FOLDER
 from arm_emulator.motion.model.kinematics import (
@@ -25,6 +22,9 @@ from arm_emulator.motion.model.kinematics import (
     tool_frame,
 )
 from arm_emulator.motion.model.pinocchio_model import JOINT, WHERE
+from arm_emulator.toolchain.c_header import NULL, CData, Header, pointer
+from arm_emulator.toolchain.flags import CPP_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 
 
 class ArmTree(SharedObject):

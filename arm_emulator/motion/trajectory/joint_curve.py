@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.build.c_header import CData, pointer
 from arm_emulator.motion.model.arm_tree import WAY, way_library
+from arm_emulator.toolchain.c_header import CData, pointer
 
 DERIVATIVES = 4  # the curve itself among them
 ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that begins outside

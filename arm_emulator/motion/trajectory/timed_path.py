@@ -17,10 +17,10 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.build.c_header import NULL, pointer
 from arm_emulator.motion.model.arm_tree import WAY, ArmTree, way_library
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.toolchain.c_header import NULL, pointer
 
 FEWEST_PIECES = 24  # of the timing
 MOST_PIECES = 400  # of a way in which the ramps decide how many it has

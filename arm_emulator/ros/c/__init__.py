@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit
 
 FOLDER = Path(__file__).resolve().parent
 MESSAGES = Header(FOLDER / "messages.h")

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from arm_emulator.build.c_header import Header
-from arm_emulator.build.flags import C_FLAGS
-from arm_emulator.build.unit import Unit, compiled_once
 from arm_emulator.core import BOUNDARY
+from arm_emulator.toolchain.c_header import Header
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compiled_once
 
 FOLDER = Path(__file__).resolve().parent
 FOLDERS = (FOLDER, BOUNDARY)

@@ -36,8 +36,8 @@ from documents import page_of
 from draws import FULL
 
 from arm_emulator import Plant, Refusal, load_servo_config
-from arm_emulator.build.unit import Unit
 from arm_emulator.cli.command_line import main
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.declared import COUNT, FIRST
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT

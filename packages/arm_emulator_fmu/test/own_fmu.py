@@ -9,8 +9,8 @@ import pytest
 from fmu_client import OK, Fmu, Instance, rich_machine
 
 from arm_emulator import Plant, Scene, load_scene
-from arm_emulator.build.c_header import Library
 from arm_emulator.machine.plant.core_calls import ARM
+from arm_emulator.toolchain.c_header import Library
 from arm_emulator_fmu.export import export
 
 NAMES = "hip [1]: left", "lift"

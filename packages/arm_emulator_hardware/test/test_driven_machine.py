@@ -11,13 +11,13 @@ import pytest
 from test_campaign_machine_faults import SENT
 
 from arm_emulator import load_scene, load_servo_config
-from arm_emulator.build.compiler_command import find_compiler
-from arm_emulator.build.unit import compile_units
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.tick.c import FOLDERS
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.unit import compile_units
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = ROOT / "packages/arm_emulator_hardware/src"

@@ -17,7 +17,7 @@ from draws import some
 from portable_bits import KEPT
 from test_compilers import compilers
 
-from arm_emulator.build.unit import PORTABLE_TARGETS
+from arm_emulator.toolchain.unit import PORTABLE_TARGETS
 
 KINDS = [*compilers("clang++"), *compilers("g++")]
 TARGETS = ("native", *PORTABLE_TARGETS)

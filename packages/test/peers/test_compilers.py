@@ -18,8 +18,6 @@ import pytest
 from draws import FULL, some
 
 import arm_emulator
-from arm_emulator.build.compiler_command import identity
-from arm_emulator.build.unit import Unit
 from arm_emulator.machine.plant.compiler import (
     equations_unit,
     fleet_unit,
@@ -33,6 +31,8 @@ from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from arm_emulator.tick.c import tick_unit
+from arm_emulator.toolchain.compiler_command import identity
+from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit

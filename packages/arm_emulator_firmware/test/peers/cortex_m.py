@@ -17,11 +17,11 @@ pytest.importorskip("elftools", reason="no pyelftools")
 if shutil.which("arm-none-eabi-gcc") is None:
     pytest.skip("no arm-none-eabi-gcc", allow_module_level=True)
 
-from arm_emulator.build.compiler_command import find_compiler
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.c import FOLDER as SERVO
+from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator_firmware import FOLDER
 from arm_emulator_firmware.board import load_board
 from arm_emulator_firmware.elf_image import ElfImage

@@ -16,13 +16,13 @@ from visits import states
 
 from arm_emulator import Breakpoint, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.c import FOLDER as SERVO
+from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator_firmware.microcontroller import FirmwareEnd, Microcontroller
 
 # The example, and the same code as a library

@@ -24,7 +24,6 @@ from cortex_m import (
 from visits import states
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.build.flags import C_FLAGS
 from arm_emulator.cli.commands.servo_header import header_text
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.session.firmware import Firmware
@@ -32,6 +31,7 @@ from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.c import FOLDER as SERVO
+from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator_firmware.board import load_board
 from arm_emulator_firmware.elf_image import ElfImage
 from arm_emulator_firmware.microcontroller import FirmwareEnd, Microcontroller

@@ -13,11 +13,11 @@ from functools import cache
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build import library_cache
-from arm_emulator.build.c_header import Header, Library
-from arm_emulator.build.compiler_command import find_compiler, identity, is_named
-from arm_emulator.build.elf import why_no_library
-from arm_emulator.build.trusted import Untrusted, check_folder, read_file
+from arm_emulator.toolchain import library_cache
+from arm_emulator.toolchain.c_header import Header, Library
+from arm_emulator.toolchain.compiler_command import find_compiler, identity, is_named
+from arm_emulator.toolchain.elf import why_no_library
+from arm_emulator.toolchain.trusted import Untrusted, check_folder, read_file
 
 # Targets that code can be compiled for, best first; "native" is this machine's.
 PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
@@ -208,7 +208,7 @@ def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
 
 def _compile(unit: Unit, target: str, library: Path) -> None:
     # Most processes find their library compiled, and need no module that starts processes.
-    from arm_emulator.build.cxx import run_compiler
+    from arm_emulator.toolchain.cxx import run_compiler
 
     compiler = find_compiler()
     largest = library_cache.largest_size()

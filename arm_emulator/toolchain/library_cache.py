@@ -24,8 +24,8 @@ from functools import cache
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build.elf import with_data
-from arm_emulator.build.trusted import Untrusted, check_folder, read_file
+from arm_emulator.toolchain.elf import with_data
+from arm_emulator.toolchain.trusted import Untrusted, check_folder, read_file
 
 CACHE_VARIABLE = "ARM_EMULATOR_CACHE"
 SIZE_VARIABLE = "ARM_EMULATOR_CACHE_MB"

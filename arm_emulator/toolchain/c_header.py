@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.build import library_cache
+from arm_emulator.toolchain import library_cache
 
 FFI = Any  # cffi has no types of its own
 CData = Any
