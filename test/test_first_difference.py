@@ -23,9 +23,9 @@ from arm_emulator.bags.comparison import compare
 from arm_emulator.bags.first_difference import FirstDifference, first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.cli.command_line import main
+from arm_emulator.machine.plant import compiler
 from arm_emulator.machine.plant.build_facts import build_facts
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
-from arm_emulator.machine.plant.plant import compiler
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from arm_emulator.machine.fleet.fleet import work_threads as shares_module
+from arm_emulator.machine.fleet import work_threads as shares_module
 from arm_emulator.machine.fleet.work_threads import SHORT, WorkThreads
 
 ALL = 64  # arms

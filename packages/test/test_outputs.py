@@ -21,6 +21,7 @@ from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.measuring.torque_sensor import TorqueSensor
 from arm_emulator.machine.parts.output import Output
+from arm_emulator.machine.plant import outputs
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.machine.plant.outputs import (
@@ -31,7 +32,6 @@ from arm_emulator.machine.plant.outputs import (
     readings_of,
     reported_by_parts,
 )
-from arm_emulator.machine.plant.plant import outputs
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.session.real_time import real_time_session
 from arm_emulator.ros.fixed_layout import FixedLayout

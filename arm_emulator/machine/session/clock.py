@@ -41,11 +41,11 @@ class Clock:
     """Advances a machine by servo periods. This one leaves that to the owner of the session.
 
     Attributes:
-        by_itself: whether ticks come without the owner, and are to be taken.
+        is_self_clocked: whether ticks come without the owner, and are to be taken.
         running: whether time passes now, or the owner lets it pass.
     """
 
-    by_itself, running = False, True
+    is_self_clocked, running = False, True
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant

@@ -13,11 +13,11 @@ class ReadCache:
 
     Args:
         plant: the machine.
-        by_itself: whether a loop drives it: then it is read when it stands still, in `forget`.
+        is_self_clocked: whether a loop drives it; it is then read in `forget`, when it stands still.
     """
 
-    def __init__(self, plant: Plant, *, by_itself: bool) -> None:
-        self._plant, self._by_itself = plant, by_itself
+    def __init__(self, plant: Plant, *, is_self_clocked: bool) -> None:
+        self._plant, self._is_self_clocked = plant, is_self_clocked
         self._state: PlantState | None = None
         self._measured: Measured | None = None
         self._energy: float | None = None
@@ -25,7 +25,7 @@ class ReadCache:
     def forget(self) -> None:
         """Forget what was read: the machine is at another tick, or was changed."""
         self._state = self._measured = self._energy = None
-        if self._by_itself:
+        if self._is_self_clocked:
             plant = self._plant
             self._state, self._measured, self._energy = plant.state, plant.measured, plant.energy
 

@@ -87,7 +87,7 @@ class Session(Synchronized):
         self.lockstep = clock == "lockstep"
         self.period_ns = round(scene.servo_period * 1e9)
         self._clock = driver(self.plant)
-        self._read = ReadCache(self.plant, by_itself=self._clock.is_self_clocked)
+        self._read = ReadCache(self.plant, is_self_clocked=self._clock.is_self_clocked)
         self._ended = False
         self._held = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
