@@ -13,7 +13,7 @@ class ReadCache:
 
     Args:
         plant: the machine.
-        is_self_clocked: whether a loop drives it; it is then read in `forget`, when it stands still.
+        is_self_clocked: whether a loop drives it; `forget` then reads it while it stands still.
     """
 
     def __init__(self, plant: Plant, *, is_self_clocked: bool) -> None:
