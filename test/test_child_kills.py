@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 from draws import some
 
 from arm_emulator import Plant, Refusal
+from arm_emulator.base import packages
 from arm_emulator.base.process import runs
 from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.page import page_process
@@ -133,8 +135,10 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     noisy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each ends when both are asked to: one after the other, the first would be killed."""
+    page = EntryPoint("live", noisy, packages.PAGE)
+    monkeypatch.setattr(page_process, "registered_as", lambda *_: page)
+    monkeypatch.setattr(recorder, "PROCESS", noisy)
     for module in (page_process, recorder):
-        monkeypatch.setattr(module, "PROCESS", noisy)
         monkeypatch.setattr(module, "PATIENCE", 60.0)
     began = row_process._begin
 

@@ -22,7 +22,8 @@ from arm_emulator.design.ros2_control import (
 )
 from oracles.coupled_arms import ARMS, shafts_of
 
-PACKAGE = Path(__file__).resolve().parents[1] / "packages/arm_emulator_hardware"
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "packages/arm_emulator_hardware"
 
 
 @pytest.mark.parametrize("name", some(["three_axis", "kuka_kr300", "ur5", "panda"], 2))
@@ -91,7 +92,7 @@ def test_the_package_exports_the_plugin_of_descriptions() -> None:
     (plugin,) = library
     assert plugin.get("name") == PLUGIN
     package = ET.parse(PACKAGE / "package.xml").getroot()
-    ours = ET.parse(PACKAGE.parent / "package.xml").getroot()
+    ours = ET.parse(ROOT / "package.xml").getroot()
     assert package.findtext("name") == library.get("path") == PLUGIN.split("/")[0]
     assert package.findtext("version") == ours.findtext("version")
     built = (PACKAGE / "CMakeLists.txt").read_text()
