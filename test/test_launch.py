@@ -335,7 +335,7 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(
 
 SPOILED_END = """
 import ctypes
-from arm_emulator.ros.start_exit_watchdog import start_exit_watchdog
+from arm_emulator.ros.exit_watchdog import start_exit_watchdog
 
 print("ended, but for the middleware")
 with start_exit_watchdog({seconds}, {code}):

@@ -11,18 +11,23 @@ from documents import page_of
 
 # Page, words with the number's place, where the number is, and in which unit the page has it.
 NUMBERS: list[tuple[str, str, str, float]] = [
-    ("motion", "uses {} of the description's speed limits", "way_controller.SPEED_SHARE", 1),
-    ("motion", "deviates by more than {} rad", "way_controller.LOST", 1),
-    ("motion", "would take more than {} times and", "target_ways.MUCH_LONGER", 1),
-    ("motion", "times and {} s longer", "target_ways.LONGER", 1),
-    ("motion", "rises to its limit in {} ms", "way_controller.JERK_TIME", 1e3),
-    ("motion", "or in {} motion periods", "way_controller.JERK_PERIODS", 1),
-    ("motion", "from the line by at most {} of the reach", "tool_line.OFF_THE_LINE", 1),
-    ("motion", "Flat corners are rounded, at most {} um", "tool_path.ROUNDED", 1e6),
-    ("motion", "null-space motions of {} rad are tried", "joint_goal._PROBE", 1),
-    ("motion", "then from {} sets of joint angles", "configuration_search.STARTS", 1),
-    ("topics", "none or more than {}, stamps", "tool_path.MOST_POSES", 1),
-    ("topics", "a path longer than {} m", "tool_path.LONGEST", 1),
+    (
+        "motion",
+        "uses {} of the description's speed limits",
+        "planner.target_planner.SPEED_SHARE",
+        1,
+    ),
+    ("motion", "deviates by more than {} rad", "planner.target_planner.LOST", 1),
+    ("motion", "would take more than {} times and", "planner.candidate_paths.MUCH_LONGER", 1),
+    ("motion", "times and {} s longer", "planner.candidate_paths.LONGER", 1),
+    ("motion", "rises to its limit in {} ms", "planner.target_planner.JERK_TIME", 1e3),
+    ("motion", "or in {} motion periods", "planner.target_planner.JERK_PERIODS", 1),
+    ("motion", "from the line by at most {} of the reach", "trajectory.tool_line.OFF_THE_LINE", 1),
+    ("motion", "Flat corners are rounded, at most {} um", "trajectory.tool_path.ROUNDED", 1e6),
+    ("motion", "null-space motions of {} rad are tried", "ik.inverse_kinematics._PROBE", 1),
+    ("motion", "then from {} sets of joint angles", "ik.configuration_search.STARTS", 1),
+    ("topics", "none or more than {}, stamps", "trajectory.tool_path.MOST_POSES", 1),
+    ("topics", "a path longer than {} m", "trajectory.tool_path.LONGEST", 1),
     ("topics", "while it stands, again every {} s", "emulator_node.node.STATUS_PERIOD", 1),
     (
         "gains",
@@ -41,7 +46,7 @@ def plain(page: str) -> str:
 
 def value(place: str) -> Any:
     module, _, name = place.rpartition(".")
-    if "." not in module:
+    if not module.startswith(("arm_emulator.", "emulator_node.")):
         module = f"arm_emulator.motion.{module}"
     return getattr(import_module(module), name)
 

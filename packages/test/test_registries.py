@@ -26,10 +26,10 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator_campaign import fault, faults
 made = []
 for package in (parts, schemes, faults):
-    for module in pkgutil.iter_modules(package.__path__):
-        if module.name in ("known", "sensors"):
+    for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+        if module.name.endswith((".known", ".sensors")):
             continue  # they read the registry
-        for kind in vars(importlib.import_module(f"{package.__name__}.{module.name}")).values():
+        for kind in vars(importlib.import_module(module.name)).values():
             if isinstance(kind, type) and kind.__module__.startswith(package.__name__ + "."):
                 if issubclass(kind, (Part, schemes.scheme.Scheme, fault.Fault)):
                     made.append(type("My" + kind.__name__, (kind,), {}))
