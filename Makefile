@@ -161,7 +161,7 @@ install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 # hand without --symlink-install removes the linked setup.py, and the next command links again.
 BESIDE := $(notdir $(patsubst %/setup.py,%,$(wildcard packages/*/setup.py)))
 PYTHON_PACKAGES := arm_emulator $(BESIDE)
-LINKED := $(strip $(foreach name,$(PYTHON_PACKAGES),$(if $(wildcard build/$(name)/setup.py),,$(name))))
+UNLINKED := $(strip $(foreach name,$(PYTHON_PACKAGES),$(if $(wildcard build/$(name)/setup.py),,$(name))))
 SHARED := $(shell find config launch resource -type f 2>/dev/null)
 # What `pip install .` has left in the environment: a copy of this checkout, and a command that runs it.
 COPIED := $(strip $(foreach name,$(PYTHON_PACKAGES),\
@@ -170,7 +170,7 @@ LAUNCHER := $(shell grep -ls '$(CURDIR)/install/setup.sh' .venv/bin/arm_emulator
 
 install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
                   $(wildcard packages/*/setup.py packages/*/package.xml) \
-                  $(if $(LINKED),FORCE) $(if $(COPIED),FORCE) $(if $(LAUNCHER),,FORCE)
+                  $(if $(UNLINKED),FORCE) $(if $(COPIED),FORCE) $(if $(LAUNCHER),,FORCE)
 	@$(if $(COPIED),echo 'setup: removes the copies of this checkout that pip has installed: $(COPIED)'; \
 	  $(call quietly,copy,.venv/bin/python -m pip uninstall -y $(COPIED)))
 	@echo 'setup: nodes and command line ...'

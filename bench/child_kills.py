@@ -41,9 +41,9 @@ kept = {"page": NOTHING, "recorder": RunOutputs(record=Path(folder, "a.mcap")),
         "viewer": RunOutputs(rerun=folder + "/a.rrd")}[child]
 plant, port = Plant("three_axis"), "0" if child == "page" else None
 try:
-    with Recorder(plant, kept, waits=True), watched(plant, port) as desk:
+    with Recorder(plant, kept, waits=True), watched(plant, port) as server:
         print("ready", flush=True)
-        while not sys.stdin.closed and desk.attends():
+        while not sys.stdin.closed and server.poll():
             for _ in range(20):
                 plant.exchange(np.zeros(3))
             print("tick", flush=True)

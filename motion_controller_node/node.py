@@ -271,7 +271,7 @@ class MotionControllerNode(ManagedNode):
         try:
             take()
         except Refusal as reason:
-            if reports.numbers[kind] == before:  # the instructor has not received it
+            if reports.numbers[kind] == before:  # the executor has not received it
                 reports.refuse(kind, _stamp_or_0(header), reason)
             self._diagnostics.refuse(kind.topic, reason)
             refusal = reason

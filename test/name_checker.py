@@ -16,10 +16,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 ENDINGS = {".py", ".c", ".h", ".cpp", ".hpp"}
-CLAIMS = {
-    "test",
-    "examples",
-}  # a test is named after its claim: only the words of its names are judged
+# A test is named after its claim: only the words of its names are judged.
+CLAIMS = {"test", "examples"}
 # (limit, aim); a figure may lie between them, not beyond the limit
 FOREIGN = (7.6, 2.0)  # percent of names with a word that is no term of the field
 NO_VERB = (63.1, 40.0)  # percent of functions whose name does not begin with a verb

@@ -223,8 +223,12 @@ class User:
 
         there = self.wait(f"{receiver} to listen on {topic}", listeners)
         if not there <= self._met:
-            assert self.node.meet(receiver, PATIENCE), f"{receiver} does not know this user"
+            self.meet(receiver)
             self._met |= there
+
+    def meet(self, node: str) -> None:
+        """Wait until a node knows all publishers and clients that this user has made so far."""
+        assert self.node.meet(node, PATIENCE), f"{node} does not answer"
 
     def await_start(self) -> None:
         """Wait until a paused network has met, and this user hears the machine's states.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from network import PATIENCE, User
+from network import User
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
@@ -20,7 +20,7 @@ class Parameters:
         if node not in self._clients:
             client = self._clients[node] = AsyncParameterClient(self._user.node, node)
             self._user.wait(f"parameter services of {node}", client.services_are_ready)
-            assert self._user.node.meet(node, PATIENCE), f"{node} does not answer"
+            self._user.meet(node)
         return self._clients[node]
 
     def _answer(self, future: Any) -> Any:

@@ -27,7 +27,7 @@ def sliding() -> str:
     return urdf
 
 
-# Of the last one joints slide on links that turn.
+# The last arm has joints that slide on links that turn.
 ARMS = [*((name, OWN[name]) for name in some(sorted(OWN), 6)), ("slides", sliding)]
 
 

@@ -136,7 +136,7 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
 ) -> None:
     """Each ends when both are asked to: one after the other, the first would be killed."""
     page = EntryPoint("live", noisy, packages.PAGE)
-    monkeypatch.setattr(page_process, "registered_as", lambda *_: page)
+    monkeypatch.setattr(page_process, "page_entry", lambda _: page)
     monkeypatch.setattr(recorder, "PROCESS", noisy)
     for module in (page_process, recorder):
         monkeypatch.setattr(module, "PATIENCE", 60.0)

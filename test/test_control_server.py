@@ -18,7 +18,7 @@ from arm_emulator.page.control_server import ControlServer, MachineControls, _Pi
 
 @contextmanager
 def asked(hands: MachineControls, ask: Callable[[_PipedControls], None]) -> Iterator[ControlServer]:
-    """Yield a desk at which a thread asks for something."""
+    """Yield a server that a thread asks for something."""
     near, far = Pipe()
     failed: list[BaseException] = []
 

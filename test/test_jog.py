@@ -136,7 +136,7 @@ def test_a_twist_is_along_any_link(link: str) -> None:
     one.jog(0.3, one.twist(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, link=link))
     way = one.tool()[-1] - one.tool()[0]
     np.testing.assert_allclose(way / np.linalg.norm(way), R_WL[:, 0], atol=0.08)
-    # The same of a turn about another axis of the link.
+    # A turn about another axis of the link keeps to the direction as well.
     one = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
     one.jog(0.3, one.twist(0.0, 0.0, 0.0, 0.0, 0.4, 0.0, link=link))
     before, after = (one.kinematics.forward(one.q[k])[0] for k in (0, -1))

@@ -12,7 +12,7 @@ import pytest
 import rclpy
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
-from network import PATIENCE, User, assert_same_bits, network, offline_states
+from network import User, assert_same_bits, network, offline_states
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from test_network import go, pause_at
@@ -45,7 +45,7 @@ class Client:
             name = f"{self._node}/{service}"
             client = self._clients[service] = self._user.node.create_client(kind, name)
             self._user.wait(f"service {name}", client.service_is_ready)
-            assert self._user.node.meet(self._node, PATIENCE), f"{self._node} does not answer"
+            self._user.meet(self._node)
         return self._clients[service]
 
     def call(self, kind: Any, service: str, request: Any = None) -> Any:

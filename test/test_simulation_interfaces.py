@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from network import PATIENCE, User, assert_same_bits, network, offline_states, user
+from network import User, assert_same_bits, network, offline_states, user
 from rclpy.action import ActionClient
 from test_managed_nodes import Client
 
@@ -76,7 +76,7 @@ class Simulation(Client):
         if self._goals is None:
             self._goals = ActionClient(self.user.node, SimulateSteps, "emulator/simulate_steps")
             self.user.wait("the action", self._goals.server_is_ready)
-            assert self.user.node.meet("emulator", PATIENCE), "the emulator does not answer"
+            self.user.meet("emulator")
         return self._goals
 
     @property

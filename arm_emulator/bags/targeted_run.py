@@ -23,7 +23,7 @@ from arm_emulator.servo.servo_arm import Target
 
 
 class _NoMotionControl:
-    """Takes the place of the instructor, which the bag does not have.
+    """Takes the place of the motion executor, which the bag does not have.
 
     Attributes:
         until: recorded changes by hand from this tick on are left out; None: all are kept.

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import functools
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from arm_emulator.base.refusal import Refusal
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 COMMANDS = "arm_emulator.commands"  # modules, each of which registers the command of its name
 UNITS = "arm_emulator.units"  # functions which return units for `arm_emulator compile`
@@ -17,24 +19,22 @@ PAGE = "arm_emulator.page"  # `live` and `run`: a page with a running machine, w
 @functools.cache
 def registered(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name; none of them is imported."""
+    # Its import takes 30 ms, which a node without a page need not spend.
+    from importlib.metadata import entry_points
+
     return {point.name: point for point in sorted(entry_points(group=group))}
 
 
-def registered_as(group: str, name: str, package: str) -> EntryPoint:
-    """Return one entry point.
-
-    Args:
-        group: one of those above.
-        name: in the group.
-        package: which package has it.
+def page_entry(name: str) -> EntryPoint:
+    """Return an entry point of the page's package: `live` or `run`.
 
     Raises:
-        Refusal: no package that is installed has it.
+        Refusal: the package is not installed.
     """
-    point = registered(group).get(name)
+    point = registered(PAGE).get(name)
     if point is None:
-        remedy = f"pip install {package}"
-        raise Refusal(name, f"package {package}", "be installed", "none", remedy)
+        remedy = "pip install '.[page]' in a checkout of arm_emulator"
+        raise Refusal("page", "package arm_emulator_page", "be installed", "none", remedy)
     return point
 
 

@@ -115,7 +115,7 @@ def watched(
 ) -> Iterator[ControlServer]:
     """Serve a page with a machine, and with actions on it, in this block.
 
-    The owner of a plant calls `attends` of the desk between two ticks; that of a session need not.
+    The owner of a plant calls `poll` of the server between two ticks; that of a session need not.
 
     Args:
         machine: a plant, or a session.
@@ -153,11 +153,11 @@ def watched(
 
 
 class _PipedControls(Controls):
-    """Actions that are requests to a desk; see `Controls`.
+    """Actions that are requests to a `ControlServer`; see `Controls`.
 
     Args:
         descriptor: of the pipe in this process, the page's.
-        able: names of the actions that the desk takes.
+        able: names of the actions that the server takes.
     """
 
     def __init__(self, descriptor: int, able: frozenset[str]) -> None:
@@ -175,7 +175,7 @@ class _PipedControls(Controls):
         return news
 
     def ask(self, what: str, *given: Any) -> Any:
-        """Return the answer of the desk.
+        """Return the answer of the server.
 
         Raises:
             Refusal: it has refused, or does not answer.

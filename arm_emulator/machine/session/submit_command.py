@@ -27,7 +27,7 @@ def submit_command(
         powered: whether the drives have power from now on.
 
     Raises:
-        Needless, Refusal: as `Session.offer`; nothing has changed.
+        DuplicateCommand, Refusal: as `Session.offer`; nothing has changed.
     """
     with session.turn:
         session.offer(tick, names, command, further)

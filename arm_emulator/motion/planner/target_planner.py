@@ -99,7 +99,7 @@ class TargetPlanner:
         Raises:
             Refusal: config is not a MotionConfig.
         """
-        coerce_kind(config, MotionConfig, "WayController.retune", "config", "be a MotionConfig")
+        coerce_kind(config, MotionConfig, "TargetPlanner.retune", "config", "be a MotionConfig")
         self._limit(config)
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
@@ -162,7 +162,7 @@ class TargetPlanner:
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
-        coerce_kind(target, Pose, "WayController.update", "target", "be a Pose")
+        coerce_kind(target, Pose, "TargetPlanner.update", "target", "be a Pose")
         notices = self._find_reference(q)
         now = self.coming
         if target is not self._target and not _same(target, self._target):
