@@ -202,7 +202,7 @@ TICK: tuple[Band, ...] = (
         ),
         (
             Station("sensors measure", "arm_emulator/core/mechanics/sensors.hpp", "look"),
-            Station("the encoder counts", "arm_emulator/core/parts/encoder.hpp", "disc"),
+            Station("the encoder counts", "arm_emulator/core/parts/measuring/encoder.hpp", "disc"),
             Station("fills arm_measurement", f"{_BOUNDARY}/arm_machine.hpp", "measure_here"),
         ),
     ),
@@ -216,7 +216,7 @@ TICK: tuple[Band, ...] = (
             Station("one step: motors, then links", f"{_SCHEMES}/two_threads.hpp", "step"),
             Station("motors by eq. (3)", f"{_SCHEMES}/paper.hpp", "drives"),
             Station("volts drive the winding, eq. (1)",
-                    "arm_emulator/core/parts/dc_motor.hpp", "rates"),
+                    "arm_emulator/core/parts/motors/dc_motor.hpp", "rates"),
         ),
         (
             Station("waits for M and nle", f"{_SCHEMES}/two_threads.hpp", "take"),
@@ -231,7 +231,11 @@ TICK: tuple[Band, ...] = (
 NEWTON_EULER = Band(
     "Newton-Euler thread, with threads: 2",
     (Station("takes each sample that is handed over", f"{_SCHEMES}/two_threads.hpp", "work"),),
-    (Station("M and nle of the links", "arm_emulator/core/mechanics/link_tree.hpp", "dynamics"),),
+    (
+        Station(
+            "M and nle of the links", "arm_emulator/core/mechanics/links/link_tree.hpp", "dynamics"
+        ),
+    ),
 )
 
 

@@ -236,8 +236,8 @@ def test_another_scene_is_found_where_the_record_is_still_equal(
 
 
 PARTS = [  # code of parts, changed by rounding alone
-    ("dc_motor.hpp", "Kt * ", "Kt * (1.0 + 0x1p-52) * "),
-    ("gear.hpp", "Kg * ", "Kg * (1.0 + 0x1p-52) * "),
+    ("motors/dc_motor.hpp", "Kt * ", "Kt * (1.0 + 0x1p-52) * "),
+    ("gears/gear.hpp", "Kg * ", "Kg * (1.0 + 0x1p-52) * "),
 ]
 
 

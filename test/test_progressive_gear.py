@@ -250,7 +250,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
 def test_a_gear_that_is_wrongly_declared_linear_does_not_compile(tmp_path: Path) -> None:
     """A part that fails to declare its nonlinearity does not compile."""
     core = shutil.copytree(CORE, tmp_path / "core")
-    gear = core / "parts/gear.hpp"
+    gear = core / "parts/gears/gear.hpp"
     text = gear.read_text()
     torque = "return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);"
     assert text.count(torque) == 1, "the line of the linear gear's torque"

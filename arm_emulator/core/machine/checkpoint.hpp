@@ -5,7 +5,7 @@
 
 #include "machine/brakes.hpp"
 #include "mechanics/energy.hpp"
-#include "mechanics/external_work.hpp"
+#include "mechanics/links/external_work.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

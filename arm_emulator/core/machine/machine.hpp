@@ -9,7 +9,7 @@
 #include "machine/command_schedule.hpp"
 #include "mechanics/energy.hpp"
 #include "mechanics/energy_flow.hpp"
-#include "mechanics/external_work.hpp"
+#include "mechanics/links/external_work.hpp"
 #include "numerics/finite.hpp"
 #include "schemes/event_location.hpp"
 

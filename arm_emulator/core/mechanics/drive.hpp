@@ -20,10 +20,10 @@
 
 #include "mechanics/drive_input.hpp"
 #include "numerics/finite.hpp"
+#include "parts/frictions/rotor_friction.hpp"
 #include "parts/mode.hpp"
-#include "parts/no_motor.hpp"
+#include "parts/motors/no_motor.hpp"
 #include "parts/place.hpp"
-#include "parts/rotor_friction.hpp"
 
 namespace arm {
 

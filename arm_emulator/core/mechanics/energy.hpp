@@ -4,7 +4,7 @@
 #include <cstdint>
 
 #include "mechanics/drive_energy.hpp"
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

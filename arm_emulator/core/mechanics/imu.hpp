@@ -6,8 +6,8 @@
 // instant, with its friction and the newest voltage.
 #pragma once
 
-#include "mechanics/links.hpp"
-#include "parts/analog_sensor.hpp"
+#include "mechanics/links/links.hpp"
+#include "parts/measuring/analog_sensor.hpp"
 
 namespace arm {
 

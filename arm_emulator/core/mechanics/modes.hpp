@@ -4,8 +4,8 @@
 
 #include "mechanics/algebraic_states.hpp"
 #include "mechanics/coulomb.hpp"
-#include "mechanics/links.hpp"
-#include "mechanics/links_memo.hpp"
+#include "mechanics/links/links.hpp"
+#include "mechanics/links/links_memo.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

@@ -5,8 +5,8 @@
 // links' base parameters that it affects.
 #pragma once
 
-#include "mechanics/base_parameters.hpp"
-#include "mechanics/external_wrench.hpp"
+#include "mechanics/links/base_parameters.hpp"
+#include "mechanics/links/external_wrench.hpp"
 
 namespace arm {
 

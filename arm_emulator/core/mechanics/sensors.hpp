@@ -7,7 +7,7 @@
 
 #include "mechanics/imu.hpp"
 #include "mechanics/sensor_input.hpp"
-#include "parts/encoder.hpp"
+#include "parts/measuring/encoder.hpp"
 
 namespace arm {
 

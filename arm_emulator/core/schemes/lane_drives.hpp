@@ -7,7 +7,7 @@
 #pragma once
 
 #include "mechanics/algebraic_states.hpp"
-#include "mechanics/links_memo.hpp"
+#include "mechanics/links/links_memo.hpp"
 #include "mechanics/modes.hpp"
 #include "mechanics/regular_mode.hpp"
 #include "schemes/scheme.hpp"

@@ -29,7 +29,7 @@
 #pragma once
 
 #include "mechanics/coulomb.hpp"
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "mechanics/modes.hpp"
 #include "mechanics/regular_mode.hpp"
 #include "numerics/finite.hpp"

@@ -4,7 +4,7 @@
 
 #include "mechanics/algebraic_states.hpp"
 #include "mechanics/coulomb.hpp"
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "schemes/drive_tables.hpp"
 #include "schemes/scheme.hpp"
 

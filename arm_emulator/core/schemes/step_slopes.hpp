@@ -14,7 +14,7 @@
 // that does not change (OwnSlopes), in the joints that they belong to.
 #pragma once
 
-#include "mechanics/link_slopes.hpp"
+#include "mechanics/links/link_slopes.hpp"
 #include "schemes/drive_steps.hpp"
 #include "schemes/scheme.hpp"
 

@@ -30,7 +30,7 @@
 #include <new>
 #include <thread>
 
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

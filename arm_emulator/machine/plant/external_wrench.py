@@ -1,4 +1,4 @@
-"""External wrenches on links: forces and moments (core/mechanics/external_wrench.hpp)."""
+"""External wrenches on links: forces and moments (core/mechanics/links/external_wrench.hpp)."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class Scene(ArrayEquality, SharedObject):
         ends=(1e-6, 1.0),
         text="time between two motor states; commands are held that long; a whole number of ns",
     )
-    external_wrench: bool  # whether there may be one, see core/mechanics/external_wrench.hpp
+    external_wrench: bool  # whether there may be one, see core/mechanics/links/external_wrench.hpp
     energy_flow: (
         bool  # whether what is given and dissipated is reported, see core/mechanics/energy_flow.hpp
     )

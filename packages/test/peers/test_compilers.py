@@ -224,9 +224,9 @@ def test_parts_that_differ_in_their_base_are_different(compiler: str, tmp_path: 
     if not shutil.which(compiler):
         pytest.skip(f"{compiler} is not installed")
     parts = CORE / "parts"
-    based = {found for file in parts.glob("*.hpp") for found in BASED.findall(file.read_text())}
+    based = {found for file in parts.rglob("*.hpp") for found in BASED.findall(file.read_text())}
     assert based == set(DECORATORS)
-    lines = [f'#include "parts/{file.name}"' for file in sorted(parts.glob("*.hpp"))]
+    lines = [f'#include "{file.relative_to(CORE)}"' for file in sorted(parts.rglob("*.hpp"))]
     for name, type_ in DECORATORS.items():
         number = "Dv" if name == "Braked" else "R"
         lines += [

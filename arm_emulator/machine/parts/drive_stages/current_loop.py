@@ -30,7 +30,7 @@ class CurrentLoop(DriveStage):
     layer = 1
     needs_circuit = True
     inputs: ClassVar[tuple[Input, ...]] = (CURRENT,)
-    header = "current_loop.hpp"
+    header = "drive_stages/current_loop.hpp"
     cxx = "CurrentControl"
     loop: ClassVar[str] = "CurrentLoop"  # in C++, around a motor
 

@@ -19,6 +19,6 @@ class FieldOrientedLoop(CurrentLoop):
         CURRENT,
         Input("command_d", "current along each rotor's flux", "A", applied="applied_d"),
     )
-    header = "field_oriented_loop.hpp"
+    header = "drive_stages/field_oriented_loop.hpp"
     loop = "FieldOrientedLoop"
     around_kind = "pmsm"

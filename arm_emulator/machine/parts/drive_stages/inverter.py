@@ -20,7 +20,7 @@ class Inverter(DriveStage):
     section = "motor.inverter"
     layer = 4
     needs_circuit = True
-    header = "inverter.hpp"
+    header = "drive_stages/inverter.hpp"
     cxx = "Inverter"
 
     voltage_error: float = number(

@@ -22,7 +22,7 @@ class TorqueRipple(DriveStage):
     layer = 3
     hides = "phase_lost"
     electrical = False
-    header = "torque_ripple.hpp"
+    header = "drive_stages/torque_ripple.hpp"
     cxx = "RippledMotor"
     keys = (
         waves_key(

@@ -24,7 +24,7 @@ class Winding(DriveStage):
 
     section = "motor.winding"
     layer = 2
-    header = "winding.hpp"
+    header = "drive_stages/winding.hpp"
     cxx = "Winding"
     outputs = (FAULTS,)
     truths = (

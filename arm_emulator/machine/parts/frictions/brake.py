@@ -22,7 +22,7 @@ class Brake(Part):
 
     section = "brake"
     shaft = "rotor"
-    header = "brake.hpp"
+    header = "frictions/brake.hpp"
     cxx = "Brake"
     outputs = (
         Output(

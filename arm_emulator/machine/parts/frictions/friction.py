@@ -18,7 +18,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 class Friction(Part):
     """Viscous, and Coulomb's: `coulomb` while the shaft slides, `breakaway` at rest."""
 
-    header = "friction.hpp"
+    header = "frictions/friction.hpp"
     cxx = "Friction"
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 

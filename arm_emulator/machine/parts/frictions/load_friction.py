@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 class LoadFriction(Friction):
     """Further friction: `load` times the gear's torque on that shaft."""
 
-    header = "load_friction.hpp"
+    header = "frictions/load_friction.hpp"
     cxx = "LoadFriction"
     named_by = ("load",)
 

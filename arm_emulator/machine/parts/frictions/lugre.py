@@ -17,7 +17,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 class LuGre(JointEffect):
     """Bristle friction, for motion before sliding: positioning, reversals, stick-slip."""
 
-    header = "lugre.hpp"
+    header = "frictions/lugre.hpp"
     cxx = "LuGre"
 
     coulomb: float = number("Dc", "N m", above=0.0, sought="unknown", text="Dc, sliding fast")

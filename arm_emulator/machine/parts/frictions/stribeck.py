@@ -22,7 +22,7 @@ def stribeck_torque(coulomb: float, breakaway: float, stribeck: float, speed: Ar
 class Stribeck(Friction):
     """From `breakaway` at rest to `coulomb`, by exp(-(speed / stribeck)^2)."""
 
-    header = "stribeck.hpp"
+    header = "frictions/stribeck.hpp"
     cxx = "Stribeck"
     named_by = ("stribeck",)
 

@@ -15,7 +15,7 @@ from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 class BacklashGear(ElasticGear):
     """An elastic gear whose teeth do not touch within its play."""
 
-    header = "backlash.hpp"
+    header = "gears/backlash.hpp"
     cxx = "BacklashGear"
     named_by = ("stiffness", "backlash")
 

@@ -14,7 +14,7 @@ from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 class ElasticGear(Gear):
     """A spring and a damper between the rotor, reduced, and the link."""
 
-    header = "gear.hpp"
+    header = "gears/gear.hpp"
     cxx = "ElasticGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness",)
 

@@ -58,7 +58,7 @@ class Gear(Part):
 class RigidGear(Gear):
     """The rotor turns with its link."""
 
-    header = "gear.hpp"
+    header = "gears/gear.hpp"
     cxx = "RigidGear"
 
     def wind_up(self, torque: float) -> float:  # noqa: D102

@@ -19,7 +19,7 @@ from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, 
 class KinematicErrorGear(ElasticGear):
     """An elastic gear whose twist has an error that depends on both angles."""
 
-    header = "kinematic_error.hpp"
+    header = "gears/kinematic_error.hpp"
     cxx = "KinematicErrorGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
 

@@ -14,7 +14,7 @@ from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 class ProgressiveGear(ElasticGear):
     """An elastic gear whose spring has a cubic part, too."""
 
-    header = "progressive_gear.hpp"
+    header = "gears/progressive_gear.hpp"
     cxx = "ProgressiveGear"
     named_by = ("stiffness", "cubic_stiffness")
     stiffens = True

@@ -22,7 +22,7 @@ class Cogging(JointEffect):
     rank = 4
     of_angle = True
     shaft = "rotor"
-    header = "cogging.hpp"
+    header = "joint_effects/cogging.hpp"
     cxx = "Cogging"
     keys = (waves_key("waves", "N m", "a ±1e3", "waves per turn of the motor, amplitude, phase"),)
 

@@ -20,7 +20,7 @@ class Counterbalance(JointEffect):
     section = "counterbalance"
     rank = 0
     of_angle = True
-    header = "counterbalance.hpp"
+    header = "joint_effects/counterbalance.hpp"
     cxx = "Counterbalance"
 
     base_distance: float = number(

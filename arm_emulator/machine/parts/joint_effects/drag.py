@@ -17,7 +17,7 @@ class Drag(JointEffect):
     """A torque against the motion of the link that grows with the square of its speed."""
 
     section = "drag"
-    header = "drag.hpp"
+    header = "joint_effects/drag.hpp"
     cxx = "Drag"
 
     coefficient: float = number(

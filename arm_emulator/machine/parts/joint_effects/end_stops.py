@@ -30,7 +30,7 @@ class EndStops(JointEffect):
 
     section = "end_stops"
     rank = 1
-    header = "end_stops.hpp"
+    header = "joint_effects/end_stops.hpp"
     cxx = "EndStops"
 
     keys = (

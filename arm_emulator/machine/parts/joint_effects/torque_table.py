@@ -31,7 +31,7 @@ class TorqueTable(JointEffect):
     section = "torque_table"
     rank = 5
     of_angle = True
-    header = "torque_table.hpp"
+    header = "joint_effects/torque_table.hpp"
     cxx = "TorqueTable"
 
     keys = (

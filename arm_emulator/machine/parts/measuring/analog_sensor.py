@@ -21,7 +21,7 @@ LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 class Converter(Part):
     """(1 + gain_error) x + drift t + noise, limited and rounded. What is None is absent."""
 
-    header = "analog_sensor.hpp"
+    header = "measuring/analog_sensor.hpp"
     cxx = "AnalogSensor"
     unit: ClassVar[str]  # of the quantity
     zero: ClassVar[str] = "offset"  # the key of its reading where the quantity is 0

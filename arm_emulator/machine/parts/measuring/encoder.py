@@ -62,7 +62,7 @@ class Encoder(Part):
     section = "encoder"
     shaft = "rotor"
     about: ClassVar[str] = "encoder"  # in texts
-    header = "encoder.hpp"
+    header = "measuring/encoder.hpp"
     cxx = "Encoder"
     outputs: ClassVar[tuple[Output, ...]] = (
         Output("index_counts", "counts at each motor at its newest index pulse", "sensors.index",

@@ -23,7 +23,7 @@ class CurrentMotor(Motor):
 
     kind = "current"
     regulated = True
-    header = "current_motor.hpp"
+    header = "motors/current_motor.hpp"
     cxx = "CurrentMotor"
     inputs = (CURRENT,)
     limit = "current_limit"

@@ -24,7 +24,7 @@ class DcMotor(Motor):
     cia_type = 13  # permanent magnets, commutator
     is_default = True
     has_winding = True
-    header = "dc_motor.hpp"
+    header = "motors/dc_motor.hpp"
     cxx = "DcMotor"
     limit = "current_limit"  # with a current loop
     rules = (

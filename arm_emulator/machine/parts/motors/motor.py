@@ -144,7 +144,7 @@ class Motor(Part):
 
     def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
         opened = self.regulated and self._opened(joint, places)
-        return (self.header, *(["open_winding.hpp"] if opened else []))
+        return (self.header, *(["drive_stages/open_winding.hpp"] if opened else []))
 
     def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
         """Its numbers, and the resistance of a contact or an open wire if a voltage drives it."""

@@ -39,7 +39,7 @@ class Pmsm(Motor):
         "three phases at supply / sqrt(3): back EMF 60 % of it at full speed, 25 % for the winding",
         "at peak torque, L/R 1 ms; current of the peak torque; drives that sample at 16 kHz",
     )
-    header = "pmsm.hpp"
+    header = "motors/pmsm.hpp"
     cxx = "Pmsm"
     inputs = (
         Input("command", "voltage across each rotor's flux", "V", mode="ARM_VOLTAGE_DQ"),
@@ -118,7 +118,7 @@ class Pmsm(Motor):
         return {**super().fault_numbers(), "phase_lost": 0.0}
 
     def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
-        ripple = ["torque_ripple.hpp"] if self._lost(joint, places) else []
+        ripple = ["drive_stages/torque_ripple.hpp"] if self._lost(joint, places) else []
         return (*super().headers(joint, places), *ripple)
 
     def around(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:

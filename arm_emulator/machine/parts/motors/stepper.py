@@ -18,7 +18,7 @@ class Stepper(Motor):
     regulated = True
     cia_type = 9  # with microsteps
     limit = "current_limit"
-    header = "stepper.hpp"
+    header = "motors/stepper.hpp"
     cxx = "StepperMotor"
     inputs = (
         Input("command", "current of each stepper's first phase", "A", mode="ARM_CURRENT"),

@@ -24,7 +24,7 @@ class TorqueMotor(Motor):
     kind = "torque"
     regulated = True
     hides = ("current_sensor.gain_error", "current_sensor.range")  # whose readings are 0
-    header = "torque_motor.hpp"
+    header = "motors/torque_motor.hpp"
     cxx = "TorqueMotor"
     inputs = (TORQUE,)
     limit = "torque_limit"

@@ -3,7 +3,7 @@
 //   torque on the link  -c |v| v      dissipated  c |v|^3
 #pragma once
 
-#include "parts/no_torque.hpp"
+#include "parts/joint_effects/no_torque.hpp"
 
 namespace arm {
 

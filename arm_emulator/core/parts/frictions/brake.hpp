@@ -7,7 +7,7 @@
 
 #include <type_traits>
 
-#include "parts/friction.hpp"
+#include "parts/frictions/friction.hpp"
 
 namespace arm {
 

@@ -16,7 +16,7 @@
 #include "numerics/exponential.hpp"
 #include "numerics/number.hpp"
 #include "numerics/sincos.hpp"
-#include "parts/no_torque.hpp"
+#include "parts/joint_effects/no_torque.hpp"
 
 namespace arm {
 

@@ -2,7 +2,7 @@
 // mean J^T w of both ends of a stretch times the displacement. It needs no evaluation at each step.
 #pragma once
 
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

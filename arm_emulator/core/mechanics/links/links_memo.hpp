@@ -1,7 +1,7 @@
 // Cache of the links' part at the last state: the end of a step is the start of the next.
 #pragma once
 
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

@@ -3,7 +3,7 @@
 //   T = Kg w + Kg3 w^3 + Dg dw/dt      stored  Kg w^2 / 2 + Kg3 w^4 / 4
 #pragma once
 
-#include "parts/gear.hpp"
+#include "parts/gears/gear.hpp"
 
 namespace arm {
 

@@ -8,7 +8,7 @@
 // that push and never pull would meet an event at each change of the torque's sign.
 #pragma once
 
-#include "parts/gear.hpp"
+#include "parts/gears/gear.hpp"
 #include "parts/mode.hpp"
 #include "parts/one_sided.hpp"
 

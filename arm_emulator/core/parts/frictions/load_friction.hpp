@@ -5,7 +5,7 @@
 // Of a rotor it is the loss of a gear, mu = 1/efficiency - 1 (docs/reference/parts).
 #pragma once
 
-#include "parts/stribeck.hpp"
+#include "parts/frictions/stribeck.hpp"
 
 namespace arm {
 

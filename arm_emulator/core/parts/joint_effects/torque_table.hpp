@@ -11,7 +11,7 @@
 
 #include <array>
 
-#include "parts/no_torque.hpp"
+#include "parts/joint_effects/no_torque.hpp"
 
 namespace arm {
 

@@ -11,9 +11,9 @@
 // located events cut steps there; nothing else depends on it.
 #pragma once
 
+#include "parts/frictions/stribeck.hpp"
 #include "parts/mode.hpp"
 #include "parts/place.hpp"
-#include "parts/stribeck.hpp"
 
 namespace arm {
 

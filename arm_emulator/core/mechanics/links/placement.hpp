@@ -1,7 +1,7 @@
 // A link's frame in its parent's, and what goes through it: vectors, tensors, bodies.
 #pragma once
 
-#include "mechanics/tree.hpp"
+#include "mechanics/links/tree.hpp"
 
 namespace arm {
 

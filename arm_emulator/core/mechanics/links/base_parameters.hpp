@@ -8,7 +8,7 @@
 // does not move; of it only the potential energy remains.
 #pragma once
 
-#include "mechanics/placement.hpp"
+#include "mechanics/links/placement.hpp"
 
 namespace arm {
 

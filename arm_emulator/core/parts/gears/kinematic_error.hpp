@@ -11,7 +11,7 @@
 #include <array>
 
 #include "numerics/harmonic.hpp"
-#include "parts/gear.hpp"
+#include "parts/gears/gear.hpp"
 
 namespace arm {
 

@@ -1,7 +1,7 @@
 // The links as the drives see them: the tree itself, where each drive moves a joint of its own.
 #pragma once
 
-#include "mechanics/coupled_links.hpp"
+#include "mechanics/links/coupled_links.hpp"
 
 namespace arm {
 

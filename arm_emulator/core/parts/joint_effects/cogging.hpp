@@ -6,7 +6,7 @@
 #include <array>
 
 #include "numerics/harmonic.hpp"
-#include "parts/no_torque.hpp"
+#include "parts/joint_effects/no_torque.hpp"
 
 namespace arm {
 

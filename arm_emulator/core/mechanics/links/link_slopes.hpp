@@ -2,7 +2,7 @@
 // which those in other directions follow: taken once for all of them.
 #pragma once
 
-#include "mechanics/links.hpp"
+#include "mechanics/links/links.hpp"
 #include "mechanics/state.hpp"
 
 namespace arm {

@@ -5,7 +5,7 @@
 #pragma once
 
 #include "numerics/exponential.hpp"
-#include "parts/friction.hpp"
+#include "parts/frictions/friction.hpp"
 
 namespace arm {
 

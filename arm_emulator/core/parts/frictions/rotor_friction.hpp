@@ -5,7 +5,7 @@
 // friction.hpp; a law without dry friction has the usual mode only.
 #pragma once
 
-#include "parts/friction.hpp"
+#include "parts/frictions/friction.hpp"
 #include "parts/mode.hpp"
 
 namespace arm {

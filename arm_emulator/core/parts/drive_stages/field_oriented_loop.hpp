@@ -17,8 +17,8 @@
 
 #include "numerics/number.hpp"
 #include "parts/command.hpp"
-#include "parts/current_loop.hpp"
-#include "parts/pmsm.hpp"
+#include "parts/drive_stages/current_loop.hpp"
+#include "parts/motors/pmsm.hpp"
 
 namespace arm {
 

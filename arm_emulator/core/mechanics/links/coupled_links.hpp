@@ -11,7 +11,7 @@
 // Rotors, gears, friction, brakes, stops and encoders belong to a drive, and so to p.
 #pragma once
 
-#include "mechanics/link_tree.hpp"
+#include "mechanics/links/link_tree.hpp"
 
 namespace arm {
 
