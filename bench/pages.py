@@ -25,6 +25,7 @@ from pathlib import Path
 from rich.console import Console
 
 from arm_emulator.base.refusal import Refusal
+from docs.hooks import page_files
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "docs" / "pictures"
@@ -36,7 +37,7 @@ ANY_BEGIN = re.compile(BEGIN.format(r"(\w+)"))
 def tables() -> dict[str, Path]:
     """Return the page of each measured table, by the name of its bench."""
     found = {}
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
+    for page in (ROOT / "README.md", *page_files().values()):
         for name in ANY_BEGIN.findall(page.read_text(encoding="utf-8")):
             found[name] = page
     return found

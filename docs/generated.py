@@ -18,9 +18,10 @@ import posixpath
 import re
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from docs import architecture, tables
-from docs.hooks import DOCS, ROOT, Missing, code_block
+from docs.hooks import DOCS, ROOT, Missing, code_block, page_files
 
 PLACE = re.compile(
     r"^(<!-- generated: (\w+)(?: (\S+))? -->\n)(.*?)^(<!-- end generated -->)$", re.M | re.S
@@ -72,9 +73,9 @@ def _doors(which: str) -> str:
     heads = ["door", "control law", "time", "measurements", "true state", "record",
              "needs beside Python and a compiler"]  # fmt: skip
     rows = [heads, ["---"] * len(heads)]
-    for page in sorted(DOCS.rglob("*.md"), key=lambda one: (one.parent.name, one), reverse=True):
+    for _, page in sorted(page_files().items(), reverse=True):
         if stated := DOOR.search(page.read_text()):
-            at = posixpath.relpath(page.relative_to(DOCS).as_posix(), "reference")
+            at = posixpath.relpath(page.relative_to(ROOT).as_posix(), "docs/reference")
             rows.append([f"[{stated[1]}]({at})", *stated[2].split(" | ")])
     if len(rows) < 3:
         raise Missing("pages of doors")
@@ -156,16 +157,16 @@ def fill(text: str) -> str:
     return filled
 
 
-def outdated_pages() -> Iterator[tuple[str, str]]:
-    """Yield the path below docs/ and the new text of each page or picture that is outdated."""
-    for page in sorted(DOCS.rglob("*.md")):
+def outdated_pages() -> Iterator[tuple[Path, str]]:
+    """Yield the file and the new text of each page or picture that is outdated."""
+    for page in page_files().values():
         text = page.read_text(encoding="utf-8")
         if (filled := fill(text)) != text:
-            yield page.relative_to(DOCS).as_posix(), filled
+            yield page, filled
     for path, text in architecture.pictures():
         picture = DOCS / path
         if not picture.is_file() or picture.read_text(encoding="utf-8") != text:
-            yield path, text
+            yield picture, text
 
 
 def main(check: bool) -> int:
@@ -179,9 +180,10 @@ def main(check: bool) -> int:
     """
     outdated = dict(outdated_pages())
     for path, text in outdated.items():
-        print(f"docs/{path}: {'behind the code; run make tables' if check else 'written'}")
+        found = "behind the code; run make tables" if check else "written"
+        print(f"{path.relative_to(ROOT)}: {found}")
         if not check:
-            (DOCS / path).write_text(text, encoding="utf-8")
+            path.write_text(text, encoding="utf-8")
     return int(check and bool(outdated))
 
 

@@ -1,11 +1,13 @@
-"""Additions of the site to the pages: a page for each file of the repository that they link.
+"""Additions of the site to docs/: the pages of the packages, and a page for each linked file.
 
-A link to a file outside of docs/ leads to a page of the site that shows that file. mkdocs calls
-`on_...` (mkdocs.yml, `hooks`).
+A package's page stands in the site where one of docs/ with the same path would. A link to a file
+outside of docs/ leads to a page of the site that shows that file. mkdocs calls `on_...`
+(mkdocs.yml, `hooks`).
 """
 
 from __future__ import annotations
 
+import fnmatch
 import posixpath
 import re
 import subprocess
@@ -15,6 +17,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+PAGE = re.compile(r"(?:packages/\w+/)?docs/(.+)")
 LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
 # Pages of the site for the pages at the top of the repository.
 TOP = {
@@ -23,11 +26,21 @@ TOP = {
     "CHANGELOG.md": "contribute/changelog.md",
     "SECURITY.md": "contribute/security.md",
 }
+PACKAGES = sorted(ROOT.glob("packages/*/docs"))
 LANGUAGES = {".h": "c", ".hpp": "cpp", ".py": "python", ".yaml": "yaml", ".c": "c", ".msg": "text"}
 
 
 class Missing(Exception):
     """A page names what is not there."""
+
+
+def page_files() -> dict[str, Path]:
+    """Return the file of each page of docs/ and of the packages, by its page in the site."""
+    return {
+        path.relative_to(folder).as_posix(): path
+        for folder in (DOCS, *PACKAGES)
+        for path in sorted(folder.rglob("*.md"))
+    }
 
 
 def code_block(place: str) -> str:
@@ -44,8 +57,8 @@ def code_block(place: str) -> str:
 
 def shown_at(target: str) -> str:
     """Return the page of the site for a file or folder of the repository."""
-    if target.startswith("docs/"):
-        return target.removeprefix("docs/")
+    if found := PAGE.match(target):
+        return found[1]
     return TOP.get(target) or f"source/{target}.md"
 
 
@@ -63,7 +76,7 @@ def relink(text: str, at: str, page: str) -> tuple[str, set[str]]:
         if "://" in found[1] or found[1].startswith("mailto:"):
             return found[0]
         target = posixpath.normpath(posixpath.join(posixpath.dirname(at), found[1]))
-        if not target.startswith("docs/") and target not in TOP:
+        if not PAGE.match(target) and target not in TOP:
             outside.add(target)
         shown = posixpath.relpath(shown_at(target), posixpath.dirname(page) or ".")
         return f"{shown}{found[2] or ''}"
@@ -90,15 +103,16 @@ def source_page(target: str) -> str:
 
 def with_pages(nav: Any) -> Any:
     """Return a navigation in which a pattern is the list of its pages that no other entry names."""
-    named = set(_entries(nav))
+    named, pages = set(_entries(nav)), sorted(page_files())
 
     def listed(one: Any) -> Any:
         if isinstance(one, dict):
             return {title: listed(below) for title, below in one.items()}
         if isinstance(one, list):
             return [page for below in one for page in _as_list(listed(below))]
-        found = sorted(path.relative_to(DOCS).as_posix() for path in DOCS.glob(one))
-        return [page for page in found if page not in named] if "*" in one else one
+        if "*" in one:
+            return [page for page in fnmatch.filter(pages, one) if page not in named]
+        return one
 
     return listed(nav)
 
@@ -124,13 +138,14 @@ def on_config(config: Any) -> Any:
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the pages at the top of the repository, and those of linked files."""
+    """Add the pages of packages, those at the top of the repository, and those of linked files."""
     from mkdocs.structure.files import File, InclusionLevel
 
     linked: set[str] = set()
-    for file in files.documentation_pages():
-        at = f"docs/{file.src_uri}"
-        linked |= relink((ROOT / at).read_text(), at, file.src_uri)[1]
+    for page, path in page_files().items():
+        if DOCS not in path.parents:
+            files.append(File.generated(config, page, content=path.read_text()))
+        linked |= relink(path.read_text(), path.relative_to(ROOT).as_posix(), page)[1]
     for top, page in TOP.items():
         if page != "index.md":
             text, outside = relink((ROOT / top).read_text(), top, page)
@@ -148,4 +163,4 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     place = page.file.src_uri
     if place.startswith("source/") or (place in TOP.values() and place != "index.md"):
         return markdown
-    return relink(markdown, f"docs/{place}", place)[0]
+    return relink(markdown, page_files()[place].relative_to(ROOT).as_posix(), place)[0]

@@ -1,16 +1,18 @@
-"""The pages that the tests compare with the code, wherever they stand below docs/."""
+"""The pages that the tests compare with the code, of docs/ and of the packages."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from docs.hooks import page_files
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-DOCUMENTS = [*sorted(ROOT.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *page_files().values()]
 
 
 def page_of(name: str) -> Path:
-    """Return the page of a name, `topics` or `parts/sensors`; names are unique below docs/."""
+    """Return the page of a name, `topics` or `parts/sensors`; names are unique."""
     found = [path for path in DOCUMENTS if path.with_suffix("").as_posix().endswith(f"/{name}")]
     assert len(found) == 1, f"pages called {name}: {found}"
     return found[0]

@@ -15,12 +15,13 @@ from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench import report
+from bench import PACKAGES, report
 from bench.bare import BARE, odd_parts
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "docs" / "validation" / "report"
-MODULES = sorted(file.stem for file in (ROOT / "bench").glob("[!_]*.py"))
+FOLDERS = (ROOT / "bench", *PACKAGES)
+MODULES = sorted(file.stem for folder in FOLDERS for file in folder.glob("[!_]*.py"))
 SHIPPED = sorted(file.stem for file in config_folder().glob("*.yaml"))
 
 

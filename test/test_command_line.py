@@ -11,13 +11,13 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+from documents import DOCUMENTS, ROOT
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli import arguments, command_line
 from arm_emulator.cli.command import Command, command_names, load_command
 from arm_emulator.ros.ctrl_c import CtrlC
 
-ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("numpy", "scipy", "rclpy", "pinocchio", "matplotlib", "rosbags", "yaml", "rich",
          "cyclopts")  # fmt: skip
 
@@ -81,8 +81,7 @@ def test_every_argument_is_explained_and_every_command_has_a_page(one: Command) 
     assert rows[-1].startswith("--json ")
     for row in rows:
         assert re.match(r"\S.*  [^ \[]", row), f"{one.name}: {row}"
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    assert any(f"arm_emulator {one.name}" in file.read_text() for file in pages), one.name
+    assert any(f"arm_emulator {one.name}" in page.read_text() for page in DOCUMENTS), one.name
 
 
 def test_misspelled_words_are_refused_in_a_line_that_names_the_right_one() -> None:

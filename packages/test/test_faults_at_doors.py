@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from cia402 import CST, ERROR, enable, make, state
-from documents import ROOT
+from documents import DOCUMENTS
 from fmu_client import OK, Fmu, Instance
 from machines import own_three_axis
 from modbus_line import Master, line_of
@@ -576,7 +576,7 @@ def emulator(folder: Path, clock: str) -> Iterator[User]:
 def test_each_door_is_in_the_table_and_refuses_in_the_same_words() -> None:
     """But for what the page of doors states."""
     kept = json.loads(KEPT.read_text())
-    pages = [page.read_text() for page in (ROOT / "docs").rglob("*.md")]
+    pages = [page.read_text() for page in DOCUMENTS]
     doors = [title for page in pages for title in re.findall(r"^<!-- door: (.+?) \|", page, re.M)]
     assert doors and not [one for one in doors if not any(title.startswith(one) for title in kept)]
     found = {(fault, cell) for row in kept.values() for fault, cell in row.items()}
