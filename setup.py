@@ -10,7 +10,8 @@ from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
 HERE = Path(__file__).resolve().parent  # colcon links this file elsewhere
-BESIDE = ("campaign", "fieldbus", "firmware", "fmu", "identification", "page")  # in packages/
+BESIDE = ("campaign", "fieldbus", "firmware", "fleet", "fmu", "identification", "page")
+NEEDS_FLEET = ("campaign", "identification")
 PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 
 
@@ -31,9 +32,10 @@ def wheels(part: str) -> list[str]:
 
 
 def beside(package: str, extra: str = "") -> list[str]:
-    """Require a package of this checkout."""
+    """Require a package of this checkout, in packages/, and the one that it needs."""
     name = f"{NAME}_{package}"
-    return [f"{name}{extra} @ {(HERE / 'packages' / name).as_uri()}"]
+    needed = beside("fleet") if package in NEEDS_FLEET else []
+    return [*needed, f"{name}{extra} @ {(HERE / 'packages' / name).as_uri()}"]
 
 
 VERSION = re.search(r'VERSION = "(.*)"', (HERE / "arm_emulator/version.py").read_text())

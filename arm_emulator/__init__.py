@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from arm_emulator.analysis.sensitivities import Sensitivities as Sensitivities
     from arm_emulator.analysis.sensitivities import sensitivities as sensitivities
     from arm_emulator.base.refusal import Refusal as Refusal
-    from arm_emulator.machine.fleet.fleet import Fleet as Fleet
-    from arm_emulator.machine.fleet.fleet_control import FleetControl as FleetControl
-    from arm_emulator.machine.fleet.fleet_control import FleetFrame as FleetFrame
-    from arm_emulator.machine.fleet.fleet_schedule import FleetWay as FleetWay
-    from arm_emulator.machine.plant.core_machines import FleetState as FleetState
     from arm_emulator.machine.plant.diverged import Diverged as Diverged
     from arm_emulator.machine.plant.external_wrench import ExternalWrench as ExternalWrench
     from arm_emulator.machine.plant.measured import Measured as Measured
@@ -46,7 +41,6 @@ if TYPE_CHECKING:
     from arm_emulator.runs.gains import load_gains as load_gains
     from arm_emulator.runs.offline import OfflineRun as OfflineRun
     from arm_emulator.runs.recording import Recording as Recording
-    from arm_emulator.runs.servo_fleet import ServoFleet as ServoFleet
     from arm_emulator.runs.timeline import Timeline as Timeline
     from arm_emulator.servo.servo import Servo as Servo
     from arm_emulator.servo.servo_config import load_servo_config as load_servo_config
@@ -56,11 +50,6 @@ _MODULES = {
     "Condition": "runs.condition",
     "Diverged": "machine.plant.diverged",
     "ExternalWrench": "machine.plant.external_wrench",
-    "Fleet": "machine.fleet.fleet",
-    "FleetControl": "machine.fleet.fleet_control",
-    "FleetFrame": "machine.fleet.fleet_control",
-    "FleetState": "machine.plant.core_machines",
-    "FleetWay": "machine.fleet.fleet_schedule",
     "JacobianController": "motion.planner.jacobian_controller",
     "Kinematics": "motion.model.kinematics",
     "LinearMachine": "analysis.linearised",
@@ -76,7 +65,6 @@ _MODULES = {
     "Scene": "machine.scene.scene",
     "Sensitivities": "analysis.sensitivities",
     "Servo": "servo.servo",
-    "ServoFleet": "runs.servo_fleet",
     "Timeline": "runs.timeline",
     "Session": "machine.session.session",
     "WrenchChange": "machine.session.change",

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator import Fleet, Plant, Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator_fleet import Fleet
 from bench.bare import BARE
 from bench.measure import Task, interleaved, progress
 from bench.motion import SERVO_PERIOD, sines

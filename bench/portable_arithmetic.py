@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 import arm_emulator.machine.plant.compiler as of_machines
-from arm_emulator import Fleet, Plant, Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
+from arm_emulator_fleet import Fleet
 from bench.measure import Task, interleaved, progress
 from bench.tables import table
 

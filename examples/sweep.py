@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from arm_emulator import Fleet, load_scene
+from arm_emulator import load_scene
+from arm_emulator_fleet import Fleet
 
 FRICTION, MASS = "joints.elbow.friction.viscous", "payload.mass"
 MACHINE = {"payload": 0, "varied": [FRICTION, MASS]}

@@ -3,7 +3,7 @@
 import numpy as np
 from gymnasium import spaces, vector
 
-from arm_emulator import Fleet
+from arm_emulator_fleet import Fleet
 
 
 class ReachEnv(vector.VectorEnv):

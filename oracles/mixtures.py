@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
+from arm_emulator import Diverged, ExternalWrench, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
@@ -44,6 +44,7 @@ from arm_emulator.machine.parts.known import (
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.sample import scaled
+from arm_emulator_fleet import Fleet
 from oracles.random_chain import moving_joints, random_chain_urdf
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them

@@ -15,7 +15,6 @@ import clang_tidy
 
 from arm_emulator.machine.plant.compiler import (
     equations_unit,
-    fleet_unit,
     machine_unit,
     real_time_unit,
 )
@@ -23,6 +22,7 @@ from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_firmware.microcontroller import runner_unit
+from arm_emulator_fleet.unit import fleet_unit
 from arm_emulator_fmu.unit import VERSIONS, unit_of
 from arm_emulator_fmu.variables import variables
 

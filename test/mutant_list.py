@@ -437,7 +437,7 @@ MUTANTS = (
         "test_recorder.py",
     ),
     Mutant(
-        "arm_emulator/runs/servo_fleet.cpp",
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/servo_fleet.cpp",
         "fleet.since[row + 1] <= tick",
         "fleet.since[row + 1] < tick",
         "test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",

@@ -24,13 +24,15 @@ from test_faults import everything
 from test_fleet_calls import SENSED
 
 import arm_emulator.machine.plant.compiler as of_machines
-from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Scene, load_scene
+from arm_emulator import Diverged, ExternalWrench, Plant, Scene, load_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from arm_emulator.runs.table_run import load_table_run
 from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator.toolchain.unit import Unit, compile_units
+from arm_emulator_fleet import Fleet
+from arm_emulator_fleet.unit import fleet_unit
 from oracles.mixtures import write_mixture
 
 KEPT = Path(__file__).with_suffix(".json")
@@ -215,7 +217,7 @@ def digests(target: str, level: str) -> Iterator[tuple[str, str]]:
             is_quick = len(scene.joints) <= 3 or "," not in name
             has_fleet = is_quick if FULL else name in ("sensed", "ur5")
             units = [of_machines.machine_unit(scene)]
-            units += [of_machines.fleet_unit(scene)] if has_fleet else []
+            units += [fleet_unit(scene)] if has_fleet else []
             if target != "native":
                 compile_units(units, target, None)
             own = digest_of_machine(scene)

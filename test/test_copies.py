@@ -19,7 +19,6 @@ from test_manners import NAME, PATIENCE, ROW, plant, scene
 
 from arm_emulator import (
     Diverged,
-    Fleet,
     JacobianController,
     Kinematics,
     Plant,
@@ -31,6 +30,7 @@ from arm_emulator import (
 )
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator_fleet import Fleet
 
 __all__ = ["plant", "scene"]  # fixtures
 

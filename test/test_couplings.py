@@ -18,7 +18,6 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator import (
     ExternalWrench,
-    Fleet,
     Kinematics,
     Plant,
     Refusal,
@@ -34,6 +33,7 @@ from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.runs.breakpoint import Breakpoint
+from arm_emulator_fleet import Fleet
 from oracles.any_arm import move, reachable
 from oracles.coupled_arms import (
     ARMS,

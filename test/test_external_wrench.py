@@ -16,10 +16,11 @@ from scipy.integrate import solve_ivp
 from test_fleet_calls import SENSED
 from test_fleet_step import LOCATED
 
-from arm_emulator import Diverged, ExternalWrench, Fleet, Plant, Refusal, Scene, load_scene
+from arm_emulator import Diverged, ExternalWrench, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.external_wrench import AXES
 from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator_fleet import Fleet
 from oracles.reference import ROWS, ReferenceMachine
 
 PERIOD = 1e-2  # s, over which a wrench is held

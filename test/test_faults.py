@@ -12,7 +12,7 @@ from documents import DOCS, page_of
 from draws import FULL
 from machines import GRAVITY, MOTOR, PMSM, write_scene
 
-from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
+from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
@@ -21,6 +21,7 @@ from arm_emulator.machine.parts.measuring.thermometer import Thermometer
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator_fleet import Fleet
 from oracles.random_chain import LINK
 
 NAMES = ("shoulder", "elbow", "wrist")

@@ -17,7 +17,8 @@ from draws import FULL, some
 from machines import GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 from scipy.integrate import solve_ivp
 
-from arm_emulator import Fleet, Plant, Refusal, load_scene
+from arm_emulator import Plant, Refusal, load_scene
+from arm_emulator_fleet import Fleet
 
 PERIOD, SUPPLY, VISCOUS = 1e-3, 48.0, 3.0
 AMPLITUDE = SUPPLY / math.sqrt(3.0)

@@ -18,8 +18,6 @@ from arm_emulator import (
     Breakpoint,
     Condition,
     ExternalWrench,
-    Fleet,
-    FleetWay,
     JacobianController,
     Kinematics,
     OfflineRun,
@@ -29,7 +27,6 @@ from arm_emulator import (
     Refusal,
     Scene,
     Servo,
-    ServoFleet,
     Session,
     Timeline,
     load_gains,
@@ -38,6 +35,7 @@ from arm_emulator import (
     testing,
 )
 from arm_emulator.motion.planner.target_planner import TargetPlanner
+from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 PATIENCE = 60.0  # s, after which a child hangs
 ROW = [5.0, -20.0, 3.0]

@@ -10,8 +10,9 @@ import pytest
 from draws import some
 from machines import one_link_urdf, write_scene
 
-from arm_emulator import Fleet, Plant, Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
+from arm_emulator_fleet import Fleet
 
 
 def fed(plant: Plant, V: Array) -> None:

@@ -19,8 +19,6 @@ import pytest
 
 import arm_emulator
 from arm_emulator import (
-    Fleet,
-    FleetWay,
     JacobianController,
     Kinematics,
     OfflineRun,
@@ -29,7 +27,6 @@ from arm_emulator import (
     Recording,
     Refusal,
     Servo,
-    ServoFleet,
     Session,
     Timeline,
     linearise,
@@ -42,6 +39,7 @@ from arm_emulator import (
 from arm_emulator.base.config_files import find_config, find_scene
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 ROOT = Path(__file__).resolve().parents[1]
 

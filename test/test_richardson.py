@@ -11,8 +11,9 @@ from draws import FULL, some
 from machines import one_link_urdf, write_scene
 from scipy.linalg import expm
 
-from arm_emulator import Fleet, Plant, Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.plant.plant_state import SET
+from arm_emulator_fleet import Fleet
 
 M, VISCOUS = 0.05 + 2.0 * 0.3**2, 0.5  # kg m2 of the link about its joint, N m s/rad
 R, L, KT, ROTOR, RATIO, KG, DG = 1.0, 1e-3, 0.05, 1e-4, 0.01, 1e4, 10.0

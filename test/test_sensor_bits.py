@@ -7,8 +7,9 @@ import pytest
 from draws import FULL
 from sensed_machine import FIELDS, motion, noisy, rows, same, set_all, truth, write
 
-from arm_emulator import Fleet, Scene, load_scene
+from arm_emulator import Scene, load_scene
 from arm_emulator.machine.session.real_time import RealTimeLoop
+from arm_emulator_fleet import Fleet
 
 
 @pytest.fixture(scope="module")

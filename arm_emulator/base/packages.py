@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 COMMANDS = "arm_emulator.commands"  # modules, each of which registers the command of its name
 UNITS = "arm_emulator.units"  # functions which return units for `arm_emulator compile`
 MODES = "arm_emulator.drive_modes"  # functions which return the modes of a bus's drives
+SCENE_UNITS = "arm_emulator.scene_units"  # functions which return the unit of a scene
 PAGE = "arm_emulator.page"  # `live` and `run`: a page with a running machine, with a finished run
 
 
@@ -26,15 +27,20 @@ def registered(group: str) -> dict[str, EntryPoint]:
 
 
 def page_entry(name: str) -> EntryPoint:
-    """Return an entry point of the page's package: `live` or `run`.
+    """Return an entry point of the page's package: `live` or `run`, see `entry_of`."""
+    return entry_of("page", PAGE, name)
+
+
+def entry_of(package: str, group: str, name: str) -> EntryPoint:
+    """Return an entry point of a package.
 
     Raises:
         Refusal: the package is not installed.
     """
-    point = registered(PAGE).get(name)
+    point = registered(group).get(name)
     if point is None:
-        remedy = "pip install '.[page]' in a checkout of arm_emulator"
-        raise Refusal("page", "package arm_emulator_page", "be installed", "none", remedy)
+        remedy = f"pip install '.[{package}]' in a checkout of arm_emulator"
+        raise Refusal(package, f"package arm_emulator_{package}", "be installed", "none", remedy)
     return point
 
 

@@ -1,6 +1,7 @@
 """Refusals, declared numbers, files, formulas: what every package needs."""
 
 from arm_emulator.base.address import host_and_port, not_free
+from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.column import Column
 from arm_emulator.base.column import Rows as ColumnRows
@@ -28,13 +29,16 @@ from arm_emulator.base.io.yaml_file import MOST_BYTES as LARGEST_YAML_FILE
 from arm_emulator.base.io.yaml_file import edited as edited_yaml
 from arm_emulator.base.io.yaml_file import nodes_of as yaml_nodes
 from arm_emulator.base.io.yaml_file import read_yaml
+from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.registry import Registry
 from arm_emulator.base.required_package import require_package
 from arm_emulator.base.run_outputs import NOTHING as KEEP_NOTHING
 from arm_emulator.base.run_outputs import RunOutputs
+from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.urdf.shafts import Shafts, shaft_limits
 from arm_emulator.base.validation.bound import (
+    ANY_COMMAND,
     ANY_COMMANDS,
     ANY_STATE,
     EFFORT,
@@ -45,8 +49,8 @@ from arm_emulator.base.validation.bound import (
     TOOL_POSITION,
     VELOCITY,
 )
-from arm_emulator.base.validation.coerce import array_of
-from arm_emulator.base.validation.count import check_count
+from arm_emulator.base.validation.coerce import array_of, coerce_flag, coerce_kind
+from arm_emulator.base.validation.count import check_count, whole_numbers
 from arm_emulator.base.validation.number import LARGEST as LARGEST_NUMBER
 from arm_emulator.base.validation.number import REQUIRED, Number, number, numbers_of
 from arm_emulator.base.validation.section import Section
@@ -55,6 +59,7 @@ from arm_emulator.base.warning import warn
 from arm_emulator.version import VERSION
 
 __all__ = [
+    "ANY_COMMAND",
     "ANY_COMMANDS",
     "ANY_STATE",
     "EFFORT",
@@ -70,6 +75,7 @@ __all__ = [
     "VELOCITY",
     "VERSION",
     "Array",
+    "ArrayEquality",
     "Column",
     "ColumnRows",
     "Combined",
@@ -77,6 +83,7 @@ __all__ = [
     "Expression",
     "Formula",
     "Margin",
+    "NonCopyable",
     "Number",
     "Operation",
     "Refusal",
@@ -85,6 +92,7 @@ __all__ = [
     "Section",
     "Shafts",
     "Signal",
+    "Synchronized",
     "Window",
     "array_of",
     "atomic_write",
@@ -92,6 +100,8 @@ __all__ = [
     "c_string",
     "check_count",
     "check_own",
+    "coerce_flag",
+    "coerce_kind",
     "config_folder",
     "edited_yaml",
     "find_beside",
@@ -116,7 +126,9 @@ __all__ = [
     "read_yaml",
     "require_package",
     "shaft_limits",
+    "synchronized",
     "warn",
+    "whole_numbers",
     "xml_text",
     "yaml_nodes",
 ]

@@ -1,4 +1,4 @@
-"""Scenes and machines: parts, inputs, outputs, plant, session, fleet, small-motion analysis."""
+"""Scenes and machines: parts, inputs, outputs, plant, session, small-motion analysis."""
 
 from arm_emulator.analysis.linear_servo import Loop as ServoLoop
 from arm_emulator.analysis.mode_loops import Mode as LoopMode
@@ -8,8 +8,6 @@ from arm_emulator.design.assumed_bodies import inertial_of
 from arm_emulator.machine.chain import Body, ChainJoint, Frame
 from arm_emulator.machine.cxx_literals import number as cxx_number
 from arm_emulator.machine.faults.scene_faults import SceneFault
-from arm_emulator.machine.fleet.fleet import Fleet
-from arm_emulator.machine.fleet.fleet_schedule import FleetWay
 from arm_emulator.machine.parts.input import VOLTAGE as VOLTAGE_INPUT
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.known import PARTS
@@ -18,26 +16,47 @@ from arm_emulator.machine.parts.output import COMMAND as COMMAND_OUTPUT
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.plant.call_arguments import truth_at
+from arm_emulator.machine.plant.call_arguments import (
+    LARGEST_STEPS,
+    Commands,
+    by_joint,
+    commands_of,
+    options_of,
+    refusal_of,
+    truth_at,
+)
+from arm_emulator.machine.plant.call_arguments import PIECE as STEPS_BETWEEN_CHECKS
 from arm_emulator.machine.plant.compiler import library_with, machine_unit
 from arm_emulator.machine.plant.core_calls import ARM as ARM_HEADER
-from arm_emulator.machine.plant.core_calls import FLEET as FLEET_HEADER
 from arm_emulator.machine.plant.core_calls import OK as ARM_OK
-from arm_emulator.machine.plant.core_calls import PLACES as WRENCH_PLACES
+from arm_emulator.machine.plant.core_calls import PLACES as STATE_NAMES_IN_C
+from arm_emulator.machine.plant.core_calls import REFUSED as ARM_REFUSED
+from arm_emulator.machine.plant.core_machine import BorrowedMachine
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.plant.external_wrench import AXES as WRENCH_AXES
 from arm_emulator.machine.plant.external_wrench import NONE as NO_WRENCH
 from arm_emulator.machine.plant.external_wrench import ExternalWrench, on_moving_link
 from arm_emulator.machine.plant.formula_rows import FORMULA as FORMULA_HEADER
 from arm_emulator.machine.plant.formula_rows import FormulaRows, is_at_one_instant
-from arm_emulator.machine.plant.inputs import further_inputs, input_at, input_units, modes_of
-from arm_emulator.machine.plant.measured import MeasuredPlace, rows_of
+from arm_emulator.machine.plant.inputs import (
+    check_inputs,
+    further_inputs,
+    further_rows,
+    input_at,
+    input_units,
+    modes_of,
+)
+from arm_emulator.machine.plant.measured import Measured, MeasuredPlace, rows_of
 from arm_emulator.machine.plant.outputs import ALWAYS as ALWAYS_OUTPUTS
 from arm_emulator.machine.plant.outputs import KNOWN as KNOWN_OUTPUTS
 from arm_emulator.machine.plant.outputs import outputs_of, readings_of, units_of
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS as STATE_ROWS
-from arm_emulator.machine.plant.plant_state import largest_position, link_angle_per_count
+from arm_emulator.machine.plant.plant_state import (
+    largest_position,
+    link_angle_per_count,
+    start_bounds,
+)
 from arm_emulator.machine.scene.fault_catalogue import variable_numbers
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.overrides import override
@@ -51,42 +70,45 @@ from arm_emulator.machine.session.session import Session
 from arm_emulator.machine.session.tool_chain import TOOL as TOOL_SIGNALS_NAME
 from arm_emulator.machine.session.tool_chain import ToolChain, tool_signals
 from arm_emulator.machine.varied import NAMES as VARIED_NAMES
-from arm_emulator.machine.varied import Varied
+from arm_emulator.machine.varied import Varied, varied_number
 from arm_emulator.machine.varied import of_child as varied_of_child
 
 __all__ = [
     "ALWAYS_OUTPUTS",
     "ARM_HEADER",
     "ARM_OK",
+    "ARM_REFUSED",
     "COMMAND_OUTPUT",
-    "FLEET_HEADER",
     "FORMULA_HEADER",
     "KNOWN_OUTPUTS",
     "LARGEST_SEED",
+    "LARGEST_STEPS",
     "NO_WRENCH",
     "OUTPUT_AXES",
     "PARTS",
     "SCHEMES",
+    "STATE_NAMES_IN_C",
     "STATE_ROWS",
+    "STEPS_BETWEEN_CHECKS",
     "TOOL_SIGNALS_NAME",
     "VARIED_NAMES",
     "VOLTAGE_INPUT",
     "WRENCH_AXES",
-    "WRENCH_PLACES",
     "Body",
+    "BorrowedMachine",
     "ChainJoint",
     "Change",
+    "Commands",
     "ControlCode",
     "Diverged",
     "DuplicateCommand",
     "ExternalWrench",
-    "Fleet",
-    "FleetWay",
     "FormulaRows",
     "Frame",
     "Input",
     "Joint",
     "LoopMode",
+    "Measured",
     "MeasuredPlace",
     "NumberChange",
     "Output",
@@ -102,10 +124,14 @@ __all__ = [
     "ToolChain",
     "Varied",
     "WrenchChange",
+    "by_joint",
+    "check_inputs",
     "columns_of",
+    "commands_of",
     "cxx_number",
     "explain_divergence",
     "further_inputs",
+    "further_rows",
     "inertial_of",
     "input_at",
     "input_units",
@@ -117,16 +143,20 @@ __all__ = [
     "machine_unit",
     "modes_of",
     "on_moving_link",
+    "options_of",
     "outputs_of",
     "override",
     "readings_of",
+    "refusal_of",
     "rows_of",
     "scene_of",
+    "start_bounds",
     "tool_signals",
     "truth_at",
     "units_of",
     "values_of",
     "variable_numbers",
+    "varied_number",
     "varied_of_child",
     "withheld_modes",
     "withheld_words",

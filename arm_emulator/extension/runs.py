@@ -8,14 +8,19 @@ from arm_emulator.runs.gains import check_fit, check_servo, load_gains
 from arm_emulator.runs.goal import last_target, missed_target
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.recorder import Recorder
-from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun, off_target
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
 from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
-from arm_emulator.servo.servo_config import ServoConfig, check_rates, load_servo_config
+from arm_emulator.servo.servo_config import (
+    ServoConfig,
+    check_joints,
+    check_rates,
+    load_servo_config,
+)
 from arm_emulator.servo.servo_law import Rows as ServoRows
 from arm_emulator.servo.servo_numbers import servo_numbers
+from arm_emulator.servo.watchdog import nanoseconds
 
 __all__ = [
     "Breakpoint",
@@ -26,12 +31,12 @@ __all__ = [
     "Recorder",
     "ServoConfig",
     "ServoDrives",
-    "ServoFleet",
     "ServoRows",
     "ServoStep",
     "TableRun",
     "TargetTable",
     "check_fit",
+    "check_joints",
     "check_rates",
     "check_servo",
     "check_targets",
@@ -41,6 +46,7 @@ __all__ = [
     "load_servo_config",
     "load_target_table",
     "missed_target",
+    "nanoseconds",
     "off_target",
     "servo_numbers",
 ]

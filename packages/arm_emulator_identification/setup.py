@@ -23,7 +23,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
     ],
     python_requires=">=3.11",
-    install_requires=["arm_emulator"],
+    install_requires=["arm_emulator", "arm_emulator_fleet"],
     zip_safe=False,
     entry_points={
         "arm_emulator.commands": [

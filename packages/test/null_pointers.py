@@ -18,10 +18,9 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.plant.call_arguments import options_of
 from arm_emulator.machine.plant.compiler import (
     equations_library_of,
-    fleet_library_of,
     real_time_library,
 )
-from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS, FLEET
+from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS
 from arm_emulator.machine.plant.formula_rows import (
     BREAKPOINT,
     CONDITION,
@@ -36,6 +35,7 @@ from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls
 from arm_emulator.toolchain.c_header import NULL
 from arm_emulator_fieldbus.drives_unit import DRIVES
 from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
+from arm_emulator_fleet.unit import FLEET, fleet_library_of
 
 ROOM = 1 << 16  # bytes behind any pointer
 KEPT: list[object] = []

@@ -16,7 +16,7 @@ import pytest
 from arm_emulator import Plant, load_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.compiler import library_of
-from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE, FLEET
+from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE
 from arm_emulator.runs.servo_step import HERE, STEP
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
 from arm_emulator.servo.servo_law import SERVO
@@ -29,6 +29,7 @@ from arm_emulator_fieldbus.drives_unit import DRIVES, DRIVES_CORE
 from arm_emulator_fieldbus.ethercat import SEGMENT
 from arm_emulator_firmware import FOLDER as MICROCONTROLLER
 from arm_emulator_firmware.board import RUNNER
+from arm_emulator_fleet.unit import FLEET
 
 HEADERS = (
     ARM,

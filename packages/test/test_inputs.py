@@ -16,7 +16,7 @@ from in_process import in_process
 from machines import CONFIG
 from rclpy.serialization import serialize_message
 
-from arm_emulator import Fleet, Plant, Refusal, Scene, Session, load_scene
+from arm_emulator import Plant, Refusal, Scene, Session, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.parts.known import DECORATORS, MOTORS
 from arm_emulator.machine.plant.core_calls import ARM
@@ -25,6 +25,7 @@ from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.session.real_time import real_time_session
 from arm_emulator.toolchain.c_header import text
 from arm_emulator_fieldbus.converter import COMMANDED, Converter, blocks
+from arm_emulator_fleet import Fleet
 from arm_emulator_fmu.variables import variables
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from arm_emulator.machine.plant.compiler import (
     equations_unit,
-    fleet_unit,
     machine_unit,
     real_time_unit,
 )
@@ -27,6 +26,7 @@ from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
+from arm_emulator_fleet.unit import fleet_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from servo_node.c import answered_states_unit
 
@@ -37,7 +37,7 @@ sys.path += sys.argv[1:3]
 if sys.argv[3:]:
     ctypes.CDLL(sys.argv[3], mode=ctypes.RTLD_GLOBAL)
 from arm_emulator.runs.offline import OfflineRun
-from arm_emulator.machine.fleet.fleet import Fleet
+from arm_emulator_fleet.fleet import Fleet
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_config import load_servo_config

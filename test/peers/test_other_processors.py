@@ -14,10 +14,11 @@ import pytest
 from draws import some
 from portable_bits import drawings
 
-from arm_emulator import Fleet, Plant
-from arm_emulator.machine.plant.compiler import fleet_unit
+from arm_emulator import Plant
 from arm_emulator.toolchain.flags import SHARED
 from arm_emulator.toolchain.unit import fingerprint
+from arm_emulator_fleet import Fleet
+from arm_emulator_fleet.unit import fleet_unit
 
 ROWS, STEPS, ARMS = 50, 40, 3
 CLIENT = Path(__file__).parents[1] / "portable_run.cpp"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.packages import UNITS, load_all
+from arm_emulator.base.packages import SCENE_UNITS, UNITS, entry_of, load_all
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
@@ -47,8 +47,17 @@ def compile_scene(
         packages: compile the libraries of packages beside the core, too, such as field buses.
         servo: compile our servo with the scene's gains, too.
     """
-    of_scene = compile_ahead(load_scene(scene), target, into, fleet=fleet)
-    code = [tick_unit(), servo_unit(), topp_unit(), servo_step_unit(), record_ring_unit()]
+    machine = load_scene(scene)
+    of_fleet = [entry_of("fleet", SCENE_UNITS, "fleet").load()(machine)] if fleet else []
+    of_scene = compile_ahead(machine, target, into)
+    code = [
+        *of_fleet,
+        tick_unit(),
+        servo_unit(),
+        topp_unit(),
+        servo_step_unit(),
+        record_ring_unit(),
+    ]
     code += [
         formula_unit(),
         middleware_unit(),

@@ -1,4 +1,4 @@
-"""From scenes to shared libraries, cached by content: machines, equations, fleets, real time."""
+"""From scenes to shared libraries, cached by content: machines, equations, real time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from arm_emulator.core import CORE
-from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS, FLEET, SENSITIVITY
+from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS, SENSITIVITY
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import FOLDERS, REAL_TIME
@@ -39,10 +39,15 @@ def library_of(scene: Scene) -> Library:
     return library(machine_unit(scene))
 
 
-def machine_unit(scene: Scene) -> Unit:
-    """Return the sources of `library_of`."""
+def machine_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> Unit:
+    """Return the sources of `library_of`.
+
+    Args:
+        scene: the scene.
+        boundary: the header with the functions of the library; it includes the default.
+    """
     about = f"scene {scene.name} ({len(scene.joints)} joints)"
-    unit = _unit(scene.name, scene_unit(scene), (ARM,), scene.where, about)
+    unit = _unit(scene.name, scene_unit(scene, boundary), (ARM,), scene.where, about)
     return replace(unit, data=_periods(scene))
 
 
@@ -82,11 +87,6 @@ def equations_library_of(scene: Scene) -> Library:
     return library(equations_unit(scene))
 
 
-def fleet_library_of(scene: Scene) -> Library:
-    """Return the scene's compiled fleet, see `library_of`."""
-    return library(fleet_unit(scene))
-
-
 def sensitivity_library_of(scene: Scene) -> Library:
     """Return the scene's machine over dual numbers, see `library_of`."""
     about = f"derivatives of {scene.name} ({len(scene.joints)} joints)"
@@ -102,9 +102,7 @@ def real_time_library() -> Library:
     return library(real_time_unit())
 
 
-def compile_ahead(
-    scene: Scene, target: str, folder: Path | None, fleet: bool = False
-) -> list[Path]:
+def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
     """Compile machine, equations and real-time loop, see
     `arm_emulator.toolchain.unit.compile_units`.
 
@@ -112,13 +110,11 @@ def compile_ahead(
         scene: the scene.
         target: see there.
         folder: see there.
-        fleet: also for many arms side by side.
 
     Raises:
         Refusal: see there.
     """
     units = [machine_unit(scene), equations_unit(scene), real_time_unit()]
-    units += [fleet_unit(scene)] if fleet else []
     return compile_units(units, target, folder)
 
 
@@ -127,14 +123,6 @@ def equations_unit(scene: Scene) -> Unit:
     about = f"equations of {scene.name} ({len(scene.joints)} joints)"
     source = scene_unit(scene, "boundary/equations.hpp")
     return _unit(f"{scene.name}-equations", source, (EQUATIONS,), scene.where, about)
-
-
-def fleet_unit(scene: Scene) -> Unit:
-    """Return the sources of `fleet_library_of`."""
-    about = f"a fleet of {scene.name} ({len(scene.joints)} joints)"
-    source = scene_unit(scene, "boundary/fleet_boundary.hpp")
-    unit = _unit(f"{scene.name}-fleet", source, (ARM, FLEET), scene.where, about)
-    return replace(unit, data=_periods(scene))
 
 
 def real_time_unit() -> Unit:

@@ -7,7 +7,6 @@ from arm_emulator.toolchain.c_header import Header
 
 ARM = Header(BOUNDARY / "arm.h")
 EQUATIONS = Header(BOUNDARY / "equations.h")
-FLEET = Header(BOUNDARY / "arm_fleet.h")
 SENSITIVITY = Header(BOUNDARY / "sensitivity.h")
 FIRMWARE = Header(BOUNDARY / "firmware.h")
 

@@ -24,7 +24,6 @@ from arm_emulator.machine.plant.call_arguments import (
     by_joint,
     commands_of,
 )
-from arm_emulator.machine.plant.compiler import fleet_library_of
 from arm_emulator.machine.plant.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
 from arm_emulator.machine.plant.core_machine import BorrowedMachine, CoreMachine, Equations
 from arm_emulator.machine.plant.diverged import Diverged
@@ -108,7 +107,7 @@ class Plant(CoreMachine):
         if self._added:
             rule = "be of its scene alone to be pickled"
             raise Refusal("Plant", "the machine", rule, f"{self.scene.name} with code beside it")
-        return _again, (self.scene, self._owner is not None), self.__getstate__()
+        return Plant, (self.scene,), self.__getstate__()
 
     def __copy__(self) -> Plant:
         plant = Plant(self.scene, core=self.core)
@@ -438,11 +437,6 @@ class Plant(CoreMachine):
         places = pointer(at), pointer(u), x is None, slides, pointer(numbers)
         self.equation("arm_linearise", *places)
         return Equations.of(at, u, numbers)
-
-
-def _again(scene: Scene, of_fleet: bool) -> Plant:
-    """Return a plant like one that was pickled, before its state."""
-    return Plant(scene, core=fleet_library_of(scene) if of_fleet else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
-from arm_emulator.extension.machine import Fleet, FleetWay
-from arm_emulator.extension.runs import ServoFleet
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.evaluators import Evaluators
@@ -23,6 +21,7 @@ from arm_emulator_campaign.program import BLOCK, Targets
 from arm_emulator_campaign.scenario import Scenario
 from arm_emulator_campaign.signals import FleetSampler
 from arm_emulator_campaign.simulator import BoundCase, Simulator, bound
+from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 WIDTH = 64  # runs at a time
 # Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power

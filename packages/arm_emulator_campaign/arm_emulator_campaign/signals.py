@@ -14,11 +14,9 @@ from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
 from arm_emulator.extension.compiler import C_FLAGS, CData, Header, Unit, compiled_once
 from arm_emulator.extension.compiler import C_NULL as NULL
 from arm_emulator.extension.compiler import c_pointer as pointer
-from arm_emulator.extension.machine import FLEET_HEADER as FLEET
+from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
 from arm_emulator.extension.machine import TOOL_SIGNALS_NAME as TOOL
-from arm_emulator.extension.machine import WRENCH_PLACES as PLACES
 from arm_emulator.extension.machine import (
-    Fleet,
     MeasuredPlace,
     Plant,
     RecordRow,
@@ -28,9 +26,12 @@ from arm_emulator.extension.machine import (
     tool_signals,
     truth_at,
 )
+from arm_emulator_fleet import Fleet
+from arm_emulator_fleet.unit import FLEET
+from arm_emulator_fleet.unit import FOLDER as FLEET_FOLDER
 
 HERE = Path(__file__).resolve().parent
-SAMPLER = Header(HERE / "sampler.h", (BOUNDARY,))
+SAMPLER = Header(HERE / "sampler.h", (BOUNDARY, FLEET_FOLDER))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
@@ -38,7 +39,8 @@ def sampler_unit() -> Unit:
     """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
-    return Unit("sampler", source, C_FLAGS, (HERE, BOUNDARY), (SAMPLER,), "campaign", about, part)
+    folders = HERE, BOUNDARY, FLEET_FOLDER
+    return Unit("sampler", source, C_FLAGS, folders, (SAMPLER,), "campaign", about, part)
 
 
 _sampler = compiled_once(sampler_unit)

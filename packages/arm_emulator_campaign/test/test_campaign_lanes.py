@@ -10,14 +10,15 @@ import pytest
 from draws import FULL, some
 from test_campaign import MOVES, TABLE, changed, written
 
-from arm_emulator import ExternalWrench, Fleet, Refusal, ServoFleet, load_gains
-from arm_emulator.machine.fleet.fleet_schedule import FleetWay
+from arm_emulator import ExternalWrench, Refusal, load_gains
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, runs_of
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, drawn_case
 from arm_emulator_campaign.outcome import Outcomes
 from arm_emulator_campaign.simulator import Simulator
+from arm_emulator_fleet import Fleet, ServoFleet
+from arm_emulator_fleet.fleet_schedule import FleetWay
 
 CHECKS = "def margin(trace):\n    return 2.0 - abs(trace['v.waist']).max() + trace['t'][-1]\n"
 TARGETS = "t,elbow,waist,shoulder\n0.01,0.9,0.1,0.6\n0.05,0.8,0.2,0.5\n0.1,0.9,0.3,0.6\n"

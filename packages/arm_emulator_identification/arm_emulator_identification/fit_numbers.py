@@ -20,7 +20,8 @@ from scipy.optimize import least_squares
 from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal, array_of
 from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
 from arm_emulator.extension.machine import STATE_ROWS as ROWS
-from arm_emulator.extension.machine import Fleet, Scene, outputs_of, scene_of, variable_numbers
+from arm_emulator.extension.machine import Scene, outputs_of, scene_of, variable_numbers
+from arm_emulator_fleet import Fleet
 from arm_emulator_identification.residual_effects import lasting
 
 WHERE = "fit_numbers"

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
-from arm_emulator.extension.machine import Fleet, Scene
+from arm_emulator.extension.machine import Scene
+from arm_emulator_fleet import Fleet
 from arm_emulator_identification.filtered import EDGE, low_pass, smooth_motion
 from arm_emulator_identification.link_regressor import torques_of_links
 from arm_emulator_identification.measured_run import MeasuredRun

@@ -21,7 +21,6 @@ from machines import (
 
 from arm_emulator.analysis.holding import LinkLoads
 from arm_emulator.analysis.sensitivities import numbers_of, sensitivities
-from arm_emulator.machine.fleet.fleet import Fleet
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import load_scene
@@ -32,6 +31,7 @@ from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.runs.breakpoint import Breakpoint
+from arm_emulator_fleet.fleet import Fleet
 from arm_emulator_identification.inertia import dynamic
 from arm_emulator_identification.link_regressor import LinkRegressor
 from oracles.reference import reference

@@ -34,7 +34,8 @@ TRAPS = {
 RUN = """
 import numpy as np
 
-from arm_emulator import Fleet, Plant, load_scene, load_servo_config, sensitivities
+from arm_emulator import Plant, load_scene, load_servo_config, sensitivities
+from arm_emulator_fleet import Fleet
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
 

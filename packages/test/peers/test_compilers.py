@@ -20,7 +20,6 @@ from draws import FULL, some
 import arm_emulator
 from arm_emulator.machine.plant.compiler import (
     equations_unit,
-    fleet_unit,
     machine_unit,
     real_time_unit,
 )
@@ -37,6 +36,7 @@ from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
+from arm_emulator_fleet.unit import fleet_unit
 from arm_emulator_fmu.unit import unit_of
 from arm_emulator_fmu.variables import scalars, variables
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit

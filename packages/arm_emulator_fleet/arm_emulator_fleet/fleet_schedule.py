@@ -6,17 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from arm_emulator.base.non_copyable import NonCopyable
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.coerce import coerce_flag, coerce_kind
-from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.plant.core_calls import ARM, FLEET
-from arm_emulator.machine.plant.core_machines import LARGEST_FLEET
-from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_moving_link
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator.machine.varied import varied_number
-from arm_emulator.toolchain.c_header import CData
+from arm_emulator.extension.base import NonCopyable, Refusal, check_count, coerce_flag, coerce_kind
+from arm_emulator.extension.compiler import CData
+from arm_emulator.extension.machine import ARM_HEADER as ARM
+from arm_emulator.extension.machine import WRENCH_AXES as AXES
+from arm_emulator.extension.machine import (
+    Change,
+    ExternalWrench,
+    NumberChange,
+    PowerChange,
+    Scene,
+    WrenchChange,
+    on_moving_link,
+    varied_number,
+)
+from arm_emulator_fleet.fleet_machines import LARGEST_FLEET
+from arm_emulator_fleet.unit import FLEET
 
 _PARAMETER, _WRENCH, _POWER = (
     FLEET.constant(f"ARM_CHANGES_{name}") for name in ("PARAMETER", "WRENCH", "POWER")
@@ -28,7 +33,7 @@ class FleetWay(NonCopyable):
     """Changes of arms at their ticks, and a function in C that is called after each period.
 
     Attributes:
-        struct: as `arm_fleet_way` of core/boundary/arm_fleet.h, without the links' positions.
+        struct: as `arm_fleet_way` of core/arm_fleet.h, without the links' positions.
 
     Args:
         scene: of the arms.

@@ -7,15 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.non_copyable import NonCopyable
-from arm_emulator.base.validation.coerce import coerce_flag
-from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.plant.core_calls import FLEET, PLACES
-from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
-from arm_emulator.machine.plant.outputs import outputs_of
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.toolchain.c_header import CData
+from arm_emulator.extension.base import Array, NonCopyable, check_count, coerce_flag
+from arm_emulator.extension.compiler import CData
+from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
+from arm_emulator.extension.machine import Measured, MeasuredPlace, Scene, outputs_of
+from arm_emulator_fleet.unit import FLEET
 
 _LARGEST = 2**64 - 1  # address
 
@@ -23,7 +19,7 @@ _LARGEST = 2**64 - 1  # address
 class FleetControl(NonCopyable):
     """A function in C that commands arms in every servo period, for `Fleet.follow`.
 
-    Its signature is `arm_fleet_step_of_control` of core/boundary/arm_fleet.h, or
+    Its signature is `arm_fleet_step_of_control` of core/arm_fleet.h, or
     `arm_fleet_step_of_rows` if it is written over vectors, for all arms of a group at once. It is
     called for one group of arms at a time, by several threads for different groups, and keeps what
     it remembers of an arm apart from that of the others.

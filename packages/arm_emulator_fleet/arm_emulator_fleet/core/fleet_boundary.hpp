@@ -1,8 +1,8 @@
 // The functions of arm_fleet.h for one scene. Included last in a scene's unit.
 #pragma once
 
-#include "boundary/controlled_group.hpp"
-#include "boundary/fleet_changes.hpp"
+#include "controlled_group.hpp"
+#include "fleet_changes.hpp"
 
 #pragma GCC visibility push(default)
 

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from arm_emulator.machine.fleet import work_threads as shares_module
-from arm_emulator.machine.fleet.work_threads import SHORT, WorkThreads
+from arm_emulator_fleet import work_threads as shares_module
+from arm_emulator_fleet.work_threads import SHORT, WorkThreads
 
 ALL = 64  # arms
 

@@ -4,7 +4,7 @@
 // lanes. A group with an arm that is elsewhere goes through its machines for that period.
 #pragma once
 
-#include "boundary/fleet_changes.hpp"
+#include "fleet_changes.hpp"
 
 class ControlledGroup {
  public:

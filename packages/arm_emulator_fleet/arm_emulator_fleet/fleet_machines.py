@@ -9,23 +9,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.base.array_equality import ArrayEquality
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.synchronized import Synchronized, synchronized
-from arm_emulator.base.validation.bound import ANY_COMMAND
-from arm_emulator.base.validation.coerce import coerce_flag
-from arm_emulator.base.validation.count import check_count
-from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.plant.call_arguments import Commands, by_joint, options_of, refusal_of
-from arm_emulator.machine.plant.compiler import fleet_library_of
-from arm_emulator.machine.plant.core_calls import ARM, FLEET, PLACES, REFUSED
-from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_moving_link
-from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
-from arm_emulator.machine.plant.plant_state import ROWS, link_angle_per_count, start_bounds
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.varied import varied_number
-from arm_emulator.toolchain.c_header import NULL, CData, pointer
+from arm_emulator.extension.base import (
+    ANY_COMMAND,
+    Array,
+    ArrayEquality,
+    Number,
+    Refusal,
+    Synchronized,
+    check_count,
+    coerce_flag,
+    synchronized,
+)
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import CData
+from arm_emulator.extension.compiler import c_pointer as pointer
+from arm_emulator.extension.machine import ARM_HEADER as ARM
+from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
+from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
+from arm_emulator.extension.machine import STATE_ROWS as ROWS
+from arm_emulator.extension.machine import WRENCH_AXES as AXES
+from arm_emulator.extension.machine import (
+    Commands,
+    ExternalWrench,
+    Measured,
+    MeasuredPlace,
+    Scene,
+    by_joint,
+    link_angle_per_count,
+    on_moving_link,
+    options_of,
+    refusal_of,
+    start_bounds,
+    varied_number,
+)
+from arm_emulator_fleet.unit import FLEET, fleet_library_of
 
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
@@ -37,7 +54,7 @@ class CoreMachines(Synchronized):
 
     Attributes:
         scene: of all machines.
-        core: the compiled core (core/boundary/arm_fleet.h).
+        core: the compiled core (core/arm_fleet.h).
         lanes: machines that advance together.
         link_angle_per_count: meaning of one encoder count at the link (N,) [rad or m].
 
@@ -77,7 +94,7 @@ class CoreMachines(Synchronized):
 
     @property
     def handle(self) -> CData:
-        """The machines as the functions of core/boundary/arm_fleet.h take them."""
+        """The machines as the functions of core/arm_fleet.h take them."""
         return self._fleet
 
     @synchronized

@@ -12,30 +12,40 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.synchronized import synchronized
-from arm_emulator.base.validation.bound import ANY_COMMAND, ANY_COMMANDS
-from arm_emulator.base.validation.count import check_count
-from arm_emulator.machine.fleet.fleet_control import FleetControl, FleetFrame
-from arm_emulator.machine.fleet.fleet_schedule import FleetWay
-from arm_emulator.machine.fleet.work_threads import WorkThreads
-from arm_emulator.machine.plant.call_arguments import LARGEST_STEPS, PIECE, Commands, commands_of
-from arm_emulator.machine.plant.core_calls import ARM, FLEET, REFUSED
-from arm_emulator.machine.plant.core_machine import BorrowedMachine
-from arm_emulator.machine.plant.core_machines import CoreMachines
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.inputs import check_inputs, further_rows
-from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.scene.scene import Scene, scene_of
-from arm_emulator.toolchain.c_header import NULL, pointer
+from arm_emulator.extension.base import (
+    ANY_COMMAND,
+    ANY_COMMANDS,
+    Array,
+    Refusal,
+    check_count,
+    synchronized,
+)
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import c_pointer as pointer
+from arm_emulator.extension.machine import ARM_HEADER as ARM
+from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
+from arm_emulator.extension.machine import (
+    LARGEST_STEPS,
+    BorrowedMachine,
+    Commands,
+    Diverged,
+    Plant,
+    Scene,
+    check_inputs,
+    commands_of,
+    further_rows,
+    scene_of,
+)
+from arm_emulator.extension.machine import STEPS_BETWEEN_CHECKS as PIECE
+from arm_emulator_fleet.fleet_control import FleetControl, FleetFrame
+from arm_emulator_fleet.fleet_machines import CoreMachines
+from arm_emulator_fleet.fleet_schedule import FleetWay
+from arm_emulator_fleet.unit import FLEET
+from arm_emulator_fleet.work_threads import WorkThreads
 
 
 class Fleet(CoreMachines):
-    """Arms of one structure. They are independent: each moves as a `Plant` alone.
-
-    Lanes of vector registers round differently than a single arm: after a step the results differ
-    by some 1e-16 of their size.
+    """Arms of one structure. They are independent: each moves as a `Plant` alone, bit for bit.
 
     `measured` has the readings of the sensors, for controllers; `state` is the true state. Copies,
     forks and threads: as of a `Plant`. ``fleet[k]`` is one of the arms, and a `Plant`;
@@ -241,7 +251,7 @@ class Fleet(CoreMachines):
         An arm that diverges stays at its last sound state; the others continue.
 
         Args:
-            control: as `arm_emulator.runs.servo_fleet.ServoFleet`, or a function of yours.
+            control: as `ServoFleet`, or a function of yours.
             periods: servo periods, 0 to 1e9.
             out: of `frame`, to be filled after the last of them; None: a new one.
             links: filled with the links' positions after each period (periods, count, N) [rad or

@@ -4,8 +4,8 @@
 // the steps alone, as without neighbours.
 #pragma once
 
+#include "lane_drives.hpp"
 #include "machine/machine.hpp"
-#include "schemes/lane_drives.hpp"
 #include "schemes/one_thread.hpp"
 
 namespace arm {

@@ -2,8 +2,8 @@
 #pragma once
 
 #include "arm_fleet.h"
-#include "boundary.hpp"
-#include "machine/lanes.hpp"
+#include "boundary/boundary.hpp"
+#include "lanes.hpp"
 
 struct arm_fleet {
   using Machine = arm_machine::Machine;

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
-from arm_emulator import Diverged, Fleet, Plant, Refusal, Scene, load_scene
+from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
+from arm_emulator.toolchain.unit import compile_units
+from arm_emulator_fleet import Fleet
+from arm_emulator_fleet.unit import FOLDER, fleet_unit
 from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
@@ -238,7 +241,8 @@ def test_processors_with_narrower_registers_have_fewer_lanes(
     q, v = rng.uniform(-1.0, 1.0, (5, len(scene.joints))), np.zeros((5, len(scene.joints)))
     cache = tmp_path / "cache"
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))
-    libraries = compile_ahead(scene, target, None, fleet=True)
+    libraries = compile_ahead(scene, target, None)
+    libraries += compile_units([fleet_unit(scene)], target, None)
     assert len(libraries) == 4, "machine, equations, real time, fleet"
     narrow = Fleet(scene, 5, varied=values, q=q, v=v)
     assert narrow.lanes == lanes, "lanes"
@@ -291,6 +295,6 @@ def test_the_header_is_c(tmp_path: Path) -> None:
     source = tmp_path / "user.c"
     source.write_text('#include "arm_fleet.h"\nint main(void) { return arm_fleet_lanes() < 1; }\n')
     command = ["cc", "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
-    done = subprocess.run([*command, f"-I{BOUNDARY}", source], capture_output=True, text=True,
-                          check=False)  # fmt: skip
+    command += [f"-I{BOUNDARY}", f"-I{FOLDER}", str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

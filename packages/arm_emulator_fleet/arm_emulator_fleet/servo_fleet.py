@@ -11,28 +11,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
-from arm_emulator.base.validation.count import check_count, whole_numbers
-from arm_emulator.base.validation.number import Number
-from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.fleet.fleet import Fleet
-from arm_emulator.machine.fleet.fleet_control import FleetControl
-from arm_emulator.machine.plant.core_machines import arm_mask
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.runs.gains import check_servo
-from arm_emulator.servo.c import FOLDER
-from arm_emulator.servo.servo_arm import ServoArm
-from arm_emulator.servo.servo_config import ServoConfig, check_joints, load_servo_config
-from arm_emulator.servo.servo_numbers import servo_numbers
-from arm_emulator.servo.watchdog import nanoseconds
-from arm_emulator.toolchain.c_header import NULL, CData, Header, Library, pointer
-from arm_emulator.toolchain.flags import SHARED
-from arm_emulator.toolchain.unit import Unit, library
+from arm_emulator.extension.base import (
+    EFFORT,
+    POSITION,
+    VELOCITY,
+    Array,
+    Number,
+    Refusal,
+    check_count,
+    whole_numbers,
+)
+from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import SERVO_FOLDER, CData, Header, Library, Unit
+from arm_emulator.extension.compiler import SHARED_FLAGS as SHARED
+from arm_emulator.extension.compiler import c_pointer as pointer
+from arm_emulator.extension.compiler import compiled_library as library
+from arm_emulator.extension.machine import Scene
+from arm_emulator.extension.runs import (
+    ServoConfig,
+    check_joints,
+    check_servo,
+    load_servo_config,
+    nanoseconds,
+    servo_numbers,
+)
+from arm_emulator.extension.runs import ServoDrives as ServoArm
+from arm_emulator_fleet.fleet import Fleet
+from arm_emulator_fleet.fleet_control import FleetControl
+from arm_emulator_fleet.fleet_machines import arm_mask
+from arm_emulator_fleet.unit import FOLDER
 
-HERE = Path(__file__).resolve().parent
-SERVOS = Header(HERE / "servo_fleet.h", (BOUNDARY, FOLDER))
+SERVOS = Header(FOLDER / "servo_fleet.h", (BOUNDARY, SERVO_FOLDER))
 _MOST_PERIODS = 10**9
 
 
@@ -49,7 +59,7 @@ def servo_fleet_unit(lanes: int) -> Unit:
     """Return servo and loop for arms in so many lanes as what is compiled."""
     source = f'#define SERVO_FLEET_LANES {lanes}\n#include "servo_fleet.cpp"\n'
     about = f"the servos of a fleet in {lanes} lanes"
-    folders = (FOLDER, BOUNDARY, HERE)
+    folders = (SERVO_FOLDER, BOUNDARY, FOLDER)
     return Unit("servo_fleet", source, _FLAGS, folders, (SERVOS,), "servo", about, "servo.c")
 
 

@@ -14,14 +14,15 @@ from test_fleet_step import COUNT, LOCATED
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.fleet.fleet import Fleet
-from arm_emulator.machine.fleet.fleet_control import FleetControl
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.servo_fleet import ServoFleet
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.toolchain.cxx import run_compiler
+from arm_emulator_fleet.fleet import Fleet
+from arm_emulator_fleet.fleet_control import FleetControl
+from arm_emulator_fleet.servo_fleet import ServoFleet
+from arm_emulator_fleet.unit import FOLDER
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -213,7 +214,15 @@ void by_rows(void* with, const arm_fleet_rows* rows) {
 def compiled(folder: Path, text: str) -> ctypes.CDLL:
     source, built = folder / "mine.c", folder / "mine.so"
     source.write_text(text)
-    command = ["cc", "-shared", "-fPIC", "-ffp-contract=off", f"-I{BOUNDARY}", str(source)]
+    command = [
+        "cc",
+        "-shared",
+        "-fPIC",
+        "-ffp-contract=off",
+        f"-I{BOUNDARY}",
+        f"-I{FOLDER}",
+        str(source),
+    ]
     run_compiler([*command, "-o", str(built)], folder, "mine", "mine.c")
     return ctypes.CDLL(str(built))
 

@@ -11,8 +11,9 @@ import pytest
 from draws import some
 from test_fleet_calls import COUNT, NUMBER, SENSED
 
-from arm_emulator import Fleet, Refusal, Scene, load_scene
+from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.machine.plant.outputs import KNOWN
+from arm_emulator_fleet import Fleet
 
 BRAKED: dict[str, Any] = {
     "varied": ["joints.*.friction.viscous"],

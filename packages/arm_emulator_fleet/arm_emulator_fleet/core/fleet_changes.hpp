@@ -1,7 +1,7 @@
 // Changes of the arms of a fleet between their servo periods.
 #pragma once
 
-#include "boundary/fleet.hpp"
+#include "fleet.hpp"
 
 namespace {
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from draws import FULL, some
 
-from arm_emulator import Fleet, Plant, Refusal, Scene, load_scene
+from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.plant.outputs import KNOWN
+from arm_emulator_fleet import Fleet
 from oracles.random_machines import machine
 
 COUNT = 11  # more than one group, and none that is full

@@ -11,9 +11,10 @@ import pytest
 from draws import some
 from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
 
-from arm_emulator import Fleet, Plant, Scene, load_scene
+from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
+from arm_emulator_fleet import Fleet
 from oracles.mixtures import LARGEST, drawn_alone
 
 PERIOD, STEPS, ROWS, ROUNDS = 2e-3, 10, 8, 6

@@ -1,1 +1,0 @@
-"""Many machines of one scene in one library."""

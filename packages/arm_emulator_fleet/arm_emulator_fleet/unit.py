@@ -1,0 +1,41 @@
+"""The compiled fleet of a scene: the core's machine behind arm_fleet.h."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from arm_emulator.extension.compiler import (
+    BOUNDARY_FOLDER,
+    Header,
+    Library,
+    Unit,
+    compiled_library,
+)
+from arm_emulator.extension.machine import Scene, machine_unit
+
+FOLDER = Path(__file__).resolve().parent / "core"
+FLEET = Header(FOLDER / "arm_fleet.h", (BOUNDARY_FOLDER,))
+
+
+def fleet_library_of(scene: Scene) -> Library:
+    """Return the scene's compiled fleet, compiling it if no cached library fits.
+
+    Raises:
+        Refusal: there is neither a sound cached library nor a working compiler.
+    """
+    return compiled_library(fleet_unit(scene))
+
+
+def fleet_unit(scene: Scene) -> Unit:
+    """Return the sources of `fleet_library_of`."""
+    machine = machine_unit(scene)
+    unit = machine_unit(scene, "fleet_boundary.hpp")
+    return replace(
+        unit,
+        name=f"{scene.name}-fleet",
+        headers=(*unit.headers, FLEET),
+        folders=(*unit.folders, FOLDER),
+        about=f"a fleet of {scene.name} ({len(scene.joints)} joints)",
+        saves_as=machine,
+    )
