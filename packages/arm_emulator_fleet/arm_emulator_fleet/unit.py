@@ -35,7 +35,7 @@ def fleet_unit(scene: Scene) -> Unit:
         unit,
         name=f"{scene.name}-fleet",
         headers=(*unit.headers, FLEET),
-        folders=(*unit.folders, FOLDER),
+        folders=(*unit.folders, BOUNDARY_FOLDER, FOLDER),
         about=f"a fleet of {scene.name} ({len(scene.joints)} joints)",
         saves_as=machine,
     )
