@@ -8,16 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.bound import LARGEST_COUNT, POSITION
 from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.jacobian_controller import JacobianController
 from arm_emulator.motion.planner.tool_controller import Controller
-
-_Q = POSITION.named("q")
-_COUNT = POSITION.named("count_angle")
-_WIND_UP = POSITION.named("wind_up")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,21 +88,12 @@ def predicted_residual(
     Returns:
         Bounds in the rows of the task. With fewer joints than rows, of the reachable part of e.
 
-    Raises:
-        Refusal: values of a wrong length or sign, or with eq. (6) a singular pose, where no bound
-            exists.
+    With eq. (6) no bound exists at a singular pose.
     """
-    kinematics = controller.kinematics
-    q = _Q.row("predicted_residual", q, len(kinematics.joint_names))
-    times = _times_held(controller, q)
-    count = _COUNT.row("predicted_residual", count_angle, len(q))
-    if (count < 0.0).any() or not 0.0 <= held_within <= LARGEST_COUNT:
-        got = f"{count} and {held_within}"
-        raise Refusal("predicted_residual", "count_angle and held_within", "be >= 0", got)
-    wound = (
-        np.zeros_like(q) if wind_up is None else _WIND_UP.row("predicted_residual", wind_up, len(q))
-    )
-    off = count * (held_within * times + 0.5)
+    kinematics, q = controller.kinematics, np.asarray(q, dtype=float)
+    wound = np.zeros_like(q) if wind_up is None else np.asarray(wind_up, dtype=float)
+    times = 1.0 / controller.weight if isinstance(controller, JacobianController) else 1.0
+    off = np.asarray(count_angle) * (held_within * times + 0.5)
     second = np.full(kinematics.rows, off.sum() * (0.5 * off.sum() + np.abs(wound).sum()))
     second[:POSITION_ROWS] *= kinematics.reach
     R_WT, p_WT = kinematics.forward(q + wound)
@@ -116,14 +101,3 @@ def predicted_residual(
         encoder=np.abs(kinematics.jacobian(q)) @ off + second,
         wind_up=kinematics.tool_error(q, Pose(p_WT, R_WT)),
     )
-
-
-def _times_held(controller: Controller, q: Array) -> float:
-    """Return a joint's largest deviation at rest, relative to the servo's range."""
-    if not isinstance(controller, JacobianController):
-        return 1.0
-    smallest = float(controller.kinematics.singular_values(q)[-1])
-    if smallest < controller.singular_below:
-        rule = f"be away from singular poses (singular value >= {controller.singular_below:g})"
-        raise Refusal("predicted_residual", "q", rule, f"one of {smallest:.2g}")
-    return 1.0 / controller.weight

@@ -203,7 +203,7 @@ MUTANTS = (
         f"{MECHANICS}/drive.hpp",
         "motor.Mm / (gear.Ng * gear.Ng)",
         "motor.Mm / magnitude(gear.Ng)",
-        "test_motors.py test_limits.py",
+        "test_schemes.py::test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end",
     ),
     Mutant(
         f"{CORE_PARTS}/frictions/load_friction.hpp",

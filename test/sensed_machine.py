@@ -33,6 +33,7 @@ ERRORS = {  # of an encoder, all of which can be set while the machine runs
 
 ANALOG = {
     "held": 0.0,
+    "drift": 0.0,
     "gain_error": 0.0,
     "offset": 0.0,
     "noise": 0.0,

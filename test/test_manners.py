@@ -59,13 +59,6 @@ def plant(scene: Scene) -> Plant:
     return plant
 
 
-def test_a_fleet_is_a_sequence_of_plants(scene: Scene) -> None:
-    fleet = Fleet(scene, 3, q=np.arange(9.0).reshape(3, 3) / 10.0)
-    assert [arm.state.q[0] for arm in fleet] == fleet.state.q[:, 0].tolist()
-    assert [arm.state.q[0] for arm in reversed(fleet)] == fleet.state.q[::-1, 0].tolist()
-    assert fleet[np.int64(-1)].state.q[0] == fleet.state.q[2, 0]
-
-
 def test_a_scene_may_be_given_by_name() -> None:
     assert Plant("three_axis").save() == Plant(load_scene("three_axis")).save()
     assert len(Fleet("three_axis", np.int32(2))) == 2
@@ -106,15 +99,6 @@ def test_overrides_may_be_what_a_caller_has(
     overrides: dict[str, Any], expected: Callable[[Scene], bool]
 ) -> None:
     assert expected(load_scene("three_axis", overrides=overrides))
-
-
-def test_a_payload_of_no_mass_is_no_payload() -> None:
-    ends = []
-    for payload in (None, 0, 2.0):  # the last as in examples/my_tests.py
-        plant = Plant(load_scene("three_axis", overrides={"payload": payload}))
-        plant.advance(ROW, 200)
-        ends.append(plant.state.q)
-    assert np.array_equal(ends[0], ends[1]) and not np.allclose(ends[0], ends[2])
 
 
 @pytest.mark.parametrize("wrong", [[1], 5, {5: 3}, {None: 1}, "x"])
@@ -179,17 +163,8 @@ def calls_of_plant() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]
 
 def calls_of_fleet() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]]]:
     no_arms: list[Any] = [
-        True,
-        "0",
-        5,
-        -5,
-        [0, 4],
-        [0.0, 1.0],
-        [True] * 3,
-        [[0]],
-        object(),
-        [[1], 2],
-    ]
+        True, "0", 5, -5, [0, 4], [0.0, 1.0], [True] * 3, [[0]], object(), [[1], 2],
+    ]  # fmt: skip
     no_flags: list[Any] = [*NO_FLAGS, [True] * 3, [1, 0, 1, 0], np.zeros(4), "xxxx"]
     no_columns: list[Any] = [*NO_NUMBERS, [1.0] * 3, [1.0, True, 1.0, 1.0], np.zeros((4, 1))]
     yield "exchange", lambda f, x: f.exchange(x), NO_ROWS
@@ -208,39 +183,30 @@ def calls_of_fleet() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]
     ]  # fmt: skip
 
 
-OF_FLEET = [*calls(), *calls_of_fleet()]
-OF_PLANT = [*calls(), *calls_of_plant()]
+OF_PLANT = [(Plant, *one) for one in (*calls(), *calls_of_plant())]
+OF_FLEET = [(Fleet, *one) for one in (*calls(), *calls_of_fleet())]
 
 
 @pytest.mark.parametrize(
-    ("call", "wrong"), [one[1:] for one in OF_PLANT], ids=[one[0] for one in OF_PLANT]
+    ("kind", "call", "wrong"),
+    [(kind, call, wrong) for kind, _, call, wrong in OF_PLANT + OF_FLEET],
+    ids=[f"{kind.__name__} {name}" for kind, name, *_ in OF_PLANT + OF_FLEET],
 )
-def test_a_plant_refuses_what_it_cannot_take(
-    call: Callable[[Any, Any], Any], wrong: list[Any], plant: Plant
+def test_machines_refuse_what_they_cannot_take(
+    kind: type, call: Callable[[Any, Any], Any], wrong: list[Any], scene: Scene, plant: Plant
 ) -> None:
-    before = plant.save()
-    for one in wrong:
+    machine = plant if kind is Plant else Fleet(scene, 4)  # of another count than its joints
+    if kind is Fleet:
+        machine.advance(ROW, 10)
+    arms = [machine] if kind is Plant else [*machine]
+    before = [(arm.save(), arm.commanded.tolist()) for arm in arms]
+    for argument in wrong:
         with pytest.raises(Refusal) as refused:
-            call(plant, one)
-            pytest.fail(f"took {one!r}")
+            call(machine, argument)
+            pytest.fail(f"took {argument!r}")
         assert "\n" not in str(refused.value)
-        assert plant.save() == before, f"{one!r} has changed the machine"
-
-
-@pytest.mark.parametrize(
-    ("call", "wrong"), [one[1:] for one in OF_FLEET], ids=[one[0] for one in OF_FLEET]
-)
-def test_a_fleet_refuses_what_it_cannot_take(
-    call: Callable[[Any, Any], Any], wrong: list[Any], scene: Scene
-) -> None:
-    fleet = Fleet(scene, 4)  # of another count than its joints
-    fleet.advance(ROW, 10)
-    before = [arm.save() for arm in fleet]
-    for one in wrong:
-        with pytest.raises(Refusal):
-            call(fleet, one)
-            pytest.fail(f"took {one!r}")
-        assert [arm.save() for arm in fleet] == before, f"{one!r} has changed the machines"
+        now = [(arm.save(), arm.commanded.tolist()) for arm in arms]
+        assert now == before, f"{argument!r} has changed the machine"
 
 
 KINDS = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u4", "u8", "g")
@@ -307,17 +273,6 @@ def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: 
     assert (tmp_path / "run.csv").is_file()
 
 
-def test_commands_that_are_refused_are_not_those_of_the_machine(scene: Scene) -> None:
-    plant, refused = Plant(scene), Plant(scene)
-    for one in (plant, refused):
-        one.exchange(ROW, 7)
-    for row in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
-        with pytest.raises(Refusal):
-            refused.exchange(np.array(row), 8)
-    assert np.array_equal(refused.commanded, plant.commanded)
-    assert np.array_equal(copy.copy(refused).commanded, plant.commanded)
-
-
 @pytest.mark.parametrize("seed", some(range(6), 2))
 def test_numbers_of_every_kind_are_taken_for_what_they_are(seed: int, scene: Scene) -> None:
     """Lists, tuples, arrays, views; counts and numbers as scalars of NumPy."""
@@ -342,6 +297,7 @@ def test_numbers_of_every_kind_are_taken_for_what_they_are(seed: int, scene: Sce
         expected.exchange(np.array(row, float), tick=steps)
         plant.powered = expected.powered = rng.choice([True, np.True_])
     assert plant.save() == expected.save()
+    assert np.array_equal(copy.copy(plant).commanded, plant.commanded)
 
 
 def test_dynamics_of_links_agree_among_themselves(scene: Scene) -> None:

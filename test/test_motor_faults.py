@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from machines import write_scene
+from machines import slides_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.parts.known import MOTORS
 from arm_emulator.machine.plant.inputs import further_inputs, input_at
 from arm_emulator.machine.plant.outputs import KNOWN
-from oracles.random_chain import LINK
 
 ROTOR = {"rotor_inertia": 1e-4}
 DC = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05, **ROTOR}
@@ -64,21 +62,10 @@ ALWAYS = {"winding_opens", "bearing_binds", "bearing_drags", "gear_runs_dry"}
 BEGIN, END = 20, 120  # of faults and of the motion [servo periods]
 
 
-def links_side_by_side(names: Iterable[str]) -> str:
-    """Links that hang on the base, each of which slides along x and feels no other."""
-    text = '<robot name="slides"><link name="base"/>'
-    for name in names:
-        text += LINK.format(
-            name=name, kind="prismatic", xyz="0 0 0", rpy="0 0 0", parent="base", axis="1 0 0",
-            com="0 0 0", com_rpy="0 0 0", mass=2.0, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
-        )  # fmt: skip
-    return text + "</robot>"
-
-
 def scene_of(folder: Path, motors: dict[str, Any], parts: dict[str, Any], **keys: Any) -> Scene:
     joints = {name: {"motor": motor, **parts} for name, motor in motors.items()}
     keys = {"integrator": {"scheme": "rosenbrock", "dt": 2e-4}, "supply_voltage": 24.0, **keys}
-    return load_scene(write_scene(folder, links_side_by_side(motors), joints, **keys))
+    return load_scene(write_scene(folder, slides_urdf(motors), joints, **keys))
 
 
 def machine(folder: Path, **keys: Any) -> Scene:

@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.encoder import Encoder, LinkEncoder
@@ -126,19 +124,3 @@ def test_no_room_names_a_part() -> None:
 
 def test_every_exception_is_needed() -> None:
     assert not {path for path in ALLOWED if not seen().get(path)}
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_the_search_finds_every_part(kind: type[Part]) -> None:
-    line = f"from {kind.__module__} import {kind.__name__}\n"
-    assert in_python(line, False) == {kind.__name__}
-    assert in_cxx(f'#include "parts/{kind.header}"\n') == {kind.header}
-    assert in_cxx(f"  const arm::{kind.cxx}<1> one;") == in_cxx(f"f({kind.cxx} x)") == {kind.cxx}
-    assert not in_cxx(f"// {kind.cxx} in parts/{kind.header}\n")
-
-
-@pytest.mark.parametrize("word", sorted(WORDS))
-def test_the_search_finds_every_word(word: str) -> None:
-    assert in_python(f'x = {{"joints.*.{word}": None}}', True) == {word}
-    assert in_python(f'x = joint["{word}"]', True) == {word}
-    assert not in_python(f'"""{word}"""', True), "prose"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import math
 from collections.abc import Callable, Iterator
 from functools import cache, partial
@@ -232,28 +231,6 @@ def test_a_number_out_of_its_range_is_refused_alike_in_every_room(
 ) -> None:
     drawn = [check_refusals(one, name, read) for one, name, read in room(tmp_path)]
     assert drawn and sum(drawn) > 20 * len(drawn)
-
-
-def declarations() -> Iterator[Number]:
-    """Every number that a module of the package declares, by itself or in a dataclass."""
-    for file in (ROOT / "arm_emulator").rglob("*.py"):
-        if "number import" not in file.read_text() or file.name == "__main__.py":
-            continue
-        module = importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
-        for thing in vars(module).values():
-            if isinstance(thing, Number):
-                yield thing
-            elif dataclasses.is_dataclass(thing) and isinstance(thing, type):
-                yield from numbers_of(thing).values()
-
-
-def test_every_declaration_refuses_in_the_same_form() -> None:
-    found = list(declarations())
-    assert len(found) > 150, "the walk finds what is declared"
-    for one in found:
-        if np.ndim(one.at_most) == 0 and one.at_most != math.inf:
-            name = one.name or "it"
-            check_refusals(one, name, partial(one.named(name).take, "here"))
 
 
 @pytest.mark.filterwarnings("error")

@@ -37,7 +37,6 @@ from arm_emulator.machine.plant.call_arguments import PIECE
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_arm import ServoArm
-from oracles.predicted_residual import predicted_residual
 
 N = 3
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -193,9 +192,6 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
         controller.begin,
         lambda x: kinematics.tool_error(x, target),
         lambda x: controller.update(x, target),
-        lambda x: predicted_residual(controller, x, good),
-        lambda x: predicted_residual(controller, plant.scene.start, x),
-        lambda x: predicted_residual(controller, plant.scene.start, good, given(x)),
         lambda x: Pose(x, R_WT),
         lambda x: Pose(p_WT, [x, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         lambda x: Pose.from_quaternion(x, [0.0, 0.0, 0.0, 1.0]),
@@ -207,18 +203,6 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
             refused(call, wrong)
     assert as_bytes(plant) == before
     assert not session.answered
-
-
-def test_shapes_that_do_not_fit_together_are_refused(plant: Plant) -> None:
-    """The core reads as many numbers as q has."""
-    rng = np.random.default_rng(4)
-    for _ in range(200):
-        shapes = [(int(rng.integers(0, 5)), N) if rng.random() < 0.8 else (N,) for _ in range(3)]
-        q, v, tau = (np.zeros(shape) for shape in shapes)
-        if len(set(shapes)) == 1:
-            assert plant.links.accelerations(q, v, tau).shape == shapes[0]
-        else:
-            refused(plant.links.accelerations, q, v, tau)
 
 
 @pytest.mark.parametrize("exponent", [7, 20, 100, 200, 308])
@@ -283,12 +267,6 @@ def test_a_pose_is_not_changed_from_outside() -> None:
     pose = Pose(p, R)
     p[0] = R[0, 0] = math.nan
     assert np.isfinite(pose.p_WT).all() and np.isfinite(pose.R_WT).all()
-
-
-def test_unknown_clocks_and_starts_are_refused(plant: Plant) -> None:
-    """Once, every clock that was not "lockstep" was real time."""
-    for clock, start in (("lock-step", "paused"), ("", "paused"), ("lockstep", "soon"), (1, None)):
-        refused(Session, plant.scene, clock, start)
 
 
 def test_long_calls_give_the_same_bits_in_pieces(

@@ -1,4 +1,4 @@
-"""Permanent-magnet synchronous motors against an independent solution and closed forms."""
+"""Permanent-magnet synchronous motors against an independent solution; energy: test_winding.py."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from balance import balance_of
 from draws import some
-from machines import GANTRY, gantry_urdf, moving_joints, random_chain_urdf, write_scene
+from machines import moving_joints, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
@@ -46,7 +45,7 @@ def drawn_arm(folder: Path, seed: int) -> Path:
             gear |= {"stiffness": float(rng.uniform(1e3, 3e3)), "damping": float(rng.uniform(1, 5))}
         joints[name] = {"motor": drawn_motor(rng), "gear": gear, "friction": {"viscous": 0.2}}
     return write_scene(
-        folder, urdf, joints, gravity=[1.0, -2.0, -9.0], energy_flow=True, servo_period=PERIOD,
+        folder, urdf, joints, gravity=[1.0, -2.0, -9.0], servo_period=PERIOD,
         supply_voltage=SUPPLY, integrator={"scheme": "rosenbrock", "dt": 1e-4},
     )  # fmt: skip
 
@@ -134,52 +133,6 @@ def test_the_motion_is_that_of_an_independent_solution_to_1e_11(arm: Path) -> No
     assert error < 1e-11, f"relative to each quantity's largest: {error:.2e}"
 
 
-def test_energy_is_what_the_inverter_gives_less_what_is_dissipated(arm: Path) -> None:
-    """Over a motion with ud held; what is left is the scheme's error, of order 2."""
-    ud, uq = drawn_commands(np.random.default_rng(6), 4)
-    left = []
-    for steps in (20, 40):
-        plant = Plant(load_scene(arm, {"integrator.dt": PERIOD / steps}))
-        plant.exchange(uq[0], command_d=ud[0])
-        found = balance_of(plant, uq, 5 * steps)
-        left.append(found.left / (abs(found.given) + found.dissipated.sum()))
-    assert left[1] < 1e-4 and left[1] < 0.3 * left[0], f"{left}"
-
-
-def gantry(folder: Path, motors: list[dict[str, Any]], dt: float) -> Plant:
-    """Gears that make next to nothing of the links; motors of as many poles share a library."""
-    joints = {
-        name: {"motor": motor | {"pole_pairs": 4}, "gear": {"ratio": 1e-3}}
-        for name, motor in zip(GANTRY, motors, strict=True)
-    }
-    integrator = {"scheme": "rosenbrock", "dt": dt}
-    file = write_scene(
-        folder, gantry_urdf(), joints, integrator=integrator, varied=["joints.*.motor.*"]
-    )
-    return Plant(load_scene(file))
-
-
-def test_a_rotor_that_is_held_takes_the_currents_of_a_winding_at_rest(tmp_path: Path) -> None:
-    """id = ud/R (1 - exp(-t R/Ld)), iq alike: a rotor of 1e9 kg m2 hardly turns."""
-    rng = np.random.default_rng(9)
-    motors = [drawn_motor(rng) | {"rotor_inertia": 1e9} for _ in GANTRY]
-    plant = gantry(tmp_path, motors, 1e-5)
-    ud, uq = np.array([5.0, -3.0, 12.0]), np.array([2.0, 9.0, -20.0])
-    R, Ld, Lq = (
-        np.array([motor[name] for motor in motors])
-        for name in ("resistance", "inductance_d", "inductance_q")
-    )
-    for k in range(5):
-        plant.exchange(uq, command_d=ud)
-        t = PERIOD * (k + 1)
-        # Second order: (h R/L)^2 is at most 1e-4 of the current.
-        assert plant.measured.current_d == pytest.approx(
-            ud / R * -np.expm1(-t * R / Ld), rel=1e-4
-        ), "id"
-        current = plant.state.current
-        assert current == pytest.approx(uq / R * -np.expm1(-t * R / Lq), rel=1e-4), "iq"
-
-
 def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Path) -> None:
     plant = Plant(load_scene(arm))
     rng = np.random.default_rng(12)
@@ -203,23 +156,6 @@ def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Pat
     for _ in range(200):
         plant.exchange(row, command_d=row)
     assert plant.measured.applied.tolist() == [0.0, 0.0, 0.0], "uq without power"
+    assert np.abs(plant.measured.current_d).max() < 1e-3, "ud without power: its current dies away"
     with pytest.raises(Refusal, match=r"command_d must be finite"):
         plant.exchange(row, command_d=[0.0, math.nan, 0.0])
-
-
-def test_a_weakened_field_lets_a_motor_without_load_turn_faster(tmp_path: Path) -> None:
-    """Without load iq = 0 and id = ud / R, so that wm = uq / (p (psi + Ld ud / R))."""
-    motor = drawn_motor(np.random.default_rng(3)) | {"flux": 0.01, "pole_pairs": 4}
-    # Without saliency: else there are speeds at which reluctance and magnets cancel.
-    motor |= {"rotor_inertia": 2e-5, "inductance_q": motor["inductance_d"]}
-    plant = gantry(tmp_path, [motor] * 3, 1e-4)
-    R, Ld, psi, p = (motor[k] for k in ("resistance", "inductance_d", "flux", "pole_pairs"))
-    weak = psi * np.array([0.0, -0.3, -0.6]) * R / Ld  # V, for so much of the magnets' flux
-    for _ in range(3000):
-        plant.exchange(np.full(3, 20.0), command_d=weak)
-    speed = 20.0 / (p * (psi + Ld * weak / R))
-    # exp(-3 s / 0.4 s) of it is left to come at the weakest field.
-    assert plant.state.omega_m == pytest.approx(speed, rel=1e-3), "speeds without load"
-    assert plant.measured.current_d == pytest.approx(weak / R, rel=1e-3, abs=1e-3), (
-        "currents along the flux"
-    )

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from draws import some
-from machines import one_link_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
@@ -78,20 +76,3 @@ def test_arms_of_a_fleet_have_power_each_for_itself() -> None:
             q[:, arms], np.repeat(expected[:, None], len(arms), 1), atol=1e-12
         )
     assert np.abs(q[-1, 0] - q[-1, 1]).max() > 1e-4
-
-
-def test_both_voltages_of_a_field_oriented_motor_go_with_power(tmp_path: Path) -> None:
-    motor = {
-        "kind": "pmsm", "pole_pairs": 4, "resistance": 0.5, "inductance_d": 1e-3,
-        "inductance_q": 1e-3, "flux": 0.02, "rotor_inertia": 1e-4,
-    }  # fmt: skip
-    file = write_scene(
-        tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": {"ratio": 0.1}}},
-        integrator={"scheme": "rosenbrock", "dt": 1e-4}, servo_period=1e-3,
-    )  # fmt: skip
-    plant = Plant(load_scene(file))
-    plant.exchange(np.array([3.0]), command_d=[4.0])
-    assert abs(plant.measured.current_d[0]) > 0.1
-    plant.powered = False
-    plant.advance(np.array([3.0]), 1000)
-    assert abs(plant.measured.current_d[0]) < 1e-3, "its current dies away"

@@ -36,7 +36,7 @@ from arm_emulator import (
     sensitivities,
     testing,
 )
-from arm_emulator.base.config_files import find_config, find_scene
+from arm_emulator.base.config_files import find_config
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
@@ -62,11 +62,6 @@ def test_the_version_is_that_of_the_package() -> None:
     import xml.etree.ElementTree as ET
 
     assert arm_emulator.__version__ == ET.parse(ROOT / "package.xml").getroot().findtext("version")
-
-
-def test_another_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'Arm'"):
-        arm_emulator.Arm  # noqa: B018
 
 
 def test_the_import_loads_neither_numpy_nor_ros() -> None:
@@ -117,7 +112,8 @@ def test_no_object_shows_itself_by_its_address() -> None:
         *(OfflineRun("three_axis", gains.servo, gains.motion), ServoFleet(fleet, "three_axis")),
         *(fleet.step(np.zeros((2, 3))), plant.links, linearise("three_axis")),
     ):
-        assert not re.search(r"\bat 0x", repr(one)), repr(one)
+        assert not re.search(r"\bat 0x|\n", repr(one)), repr(one)
+    assert repr(plant.scene) == "<Scene three_axis: waist, shoulder, elbow>"
 
 
 def test_true_values_are_not_set_in_a_copy_of_them() -> None:
@@ -130,7 +126,7 @@ def test_true_values_are_not_set_in_a_copy_of_them() -> None:
 
 
 def test_a_name_that_is_nearly_public_is_named_in_the_error() -> None:
-    with pytest.raises(AttributeError) as error:
+    with pytest.raises(AttributeError, match="no attribute 'Plnat'") as error:
         arm_emulator.Plnat  # noqa: B018
     assert (error.value.name, error.value.obj) == ("Plnat", arm_emulator), "Python looks there"
 
@@ -244,6 +240,8 @@ def test_helpers_for_users_tests() -> None:
     testing.assert_settles(q, target, within=1e-3, last=100)
     with pytest.raises(AssertionError, match=r"joint 1 is .* off"):
         testing.assert_settles(q, target + np.array([0.0, 0.5, 0.0]), within=1e-3, last=100)
+    with pytest.raises(AssertionError, match="nan off"):
+        testing.assert_settles(np.full((5, 3), np.nan), np.zeros(3), 1e-3, last=2)
 
 
 # Tried in the first hour, and ended in a traceback of ours, in a page of text or in silence.
@@ -257,13 +255,8 @@ def load_run() -> OfflineRun:
 
 
 FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
-    (lambda: linearise("u5"), "must exist"),
     (lambda: Recording("three_axis"), "plant must be a Plant"),  # type: ignore[arg-type]
-    (lambda: Recording(Plant("three_axis"), names="q"), "names must be several"),
     (lambda: Recording(Plant("three_axis"), names=("q",))["v"], "be recorded, got v; valid: q"),
-    (lambda: Servo("no_such"), "file no_such must exist"),
-    (lambda: Servo(5), "config must be a ServoConfig, a name or a file"),  # type: ignore[arg-type]
-    (lambda: load_gains("u5"), "must exist"),
     (lambda: load_gains(load_scene("three_axis")), "scene must be a name or a file"),  # type: ignore[arg-type]
     (lambda: load_scene(load_scene("three_axis")), "scene must be a name or a file"),  # type: ignore[arg-type]
     (lambda: Plant("three_axis").exchange(np.zeros(3), enable=1), "got enable; valid: none"),
@@ -276,9 +269,7 @@ FIRST_HOUR: list[tuple[Callable[[], object], str]] = [
     (lambda: copy.copy(Recording(Plant("three_axis"))), "must stay one"),
     (lambda: copy.copy(FleetWay(load_scene("three_axis"), 2)), "must stay one"),
     (lambda: testing.assert_settles(ROWS, np.zeros(3), 1e-3, last=10), "last must be"),
-    (lambda: testing.assert_settles(ROWS[:0], np.zeros(3), 1e-3, last=1), "last must be"),
     (lambda: testing.assert_settles(ROWS, 0.0, 1e-3, last=2), r"must have shapes \(K, N\) and"),
-    (lambda: testing.assert_settles(ROWS[0], np.zeros(3), 1e-3, last=2), "must have shapes"),
 ]  # fmt: skip
 
 
@@ -291,18 +282,10 @@ def test_mistakes_of_newcomers_are_refused_in_a_line(
     assert "\n" not in str(refused.value) and len(str(refused.value)) < 200
 
 
-def test_scenes_and_measurements_are_shown_in_a_line() -> None:
-    plant = Plant("three_axis")
-    assert repr(plant.scene) == "<Scene three_axis: waist, shoulder, elbow>"
-    assert repr(plant.measured).startswith("<Measured encoder_counts=[0, 8148, 13037], current=[")
-    with pytest.raises(AssertionError, match="nan off"):
-        testing.assert_settles(np.full((5, 3), np.nan), np.zeros(3), 1e-3, last=2)
-    assert load_gains("three_axis").servo == load_gains(find_scene("three_axis")).servo
-
-
 def test_arms_of_a_fleet_are_the_same_objects_and_come_in_slices() -> None:
     fleet = Fleet("three_axis", 5)
-    assert fleet[1] == fleet[-4] and fleet[1] in fleet and fleet[1] != fleet[2]
+    assert fleet[1] == fleet[np.int64(-4)] and fleet[1] in fleet and fleet[1] != fleet[2]
+    assert [*reversed(fleet)] == [*fleet][::-1]
     some = fleet[3:0:-1]
     assert some == [fleet[3], fleet[2], fleet[1]] and fleet[5:] == []
     some[0].advance([5.0, 0.0, 0.0], 10)

@@ -296,6 +296,10 @@ def test_a_body_that_no_motion_is_possible_with_is_refused_with_its_links(tmp_pa
         with pytest.raises(Refusal) as refusal:
             load_scene(write(tmp_path, URDF.replace(at[0], link)))
         assert str(refusal.value).startswith("robot.urdf: ") and words in str(refusal.value)
+    file = write(tmp_path, URDF.replace(at[0], '<link name="forearm">'))
+    assert load_scene(file, {"payload": {"mass": 1.0}}).joint_names, "its tool has a mass"
+    with pytest.raises(Refusal, match=r"inertia about the axis moved by joint elbow"):
+        load_scene(file, {"payload": {"mass": 1.0}, "tool": "forearm"})
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -88,25 +88,6 @@ def test_its_noise_is_white_and_it_is_late(rows: dict[str, np.ndarray], kind: Ki
     assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 5 / np.sqrt(count)
 
 
-def test_a_motor_is_read_at_its_shaft_not_at_its_link(rows: dict[str, np.ndarray]) -> None:
-    ratio = load_scene("three_axis").gear_ratios
-    apart = np.abs(rows["omega_m"] - rows["v"] / ratio).max(axis=0)
-    assert apart[0] > 0.1, "an elastic gear winds up [rad/s]"
-    assert apart[2] < 1e-9, "a rigid one does not"
-
-
-def test_other_sensors_have_the_same_bits_beside_them() -> None:
-    """Neither the motion nor the noise of another sensor changes."""
-    found = []
-    for more in ({}, sensors()):
-        winding = {name: one for name, one in sensors().items() if name.endswith("winding")}
-        plant = Plant(load_scene("three_axis", RIGID | CURRENT | winding | more))
-        for _ in range(100):
-            plant.exchange(np.array([5.0, -4.0, 3.0]))
-        found.append((plant.measured.current.tobytes(), plant.state.q.tobytes()))
-    assert found[0] == found[1]
-
-
 def test_a_sensor_without_its_quantity_is_refused() -> None:
     bare = {"joints.elbow.motor": None, "joints.elbow.gear": None, "joints.elbow.encoder": None}
     for overrides, line in (

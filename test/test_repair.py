@@ -168,58 +168,6 @@ def test_a_folder_without_a_bag_stays_as_it_is(tmp_path: Path) -> None:
         assert file.read_bytes() == data, "a file that is refused was changed"
 
 
-def test_a_full_disk_leaves_a_whole_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk takes no more at a random length: the end has to find its room, too."""
-    draw = random.Random(2)
-    talk(tmp_path / "whole", 300)
-    size = (tmp_path / "whole" / "whole_0.mcap").stat().st_size
-    words = words_of(tmp_path / "whole")
-    real_open = Path.open
-
-    class Full:
-        """A file on a disk with room for so many bytes."""
-
-        def __init__(self, stream: Any, room: int) -> None:
-            self.stream, self.room = stream, room
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self.stream, name)
-
-        def __enter__(self) -> Any:
-            return self
-
-        def __exit__(self, *_: object) -> None:
-            self.stream.close()
-
-        def write(self, data: Any) -> int:
-            at = self.stream.tell()
-            written = self.stream.write(data[: max(0, self.room - at)])
-            if written < len(data):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            return int(written)
-
-    lost = 0
-    for case in range(20):
-        room = draw.randrange(2000, size - 1)
-
-        def open_full(
-            path: Path, mode: str = "r", *rest: Any, room: int = room, **more: Any
-        ) -> Any:
-            stream = real_open(path, mode, *rest, **more)
-            return Full(stream, room) if path.suffix == ".mcap" and mode != "rb" else stream
-
-        bag = tmp_path / f"full{case}"
-        with monkeypatch.context() as patch:
-            patch.setattr("arm_emulator.ros.bag_writer.Path.open", open_full)
-            with pytest.raises(OSError, match="No space left"):
-                talk(bag, 300)
-        kept = words_of(bag)
-        assert kept == words[: len(kept)], f"with room for {room} bytes"
-        assert_whole(bag, kept)
-        lost += len(words) - len(kept)
-    assert lost > 0, "the disk was never full"
-
-
 def record_until_full(
     bag: BagWriter, seed: int, words: list[str], reported: dict[Path, object]
 ) -> None:

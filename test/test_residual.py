@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from kinematic_arms import CONFIG, START, THREE_AXIS, three_axis
+from kinematic_arms import CONFIG, START, THREE_AXIS
 
 from arm_emulator import (
     JacobianController,
@@ -16,7 +15,6 @@ from arm_emulator import (
     OfflineRun,
     Plant,
     Pose,
-    Refusal,
     Servo,
     load_gains,
     load_scene,
@@ -44,20 +42,6 @@ def test_predicted_residual_of_one_joint_is_one_and_a_half_counts() -> None:
     assert bound.encoder[1] == pytest.approx(0.43 * count * (0.5 / 0.5 + 0.5), rel=0.01)
     assert bound.wind_up[1] == pytest.approx(0.43 * 2e-3, rel=1e-5)
     assert np.array_equal(bound.total, bound.encoder + np.abs(bound.wind_up))
-
-
-@pytest.mark.parametrize(
-    ("q", "count", "wind_up", "words"),
-    [
-        ([0.0, 0.5, 0.0], [1e-5] * 3, None, "q must be away from singular poses"),
-        (START, [1e-5] * 2, None, "count_angle must have 3 values"),
-        (START, [1e-5, 1e-5, -1e-5], None, "count_angle and held_within must be >= 0"),
-        (START, [1e-5] * 3, [math.nan] * 3, "wind_up must be numbers within"),
-    ],
-)
-def test_residual_refuses(q: list[float], count: list[float], wind_up: object, words: str) -> None:
-    with pytest.raises(Refusal, match=words):
-        predicted_residual(three_axis(), q, count, wind_up)  # type: ignore[arg-type]
 
 
 class Experiment:

@@ -1,4 +1,4 @@
-"""Richardson's extrapolation, against a closed form and against its own ingredients."""
+"""Richardson's extrapolation against its own ingredients; its order: test_schemes.py."""
 
 from __future__ import annotations
 
@@ -7,52 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL, some
-from machines import one_link_urdf, write_scene
-from scipy.linalg import expm
+from draws import some
+from machines import MOTOR, one_link_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.plant.plant_state import SET
 from arm_emulator_fleet import Fleet
 
-M, VISCOUS = 0.05 + 2.0 * 0.3**2, 0.5  # kg m2 of the link about its joint, N m s/rad
-R, L, KT, ROTOR, RATIO, KG, DG = 1.0, 1e-3, 0.05, 1e-4, 0.01, 1e4, 10.0
 PERIOD, VOLTS = 0.01, 10.0
 
 
-def closed_form(t: float) -> np.ndarray:
-    """Current, motor, its speed, link, its speed, under VOLTS from rest: a linear machine."""
-    gear = np.array([0.0, KG * RATIO, DG * RATIO, -KG, -DG, 0.0])
-    rows = [
-        np.array([-R, 0.0, -KT, 0.0, 0.0, VOLTS]) / L,
-        np.eye(6)[2],
-        (KT * np.eye(6)[0] - RATIO * gear) / ROTOR,
-        np.eye(6)[4],
-        (gear - VISCOUS * np.eye(6)[4]) / M,
-        np.zeros(6),
-    ]
-    return np.asarray(expm(np.array(rows) * t)[:5, 5])
-
-
 def linear_joint(folder: Path) -> Path:
-    motor = {"resistance": R, "inductance": L, "torque_constant": KT, "back_emf_constant": KT,
-             "rotor_inertia": ROTOR}  # fmt: skip
-    gear = {"ratio": RATIO, "stiffness": KG, "damping": DG}
-    joint = {"motor": motor, "gear": gear, "friction": {"viscous": VISCOUS}}
+    gear = {"ratio": 0.01, "stiffness": 1e4, "damping": 10.0}
+    joint = {"motor": MOTOR, "gear": gear, "friction": {"viscous": 0.5}}
     return write_scene(folder, one_link_urdf(), {"joint": joint})
-
-
-def test_a_linear_joint_converges_with_third_order(tmp_path: Path) -> None:
-    file, exact, errors = linear_joint(tmp_path), closed_form(20 * PERIOD), []
-    for steps in (25, 50, 100):  # smaller errors are those of rounding
-        changes = {"servo_period": PERIOD, "integrator.dt": PERIOD / steps,
-                   "integrator.scheme": "richardson"}  # fmt: skip
-        plant = Plant(load_scene(file, changes))
-        plant.advance([VOLTS], 20 * steps)
-        errors.append(abs(plant.state.q[0] - exact[3]))
-    # The next term is smaller by the step times the fastest rate that is not damped at once.
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert orders == pytest.approx(3.0, abs=0.15), errors
 
 
 def arm(scheme: str, dt: float, **changes: Any) -> Scene:
@@ -119,16 +87,3 @@ def test_beside_parts_without_usual_modes_it_is_rosenbrock_with_half_the_step(
         apart = np.abs(np.diff([end("richardson", steps) for steps in (25, 50, 100, 200)]))
         # The corner at the reversal lies elsewhere in each step.
         assert np.log2(apart[:-1] / apart[1:]) == pytest.approx(2.0, abs=0.3), apart
-
-
-@pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
-def test_lanes_take_the_same_steps() -> None:
-    scene = arm("richardson", 1e-3)
-    rows = np.random.default_rng(7).uniform(-10.0, 10.0, (5, 3))
-    fleet = Fleet(scene, 5)
-    plants = [Plant(scene) for _ in rows]
-    for _ in range(20):
-        fleet.advance(rows, 10)
-        for plant, row in zip(plants, rows, strict=True):
-            plant.advance(row, 10)
-    assert np.array_equal(fleet.state.q, [plant.state.q for plant in plants])

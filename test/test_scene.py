@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
@@ -26,41 +25,22 @@ SCENE = (CONFIG / "three_axis.yaml").read_text()
 # Overrides of three_axis.yaml, and what is reported of them.
 BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"joints.elbow.gear.stiffness": -3}, "joints.elbow.gear.stiffness must be a number > 0 N m/rad, got -3"),
-    ({"joints.elbow.gear.stiffness": "stiff"}, "stiffness must be a number > 0 N m/rad, got 'stiff'"),
-    ({"joints.elbow.gear.stiffness": float("nan")}, "stiffness must be a number > 0 N m/rad, got nan"),
-    ({"joints.elbow.gear.stiffness": float("inf")}, "stiffness must be a number from 1e-15 to 1e+15 N m/rad, got inf"),
     ({"joints.elbow.gear.stiffness": None}, "gear.damping must come with a stiffness"),
-    ({"joints.elbow.gear.cubic_stiffness": -1}, "gear.cubic_stiffness must be a number >= 0 N m/rad3, got -1"),
     ({"joints.elbow.gear": {"ratio": 0.01, "cubic_stiffness": 1}}, "gear.cubic_stiffness must come with a stiffness (a rigid gear has none), got alone"),
-    ({"joints.elbow.gear.ratio": 0}, "gear.ratio must be a number of size > 0 and <= 1000 link turns per motor turn, got 0"),
     ({"joints.elbow.gear.damping": -1}, "gear.damping must be a number >= 0 N m s/rad, got -1"),
-    ({"joints.elbow.motor.resistance": 0}, "motor.resistance must be a number > 0 ohm, got 0"),
-    ({"joints.elbow.motor.resistance": True}, "resistance must be a number > 0 ohm, got True"),
-    ({"joints.elbow.motor.inductance": -1e-3}, "inductance must be a number >= 0 H, got -0.001"),
-    ({"joints.elbow.motor.rotor_inertia": None}, "rotor_inertia must be a number > 0 kg m2, got nothing"),
     ({"joints.elbow.motor.speed": 3}, "key joints.elbow.motor.speed must be known, got 'speed'; valid:"),
     ({"joints.elbow.motor": None}, "joints.elbow.gear must belong to a joint with a motor"),
     ({"joints.elbow.motor": 3}, "joints.elbow.motor must be a section of keys and values, got 3"),
-    ({"joints.elbow.encoder.counts_per_turn": 0.5}, "counts_per_turn must be a whole number from 1"),
-    ({"joints.elbow.friction.viscous": -0.1}, "friction.viscous must be a number >= 0 N m s/rad, got -0.1"),
-    ({"joints.elbow.start": 1e9}, "joints.elbow.start must be a number from -10000 to 10000 rad or m, got 1000000000.0"),
     ({"joints.elbow": None}, "joints.elbow must be given, three_axis.urdf moves it, got nothing"),
     ({"joints.hand": {}}, "joints.hand must be a moving joint of three_axis.urdf, got hand; valid: waist"),
     ({"joints": None}, "joints must be a section of keys and values, got nothing"),
-    ({"supply_voltage": 0}, "supply_voltage must be a number > 0 and <= 100000 V, got 0"),
-    ({"supply_voltage": 1e9}, "supply_voltage must be a number > 0 and <= 100000 V"),
     ({"gravity": [0, 0]}, "gravity must be 3 numbers within +-1000 m/s2, got [0, 0]"),
-    ({"gravity": [0, 0, float("nan")]}, "gravity must be 3 numbers"),
-    ({"payload.mass": -1}, "payload.mass must be a number >= 0 kg, got -1"),
     ({"payload": {"mass": 1, "inertia": [1, 1, 0, 0, 0, 0]}}, "payload.inertia must be positive definite"),
     ({"integrator.scheme": "magic"}, f"integrator.scheme must be one of the known, got 'magic'; valid: {', '.join(SCHEMES)}"),
     ({"integrator.dt": 3e-4}, "integrator.dt must divide the servo period of 0.001 s, got 0.0003; valid: 0.00025 s"),
-    ({"integrator.dt": 2e-3}, "integrator.dt must divide the servo period"),
-    ({"integrator.dt": 0}, "integrator.dt must be a number from 1e-09 to 1 s, got 0"),
     ({"servo_period": 1e-3 / 7e5}, "servo_period must be a number from 1e-06 to 1 s"),
     ({"servo_period": 1e-3 / 7}, "servo_period must be a whole number of nanoseconds"),
     ({"integrator.exchange_depth": 5}, "exchange_depth must be a whole number from 1 to 4, got 5"),
-    ({"threads": 1.5}, "threads must be a whole number from 1 to"),
     ({"threads": 2, "integrator.scheme": "rosenbrock"}, "threads must be 1 with scheme rosenbrock, whose second stage waits for its first, got 2"),
     ({"cores": [0, 1000]}, "cores must be cores of this machine, got [0.0, 1000.0]; valid: 0"),
     ({"tool": "hand"}, "tool must be a link of the URDF, got hand; valid: base, column"),
@@ -79,9 +59,6 @@ BAD_URDFS: list[tuple[tuple[str, str], str]] = [
     (("<robot ", "<sdf "), "file must be well-formed XML"),
     (('mass value="6"', 'mass value="-6"'), "link upper_arm: mass must be >= 0 kg, got -6"),
     (('mass value="6"', 'mass value="six"'), "link upper_arm: mass must be a number, got 'six'"),
-    (('mass value="6"', 'mass value="nan"'), "link upper_arm: mass must be finite, got nan"),
-    (('ixx="0.04875"', 'ixx="0"'), "inertia moved by joint shoulder (links upper_arm) must be positive definite (of a thin rod: with two equal principal moments), got (0, 0.0075, 0.0487)"),
-    (('ixx="0.04875" iyy="0.04875"', 'ixx="0.0" iyy="-1"'), "inertia moved by joint shoulder (links upper_arm) must have principal moments >= 0 kg m2, got (-1, 0, 0.0075)"),
     (('mass value="6"', 'mass value="1e200"'), "link upper_arm: mass must be from -1e+09 to 1e+09, got 1e+200"),
     (('ixx="0.04875"', 'ixx="1e300"'), "link upper_arm: inertia must be from -1e+15 to 1e+15, got 1e+300"),
     (('<origin xyz="0 0 0.3"/>', '<origin xyz="0 0 1e200"/>'), "joint shoulder: origin xyz must be from -1e+06 to 1e+06, got 1e+200"),
@@ -144,38 +121,6 @@ def test_bad_urdfs_are_refused(
     assert printed.count("\n") == 1
 
 
-def test_massless_links_are_frames_but_cannot_be_moved_alone(tmp_path: Path) -> None:
-    file = copy_scene(tmp_path)
-    start = URDF.index("<inertial>", URDF.index('<link name="forearm">'))
-    end = URDF.index("</inertial>", start) + len("</inertial>")
-    (tmp_path / "urdf" / "three_axis.urdf").write_text(URDF[:start] + URDF[end:])
-    with pytest.raises(
-        Refusal, match=r"mass moved by joint elbow \(links forearm, tool\) must be > 0 kg, got 0"
-    ):
-        load_scene(file)
-    with pytest.raises(Refusal, match=r"inertia about the axis moved by joint elbow"):
-        load_scene(file, overrides={"payload": {"mass": 1.0}, "tool": "forearm"})
-    load_scene(file, overrides={"payload": {"mass": 1.0}})
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("a: [", "file must be well-formed YAML"),
-        ("a: 1\na: 2\n", "key 'a' is given twice"),
-        ("- a\n", "file must be a mapping of keys to values, got list"),
-        ("\x00", "file must be well-formed YAML"),
-    ],
-)
-def test_bad_files_are_refused(
-    tmp_path: Path, text: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "scene.yaml"
-    file.write_text(text)
-    code, printed = exit_of(["check-scene", str(file)], capsys)
-    assert code == 2 and words in printed and printed.count("\n") == 1
-
-
 def test_unknown_scene_names_those_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
     code, printed = exit_of(["check-scene", "four_axis"], capsys)
     assert code == 2 and "file four_axis must exist" in printed and "three_axis" in printed
@@ -209,25 +154,6 @@ def test_three_axis_is_the_papers_arm() -> None:
         assert moments == pytest.approx([mass * 0.05**2 / 2, across, across], rel=1e-12)
 
 
-def test_parts_that_a_scene_omits_do_not_exist() -> None:
-    bare = {"joints.*.gear.stiffness": None, "joints.*.gear.damping": None}
-    scene = load_scene(
-        "three_axis",
-        overrides={**bare, "joints.*.motor.inductance": None, "joints.*.friction": None},
-    )
-    for joint in scene.joints:
-        assert joint.gear.stiffness is None and joint.friction.viscous == 0.0
-        assert isinstance(joint.motor, DcMotor) and joint.motor.inductance == 0.0
-
-
-def test_floats_may_be_written_without_a_dot(tmp_path: Path) -> None:
-    """YAML 1.1 takes 1e-4 for a text; people do not."""
-    file = copy_scene(tmp_path)
-    file.write_text(SCENE.replace("dt: 1.0e-3", "dt: 1e-4"))
-    assert load_scene(file).integrator.dt == 1e-4
-    assert yaml.safe_load("dt: 1e-4") == {"dt": "1e-4"}  # what the test guards against
-
-
 def test_overrides_reach_one_joint_or_all() -> None:
     scene = load_scene("three_axis", overrides={"joints.elbow.start": 0.1})
     assert [joint.start for joint in scene.joints] == [0.0, 0.5, 0.1]
@@ -244,13 +170,6 @@ def test_a_step_of_few_digits_divides_the_period_all_the_same() -> None:
     assert scene.integrator.dt == 1e-3 / 3.0, "step [s]"
     for dt in (1e-4, 2.5e-5, 1.25e-4, 2e-5):
         assert load_scene("three_axis", overrides={"integrator.dt": dt}).integrator.dt == dt
-
-
-@pytest.mark.parametrize("period", [1.0000003e-3, 0.0333333333, 0.999999999999])
-def test_periods_that_are_no_whole_nanoseconds_are_refused(period: float) -> None:
-    overrides = {"servo_period": period, "integrator.dt": period}
-    with pytest.raises(Refusal, match="servo_period must be a whole number of nanoseconds"):
-        load_scene("three_axis", overrides=overrides)
 
 
 TREE = """<robot name="tree"><link name="base"/><link name="a"/><link name="b"/><link name="f"/>

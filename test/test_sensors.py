@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import CONFIG, GRAVITY, MOTOR, one_link_urdf, write_scene
+from machines import CONFIG
 from scipy import stats
 from sensed_machine import (
     AXES,
@@ -24,11 +24,10 @@ from sensed_machine import (
     rows,
     set_all,
     truth,
-    urdf,
     write,
 )
 
-from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene, load_servo_config
+from arm_emulator import Plant, Refusal, Scene, load_scene, load_servo_config
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.design.tuned import run
 from arm_emulator.machine.plant.core_calls import ARM
@@ -136,16 +135,17 @@ def test_gain_offset_range_and_resolution_are_as_the_equation_states(
     assert np.abs(y).max() <= limit + 0.5 * res, "limited"
 
 
-def test_a_drift_grows_with_time_and_ends_with_a_reset(tmp_path: Path) -> None:
-    joint = {"motor": MOTOR, "gear": {"ratio": 0.02}, "current_sensor": {"drift": 0.5}}
-    plant = Plant(load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint})))
+def test_a_drift_grows_with_time_and_ends_with_a_reset(scene: Scene) -> None:
+    plant = Plant(scene)
+    set_all(plant, {"joints.turn.current_sensor.drift": 0.5})
     for _ in range(2):
-        assert plant.measured.current == plant.state.current, "nothing has drifted at the start"
-        for _ in range(20):
-            plant.exchange([3.0])
-            off = plant.measured.current - plant.state.current
-            assert off == pytest.approx(0.5 * plant.t, rel=1e-9), "A in so many seconds"
         plant.reset()
+        assert plant.measured.current[0] == plant.state.current[0], "none at the start"
+        for _ in range(20):
+            plant.exchange([3.0, 0.0, 0.0])
+            off = plant.measured.current[0] - plant.state.current[0]
+            # A in so many seconds; the sensor rounds to 1e-12 A.
+            assert off == pytest.approx(0.5 * plant.t, rel=1e-9, abs=1e-12)
 
 
 def test_readings_of_a_unit_are_lost_independently_of_each_other(scene: Scene) -> None:
@@ -162,26 +162,6 @@ def test_readings_of_a_unit_are_lost_independently_of_each_other(scene: Scene) -
     assert np.abs(together).max() < 5.0 / math.sqrt(len(held)), (
         "five deviations, of independent ones"
     )
-
-
-def test_a_machine_that_diverged_is_measured_where_it_stays(tmp_path: Path) -> None:
-    joint = {"motor": MOTOR, "encoder": {"counts_per_turn": 1000, "index": "latch"}}
-    joint["gear"] = {"ratio": 0.02, "stiffness": 1e9}  # which this scheme does not follow
-    urdf_text = urdf()
-    joints = {name: joint for name in ("turn", "slide", "hand")}
-    scene = load_scene(
-        write_scene(
-            tmp_path, urdf_text, joints, integrator={"scheme": "paper", "dt": 1e-3}, gravity=GRAVITY
-        )
-    )
-    plant = Plant(scene)
-    with pytest.raises(Diverged):
-        for _ in range(10_000):
-            plant.exchange(np.array([40.0, -40.0, 40.0]))
-    x, measured = plant.state, plant.measured
-    shown = np.floor(x.theta_m * 1000 / TURN)
-    np.testing.assert_array_equal(measured.encoder_counts, shown, "at the last sound state")
-    np.testing.assert_array_equal(measured.current, x.current, "at the last sound state")
 
 
 def test_without_sensors_the_core_has_none(scene: Scene, tmp_path: Path) -> None:
@@ -272,37 +252,17 @@ def test_a_delay_is_dead_time_of_the_loop() -> None:
 
 BAD: list[tuple[dict[str, Any], str]] = [
     ({"joints.turn.encoder.kind": "optical"}, "turn.encoder.kind must be one of the known, got 'optical'; valid: incremental, absolute"),
-    ({"joints.turn.encoder.counts_per_turn": 0}, "turn.encoder.counts_per_turn must be a whole number from 1 to"),
     ({"joints.turn.encoder.index": "once"}, "turn.encoder.index must be one of the known, got 'once'; valid: none, latch, correct"),
     ({"joints.turn.encoder.bits": 12}, "turn.encoder.bits must belong to an encoder of kind absolute, got incremental"),
     ({"joints.hand.encoder.bits": None}, "hand.encoder.bits must be a whole number from 10 to 48, got nothing"),
     ({"joints.hand.encoder.bits": 9}, "hand.encoder.bits must be a whole number from 10 to 48, got 9"),
-    ({"joints.hand.encoder.bits": 49}, "hand.encoder.bits must be a whole number from 10 to 48, got 49"),
     ({"joints.hand.encoder.index": "latch"}, "hand.encoder.index must be left out of an encoder of kind absolute, got 'latch'"),
     ({"joints.turn.encoder.delay": 0.5}, "turn.encoder.delay must be a whole number from 0 to 100 servo periods, got 0.5"),
-    ({"joints.turn.encoder.delay": 101}, "turn.encoder.delay must be a whole number from 0 to 100 servo periods, got 101"),
-    ({"joints.turn.encoder.delay": -1}, "turn.encoder.delay must be a whole number from 0 to 100 servo periods, got -1"),
-    ({"joints.turn.encoder.offset": 2e4}, "turn.encoder.offset must be a number from -10000 to 10000 rad, got 20000"),
-    ({"joints.turn.encoder.eccentricity": -0.1}, "turn.encoder.eccentricity must be a number from 0 to 1 rad, got -0.1"),
     ({"joints.turn.encoder.eccentricity": None}, "turn.encoder.eccentricity_phase must come with a key eccentricity, got alone"),
-    ({"joints.turn.encoder.eccentricity_phase": -2e4}, "turn.encoder.eccentricity_phase must be a number from -10000 to 10000 rad, got -20000"),
-    ({"joints.turn.encoder.ripple": 1.5}, "turn.encoder.ripple must be a number from 0 to 1 rad, got 1.5"),
     ({"joints.turn.encoder.ripple": None}, "turn.encoder.ripple_order must come with a key ripple, got alone"),
-    ({"joints.turn.encoder.ripple_order": 0}, "turn.encoder.ripple_order must be a whole number from 1 to 1000000, got 0"),
-    ({"joints.turn.encoder.ripple_phase": "up"}, "turn.encoder.ripple_phase must be a number from -10000 to 10000 rad, got 'up'"),
-    ({"joints.turn.encoder.noise": -1e-3}, "turn.encoder.noise must be a number from 0 to 1 rad, got -0.001"),
-    ({"joints.turn.encoder.missed": 0.6}, "turn.encoder.missed must be a number from 0 to 0.5, got 0.6"),
     ({"joints.turn.encoder.colour": 1}, "key joints.turn.encoder.colour must be known, got 'colour'; valid: bits, counts_per_turn, delay"),
     ({"joints.turn.link_encoder.bits": 3}, "turn.link_encoder.bits must be a whole number from 12 to 48, got 3"),
     ({"joints.turn.link_encoder": 3}, "turn.link_encoder must be a section of keys and values, got 3"),
-    ({"joints.turn.current_sensor.gain_error": 2}, "turn.current_sensor.gain_error must be a number from -1 to 1, got 2"),
-    ({"joints.turn.current_sensor.offset": 1e7}, "turn.current_sensor.offset must be a number from -1e+06 to 1e+06 A, got 10000000"),
-    ({"joints.turn.current_sensor.noise": -1}, "turn.current_sensor.noise must be a number from 0 to 1e+06 A, got -1"),
-    ({"joints.turn.current_sensor.range": 0}, "turn.current_sensor.range must be a number > 0 A, got 0"),
-    ({"joints.turn.current_sensor.resolution": 0}, "turn.current_sensor.resolution must be a number > 0 A, got 0"),
-    ({"joints.turn.current_sensor.delay": 1e3}, "turn.current_sensor.delay must be a whole number from 0 to 100 servo periods, got 1000"),
-    ({"joints.slide.torque_sensor.noise": "loud"}, "slide.torque_sensor.noise must be a number from 0 to 1e+06 N m, got 'loud'"),
-    ({"joints.slide.torque_sensor.range": -1}, "slide.torque_sensor.range must be a number > 0 N m, got -1"),
     ({"joints.slide.motor": None, "joints.slide.gear": None}, "slide.encoder must belong to a joint with a motor, got no motor section"),
     ({"joints.slide.motor": None, "joints.slide.gear": None, "joints.slide.encoder": None}, "slide.torque_sensor must belong to a joint with a motor"),
     ({"joints.turn.motor": None, "joints.turn.gear": None, "joints.turn.encoder": None}, "turn.current_sensor must belong to a joint with a motor"),
@@ -311,14 +271,10 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"imus.at_hand.link": "base"}, "imus.at_hand.link must be a link that a joint moves, got base; valid: turn_link, slide_link, hand_link, tip_link"),
     ({"imus.at_hand.xyz": [0, 0]}, "imus.at_hand.xyz must be 3 numbers within +-100 m, got [0, 0]"),
     ({"imus.at_hand.rpy": [0, 0, 1e3]}, "imus.at_hand.rpy must be 3 numbers within +-100 rad"),
-    ({"imus.at_hand.delay": -1}, "imus.at_hand.delay must be a whole number from 0 to 100 servo periods, got -1"),
-    ({"imus.at_hand.accelerometer.noise": -1}, "imus.at_hand.accelerometer.noise must be a number from 0 to 1e+06 m/s2, got -1"),
     ({"imus.at_hand.accelerometer.offset": 1}, "key imus.at_hand.accelerometer.offset must be known, got 'offset'; valid: bias_x"),
-    ({"imus.at_hand.gyroscope.bias_x": "up"}, "imus.at_hand.gyroscope.bias_x must be a number from -1e+06 to 1e+06 rad/s, got 'up'"),
     ({"imus.at_hand.gyroscope.range": 0}, "imus.at_hand.gyroscope.range must be a number > 0 rad/s, got 0"),
     ({"imus.at_hand.colour": 1}, "key imus.at_hand.colour must be known, got 'colour'"),
     ({"seed": -1}, "seed must be a whole number from 0 to 9007199254740992, got -1"),
-    ({"seed": 0.5}, "seed must be a whole number from 0 to"),
     ({"varied": ["joints.hand.current_sensor.noise"]}, "varied must name numbers of this scene that can be varied, got joints.hand.current_sensor.noise"),
 ]  # fmt: skip
 

@@ -53,15 +53,9 @@ def test_inductance_and_current_limit_may_be_left_out() -> None:
     ("path", "value", "words"),
     [
         ("period", 0.0, "period must be a number > 0 s, got 0.0"),
-        ("period", "fast", "period must be a number > 0 s, got 'fast'"),
-        ("period", True, "period must be a number > 0 s, got True"),
-        ("period", math.nan, "period must be a number > 0 s, got nan"),
         ("period", None, "period must be given"),
-        ("motion_period", -0.05, "motion_period must be a number >= 0 s"),
         ("motion_period", 0.0505, "motion_period must be a whole multiple of period"),
-        ("hold_after", 0.0, "hold_after must be a number > 0 s"),
         ("cut_after", 0.2, "cut_after must be > hold_after"),
-        ("supply_voltage", math.inf, "supply_voltage must be a number from 1e-15 to 1e+15 V"),
         ("gravity", 9.81, "gravity must be a known key, got an unknown one; valid: period"),
         ("joint_names", [], "joint_names must be a list of different joint names"),
         ("joint_names", ["joint", "joint"], "joint_names must be a list of different joint"),
@@ -69,17 +63,7 @@ def test_inductance_and_current_limit_may_be_left_out() -> None:
         ("joint_names", ["joint", "more"], "joints.more must be given"),
         ("joints", 3, "joints must be a mapping"),
         ("joints.joint", 3, "joints.joint must be a mapping"),
-        (
-            "joints.joint.gear_ratio",
-            0,
-            "joints.joint.gear_ratio must be a number other than 0, got 0",
-        ),
-        ("joints.joint.counts_per_turn", 10.5, "counts_per_turn must be a whole number >= 1"),
-        ("joints.joint.counts_per_turn", 0, "counts_per_turn must be a whole number >= 1"),
-        ("joints.joint.resistance", -1.0, "resistance must be a number >= 0 ohm"),
-        ("joints.joint.inductance", -1e-3, "inductance must be a number >= 0 H"),
         ("joints.joint.torque_constant", None, "joints.joint.torque_constant must be given"),
-        ("joints.joint.current_limit", 0.0, "current_limit must be a number > 0 A"),
         ("joints.joint.stiffness", 1e4, "joints.joint.stiffness must be a known key"),
         ("joints.joint.observer_bandwidth", 2000.0, "observer_bandwidth must be <= 1/period"),
         ("joints.joint.position_gain", 2000.0, "position_gain must be <= 1/period"),
@@ -114,9 +98,7 @@ def test_parameters_that_are_no_mapping_or_given_twice_are_refused() -> None:
     ("text", "words"),
     [
         (None, "servo.yaml must exist, got no such file"),
-        ("a: [", "file must be well-formed YAML"),
         ("other: {ros__parameters: {}}", "hold the parameters of the node servo, got other"),
-        ("- 1", "file must be a mapping of keys to values"),
         ("servo: 1", "hold the parameters of the node servo, got servo; valid: servo: ros__para"),
     ],
 )
@@ -126,14 +108,6 @@ def test_bad_parameter_files_are_refused(tmp_path: Path, text: str | None, words
         file.write_text(text)
     with pytest.raises(Refusal, match=words):
         load_servo_config(file)
-
-
-def test_parameter_file_may_write_numbers_as_ros_takes_them(tmp_path: Path) -> None:
-    """PyYAML alone reads 1e-3 as a text; ROS reads a number."""
-    file = tmp_path / "servo.yaml"
-    text = yaml.safe_dump({"/**": {"ros__parameters": parameters()}})
-    file.write_text(text.replace("period: 0.001", "period: 1e-3"))
-    assert load_servo_config(file).period == 1e-3
 
 
 @pytest.mark.parametrize("node", ["servo", "/servo", "/**/servo", "/**"])

@@ -30,26 +30,6 @@ def test_lockstep_leaves_a_tick_only_with_its_answer() -> None:
     assert np.array_equal(one.measured.applied, [1.0, 2.0, 3.0])
 
 
-def test_first_answer_may_come_late_and_ends_the_free_run() -> None:
-    one = session()
-    for _ in range(5):
-        one.advance()
-    one.offer(2, NAMES, ZERO)
-    assert one.tick == 5 and one.phase is Phase.WAITING
-    with pytest.raises(Refusal, match=r"tick must be at least 5, got 4 \(stale\)"):
-        one.offer(4, NAMES, ZERO)
-    one.offer(5, NAMES, ZERO)
-    assert one.may_advance
-
-
-def test_free_run_is_at_zero_voltage() -> None:
-    one, reference = session(), session()
-    for _ in range(20):
-        one.advance()
-    reference.plant.advance(ZERO, 20 * reference.scene.steps_per_period)
-    assert np.array_equal(one.state.q, reference.plant.state.q)
-
-
 def test_start_on_first_answer_and_paused_stand_still() -> None:
     one = session(start="first_answer")
     assert one.phase is Phase.WAITING and not one.may_advance
@@ -60,21 +40,6 @@ def test_start_on_first_answer_and_paused_stand_still() -> None:
     assert one.phase is Phase.PAUSED and not one.may_advance
     one.paused = False
     assert one.phase is Phase.RUNNING
-
-
-def test_real_time_holds_the_newest_command() -> None:
-    one = session("realtime")
-    one.offer(0, NAMES, [1.0, 1.0, 1.0])
-    for _ in range(3):
-        one.advance()
-    assert one.phase is Phase.RUNNING and one.may_advance
-    one.offer(2, NAMES, [2.0, 2.0, 2.0])
-    with pytest.raises(Refusal, match=r"tick must be at least 2, got 1 \(stale\)"):
-        one.offer(1, NAMES, [9.0, 9.0, 9.0])
-    with pytest.raises(Refusal, match=r"tick must be at most 3, got 4 \(future\)"):
-        one.offer(4, NAMES, [9.0, 9.0, 9.0])
-    one.advance()
-    assert np.array_equal(one.measured.applied, [2.0, 2.0, 2.0])
 
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
@@ -110,80 +75,17 @@ def test_bad_commands_change_nothing(
     assert np.array_equal(one.measured.applied, [4.0, 5.0, 6.0])
 
 
-def test_the_same_answer_again_is_needless_and_another_one_is_stale() -> None:
+def test_an_answer_is_the_same_if_its_bits_are_whatever_the_order_of_joints() -> None:
+    """Repeats and answers of another tick: the random offers below."""
     one = session()
-    turned = ["elbow", "waist", "shoulder"]
     one.offer(0, NAMES, [1.0, 2.0, 3.0])
-    for _ in range(2):
-        with pytest.raises(
-            DuplicateCommand, match=r"tick must be answered once, got 0 \(repeated\)"
-        ):
-            one.offer(0, turned, [3.0, 1.0, 2.0])
+    with pytest.raises(DuplicateCommand, match=r"tick must be answered once, got 0 \(repeated\)"):
+        one.offer(0, ["elbow", "waist", "shoulder"], [3.0, 1.0, 2.0])
     one.advance()
-    one.offer(1, NAMES, [1.5, 2.0, 3.0])
-    with pytest.raises(DuplicateCommand, match=r"tick must be at least 1, got 0 \(repeated\)"):
-        one.offer(0, NAMES, [1.0, 2.0, 3.0])  # another servo's, while tick 1 is answered
-    for other in ([1.0, 2.0, 3.0000000000000004], [1.5, 2.0, 3.0]):
-        with pytest.raises(Refusal, match=r"\(stale\)") as refusal:
-            one.offer(0, NAMES, other)
-        assert not isinstance(refusal.value, DuplicateCommand)
-    one.advance()
-    assert np.array_equal(one.measured.applied, [1.5, 2.0, 3.0])
-    # Another answer to a tick that is not left yet is taken.
-    one.offer(2, NAMES, [0.0, 0.0, 1.0])
-    one.offer(2, NAMES, [0.0, 0.0, 2.0])
-    one.advance()
-    assert np.array_equal(one.measured.applied, [0.0, 0.0, 2.0])
-
-
-def test_repeated_commands_in_real_time() -> None:
-    one = session("realtime")
-    one.offer(0, NAMES, [1.0, 1.0, 1.0])
-    one.advance()
-    with pytest.raises(DuplicateCommand):
-        one.offer(0, NAMES, [1.0, 1.0, 1.0])
-    one.offer(0, NAMES, [2.0, 1.0, 1.0])
-    one.advance()
-    assert np.array_equal(one.measured.applied, [2.0, 1.0, 1.0])
-
-
-def test_an_answer_to_the_run_before_a_reset_is_needless_until_the_new_one_is_answered() -> None:
-    one = session(start="first_answer")
-    for tick in range(3):
-        one.offer(tick, NAMES, ZERO)
-        one.advance()
-    one.reset()
-    with pytest.raises(
-        DuplicateCommand, match=r"tick must be at most 0, got 3 \(before the reset\)"
-    ):
-        one.offer(3, NAMES, ZERO)
-    assert one.phase is Phase.WAITING and one.tick == 0
-    with pytest.raises(Refusal, match=r"got 4 \(future\)"):
-        one.offer(4, NAMES, ZERO)
-    one.offer(0, NAMES, ZERO)
-    with pytest.raises(Refusal, match=r"got 3 \(future\)"):
-        one.offer(3, NAMES, ZERO)
-
-
-def test_joints_are_matched_by_name() -> None:
-    one, other = session(), session()
-    one.offer(0, NAMES, [1.0, 2.0, 3.0])
-    other.offer(0, ["elbow", "waist", "shoulder"], [3.0, 1.0, 2.0])
-    one.advance()
-    other.advance()
-    assert np.array_equal(one.measured.applied, other.measured.applied)
-
-
-def test_without_power_the_motors_are_at_zero_volts() -> None:
-    one = session()
-    one.powered = False
-    one.offer(0, NAMES, [10.0, 10.0, 10.0])
-    one.advance()
-    assert np.array_equal(one.measured.applied, ZERO)
-    one.powered = True
-    one.offer(1, NAMES, [10.0, 10.0, 10.0])
-    one.advance()
-    assert np.array_equal(one.measured.applied, [10.0, 10.0, 10.0])
+    assert np.array_equal(one.measured.applied, [1.0, 2.0, 3.0])
+    with pytest.raises(Refusal, match=r"\(stale\)") as refusal:
+        one.offer(0, NAMES, [1.0, 2.0, 3.0000000000000004])
+    assert not isinstance(refusal.value, DuplicateCommand)
 
 
 def test_step_moves_a_paused_session_by_one_tick() -> None:

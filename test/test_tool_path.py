@@ -35,10 +35,6 @@ def random_pose(rng: np.random.Generator, size: float = 0.5) -> Pose:
     return pose(rng.normal(size=3) * size, rng.normal(size=3))
 
 
-def angle(a: Pose, b: Pose) -> float:
-    return float(np.linalg.norm(pin.log3(a.R_WT @ b.R_WT.T)))
-
-
 # Curves
 
 
@@ -79,12 +75,6 @@ def test_three_poses_on_a_circle_are_an_arc_of_it(seed: int) -> None:
     parts = rng.uniform(0.0, 1.0, 20)
     wanted = [on(part * whole) for part in parts]
     np.testing.assert_allclose(curve.poses(parts * curve.ends[-1]).p, wanted, atol=1e-7 * radius)
-
-
-def test_two_arcs_are_a_full_circle() -> None:
-    circle = [pose([0.1 * math.cos(t), 0.1 * math.sin(t), 0.5]) for t in np.arange(5) * np.pi / 2]
-    curve = ToolCurve(circle, 0.25, arcs=True)
-    assert curve.ends[-1] == pytest.approx(0.2 * np.pi) and curve.kinks().max() < 1e-6
 
 
 @pytest.mark.parametrize("seed", range(8))

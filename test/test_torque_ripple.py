@@ -46,14 +46,17 @@ def test_a_constant_torque_does_the_work_of_its_waves(
     assert errors[1] < 1e-3 and errors[1] < 0.3 * errors[0], f"{errors}"
 
 
-def test_ripple_that_turns_the_torque_about_is_refused() -> None:
-    waves = {"joints.elbow.motor.ripple": {"waves": [[6.0, 0.5], [12.0, -0.6]]}}
-    words = r"ripple\.waves must have amplitudes that sum up to at most 0\.9, got 1\.1"
-    with pytest.raises(Refusal, match=words):
-        load_scene("three_axis", waves)
-
-
-def test_ripple_without_an_inductance_is_refused() -> None:
-    ripple = {"joints.elbow.motor.ripple": {"waves": [[6.0, 0.1]]}}
-    with pytest.raises(Refusal, match=r"elbow\.motor\.ripple must come with an inductance"):
-        load_scene("three_axis", {**ripple, "joints.elbow.motor.inductance": None})
+@pytest.mark.parametrize(
+    ("waves", "inductance", "rule"),
+    [
+        ([[6.0, 0.5], [12.0, -0.6]], {},
+         r"ripple\.waves must have amplitudes that sum up to at most 0\.9, got 1\.1"),
+        ([[6.0, 0.1]], {"joints.elbow.motor.inductance": None},
+         "ripple must come with an inductance"),
+    ],
+)  # fmt: skip
+def test_impossible_ripple_is_refused(
+    waves: list[list[float]], inductance: dict[str, None], rule: str
+) -> None:
+    with pytest.raises(Refusal, match=rf"elbow\.motor\.{rule}"):
+        load_scene("three_axis", {"joints.elbow.motor.ripple": {"waves": waves}, **inductance})

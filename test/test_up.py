@@ -175,6 +175,7 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
                 user.wait(f"time of {name}", lambda n=name: 0 < user.stamps[n] < 10**6 * 10**9)
             weight = Parameters(user).get("motion_controller", "weight")
             assert weight == 0.125, "the weight of the file"
+            user.wait("the run", lambda: user.tick >= 120)
             launcher.send_signal(signal.SIGINT)
             _, complaint = launcher.communicate(timeout=PATIENCE)
             assert launcher.returncode == 0, complaint

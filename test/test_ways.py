@@ -20,7 +20,6 @@ from arm_emulator.motion.model.joint_reference import PlanningError
 from arm_emulator.motion.planner.target_planner import LOST, TargetPlanner
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.tool_line import joints_along
-from arm_emulator.runs.offline import load_offline_run
 
 THREE_AXIS = (config_folder() / "urdf" / "three_axis.urdf").read_text()
 NAMES = ("waist", "shoulder", "elbow")
@@ -285,25 +284,6 @@ def test_beyond_reach_the_nearest_point_is_reported_and_the_way_back_keeps_the_e
     assert min(elbows) > -1e-3, "the elbow went through"  # rad: straight, and no farther
 
 
-@needs_robots
-@pytest.mark.parametrize("scene", ["ur5", "panda"])
-def test_robots_come_back_from_one_metre_beyond_reach_as_they_were(scene: str) -> None:
-    loaded = load_scene(scene)
-    arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
-    start = loaded.start
-    rng = np.random.default_rng(4)
-    for _ in some(range(3), 2):
-        home = pose_of(arm, start)
-        direction = home.p_WT + 0.3 * rng.normal(size=3)
-        far = Pose(direction / np.linalg.norm(direction) * (arm.reach + 1.0), home.R_WT)
-        controller = law_of(arm, PERIOD)
-        controller.begin(start)
-        q = run(controller, start, far, 3.0)
-        assert "unreachable" in controller.notices[-1]
-        q = run(controller, q, home, 5.0)
-        assert np.abs(q - start).max() < 1e-4, "another configuration"
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_stretched_arm_gets_away(seed: int) -> None:
     """Exactly singular, and the target on the line that no joint moves the tool along."""
@@ -432,30 +412,3 @@ def test_a_joint_at_its_limit_goes_a_turn_back() -> None:
         controller.begin(start)
         q = run(controller, start, pose_of(arm, end), 8.0)
         assert np.linalg.norm(arm.tool_error(q, pose_of(arm, end))) < 1e-6, f"{start} {end}"
-
-
-# On the machine
-
-
-@needs_robots
-def test_targets_at_200_hz_and_reversals_move_the_machine_within_its_limits() -> None:
-    one = load_offline_run("ur5")
-    kinematics, session = one.controller.kinematics, one.session
-    home = pose_of(kinematics, session.scene.start)
-    rng = np.random.default_rng(9)
-    one.advance(1000)
-    aside = np.zeros(3)
-    peak = np.zeros(6)
-    for k in range(400):
-        if k % 60 == 0:
-            aside = rng.normal(size=3) * 0.1
-        one.instructor.add(
-            session.logical_ns, Pose(home.p_WT + aside * (-1) ** (k // 30), home.R_WT)
-        )
-        one.advance(5)
-        peak = np.maximum(peak, np.abs(session.state.v))
-    one.instructor.add(session.logical_ns, home)
-    one.advance(2000)
-    assert (peak < kinematics.velocity_limit).all(), "faster than the description allows"
-    # The gears' wind-up under the arm's weight: 0.75 mm.
-    assert np.linalg.norm(kinematics.tool_error(session.state.q, home)[:3]) < 1e-3
