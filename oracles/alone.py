@@ -112,7 +112,7 @@ def commands(scene: Scene, seed: int) -> Array:
 def truth_of(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
     """Return the reference's positions after each row."""
     dt = PERIOD / STEPS[0]  # that brakes follow in whole steps of
-    wanted = [BRAKED.start <= k < BRAKED.stop for k in range(len(rows))]
+    braked = [BRAKED.start <= k < BRAKED.stop for k in range(len(rows))]
     changes: dict[int, list[tuple[float, bool]]] = {}
     for j, joint in enumerate(scene.joints):
         if joint.brake is None:
@@ -123,7 +123,7 @@ def truth_of(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
         ]
         if changes[j][0][0] > BRAKED.stop * PERIOD - 0.5 * dt:
             changes[j] = []  # wanted no more before it has closed
-    assert any(wanted)
+    assert any(braked)
     instants = sorted({round(t / dt) for own in changes.values() for t, _ in own})
     pieces, ends = [], []
     per_row = round(PERIOD / dt)

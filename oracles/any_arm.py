@@ -114,12 +114,12 @@ class Outcome:
 
 def arms() -> dict[str, Path | str]:
     """Return all arms by name: the file of a description, or the name of one of ours."""
-    found: dict[str, Path | str] = {f"own: {name}": name for name in OWN}
+    robots: dict[str, Path | str] = {f"own: {name}": name for name in OWN}
     shipped = example_robot_data()
     for file in sorted(shipped.rglob("*.urdf")) if shipped is not None else ():
         if shipped and not file.relative_to(shipped).parts[0].startswith(NO_ARMS):
-            found[file.stem] = file
-    return found
+            robots[file.stem] = file
+    return robots
 
 
 def examine(name: str, robot: Path | str, count: int) -> Outcome:
@@ -174,11 +174,11 @@ def reachable(
     high = np.maximum(high, low + 1e-6)  # a joint may have a range of nothing
     for _ in range(2000):
         q = low + (high - low) * (0.05 + 0.9 * rng.random(len(low)))
-        way = rng.normal(size=len(low)) * (high - low)
+        direction = rng.normal(size=len(low)) * (high - low)
         start = kinematics.forward(q)[1]
         ahead = 0.0
         for part in np.linspace(0.0, 0.5, 101)[1:]:
-            at = q + part * way / np.abs(way / (high - low)).max()
+            at = q + part * direction / np.abs(direction / (high - low)).max()
             inside = (at > low + 0.02 * (high - low)) & (at < high - 0.02 * (high - low))
             if not inside.all() or kinematics.singular_values(at)[-1] < NEAREST_SINGULAR:
                 break

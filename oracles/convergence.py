@@ -33,11 +33,11 @@ def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: i
     steps = np.asarray(step_response, dtype=float)
     parts = np.zeros(max(instructions, len(steps)))
     parts[: len(steps)] = np.diff(steps, prepend=0.0)
-    given = np.zeros(instructions)
+    targets = np.zeros(instructions)
     errors = np.ones(instructions + 1)
     for k in range(instructions):
-        given[k] = 1.0 - (1.0 - weight) * errors[k]
-        errors[k + 1] = 1.0 - parts[: k + 1] @ given[k::-1]
+        targets[k] = 1.0 - (1.0 - weight) * errors[k]
+        errors[k + 1] = 1.0 - parts[: k + 1] @ targets[k::-1]
     return errors[1:]
 
 

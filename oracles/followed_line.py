@@ -142,7 +142,7 @@ def follow(
     run.instructor.add_path(run.controller, ends)
     times: list[float] = []
     places: list[float] = []
-    deviations, references, wound = [], [], []
+    deviations, references, wind_ups = [], [], []
     latest, rests = round(PATIENCE / motion.period), round(REST / motion.period)
     frame = np.linalg.qr(np.column_stack([along, np.eye(3)]))[0]
     frame[:, 0] = along
@@ -151,11 +151,11 @@ def follow(
         times.append(run.session.logical_ns * 1e-9)
         run.advance(run.motion_ticks)
         references.append(_reference(run))
-        wound.append(run.wind_up)
+        wind_ups.append(run.wind_up)
         reference = kinematics.forward(references[-1])[1]
         places.append(float((reference - start) @ along))
         deviations.append((tool - reference) @ frame)
-    ahead = np.array(wound) - _wind_up(scene, np.array(references), motion.period)
+    ahead = np.array(wind_ups) - _wind_up(scene, np.array(references), motion.period)
     astray = [
         np.linalg.norm(kinematics.forward(q + off)[1] - kinematics.forward(q)[1])
         for q, off in zip(references, ahead, strict=True)
@@ -170,10 +170,10 @@ def _at_end(places: list[float], line: Line) -> bool:
 
 def _wind_up(scene: Scene, q: Array, period: float) -> Array:
     """Return by how much the scene's own gears are wound up along a motion of the links (K, N)."""
-    known = known_drives(scene.joints)
+    drives = known_drives(scene.joints)
     arm = ElasticArm(
         LinkTorques(scene.urdf, scene.joint_names, scene.gravity or (0.0, 0.0, 0.0)),
-        [known[name] for name in scene.joint_names],
+        [drives[name] for name in scene.joint_names],
         np.full(len(scene.joints), np.inf),
     )
     v = np.gradient(q, period, axis=0)
@@ -185,8 +185,8 @@ def _wind_up(scene: Scene, q: Array, period: float) -> Array:
 
 def _reference(run: OfflineRun) -> Array:
     """Return the angles of the links that the servo was asked for last (N,)."""
-    asked: Array = run.drives.servo.state["q_target"] - run.wind_up
-    return asked
+    target: Array = run.drives.servo.state["q_target"] - run.wind_up
+    return target
 
 
 def _scaled(urdf: str, part: float) -> str:

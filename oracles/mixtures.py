@@ -124,10 +124,10 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
 def fits(kind: type[DriveStage], motor: Numbers) -> bool:
     """Return whether a decorator goes around a motor."""
     joint = Section({"motor": motor}, "mixture")
-    drawn = kind.drawn(np.random.default_rng(0))
+    section = kind.drawn(np.random.default_rng(0))
     try:
         bare = read_motor(Section(motor, "mixture"))
-        kind.read(Section(drawn, "mixture")).check_motor(bare, joint)
+        kind.read(Section(section, "mixture")).check_motor(bare, joint)
     except Refusal:
         return False
     return True
@@ -161,9 +161,9 @@ def drawn_alone(part: type[Part], seed: int) -> Numbers:
     elif issubclass(part, Gear):
         joint["gear"] = part.drawn(rng)
     else:
-        drawn, place = part.drawn(rng), place_of(joint, part)
+        section, place = part.drawn(rng), place_of(joint, part)
         assert place is not None, "it has a motor and a gear"
-        place[key_of(part)] = drawn
+        place[key_of(part)] = section
     return joint
 
 
@@ -242,14 +242,14 @@ def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarr
     """Return positions after each row, and what is left of the energy, of what was exchanged."""
     plant = Plant(scene)
     push(plant, seed)
-    began, given, exchanged, q = plant.energy, 0.0, 1e-3, []
+    began, supplied, exchanged, q = plant.energy, 0.0, 1e-3, []
     for k, row in enumerate(rows):
         plant.powered = not BRAKED.start <= k < BRAKED.stop  # which brakes follow
         flow = plant.advance_metered(row, steps)
-        given += float((flow.given - flow.dissipated).sum())
+        supplied += float((flow.given - flow.dissipated).sum())
         exchanged += float(np.abs(flow.given).sum() + np.abs(flow.dissipated).sum())
         q.append(plant.state.q)
-    return np.array(q), abs(plant.energy - began - given) / exchanged
+    return np.array(q), abs(plant.energy - began - supplied) / exchanged
 
 
 def judge(seed: int) -> Verdict:

@@ -73,12 +73,14 @@ def serial(name: str, parts: list[Part], base_rpy: str = "0 0 0", tool: str = "t
 
 def _rest(part: Part) -> str:
     words = f'<axis xyz="{part.axis}"/>'
-    given = {"effort": part.effort, "velocity": part.velocity}
+    limits = {"effort": part.effort, "velocity": part.velocity}
     if part.limits is not None:
-        given |= {"lower": part.limits[0], "upper": part.limits[1]}
-    shown = "".join(f' {key}="{value!r}"' for key, value in given.items() if value is not None)
+        limits |= {"lower": part.limits[0], "upper": part.limits[1]}
+    attributes = "".join(
+        f' {key}="{value!r}"' for key, value in limits.items() if value is not None
+    )
     mimic = f'<mimic joint="{part.mimic}"/>' if part.mimic else ""
-    return words + (f"<limit{shown}/>" if shown else "") + mimic
+    return words + (f"<limit{attributes}/>" if attributes else "") + mimic
 
 
 def _words(p: tuple[float, float, float]) -> str:

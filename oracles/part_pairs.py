@@ -118,7 +118,7 @@ def drawn_joint(rng: Rng) -> DrawnJoint:
 def pairs_of(joints: tuple[DrawnJoint, DrawnJoint]) -> set[Pair]:
     """Return the pairs of parts that stand beside or opposite each other."""
     names = [[kind.__name__ for kind in joint.kinds] for joint in joints]
-    beside = (itertools.combinations(of_one, 2) for of_one in names)
+    beside = (itertools.combinations(kinds, 2) for kinds in names)
     return {(True, frozenset(pair)) for pair in itertools.chain(*beside)} | {
         (False, frozenset(pair)) for pair in itertools.product(*names)
     }
@@ -128,8 +128,8 @@ def pairs_of(joints: tuple[DrawnJoint, DrawnJoint]) -> set[Pair]:
 def all_pairs() -> frozenset[Pair]:
     """Return the pairs that machines can have."""
     rng = np.random.default_rng(0)
-    found = (pairs_of((drawn_joint(rng), drawn_joint(rng))) for _ in range(1500))
-    return frozenset(set().union(*found))
+    pairs = (pairs_of((drawn_joint(rng), drawn_joint(rng))) for _ in range(1500))
+    return frozenset(set().union(*pairs))
 
 
 def machines() -> Iterator[tuple[DrawnJoint, DrawnJoint]]:
@@ -137,7 +137,7 @@ def machines() -> Iterator[tuple[DrawnJoint, DrawnJoint]]:
     rng, left = np.random.default_rng(1), set(all_pairs())
     while left:
         some = [(drawn_joint(rng), drawn_joint(rng)) for _ in range(CANDIDATES)]
-        best = max(some, key=lambda one: len(left & pairs_of(one)))
+        best = max(some, key=lambda joints: len(left & pairs_of(joints)))
         left -= pairs_of(best)
         yield best
 
@@ -244,10 +244,12 @@ def judge(
         except Diverged:
             return None
 
-    def verdict(differences: tuple[float, ...], steps: int, halvings: int, least: float) -> Verdict:
+    def verdict(
+        differences: tuple[float, ...], steps: int, halvings: int, order_needed: float
+    ) -> Verdict:
         first, last = differences[0], differences[-1]
         order = math.log2(first / last) / halvings if 0.0 < last <= first < math.inf else 0.0
-        in_order = last < RESOLVED or order >= least
+        in_order = last < RESOLVED or order >= order_needed
         return Verdict(machine, seed, scheme, located, parts, drawn.off, differences, steps, order,
                        in_order)  # fmt: skip
 
@@ -272,5 +274,5 @@ def judge(
     return found
 
 
-def _apart(one: np.ndarray | None, other: np.ndarray | None) -> float:
-    return math.inf if one is None or other is None else float(np.abs(one - other).max())
+def _apart(first: np.ndarray | None, second: np.ndarray | None) -> float:
+    return math.inf if first is None or second is None else float(np.abs(first - second).max())

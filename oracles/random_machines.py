@@ -206,11 +206,11 @@ def _with(file: Path, scheme: str, dt: float) -> Scene:
 def run(scene: Scene, voltages: Array, steps: int) -> tuple[Array, float]:
     """Return the links' positions after each row, and what part of the energy is left over."""
     plant = Plant(scene)
-    before, given, dissipated, exchanged, q = plant.energy, 0.0, 0.0, 0.0, []
+    before, supplied, dissipated, exchanged, q = plant.energy, 0.0, 0.0, 0.0, []
     for row in voltages:
         flow = plant.advance_metered(row, steps)
-        given += float(flow.given.sum())
+        supplied += float(flow.given.sum())
         dissipated += float(flow.dissipated.sum())
         exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
         q.append(plant.state.q)
-    return np.array(q), abs(plant.energy - before - given + dissipated) / exchanged
+    return np.array(q), abs(plant.energy - before - supplied + dissipated) / exchanged

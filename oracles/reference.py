@@ -253,10 +253,10 @@ class ReferenceMachine:
 
     def applied(self, i: Array, wm: Array, integral: Array, u: Array) -> tuple[Array, Array]:
         """Return the voltages at the windings under commands, and the rates of the integrals."""
-        asked = self.P * (u - i) + integral + self.E * wm
-        given = np.clip(asked, -self.supply, self.supply)
-        rate = self.I * (u - i) + self.I / self.P * (given - asked)
-        return np.where(self.looped, given, u), np.where(self.looped, rate, 0.0)
+        requested = self.P * (u - i) + integral + self.E * wm
+        voltage = np.clip(requested, -self.supply, self.supply)
+        rate = self.I * (u - i) + self.I / self.P * (voltage - requested)
+        return np.where(self.looped, voltage, u), np.where(self.looped, rate, 0.0)
 
     def rates(self, t: float, flat: Array, V: Array) -> Array:
         """Return dx/dt, flat."""
@@ -328,9 +328,11 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         body = pin.Inertia(payload["mass"], com, inertia)
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
     moved = sum(link.body.mass for link in scene.chain.links)
-    given = sum(inertia.mass for inertia in list(model.inertias)[1:])
-    if abs(moved - given) > 1e-13 * moved:  # rounding of sums of some hundred masses
-        raise Refusal("reference", "payload", "be the scene's", f"{given - moved:g} kg too much")
+    model_mass = sum(inertia.mass for inertia in list(model.inertias)[1:])
+    if abs(moved - model_mass) > 1e-13 * moved:  # rounding of sums of some hundred masses
+        raise Refusal(
+            "reference", "payload", "be the scene's", f"{model_mass - moved:g} kg too much"
+        )
     return model
 
 

@@ -158,10 +158,10 @@ class SmoothJoint:
             I = loop.integral_gain if loop.integral_gain is not None else rate * R  # noqa: E741
             i, x = z
             error = within(u, motor.current_limit) - i
-            asked = P * error + x + loop.emf_feedforward * emf
-            V = within(asked, self.supply)
+            requested = P * error + x + loop.emf_feedforward * emf
+            V = within(requested, self.supply)
             return motor.torque_constant * i, [
-                (V - R * i - emf) / L, I * error + I / P * (V - asked)
+                (V - R * i - emf) / L, I * error + I / P * (V - requested)
             ]  # fmt: skip
         V = within(u, self.supply)
         if L == 0.0:
@@ -175,8 +175,8 @@ class SmoothJoint:
         gear, w, rate = self.gear, self.Ng * tm - q, self.Ng * wm - v
         K, D = gear.stiffness or 0.0, gear.damping
         if isinstance(gear, BacklashGear):
-            way = -1.0 if w < 0.0 else 1.0
-            return way * push(K, D, way * w - 0.5 * gear.backlash, way * rate)
+            side = -1.0 if w < 0.0 else 1.0
+            return side * push(K, D, side * w - 0.5 * gear.backlash, side * rate)
         cubic = gear.cubic_stiffness if isinstance(gear, ProgressiveGear) else 0.0
         return K * w + cubic * w**3 + D * rate
 

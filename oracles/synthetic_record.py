@@ -38,12 +38,12 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
     N, period = len(scene.joints), scene.servo_period
     ratio = scene.gear_ratios
     t: Array = period * np.arange(round(seconds / period) + 1.0, dtype=np.float64)
-    wanted = _motion(rng, t, scene.start)
-    rate = np.gradient(wanted, period, axis=0)
+    target = _motion(rng, t, scene.start)
+    rate = np.gradient(target, period, axis=0)
     plant = Plant(scene)
     for name, value in (numbers or {}).items():
         plant.set_parameter(name, value)
-    plant.reset(wanted[0], rate[0])
+    plant.reset(target[0], rate[0])
     stiff = _gains(scene)
     q, tau = np.empty((len(t), N)), np.zeros((len(t), N))
     for k in range(len(t)):
@@ -52,7 +52,7 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
                 plant.set_parameter(name, value)
         state = plant.state
         q[k] = state.theta_m * ratio
-        position, speed = wanted[k] - q[k], rate[k] - state.omega_m * ratio
+        position, speed = target[k] - q[k], rate[k] - state.omega_m * ratio
         tau[k] = ratio * (stiff[0] * position + stiff[1] * speed)
         plant.advance(tau[k], scene.steps_per_period)
     # Half of the command before an instant acts around it.

@@ -63,8 +63,8 @@ class Client:
         return bool(self.call(ChangeState, "change_state", request).success)
 
     def set(self, **values: Any) -> str:
-        given = [Parameter(name, value=v).to_parameter_msg() for name, v in values.items()]
-        request = SetParameters.Request(parameters=given)
+        parameters = [Parameter(name, value=v).to_parameter_msg() for name, v in values.items()]
+        request = SetParameters.Request(parameters=parameters)
         (result,) = self.call(SetParameters, "set_parameters", request).results
         return str(result.reason)
 
@@ -103,8 +103,8 @@ def test_a_run_goes_on_after_a_node_was_inactive(tmp_path: Path) -> None:
             if name == "emulator":
                 assert not user.call("emulator/step").success
             assert client.change("activate") and client.state == "active", name
-            stood = user.tick
-            user.wait("the run to go on", lambda: user.tick > stood + 30)
+            stop = user.tick
+            user.wait("the run to go on", lambda: user.tick > stop + 30)
 
         for name in ("servo", "emulator"):
             stands(name, clients[NODES.index(name)])
@@ -132,10 +132,10 @@ def test_every_transition_by_label_and_by_number_and_no_other(tmp_path: Path) ->
             state.id for state in states
         }
         state, by_number = "unconfigured", itertools.cycle((False, True))
-        for way in ("configure", "activate", "deactivate", "cleanup", "configure", "activate",
+        for label in ("configure", "activate", "deactivate", "cleanup", "configure", "activate",
                     "deactivate", "activate", "shutdown"):  # fmt: skip
             answer = emulator.call(GetAvailableTransitions, "get_available_transitions")
-            there = {one.transition.label for one in answer.available_transitions}
+            there = {option.transition.label for option in answer.available_transitions}
             assert there == set(LEADS_FROM[state]), (state, there)
             for wrong in (*(set(LABELS) - there), "destroy", "transition_success", "fly"):
                 assert not emulator.change(wrong), (state, wrong)
@@ -145,12 +145,12 @@ def test_every_transition_by_label_and_by_number_and_no_other(tmp_path: Path) ->
                 assert not emulator.change(number=wrong), (state, wrong)
             assert emulator.state == state
             done = (
-                emulator.change(number=numbers[way][state])
+                emulator.change(number=numbers[label][state])
                 if next(by_number)
-                else emulator.change(way)
+                else emulator.change(label)
             )
-            assert done, way
-            state = LEADS_FROM[state][way]
+            assert done, label
+            state = LEADS_FROM[state][label]
             assert emulator.state == state
         printed = (tmp_path / "emulator.log").read_text()
         assert "transition must be one that leads from inactive, got fly; valid: cleanup" in printed
@@ -189,8 +189,8 @@ def test_a_node_is_configured_anew_in_a_run(tmp_path: Path, name: str) -> None:
         go(user)
         client = clients[NODES.index(name)]
         user.wait("the run", lambda: user.tick > 60)
-        for way in ("deactivate", "cleanup", "configure", "activate"):
-            assert client.change(way), way
-        stood = user.tick
-        user.wait("the run to go on", lambda: user.tick > stood + 100)
+        for label in ("deactivate", "cleanup", "configure", "activate"):
+            assert client.change(label), label
+        stop = user.tick
+        user.wait("the run to go on", lambda: user.tick > stop + 100)
         assert client.change("shutdown") and client.state == "finalized"

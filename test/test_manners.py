@@ -69,17 +69,17 @@ def test_a_scene_may_be_given_by_name() -> None:
 
 
 def test_commands_may_be_given_by_names_of_joints(scene: Scene) -> None:
-    one, other = Plant(scene), Plant(scene)
+    named, indexed = Plant(scene), Plant(scene)
     for voltages in ({"elbow": 3, "waist": np.float32(5.0), "shoulder": -20.0}, np.array(ROW)):
-        plant = one if isinstance(voltages, dict) else other
+        plant = named if isinstance(voltages, dict) else indexed
         plant.exchange(voltages)
         plant.advance(voltages, 3)
-    assert one.save() == other.save()
+    assert named.save() == indexed.save()
     for wrong in ({"elbow": 1.0}, {}):
         with pytest.raises(Refusal, match="must name every joint once"):
-            one.exchange(wrong)
+            named.exchange(wrong)
     with pytest.raises(Refusal, match="joint must be one of the arm, got wrist; valid: waist"):
-        one.exchange({"elbow": 1.0, "waist": 1.0, "wrist": 1.0})
+        named.exchange({"elbow": 1.0, "waist": 1.0, "wrist": 1.0})
 
 
 @pytest.mark.parametrize(
@@ -214,25 +214,28 @@ KINDS = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u4", "u8", "g")
 
 def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: Path) -> None:
     """Servos, sessions, recordings, kinematics: every argument of another kind."""
-    gains, other = load_gains("three_axis"), load_gains("ur5")
+    gains, ur5 = load_gains("three_axis"), load_gains("ur5")
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     turned = replace(gains.servo, joints=gains.servo.joints[::-1])
-    ours = [turned, replace(gains.servo, joints=gains.servo.joints[:1]), other.servo]
-    whole, pose = [[0.5], [True], ["0"], 0, None, [[0]], [2**60]], Pose([0.3, 0.1, 0.2], np.eye(3))
+    ours = [turned, replace(gains.servo, joints=gains.servo.joints[:1]), ur5.servo]
+    no_arms, pose = (
+        [[0.5], [True], ["0"], 0, None, [[0]], [2**60]],
+        Pose([0.3, 0.1, 0.2], np.eye(3)),
+    )
     fleet, session = Fleet(scene, 2), Session(scene, "lockstep", "first_answer")
     servos, jacobian = ServoFleet(fleet, gains.servo), JacobianController(kinematics)
     record, timeline = (
         Recording(Plant(scene)),
         Timeline(OfflineRun(scene, gains.servo, gains.motion)),
     )
-    way, plant, objects = TargetPlanner(kinematics, gains.motion), Plant(scene), NO_OBJECTS
-    way.begin([0.0, 0.5, 0.8])
+    planner, plant, objects = TargetPlanner(kinematics, gains.motion), Plant(scene), NO_OBJECTS
+    planner.begin([0.0, 0.5, 0.8])
     values = {"q": [0.1]}
     calls: list[tuple[Callable[[Any], Any], list[Any]]] = [
         (Servo(gains.servo).retune, [*objects, *ours]),
         (lambda x: servos.retune(1, x), [*objects, *ours]),
-        (lambda x: servos.aim_at(x, np.zeros((2, 3)), [0, 1, 2]), whole),
-        (lambda x: servos.aim_at([0, 0], np.zeros((2, 3)), x), whole),
+        (lambda x: servos.aim_at(x, np.zeros((2, 3)), [0, 1, 2]), no_arms),
+        (lambda x: servos.aim_at([0, 0], np.zeros((2, 3)), x), no_arms),
         (lambda x: FleetWay(x, 2), objects), (lambda x: FleetWay(scene, x), NO_COUNTS),
         (lambda x: session.offer(0, x, ROW), NO_NAMES), (session.return_to, objects),
         (lambda x: session.set_state(x, values), [*objects, "elbow", ["elbow"] * 2]),
@@ -246,8 +249,8 @@ def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: 
         (lambda x: kinematics.tool_error(ROW, x), objects),
         (lambda x: kinematics.axes(x, ROW), NO_NAMES),
         (lambda x: jacobian.update([0.0, 0.5, 0.8], x), objects), (jacobian.retune, objects),
-        (lambda x: way.update([0.0, 0.5, 0.8], x), objects), (way.retune, objects),
-        (lambda x: way.begin([0.0, 0.5, 0.8], x), NO_ROWS[1:]),
+        (lambda x: planner.update([0.0, 0.5, 0.8], x), objects), (planner.retune, objects),
+        (lambda x: planner.begin([0.0, 0.5, 0.8], x), NO_ROWS[1:]),
         (lambda x: Condition("v.elbow > 1", x), objects),
         (lambda x: Breakpoint(x, "v.elbow > 1"), objects),
         (record.write, [*objects[:2], *objects[3:], "", tmp_path / "run.xyz"]),
@@ -262,10 +265,10 @@ def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: 
     ]  # fmt: skip
     before = plant.save(), plant.commanded.tolist(), session.save(), fleet.save()
     for place, (call, wrong) in enumerate(calls):
-        for one in wrong:
+        for argument in wrong:
             with pytest.raises(Refusal) as refused:
-                call(one)
-                pytest.fail(f"call {place} took {one!r}")
+                call(argument)
+                pytest.fail(f"call {place} took {argument!r}")
             assert "\n" not in str(refused.value)
     assert before == (plant.save(), plant.commanded.tolist(), session.save(), fleet.save())
     assert kinematics.tool_error(ROW, pose).shape == (3,), "what is right is taken"
@@ -285,13 +288,13 @@ def test_numbers_of_every_kind_are_taken_for_what_they_are(seed: int, scene: Sce
         array = np.array(row, kind)
         wide = np.zeros((3, 2), kind)
         wide[:, 1] = row
-        given = rng.choice([row, tuple(row), array, list(array), wide[:, 1], array[::-1][::-1]])
+        command = rng.choice([row, tuple(row), array, list(array), wide[:, 1], array[::-1][::-1]])
         steps = rng.randint(0, 9)
         count = rng.choice([steps, np.int8(steps), np.uint64(steps), np.array(steps)])
         number = rng.choice([5, 5.0, np.float32(5.0), np.int16(5), np.array(5.0), Fraction(5)])
         plant.set_parameter(NAME, number)
-        plant.advance(given, count)
-        plant.exchange(given, tick=count)
+        plant.advance(command, count)
+        plant.exchange(command, tick=count)
         expected.set_parameter(NAME, 5.0)
         expected.advance(np.array(row, float), steps)
         expected.exchange(np.array(row, float), tick=steps)

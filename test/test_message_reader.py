@@ -60,11 +60,11 @@ def encoded(message: Any, order: str) -> bytes:
             many = kind != base
             if kind.startswith("sequence"):
                 put("I", len(value))
-            for one in value if many else [value]:
+            for item in value if many else [value]:
                 if base == "string":
-                    put_text(one)
+                    put_text(item)
                 else:
-                    put(CODES[base], one[0] if isinstance(one, bytes) else one)
+                    put(CODES[base], item[0] if isinstance(item, bytes) else item)
 
     put_all(message)
     return bytes(out)
@@ -99,8 +99,8 @@ def drawn(draw: random.Random, kind: str) -> Any:
     if kind in ("float", "double"):
         return draw.choice([0.0, -1.5, 2.0**100, float("inf")])
     bits = 8 * struct.calcsize(f"={CODES[kind]}")
-    least = 0 if kind.startswith("u") else -(2 ** (bits - 1))
-    return draw.choice([least, least + 2**bits - 1, draw.randrange(least, least + 2**bits)])
+    lowest = 0 if kind.startswith("u") else -(2 ** (bits - 1))
+    return draw.choice([lowest, lowest + 2**bits - 1, draw.randrange(lowest, lowest + 2**bits)])
 
 
 def number() -> Any:
@@ -200,27 +200,27 @@ def state(draw: random.Random) -> MotorState:
 
 
 def by_name(message: MotorState, row: str) -> list[float]:
-    given = dict(zip(message.joint_names, getattr(message, row), strict=True))
-    return [given[name] for name in NAMES]
+    values = dict(zip(message.joint_names, getattr(message, row), strict=True))
+    return [values[name] for name in NAMES]
 
 
 @pytest.mark.parametrize("order", "<>")
 def test_rows_are_read_in_the_receivers_order(order: str) -> None:
-    draw, one = random.Random(order), Joints()
+    draw, joints = random.Random(order), Joints()
     some_states = [state(draw) for _ in range(300)]
     for message in some_states + draw.choices(some_states, k=300):
-        other = draw.choice(["<", ">"]) if draw.random() < 0.2 else order
-        assert read(one.reader, encoded(message, other)) is None
-        assert by_name(message, "encoder_counts") == one.counts.tolist()
-        assert by_name(message, "current") == one.current.tolist()
-        if came := one.reader.field("applied").came:
-            assert by_name(message, "applied") == one.applied.tolist()
-        assert came == len(message.applied)
-        if one.reader.field("brake_closed").came:
-            assert by_name(message, "brake_closed") == one.brakes.tolist()
+        byte_order = draw.choice(["<", ">"]) if draw.random() < 0.2 else order
+        assert read(joints.reader, encoded(message, byte_order)) is None
+        assert by_name(message, "encoder_counts") == joints.counts.tolist()
+        assert by_name(message, "current") == joints.current.tolist()
+        if count := joints.reader.field("applied").came:
+            assert by_name(message, "applied") == joints.applied.tolist()
+        assert count == len(message.applied)
+        if joints.reader.field("brake_closed").came:
+            assert by_name(message, "brake_closed") == joints.brakes.tolist()
         stamp = message.header.stamp
-        assert one.time[0] == stamp.sec * 10**9 + stamp.nanosec
-        assert (one.tick[0], one.powered[0]) == (message.tick, message.powered)
+        assert joints.time[0] == stamp.sec * 10**9 + stamp.nanosec
+        assert (joints.tick[0], joints.powered[0]) == (message.tick, message.powered)
 
 
 def spoiled(draw: random.Random) -> tuple[MotorState, str]:
@@ -242,46 +242,46 @@ def spoiled(draw: random.Random) -> tuple[MotorState, str]:
         message.joint_names[draw.randrange(1, 4)] = (
             message.joint_names[0] if bad == "waist" else bad
         )
-        got, valid = ", ".join(message.joint_names), ", ".join(NAMES)
+        names_text, valid = ", ".join(message.joint_names), ", ".join(NAMES)
         if bad != "waist":
             return message, f"joint must be one of the arm, got {bad}; valid: {valid}"
-        return message, f"joint names must name every joint once, got {got}; valid: {valid}"
+        return message, f"joint names must name every joint once, got {names_text}; valid: {valid}"
     if kind == 3:
-        at, got = draw.randrange(4), draw.choice([10**15 + 1, -(2**63), 2**63 - 1])
-        message.encoder_counts[at] = got
+        at, names_text = draw.randrange(4), draw.choice([10**15 + 1, -(2**63), 2**63 - 1])
+        message.encoder_counts[at] = names_text
         count = f"encoder_counts of {message.joint_names[at]}"
-        return message, f"{count} must be a number within +-1e+15, got {float(got)}"
+        return message, f"{count} must be a number within +-1e+15, got {float(names_text)}"
     name = draw.choice(NAMES)
-    at, most = message.joint_names.index(name), LARGEST[NAMES.index(name)]
-    got = draw.choice([np.nextafter(most, 9), -most - 1, np.inf, -np.inf, np.nan])
-    message.current[at] = got
-    rule = f"be a number within +-{most:g} rad" if np.isfinite(got) else "be finite"
-    return message, f"current of {name} must {rule}, got {float(got)}"
+    at, largest = message.joint_names.index(name), LARGEST[NAMES.index(name)]
+    names_text = draw.choice([np.nextafter(largest, 9), -largest - 1, np.inf, -np.inf, np.nan])
+    message.current[at] = names_text
+    rule = f"be a number within +-{largest:g} rad" if np.isfinite(names_text) else "be finite"
+    return message, f"current of {name} must {rule}, got {float(names_text)}"
 
 
 def test_a_refusal_names_rule_and_value() -> None:
-    draw, one, kept = random.Random(5), Joints(), Joints()
+    draw, joints, unused = random.Random(5), Joints(), Joints()
     for turn in range(2000):
         message, words = spoiled(draw)
         order = draw.choice("<>")
-        refusal = read(one.reader, encoded(message, order))
+        refusal = read(joints.reader, encoded(message, order))
         assert str(refusal) == f"motor_states: {words}", turn
-        assert read(one.reader, encoded(state(draw), order)) is None, "the next one is read"
-    refusal = read(kept.reader, b"\0\1\0\0" + bytes(20))
+        assert read(joints.reader, encoded(state(draw), order)) is None, "the next one is read"
+    refusal = read(unused.reader, b"\0\1\0\0" + bytes(20))
     assert str(refusal) == "motor_states: message must be a MotorState, got 24 bytes"
 
 
 def test_texts_end_at_their_first_zero() -> None:
     """As rclpy reads them; a text may also lack its end, or be of no bytes."""
-    one, message = Joints(), state(random.Random(7))
+    joints, message = Joints(), state(random.Random(7))
     message.joint_names, message.current, message.applied = list(NAMES), array("d", bytes(32)), []
     data = encoded(message, "<")
     for written in (b"\6\0\0\0waist\0\0\0", b"\5\0\0\0waist\0\0\0", b"\10\0\0\0waist\0xy"):
         spoiled = data.replace(b"\6\0\0\0waist\0\0\0", written)
         assert deserialize_message(spoiled, MotorState).joint_names == list(NAMES)
-        assert read(one.reader, spoiled) is None
+        assert read(joints.reader, spoiled) is None
     none = data.replace(b"\3\0\0\0\xc3\xa9\0", b"\0\0\0\0\xc3\xa9\0")
-    assert read(one.reader, none) is not None
+    assert read(joints.reader, none) is not None
 
 
 def test_a_reader_of_something_else_is_not_made() -> None:

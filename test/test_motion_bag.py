@@ -18,20 +18,20 @@ def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
     tmp_path: Path,
 ) -> None:
     bag = tmp_path / "bag"
-    with in_process() as one:
-        one.begin_record()
-        one.run_to(5)
-        one.call("emulator/reset")
-        one.run_to(20)
-        controller = one.nodes["motion_controller"]._controller
+    with in_process() as nodes:
+        nodes.begin_record()
+        nodes.run_to(5)
+        nodes.call("emulator/reset")
+        nodes.run_to(20)
+        controller = nodes.nodes["motion_controller"]._controller
         _, p = controller.kinematics.forward(load_scene("three_axis").start)
         target = PoseStamped()
         target.pose.position.x, target.pose.position.y, target.pose.position.z = map(float, p)
         target.pose.position.y += 0.01
         target.pose.orientation.w = 1.0
-        one.send("tool_path", ToolPath(poses=[target]))
-        one.run_to(150)
-        one.write(bag)
+        nodes.send("tool_path", ToolPath(poses=[target]))
+        nodes.run_to(150)
+        nodes.write(bag)
     assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"
     for kind in ("nav_msgs/msg/Path", "trajectory_msgs/msg/JointTrajectory"):
         assert definition_of(kind), f"{kind} can be recorded"

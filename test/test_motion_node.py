@@ -53,11 +53,11 @@ def path(at_ns: int, poses: list[Pose]) -> Path:
     message = Path()
     message.header.stamp = stamp(at_ns)
     for pose in poses:
-        one = PoseStamped()
-        p, o = one.pose.position, one.pose.orientation
+        stamped = PoseStamped()
+        p, o = stamped.pose.position, stamped.pose.orientation
         p.x, p.y, p.z = map(float, pose.p_WT)
         o.x, o.y, o.z, o.w = map(float, pose.quaternion())
-        message.poses.append(one)
+        message.poses.append(stamped)
     return message
 
 
@@ -92,9 +92,13 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
         bits = np.asarray(state.encoder_counts, dtype=np.int64).tobytes() + state.current.tobytes()
         assert nodes.states[tick] == bits, f"the first other bit at tick {tick}"
         run.advance(1)
-    for one, report in zip(heard, run.instructor.reports.waiting, strict=False):
-        assert (one.kind, one.number, one.state) == (report.kind, report.number, report.state)
-    printed = [(one.kind, one.state) for one in heard]
+    for stamped, report in zip(heard, run.instructor.reports.waiting, strict=False):
+        assert (stamped.kind, stamped.number, stamped.state) == (
+            report.kind,
+            report.number,
+            report.state,
+        )
+    printed = [(stamped.kind, stamped.state) for stamped in heard]
     assert (2, MotionStatus.STATE_REACHED) in printed and (3, MotionStatus.STATE_MOVING) in printed
     assert nodes.newest("joint_targets").velocity, "speeds reach the servo"
 
@@ -134,8 +138,8 @@ def test_a_reset_reports_what_it_has_forgotten(nodes: InProcess) -> None:
     pose.header.stamp = stamp(1000 * SECOND)
     nodes.send("tool_target", pose)
     nodes.call("motion_controller/reset")
-    wanted = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]
-    while [one.state for one in heard if one.kind == Kind.TOOL_TARGET] != wanted:
+    expected = [MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_ABORTED]
+    while [status.state for status in heard if status.kind == Kind.TOOL_TARGET] != expected:
         assert nodes.deliver(), f"nothing more is reported after {heard}"
     assert heard[-1].reason == "the motion controller was reset"
 

@@ -73,28 +73,28 @@ def test_paths_that_begin_where_the_tool_rests_follow_one_another(seed: int) -> 
 
 
 @pytest.mark.parametrize("kind", ["TOOL_TARGET", "JOINT_TRAJECTORY", "TOOL_PATH", "TIMED_PATH"])
-@pytest.mark.parametrize("known", [False, True], ids=["before any angles", "while it runs"])
-def test_a_stamp_of_the_wall_clock_is_refused(kind: str, known: bool) -> None:
+@pytest.mark.parametrize("running", [False, True], ids=["before any angles", "while it runs"])
+def test_a_stamp_of_the_wall_clock_is_refused(kind: str, running: bool) -> None:
     """A stamp of the wall clock would mean a wait of decades."""
     arm = Ideal()
     wall = 1_790_000_000 * SECOND
-    if known:
+    if running:
         arm.advance(5.0)
 
     def send(stamp_ns: int) -> None:
-        one = arm.instructor
+        executor = arm.instructor
         if kind == "TOOL_TARGET":
-            one.add(stamp_ns, arm.pose([0.01, 0.0, 0.0]))
+            executor.add(stamp_ns, arm.pose([0.01, 0.0, 0.0]))
         elif kind == "JOINT_TRAJECTORY":
             points = [arm.point(3.0, 0.05)]
-            one.add_trajectory(arm.controller, arm.names, points, stamp_ns)
+            executor.add_trajectory(arm.controller, arm.names, points, stamp_ns)
         elif kind == "TOOL_PATH":
-            one.add_path(arm.controller, [arm.pose([0.01, 0.0, 0.0])], stamp_ns)
+            executor.add_path(arm.controller, [arm.pose([0.01, 0.0, 0.0])], stamp_ns)
         else:
             poses = [arm.pose(), arm.pose([0.01, 0.0, 0.0])]
-            one.add_path(arm.controller, poses, 0, [stamp_ns + k * 4 * SECOND for k in (1, 2)])
+            executor.add_path(arm.controller, poses, 0, [stamp_ns + k * 4 * SECOND for k in (1, 2)])
 
-    if known:
+    if running:
         with pytest.raises(Refusal, match="at most 3600 s after logical time"):
             send(wall)
     else:
@@ -140,11 +140,11 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
     """For any orders in any sequence: accepted ones get one final answer, refused ones too."""
     rng = np.random.default_rng([seed, 1])
     arm = Ideal("three_axis" if seed % 2 else "ur5")
-    asked = {kind: 0 for kind in Kind}
+    requested = {kind: 0 for kind in Kind}
     for _ in range(30):
         time_ns = int(rng.choice([0, arm.now_ns + rng.integers(0, 2 * SECOND)]))
         kind = Kind(int(rng.integers(1, 4)))
-        asked[kind] += 1
+        requested[kind] += 1
         bad = rng.random() < 0.3
         try:
             if kind is Kind.TOOL_TARGET:
@@ -163,7 +163,7 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
                 arm.instructor.reports.refuse(kind, time_ns, reason)
         arm.advance(rng.uniform(0.0, 0.5))
     arm.instructor.start_over("test")
-    for kind, count in asked.items():
+    for kind, count in requested.items():
         for number in range(1, count + 1):
             reported = [
                 r.state
@@ -201,7 +201,7 @@ def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
     points = [arm.point(t, by, velocities=still) for t, by in ((0.5, 0.1), (1.0, 0.0))]
     arm.instructor.add_trajectory(arm.controller, arm.names, points, stamp_ns=SECOND)
     arm.advance(2.5)
-    at = {i * arm.period_ns: one.q for i, one in enumerate(arm.printed)}
+    at = {i * arm.period_ns: setpoint.q for i, setpoint in enumerate(arm.printed)}
     np.testing.assert_allclose(at[SECOND], arm.start, atol=1e-12, err_msg="not before its stamp")
     np.testing.assert_allclose(at[3 * SECOND // 2], arm.start + 0.1, atol=1e-9)
     np.testing.assert_allclose(at[2 * SECOND], arm.start, atol=1e-9, err_msg="the end")
@@ -216,7 +216,7 @@ def test_a_trajectory_that_cannot_begin_is_refused_and_the_one_before_goes_on() 
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.02, 1.0)])
     arm.advance(4.0)
     reported = [r for r in arm.instructor.reports.waiting if r.kind is Kind.JOINT_TRAJECTORY]
-    assert [one.state for one in reported] == [State.ACCEPTED, State.REFUSED]
+    assert [report.state for report in reported] == [State.ACCEPTED, State.REFUSED]
     assert "the way to the first point must keep the limits" in reported[-1].reason
     assert arm.states()[-1] == ("TOOL_TARGET", 1, "REACHED"), "it goes on"
 
@@ -292,14 +292,14 @@ def test_the_torques_given_are_those_of_gravity_at_the_links(seed: int) -> None:
 def test_feedforward_is_given_as_it_is_configured() -> None:
     scene = load_scene("ur5")
     gravity = LinkTorques(scene.urdf, scene.joint_names, (0.0, 0.0, -9.81))
-    for given, speed, torque in (
+    for kind, speed, torque in (
         ("none", False, False),
         ("speed", True, False),
         ("torque", True, True),
     ):
         arm = Ideal()
         arm.instructor = MotionExecutor(
-            type(arm.config)(**{**vars(arm.config), "feedforward": given})
+            type(arm.config)(**{**vars(arm.config), "feedforward": kind})
         )
         arm.advance(0.1)
         if torque:
@@ -309,7 +309,7 @@ def test_feedforward_is_given_as_it_is_configured() -> None:
         assert (arm.printed[-1].v is not None, arm.printed[-1].tau is not None) == (
             speed,
             torque,
-        ), given
+        ), kind
 
 
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (0.0, 9.81, 0.0), None])

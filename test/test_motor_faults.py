@@ -77,7 +77,7 @@ def machine(folder: Path, **keys: Any) -> Scene:
         "encoder": {"counts_per_turn": 4000, "index": "latch"},
         "current_sensor": {"noise": 0.01, "range": 4.0},
     }
-    motors = {name: one for name, one in KINDS.items() if name not in BARE_ONLY}
+    motors = {name: motor for name, motor in KINDS.items() if name not in BARE_ONLY}
     return scene_of(folder, motors, parts, **keys)
 
 
@@ -120,7 +120,7 @@ def drive(plant: Plant, ticks: range) -> tuple[np.ndarray, list[tuple[bytes, ...
         plant.exchange(row, tick, **further_commands(plant.scene, row))
         q.append(plant.state.q)
         measured = [getattr(plant.measured, name) for name in KNOWN]
-        fields = [one for one in measured if np.shape(one)[:1] == row.shape]
+        fields = [reading for reading in measured if np.shape(reading)[:1] == row.shape]
         rows.append(
             tuple(b"".join(field[j].tobytes() for field in fields) for j in range(len(row)))
         )
@@ -185,13 +185,13 @@ def test_a_supply_that_only_regulated_drives_have_cannot_sag(tmp_path: Path) -> 
 
 def test_a_contact_is_a_resistance_in_series(tmp_path: Path) -> None:
     """Without heat it is as a winding of so much more resistance, whose loops are set up before."""
-    plant, other = Plant(bare(tmp_path)), Plant(bare(tmp_path))
+    plant, reference = Plant(bare(tmp_path)), Plant(bare(tmp_path))
     for name in CONTACTS:
         plant.set_parameter(f"faults.{name}.contact_resistance", 0.7)
         resistance = f"joints.{name}.motor.resistance"
-        other.set_parameter(resistance, other.parameters[resistance] + 0.7)
+        reference.set_parameter(resistance, reference.parameters[resistance] + 0.7)
     q, _ = drive(plant, range(END))
-    by_hand, _ = drive(other, range(END))
+    by_hand, _ = drive(reference, range(END))
     # Sums round otherwise, 1e-16 each, in 600 steps of a motion of 0.1 m.
     np.testing.assert_allclose(q, by_hand, rtol=0.0, atol=1e-12)
 

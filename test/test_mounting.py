@@ -43,14 +43,14 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     turned_file = tmp_path / "turned.yaml"
     turned_file.write_text(text.replace("urdf/arm.urdf", "turned.urdf"))
     turned = load_scene(turned_file)
-    one, two = Plant(upright), Plant(turned)
+    slanted, turned_base = Plant(upright), Plant(turned)
     draw = np.random.default_rng(0)
     for _ in range(50):
         u = draw.normal(size=3) * [0.5, 0.5, 0.2]
-        one.advance(u, 20)
-        two.advance(u, 20)
-    assert np.abs(one.state.q - upright.start).max() > 0.02, "it moves"
-    np.testing.assert_allclose(one.state.q, two.state.q, rtol=0.0, atol=1e-10)
+        slanted.advance(u, 20)
+        turned_base.advance(u, 20)
+    assert np.abs(slanted.state.q - upright.start).max() > 0.02, "it moves"
+    np.testing.assert_allclose(slanted.state.q, turned_base.state.q, rtol=0.0, atol=1e-10)
     gains = load_gains(written.file)
     motion = dataclasses.replace(
         gains.motion, gravity_x=gravity[0], gravity_y=gravity[1], gravity_z=gravity[2]
@@ -73,7 +73,7 @@ def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None
     written = write_new(file, tmp_path / "new")
     assert not written.overloads, "upright, the first joint carries no weight"
     on_wall = overloads(load_scene(written.file, {"gravity": [9.81, 0.0, 0.0]}))
-    assert [one.joint for one in on_wall] == ["j1"]
+    assert [load.joint for load in on_wall] == ["j1"]
     # j1 turns about z, and on a wall the arm stretched out pulls at its own length.
     stretched = 9.81 * (1.5 * 0.15 + 0.8 * 0.4)
     assert 0.8 < on_wall[0].takes / stretched <= 1.05
@@ -85,5 +85,5 @@ def test_the_holding_torque_is_weight_plus_all_torques_of_the_angle() -> None:
     free, pushed = (load_scene("ur5", {"joints.elbow_joint.torque_table": one})
                     for one in (None, push))  # fmt: skip
     assert "elbow_joint" not in {one.joint for one in overloads(free)}
-    (found,) = (one for one in overloads(pushed) if one.joint == "elbow_joint")
-    assert found.takes == pytest.approx(1e4, rel=1e-2)
+    (load,) = (one for one in overloads(pushed) if one.joint == "elbow_joint")
+    assert load.takes == pytest.approx(1e4, rel=1e-2)

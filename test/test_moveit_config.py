@@ -48,14 +48,14 @@ def test_pinocchio_reads_the_srdf(name: str) -> None:
         assert state.get("group") == GROUP
         q = model.referenceConfigurations[state.get("name")]
         # Pinocchio has joints without limits as cosine and sine.
-        got = [q[at.idx_q] if at.nq == 1 else np.arctan2(q[at.idx_q + 1], q[at.idx_q])
+        angles = [q[at.idx_q] if at.nq == 1 else np.arctan2(q[at.idx_q + 1], q[at.idx_q])
                for at in places]  # fmt: skip
-        assert np.allclose(got, scene.start if state.get("name") == "start" else 0.0)
+        assert np.allclose(angles, scene.start if state.get("name") == "start" else 0.0)
     shapes = pin.buildGeomFromUrdfString(
         model, scene.urdf, pin.GeometryType.COLLISION, package_dirs=package_folders()
     )
     shapes.addAllCollisionPairs()
-    names = [model.frames[one.parentFrame].name for one in shapes.geometryObjects]
+    names = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
 
     def tested() -> set[tuple[str, ...]]:
         pairs = shapes.collisionPairs
@@ -64,7 +64,7 @@ def test_pinocchio_reads_the_srdf(name: str) -> None:
     every = tested()
     pin.removeCollisionPairsFromXML(model, shapes, text)
     listed = ET.fromstring(text).findall("disable_collisions")
-    off = {tuple(sorted((one.get("link1", ""), one.get("link2", "")))) for one in listed}
+    off = {tuple(sorted((shape.get("link1", ""), shape.get("link2", "")))) for shape in listed}
     assert tested() == every - off and bool(off) == bool(every)
     start = model.referenceConfigurations["start"]
     assert not pin.computeCollisions(
@@ -77,10 +77,10 @@ def test_names_are_those_of_the_robot(files: tuple[str, dict[str, str]]) -> None
     scene = load_scene(name)
     urdf, semantic = ET.fromstring(scene.urdf), ET.fromstring(texts[f"config/{name}.srdf"])
     assert semantic.get("name") == urdf.get("name")
-    links = {one.get("name") for one in urdf.findall("link")}
+    links = {link.get("name") for link in urdf.findall("link")}
     (chain,) = semantic.findall(f"group[@name='{GROUP}']/chain")
     assert chain.get("tip_link") == scene.tool and chain.get("base_link") in links
-    children = {one.get("link") for one in urdf.iter("child")}
+    children = {link.get("link") for link in urdf.iter("child")}
     assert chain.get("base_link") not in children, "the root"
     for pair in semantic.findall("disable_collisions"):
         assert {pair.get("link1"), pair.get("link2")} <= links
@@ -111,11 +111,11 @@ def test_limits_are_the_tighter_of_description_and_motion(
         if joint.get("name") not in limits:
             assert joint.get("type") == "fixed"
             continue
-        one, limit = limits[joint.get("name")], joint.find("limit")
+        entry, limit = limits[joint.get("name")], joint.find("limit")
         own = float(limit.get("velocity", "inf")) if limit is not None else np.inf
-        assert one["has_velocity_limits"] and one["has_acceleration_limits"]
-        assert one["max_velocity"] == min(own or np.inf, motion.velocity_limit)
-        assert one["max_acceleration"] <= motion.acceleration_limit
+        assert entry["has_velocity_limits"] and entry["has_acceleration_limits"]
+        assert entry["max_velocity"] == min(own or np.inf, motion.velocity_limit)
+        assert entry["max_acceleration"] <= motion.acceleration_limit
     pilz = yaml.safe_load(texts["config/pilz_cartesian_limits.yaml"])["cartesian_limits"]
     assert pilz["max_trans_vel"] == motion.tool_speed
 
@@ -125,11 +125,15 @@ def test_the_description_finds_its_machine_and_meshes(files: tuple[str, dict[str
     scene, package = load_scene(name), f"{name}_moveit_config"
     robot = ET.fromstring(texts[f"config/{name}.urdf.xacro"])
     plain = ET.fromstring(ros2_control.description(scene, f"$(find {package})/{MACHINE}/{name}"))
-    for one, other in zip(robot.iter(), plain.iter(), strict=True):
-        if one.tag == "mesh":
-            assert Path(unquote(urlparse(one.get("filename", "")).path)).is_file()
+    for element, source in zip(robot.iter(), plain.iter(), strict=True):
+        if element.tag == "mesh":
+            assert Path(unquote(urlparse(element.get("filename", "")).path)).is_file()
         else:
-            assert (one.tag, one.attrib, one.text) == (other.tag, other.attrib, other.text)
+            assert (element.tag, element.attrib, element.text) == (
+                source.tag,
+                source.attrib,
+                source.text,
+            )
 
 
 def test_a_dollar_of_a_description_stays_one() -> None:
@@ -147,8 +151,8 @@ def test_files_are_whole(files: tuple[str, dict[str, str]]) -> None:
     runs = {one.text for one in package.findall("exec_depend")}
     for path, text in texts.items():
         if path.endswith(".py"):
-            found = [one for one in ast.walk(ast.parse(text)) if isinstance(one, ast.ImportFrom)]
-            modules = {str(one.module).split(".")[0] for one in found}
+            imports = [one for one in ast.walk(ast.parse(text)) if isinstance(one, ast.ImportFrom)]
+            modules = {str(one.module).split(".")[0] for one in imports}
             assert modules <= runs | {"launch", "launch_ros"}
     assistant = yaml.safe_load(texts[".setup_assistant"])["moveit_setup_assistant_config"]
     assert assistant["urdf"]["relative_path"] in texts

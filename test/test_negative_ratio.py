@@ -76,17 +76,17 @@ def test_turned_round_the_machine_moves_as_in_a_mirror(
     tmp_path: Path, kind: str, scheme: str
 ) -> None:
     rng = np.random.default_rng([len(kind), SCHEMES.index(scheme)])
-    one, other = map(Plant, pair(tmp_path, rng, kind, scheme))
+    forward, mirrored = map(Plant, pair(tmp_path, rng, kind, scheme))
     for V in rng.uniform(-20.0, 20.0, (60, 3)):
-        one.advance(V, 7)
-        other.advance(-V, 7)
-    x, y = one.state, other.state
+        forward.advance(V, 7)
+        mirrored.advance(-V, 7)
+    x, y = forward.state, mirrored.state
     # The same operations with other signs.
     for name, sign in (("q", 1.0), ("v", 1.0), ("gear_torque", 1.0), ("current", -1.0),
                        ("theta_m", -1.0), ("omega_m", -1.0)):  # fmt: skip
-        got, expected = sign * getattr(y, name), getattr(x, name)
-        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-11, err_msg=name)
-    assert other.energy == pytest.approx(one.energy, rel=1e-12), "energies"
+        values, expected = sign * getattr(y, name), getattr(x, name)
+        np.testing.assert_allclose(values, expected, rtol=1e-11, atol=1e-11, err_msg=name)
+    assert mirrored.energy == pytest.approx(forward.energy, rel=1e-12), "energies"
     assert np.abs(x.q).max() > 1e-3, "the arm moves"
 
 
@@ -110,11 +110,13 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
     assert check_loops(scene, servo) == [], "its loops have margins"
     plain = load_scene("three_axis")
     own = load_gains(find_config("three_axis", ".yaml")).servo
-    for one, other in zip(
+    for margin, plain_margin in zip(
         ServoLoops(scene, servo).margins(), ServoLoops(plain, own).margins(), strict=True
     ):
         # Margins are sought over frequencies.
-        assert one.phase == pytest.approx(other.phase, rel=1e-6), "margins either way round"
+        assert margin.phase == pytest.approx(plain_margin.phase, rel=1e-6), (
+            "margins either way round"
+        )
     session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     goal = scene.start + np.array([0.1, -0.1, 0.2])
     for tick in range(3000):
@@ -133,20 +135,20 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
 def test_gains_do_not_depend_on_the_way_round() -> None:
     motor = MotorData(0.5, 5e-4, 0.05, 0.05, 1e-4, 4096)
     for stiffness, damping in ((None, 0.0), (1e4, 10.0)):
-        one, other = (
+        forward, backward = (
             design(motor, GearData(ratio, stiffness, damping), (0.2, 0.6), 1e-3)
             for ratio in (0.01, -0.01)
         )
-        for name, value in dataclasses.asdict(one).items():
-            assert getattr(other, name) == pytest.approx(value, rel=1e-9), name
+        for name, value in dataclasses.asdict(forward).items():
+            assert getattr(backward, name) == pytest.approx(value, rel=1e-9), name
 
 
 def test_a_servo_of_the_other_sign_is_refused() -> None:
     """Its loops would be stable, and the arm go the other way."""
     scene, servo = turned_round()
-    other = load_gains(find_config("three_axis", ".yaml")).servo
-    for one, wrong in ((scene, other), (load_scene("three_axis"), servo)):
+    plain = load_gains(find_config("three_axis", ".yaml")).servo
+    for machine, wrong in ((scene, plain), (load_scene("three_axis"), servo)):
         with pytest.raises(
             Refusal, match=r"shoulder\.gear_ratio must have the sign of the scene's"
         ):
-            check_joints(one, wrong)
+            check_joints(machine, wrong)

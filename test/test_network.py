@@ -147,8 +147,8 @@ def test_bad_messages_are_refused_counted_and_change_nothing(lockstep: SharedNet
         for topics in TOGETHER:
             for turn in range(max(len(SENT[topic]) for topic in topics)):
                 bad = {topic: SENT[topic][turn] for topic in topics if turn < len(SENT[topic])}
-                made = {topic: (make(tick), words) for topic, (make, words) in bad.items()}
-                assert_all_refused(user, made, tick)
+                messages = {topic: (make(tick), words) for topic, (make, words) in bad.items()}
+                assert_all_refused(user, messages, tick)
         user.wait("the count", lambda: user.status.commands_refused == commands_refused)
         for topic in set(BAD) - set(MAY_GET_LOST):
             refused = user.refused(RECEIVER[topic], topic) - before[topic]
@@ -161,19 +161,19 @@ def test_bad_messages_are_refused_counted_and_change_nothing(lockstep: SharedNet
 
 def test_every_bad_message_is_refused_in_its_words() -> None:
     """As above, in one process."""
-    with in_process() as one:
-        one.run_to(120)
+    with in_process() as nodes:
+        nodes.run_to(120)
         for topic, bad in BAD.items():
-            node = one.nodes[RECEIVER[topic]]
+            node = nodes.nodes[RECEIVER[topic]]
             for make, words in bad:
-                before = one.refused(RECEIVER[topic])
-                one.send(topic, make(one.tick))
-                assert one.refused(RECEIVER[topic]) == before + 1, f"{topic}: {words}"
+                before = nodes.refused(RECEIVER[topic])
+                nodes.send(topic, make(nodes.tick))
+                assert nodes.refused(RECEIVER[topic]) == before + 1, f"{topic}: {words}"
                 reported = node._diagnostics._newest_refusal
-                assert reported.startswith(f"{topic}: {at_tick(words, one.tick)}"), reported
+                assert reported.startswith(f"{topic}: {at_tick(words, nodes.tick)}"), reported
                 assert "\n" not in reported, reported
-        one.run_to(TICKS)
-        assert_same_bits(one.states, reference(), TICKS)
+        nodes.run_to(TICKS)
+        assert_same_bits(nodes.states, reference(), TICKS)
 
 
 def test_garbage_and_huge_messages_change_nothing(lockstep: SharedNetwork) -> None:
@@ -289,17 +289,17 @@ def test_services_in_lock_step(lockstep: SharedNetwork) -> None:
 def test_the_first_actions_of_a_page_are_answered(lockstep: SharedNetwork) -> None:
     with lockstep() as (user, _):
         user.await_start()
-        hands = RosControls("/", 1e-3, lockstep=True)
+        controls = RosControls("/", 1e-3, lockstep=True)
         try:
-            assert hands.pause(False) == "going on at tick 0"
+            assert controls.pause(False) == "going on at tick 0"
             user.wait("the run", lambda: user.tick > 20)
-            assert hands.pause(True).startswith("paused at tick ")
-            tick = int(hands.step(1).removeprefix("at tick "))
+            assert controls.pause(True).startswith("paused at tick ")
+            tick = int(controls.step(1).removeprefix("at tick "))
             user.wait("the step", lambda: user.tick == tick)
-            gains = hands.gains()
+            gains = controls.gains()
             assert {f"joints.{name}.position_gain" for name in JOINTS} <= set(gains)
         finally:
-            hands.close()
+            controls.close()
 
 
 def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
@@ -310,19 +310,19 @@ def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
         node("motion_controller_node.node", "-p", "use_sim_time:=true", *renamed),
     ):
         user.wait("words of it", lambda: "other" in user.diagnostics)
-        follower = rclpy.create_node(
+        listener = rclpy.create_node(
             "follower",
             context=user.node.context,
             parameter_overrides=[Parameter("use_sim_time", value=True)],
         )
-        user.add(follower)
+        user.add(listener)
         go(user)
         tick = pause_at(user, 1100)
         # The clock is reported every 10 ticks, and nodes read it with best effort: 100 ms are left
         # for what gets lost.
         expected = tick // 10 * 10 * 1_000_000
 
-        def now(node: Node = follower) -> int:
+        def now(node: Node = listener) -> int:
             return int(node.get_clock().now().nanoseconds)
 
         user.wait("the time", lambda: expected - 100_000_000 <= now() <= expected)
@@ -342,7 +342,7 @@ def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
         # They go on while logical time stands still.
         del user.diagnostics["other"]
         user.wait("words at a standstill", lambda: "other" in user.diagnostics)
-        follower.destroy_node()
+        listener.destroy_node()
         late.destroy_node()
 
 
@@ -422,17 +422,17 @@ def test_real_time_is_real_time(real_time: SharedNetwork) -> None:
         assert last.median_lateness <= last.p99_lateness <= last.worst_lateness + 1e-6  # s, a bin
 
         assert [status.phase for _, status in heard] == [EmulatorStatus.PHASE_RUNNING] * len(heard)
-        for (_, one), (_, next_one) in zip(heard, [*heard[1:], (0.0, last)], strict=True):
+        for (_, before), (_, after) in zip(heard, [*heard[1:], (0.0, last)], strict=True):
             for counter in ("tick", "overruns", "old_commands", "worst_lateness"):
-                assert getattr(one, counter) <= getattr(next_one, counter)
+                assert getattr(before, counter) <= getattr(after, counter)
         for _, status in heard:
             assert status.logical_time == pytest.approx(status.tick * period)
             assert nanoseconds_of(status.header.stamp) == status.tick * 1_000_000
             assert status.powered and math.isfinite(status.energy)
             assert status.waiting_time == 0.0
         assert any(status.step_time > 0.0 for _, status in heard)
-        held = dict(zip(user.truth.name, user.truth.position, strict=True))
+        angles = dict(zip(user.truth.name, user.truth.position, strict=True))
         # Holding where it started, however late commands are: at rest they are 0 V. Two encoder
         # counts of 2 pi / 1024 * 0.01 rad.
         start = {"waist": 0.0, "shoulder": 0.5, "elbow": 0.8}
-        assert held == pytest.approx(start, abs=2 * 6.2e-5)
+        assert angles == pytest.approx(start, abs=2 * 6.2e-5)

@@ -118,8 +118,8 @@ def test_a_node_that_was_met_gets_what_is_published_once() -> None:
     """By a best-effort subscription, which loses what comes from a publisher not known yet."""
     with own_domain() as domain:
         contexts = [Context(), Context()]
-        for one in contexts:
-            rclpy.init(context=one, domain_id=domain)
+        for context in contexts:
+            rclpy.init(context=context, domain_id=domain)
         sender, node = NetworkClient("sender", "", contexts[0]), Node("acting", context=contexts[1])
         heard: list[Int64] = []
         node.create_subscription(Int64, "numbers", heard.append, qos_profile_sensor_data)
@@ -131,15 +131,15 @@ def test_a_node_that_was_met_gets_what_is_published_once() -> None:
             for k in range(20):
                 publisher = sender.create_publisher(Int64, "numbers", 1)
                 assert sender.spin_until(
-                    lambda one=publisher: one.get_subscription_count(), LONGEST
+                    lambda context=publisher: context.get_subscription_count(), LONGEST
                 )
                 assert sender.meet("acting", LONGEST)
                 publisher.publish(Int64(data=k))
                 assert sender.spin_until(lambda k=k: len(heard) > k, LONGEST), f"number {k}"
-            assert [one.data for one in heard] == list(range(20))
+            assert [context.data for context in heard] == list(range(20))
             assert not sender.meet("nobody", 0.5)
         finally:
             executor.shutdown()
             thread.join()
-            for one in contexts:
-                one.try_shutdown()
+            for context in contexts:
+                context.try_shutdown()

@@ -35,39 +35,39 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def moved(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of two runs, of which the last one has moves, and changes by hand on the way."""
-    with in_process(file=scene) as one:
-        one.begin_record()
-        one.run_to(20)
-        one.call("emulator/reset")
-        one.run_to(30)
-        controller = one.nodes["motion_controller"]._controller
+    with in_process(file=scene) as nodes:
+        nodes.begin_record()
+        nodes.run_to(20)
+        nodes.call("emulator/reset")
+        nodes.run_to(30)
+        controller = nodes.nodes["motion_controller"]._controller
         _, p = controller.kinematics.forward(load_scene(scene).start)
         target = PoseStamped()
         target.pose.position.x, target.pose.position.y, target.pose.position.z = map(float, p)
         target.pose.position.y += 0.05
         target.pose.orientation.w = 1.0
-        one.send("tool_target", target)
-        one.run_to(200)
-        assert one.call("emulator/set_varied", SetVaried.Request(name=VISCOUS, value=0.4)).success
-        one.run_to(230)
-        assert one.call("emulator/power", False).success
-        one.run_to(260)
-        assert one.call("emulator/power", True).success
-        one.run_to(320)
+        nodes.send("tool_target", target)
+        nodes.run_to(200)
+        assert nodes.call("emulator/set_varied", SetVaried.Request(name=VISCOUS, value=0.4)).success
+        nodes.run_to(230)
+        assert nodes.call("emulator/power", False).success
+        nodes.run_to(260)
+        assert nodes.call("emulator/power", True).success
+        nodes.run_to(320)
         faster = SetState.Request(joint_names=["elbow"], velocity=[0.2])
-        assert one.call("emulator/set_state", faster).success
-        one.run_to(LAST)
-        return one.write(tmp_path_factory.mktemp("bags") / "moved")
+        assert nodes.call("emulator/set_state", faster).success
+        nodes.run_to(LAST)
+        return nodes.write(tmp_path_factory.mktemp("bags") / "moved")
 
 
 def way(bag: Path, scene: Path) -> list[bytes]:
     """The machine at each tick."""
     machine = RecordedMachine.of(bag, load_scene(scene))
-    found = [machine.session.plant.save()]
+    states = [machine.session.plant.save()]
     while machine.tick < machine.last:
         machine.advance(1)
-        found.append(machine.session.state.q.tobytes() + machine.session.state.current.tobytes())
-    return found
+        states.append(machine.session.state.q.tobytes() + machine.session.state.current.tobytes())
+    return states
 
 
 @pytest.mark.parametrize("at", [0, 137, 215, 245, 300, 380])
@@ -78,9 +78,11 @@ def test_a_fork_without_a_change_is_the_recorded_run(
     bag = tmp_path / "fork"
     last = next(end for end in (200, 230, 260, 320, LAST) if end > at)
     assert fork(moved, bag, at=at * 1e-3, seconds=(last - at) * 1e-3, scene=str(scene)) == 0
-    wanted = way(moved, scene)
-    assert way(bag, scene)[1:] == wanted[1 : last + 1]
-    assert np.ptp([np.frombuffer(one)[1] for one in wanted[1:]]) > 0.005, "an arm that moves [rad]"
+    expected = way(moved, scene)
+    assert way(bag, scene)[1:] == expected[1 : last + 1]
+    assert np.ptp([np.frombuffer(state)[1] for state in expected[1:]]) > 0.005, (
+        "an arm that moves [rad]"
+    )
     assert compare(bag, str(scene)).difference is None
 
 
@@ -97,7 +99,7 @@ def test_forks_of_forks_name_the_bag_with_the_targets(
     assert way(first, scene)[310] != way(moved, scene)[310], "the gains act"
     about = Bag(third).about
     assert about[TARGETS] == str(moved)
-    kinds = [one["kind"] for one in json.loads(about[ORDERS])]
+    kinds = [order["kind"] for order in json.loads(about[ORDERS])]
     assert kinds == ["leave_changes", "gains", "leave_changes", "set_varied"]
     assert compare(third, str(scene)).difference is None
 

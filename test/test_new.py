@@ -80,8 +80,8 @@ def test_a_gripper_is_distinguished_from_the_arm(seed: int) -> None:
     choice = choose_joints(ET.fromstring(text), "robot")
     assert list(choice.joints) == arm
     assert sorted(choice.held) == sorted(fingers)
-    whole = choose_joints(ET.fromstring(text), "robot", tool="f00")
-    assert list(whole.joints) == [*arm, "f00"], "the tool that is named decides"
+    to_tool = choose_joints(ET.fromstring(text), "robot", tool="f00")
+    assert list(to_tool.joints) == [*arm, "f00"], "the tool that is named decides"
     some = sorted(np.random.default_rng(seed).permutation(arm)[:2].tolist(), key=arm.index)
     chosen = choose_joints(ET.fromstring(text), "robot", joints=some[::-1])
     assert list(chosen.joints) == some, "base to tool, however they are named"
@@ -93,15 +93,15 @@ def test_a_tree_has_arm_and_fingers(seed: int) -> None:
     """All of them move, those that follow others along; the tool remains that of the arm."""
     text, arm, fingers = robot_with_gripper(np.random.default_rng(seed))
     robot = ET.fromstring(text)
-    alone, whole = choose_joints(robot, "robot"), choose_joints(robot, "robot", tree=True)
+    alone, full_tree = choose_joints(robot, "robot"), choose_joints(robot, "robot", tree=True)
     follow = {
         joint.get("name") for joint in robot.findall("joint") if joint.find("mimic") is not None
     }
-    assert {*whole.joints} == {*arm, *fingers} - follow
-    assert not whole.held and whole.tool == alone.tool
+    assert {*full_tree.joints} == {*arm, *fingers} - follow
+    assert not full_tree.held and full_tree.tool == alone.tool
     assert set(alone.held) == {*fingers}
     named = choose_joints(robot, "robot", joints=[*arm, *({*fingers} - follow)], tool=alone.tool)
-    assert named.joints == whole.joints and not named.held, "by name"
+    assert named.joints == full_tree.joints and not named.held, "by name"
 
 
 @pytest.mark.parametrize("joints", [5, 6, 7])
@@ -203,7 +203,7 @@ def test_a_new_arm_does_not_run_into_itself(
     (tmp_path / "bodies").mkdir()
     corners = [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, -0.1)]
     faces = [[corners[k] for k in range(4) if k != left] for left in range(4)]
-    rows = ["".join("vertex {} {} {}\n".format(*one) for one in face) for face in faces]
+    rows = ["".join("vertex {} {} {}\n".format(*corner) for corner in face) for face in faces]
     loops = [f"facet normal 0 0 0\nouter loop\n{row}endloop\nendfacet\n" for row in rows]
     (tmp_path / "bodies" / "x.stl").write_text("solid x\n" + "".join(loops) + "endsolid x\n")
     file = tmp_path / "arm.urdf"
@@ -258,7 +258,7 @@ def test_visual_shapes_of_a_description_may_be_unsound(tmp_path: Path) -> None:
     file.write_bytes(ET.tostring(robot))
     plain = tmp_path / "plain.urdf"
     plain.write_text(OWN["planar"]())
-    drives = [write_new(one, tmp_path / one.stem).drives for one in (file, plain)]
+    drives = [write_new(source, tmp_path / source.stem).drives for source in (file, plain)]
     assert repr(drives[0]) == repr(drives[1])
 
 
@@ -307,8 +307,8 @@ def test_the_description_reports_what_the_drives_can(tmp_path: Path) -> None:
     for j, drive in enumerate(written.drives):
         assert kinematics.velocity_limit[j] == pytest.approx(drive.speed, rel=1e-5)
         assert kinematics.acceleration_limit[j] == pytest.approx(drive.acceleration, rel=1e-2)
-    asked = read_limits(ET.fromstring(text))
-    assert asked["j1"] == {"effort": None, "velocity": None}, "nothing was given"
+    limits = read_limits(ET.fromstring(text))
+    assert limits["j1"] == {"effort": None, "velocity": None}, "nothing was given"
     assert f"{file.parent.as_uri()}/meshes/part%20one.stl" in scene.urdf
 
 
@@ -383,9 +383,9 @@ def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
     for _ in range(3):
         pair = reachable(kinematics, 0.05, rng)
         assert pair is not None
-        one = move(scene, gains, "50 mm", *pair)
-        assert not one.words, one.words
-        assert one.seconds < 12.0 and one.peak_speed <= 1.0, one
+        outcome = move(scene, gains, "50 mm", *pair)
+        assert not outcome.words, outcome.words
+        assert outcome.seconds < 12.0 and outcome.peak_speed <= 1.0, outcome
 
 
 def test_one_command_from_a_robot_to_a_moving_arm(tmp_path: Path) -> None:

@@ -44,21 +44,21 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
     draw = np.random.default_rng(seed)
     demands = []
     for k in range(int(draw.integers(1, 8))):
-        most = 10.0 ** draw.uniform(-6, 4)
-        given = draw.random() < 0.7
+        largest = 10.0 ** draw.uniform(-6, 4)
+        is_limited = draw.random() < 0.7
         demands.append(
             Demand(
                 name=f"j{k}",
                 kind=str(draw.choice(["revolute", "prismatic"])),
                 start=0.0,
-                inertia=(most * 10.0 ** draw.uniform(-3, 0), most),
+                inertia=(largest * 10.0 ** draw.uniform(-3, 0), largest),
                 coupling=(),
-                gravity_torque=(weight := most * 10.0 ** draw.uniform(-2, 1.5) * (k % 5 > 0)),
+                gravity_torque=(weight := largest * 10.0 ** draw.uniform(-2, 1.5) * (k % 5 > 0)),
                 bare_torque=weight * draw.choice([1.0, 0.3]),
                 tool_weight=weight * draw.uniform(1.0, 2.0),
-                tool_inertia=most * draw.uniform(1.0, 3.0),
-                effort=10.0 ** draw.uniform(-6, 9) if given else None,
-                velocity=10.0 ** draw.uniform(-3, 5) if given else None,
+                tool_inertia=largest * draw.uniform(1.0, 3.0),
+                effort=10.0 ** draw.uniform(-6, 9) if is_limited else None,
+                velocity=10.0 ** draw.uniform(-3, 5) if is_limited else None,
             )
         )
     N = len(demands)
@@ -170,7 +170,7 @@ def test_loads_that_the_arm_cannot_hold_are_reported(
     written, how = made(tmp_path / "loaded", text, payload=5.0)
     assert not overloads(load_scene(written.file, {"payload.mass": 0.5}))
     assert how[:2] == ["URDF", "URDF"], "a payload is no reason to raise a maker's figure"
-    names = {one.joint: one for one in written.overloads}
+    names = {load.joint: load for load in written.overloads}
     assert set(names) == {"j1", "j2"}
     stretched = 9.81 * (8.0 * 0.2 + 6.0 * 0.6 + 0.5 * 0.85 + 5.0 * 0.9)
     assert 0.95 < names["j1"].takes / stretched <= 1.0, "the worst of the poses drawn, N m"
@@ -234,10 +234,10 @@ def test_the_survey_bounds_what_poses_ask_for(tmp_path: Path) -> None:
     file = tmp_path / "rod.urdf"
     file.write_text(serial("rod", [Part("0 1 0", (length, 0.0, 0.0), mass, radius=0.0)]))
     scene = load_scene(write_new(file, tmp_path / "new").file)
-    seen = survey(scene, Kinematics(scene.urdf, scene.joint_names, scene.tool))
-    np.testing.assert_allclose(seen.inertia, mass * length**2 / 3.0, rtol=1e-12)
+    result = survey(scene, Kinematics(scene.urdf, scene.joint_names, scene.tool))
+    np.testing.assert_allclose(result.inertia, mass * length**2 / 3.0, rtol=1e-12)
     # The heaviest of the poses drawn is not quite the horizontal one.
-    assert 0.99 < seen.gravity_torque[0] / (mass * 9.81 * length / 2.0) <= 1.0
+    assert 0.99 < result.gravity_torque[0] / (mass * 9.81 * length / 2.0) <= 1.0
 
 
 @pytest.mark.usefixtures("untuned")

@@ -54,5 +54,5 @@ def test_no_parts_touch_at_the_start_where_a_pose_without_contact_exists(
     tested = Collisions(scene.urdf, scene.joint_names, (), MotionConfig().collision_margin)
     assert not tested.first(scene.start)
     touching = [bool(tested.first(tested.drawn(rng))) for _ in range(100)]
-    watched = "stop" if tested.pairs else "auto"
-    assert motion.collisions == watched or np.mean(touching) > 0.7, "touching nearly everywhere"
+    collisions = "stop" if tested.pairs else "auto"
+    assert motion.collisions == collisions or np.mean(touching) > 0.7, "touching nearly everywhere"

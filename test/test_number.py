@@ -33,36 +33,36 @@ Read = Callable[[Any], object]
 
 def drawn(rng: np.random.Generator) -> Number:
     low, high = sorted(rng.uniform(-10.0, 10.0, 2).round(1).tolist())
-    whole, in_size = bool(rng.random() < 0.3), bool(rng.random() < 0.3)
+    is_whole, in_size = bool(rng.random() < 0.3), bool(rng.random() < 0.3)
     if in_size:
         low, high = 0.0, abs(high)
-    if whole:
+    if is_whole:
         low, high = math.floor(low), math.ceil(high) + 1
     bounds = [{}, {"above": low}, {"at_least": low}, {"at_most": high},
               {"at_least": low, "at_most": high}, {"above": low, "at_most": high}]  # fmt: skip
     chosen: Any = bounds[rng.integers(len(bounds))]
-    return Number("x", str(rng.choice(UNITS)), **chosen, whole=whole, in_size=in_size)
+    return Number("x", str(rng.choice(UNITS)), **chosen, whole=is_whole, in_size=in_size)
 
 
 def test_words_and_range_agree() -> None:
     rng = np.random.default_rng(22)
     taken = 0
     for _ in range(400):
-        one = drawn(rng)
-        ends = [x for x in (one.above, one.at_least, one.at_most) if x is not None]
+        number = drawn(rng)
+        ends = [x for x in (number.above, number.at_least, number.at_most) if x is not None]
         near = [math.nextafter(x, to) for x in ends for to in (-math.inf, math.inf)]
         near = [x for x in near if not 0.0 < abs(x) < SMALLEST]
         values = [*ends, *rng.uniform(-15.0, 15.0, 5).tolist(), 0.0, 3, -4]
         for value in [*values, *(-x for x in values), *near]:
-            within = one.holds(value)
-            assert value in near or within == fits(one.rule, value), (one, value)
+            within = number.holds(value)
+            assert value in near or within == fits(number.rule, value), (number, value)
             taken += within
             if within:
-                assert one.ends[0] <= value <= one.ends[1], (one, value)
-                assert one.take("here", np.float64(value)) == value
-        assert one.rule.startswith("be a whole number" if one.whole else "be a number")
-        assert (one.unit in one.rule) and "  " not in one.rule
-        check_refusals(one, "x", partial(one.take, "here"))
+                assert number.ends[0] <= value <= number.ends[1], (number, value)
+                assert number.take("here", np.float64(value)) == value
+        assert number.rule.startswith("be a whole number" if number.whole else "be a number")
+        assert (number.unit in number.rule) and "  " not in number.rule
+        check_refusals(number, "x", partial(number.take, "here"))
     assert taken > 1000
 
 
@@ -70,16 +70,16 @@ def test_a_bound_of_a_row_holds_if_it_holds_for_every_number() -> None:
     rng = np.random.default_rng(23)
     verdicts = set()
     for _ in range(2000):
-        one = drawn(rng)
+        number = drawn(rng)
         row = rng.choice([0.0, 1.0, -3.5, 9.0, 1e16, math.nan, -math.inf], int(rng.integers(1, 5)))
-        holds = all(map(one.holds, row))
+        holds = all(map(number.holds, row))
         verdicts.add(holds)
         for values in (row.tolist(), row[np.newaxis]):
             if holds:
-                one.check("here", values)
+                number.check("here", values)
             else:
                 with pytest.raises(Refusal, match=r"^here: x must be (whole )?numbers"):
-                    one.check("here", values)
+                    number.check("here", values)
     assert verdicts == {True, False}
 
 
@@ -120,16 +120,16 @@ def scene_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
     scene = load_scene("three_axis")
     for owner, above in ((scene, ""), (scene.integrator, "integrator."),
                          (scene.joints[0], f"joints.{scene.joints[0].name}.")):  # fmt: skip
-        for key, one in numbers_of(type(owner)).items():
-            yield one, above + key, partial(read, above + key, {})
+        for key, number in numbers_of(type(owner)).items():
+            yield number, above + key, partial(read, above + key, {})
     mass = Number("mass", "kg", at_least=0.0)
     yield mass, "payload.mass", partial(read, "payload.mass", {"payload": {"mass": 1.0}})
     encoder: dict[str, Any] = {"kind": "absolute", "counts_per_turn": 4096, "bits": 16}
     encoder = {"joints.elbow.encoder": encoder | {"ripple": 0.1}}
-    for key, most in (("counts_per_turn", 10**9), ("delay", 100), ("ripple_order", 10**6)):
-        one = Number(key, at_least=key != "delay", at_most=most, whole=True)
+    for key, highest in (("counts_per_turn", 10**9), ("delay", 100), ("ripple_order", 10**6)):
+        number = Number(key, at_least=key != "delay", at_most=highest, whole=True)
         path = f"joints.elbow.encoder.{key}"
-        yield one, path, partial(read, path, encoder)
+        yield number, path, partial(read, path, encoder)
     bits = Number("bits", at_least=12, at_most=48, whole=True)
     path = "joints.elbow.encoder.bits"
     yield bits, path, partial(read, path, encoder)
@@ -142,14 +142,17 @@ def servo_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
     tables[""] = {n: getattr(config, n) for n in numbers_of(ServoConfig)}
 
     def read(table: str, key: str, value: Any) -> object:
-        given = {name: dict(own) for name, own in tables.items()}
-        given[table][key] = value
-        whole = given[""] | {"joint_names": ["one"], "joints": {"one": given["joints.one"]}}
-        return ServoConfig.from_mapping(whole, "servo")
+        sections = {name: dict(own) for name, own in tables.items()}
+        sections[table][key] = value
+        parameters = sections[""] | {
+            "joint_names": ["one"],
+            "joints": {"one": sections["joints.one"]},
+        }
+        return ServoConfig.from_mapping(parameters, "servo")
 
     for table, kind in (("", ServoConfig), ("joints.one", type(config.joints[0]))):
-        for key, one in numbers_of(kind).items():
-            yield one, f"{table}.{key}".lstrip("."), partial(read, table, key)
+        for key, number in numbers_of(kind).items():
+            yield number, f"{table}.{key}".lstrip("."), partial(read, table, key)
 
 
 def node_parameters(_: Path) -> Iterator[tuple[Number, str, Read]]:
@@ -159,8 +162,8 @@ def node_parameters(_: Path) -> Iterator[tuple[Number, str, Read]]:
     for kind in (EmulatorParameters, ServoNodeParameters, MotionConfig):
         for field in parameters_of(kind).values():
             if type(field.default) in (int, float):
-                one = numbers_of(kind)[field.name]
-                yield one, f"parameter {field.name}", partial(read, field)
+                number = numbers_of(kind)[field.name]
+                yield number, f"parameter {field.name}", partial(read, field)
 
 
 def board_numbers(folder: Path) -> Iterator[tuple[Number, str, Read]]:
@@ -187,11 +190,11 @@ def board_numbers(folder: Path) -> Iterator[tuple[Number, str, Read]]:
 
     for path, numbers in (("", BOARD), ("encoders.a", ENCODER), ("uart.line", UART),
                           ("adc.ADC.channels.a", CHANNEL)):  # fmt: skip
-        for one in numbers:
-            key = one.name
+        for number in numbers:
+            key = number.name
             if key == "offset":
-                one = dataclasses.replace(one, at_most=2.0**12 - 1.0)
-            yield one, f"{path}.{key}".lstrip("."), partial(read, path, key)
+                number = dataclasses.replace(number, at_most=2.0**12 - 1.0)
+            yield number, f"{path}.{key}".lstrip("."), partial(read, path, key)
     bit = Number("flag", at_least=0, at_most=31, whole=True)
     yield bit, "adc.ADC.flag", partial(read, "adc.ADC", "flag")
 
@@ -218,8 +221,8 @@ def varied_plant() -> Plant:
 
 def varied_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
     plant = varied_plant()
-    for one in plant.scene.varied:
-        yield one.number, one.name, partial(plant.set_parameter, one.name)
+    for varied in plant.scene.varied:
+        yield varied.number, varied.name, partial(plant.set_parameter, varied.name)
 
 
 ROOMS = (scene_numbers, servo_numbers, node_parameters, board_numbers, demo_numbers, varied_numbers)
@@ -229,16 +232,20 @@ ROOMS = (scene_numbers, servo_numbers, node_parameters, board_numbers, demo_numb
 def test_a_number_out_of_its_range_is_refused_alike_in_every_room(
     room: Callable[[Path], Iterator[tuple[Number, str, Read]]], tmp_path: Path
 ) -> None:
-    drawn = [check_refusals(one, name, read) for one, name, read in room(tmp_path)]
-    assert drawn and sum(drawn) > 20 * len(drawn)
+    counts = [check_refusals(number, name, read) for number, name, read in room(tmp_path)]
+    assert counts and sum(counts) > 20 * len(counts)
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", [np.float16, np.float32, np.longdouble, np.int8, np.uint64])
 def test_short_and_long_numbers_of_numpy_are_taken_as_they_are(kind: type[np.number]) -> None:
     """Ranges end beyond what short ones hold, whose comparisons with these would warn."""
-    for one in (Number("x"), Number("x", at_least=-1.0, at_most=1e300), Number.within("x", "", 9)):
-        assert one.take("here", kind(3)) == 3.0
+    for number in (
+        Number("x"),
+        Number("x", at_least=-1.0, at_most=1e300),
+        Number.within("x", "", 9),
+    ):
+        assert number.take("here", kind(3)) == 3.0
     for bad in {"i": (), "u": ()}.get(np.dtype(kind).kind, (math.nan, math.inf, -math.inf)):
         with pytest.raises(Refusal, match="here: x must be a"):
             Number("x").take("here", kind(bad))

@@ -54,5 +54,5 @@ def value(place: str) -> Any:
 @pytest.mark.parametrize(("page", "words", "place", "unit"), NUMBERS, ids=[n[2] for n in NUMBERS])
 def test_a_page_has_the_number_of_the_code(page: str, words: str, place: str, unit: float) -> None:
     before, after = (re.escape(part) for part in words.split("{}"))
-    found = re.findall(rf"{before}([\d.e+-]*\d){after}", plain(page))
-    assert [float(one) for one in found] == [pytest.approx(unit * value(place))], found
+    texts = re.findall(rf"{before}([\d.e+-]*\d){after}", plain(page))
+    assert [float(text) for text in texts] == [pytest.approx(unit * value(place))], texts

@@ -41,7 +41,9 @@ def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
     file = write_scene(folder, gantry_urdf(), joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": "located"})
     for part, joint in zip(parts, scene.joints, strict=True):
-        assert any(type(one) is part for one in joint.parts), f"{part.__name__} is there"
+        assert any(type(other_part) is part for other_part in joint.parts), (
+            f"{part.__name__} is there"
+        )
     return scene
 
 
@@ -63,12 +65,12 @@ def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_pa
 def test_a_machine_that_is_saved_goes_on_to_the_last_bit(parts: Parts, tmp_path: Path) -> None:
     scene = scene_of(tmp_path, parts, STEPS[0])
     rows = commands(scene, 1)
-    plant, other = Plant(scene), Plant(scene)
+    plant, restored = Plant(scene), Plant(scene)
     for k, row in enumerate(rows):
         plant.powered = k % 5 != 3
         plant.advance(row, STEPS[0])
-        other.restore(saved := plant.save())
-        assert other.save() == saved, f"after row {k}"
-        for one in (plant, other):
-            one.advance(-row, STEPS[0] // 4)
-        assert other.save() == plant.save(), f"on the way from row {k}"
+        restored.restore(saved := plant.save())
+        assert restored.save() == saved, f"after row {k}"
+        for machine in (plant, restored):
+            machine.advance(-row, STEPS[0] // 4)
+        assert restored.save() == plant.save(), f"on the way from row {k}"

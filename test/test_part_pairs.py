@@ -48,7 +48,7 @@ def test_events_at_steps_keep_order_one(share: int, scheme: str, tmp_path: Path)
 
 def test_the_machines_have_every_part_beside_and_opposite_itself_and_others() -> None:
     """The list of pairs is drawn: each part must be in it, with all that a joint may have."""
-    found = set().union(*map(part_pairs.pairs_of, machines()))
-    assert found == part_pairs.all_pairs()
+    pairs = set().union(*map(part_pairs.pairs_of, machines()))
+    assert pairs == part_pairs.all_pairs()
     for kind in PARTS:
-        assert (False, frozenset({kind.__name__})) in found, f"{kind.__name__} opposite itself"
+        assert (False, frozenset({kind.__name__})) in pairs, f"{kind.__name__} opposite itself"

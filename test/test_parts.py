@@ -29,14 +29,14 @@ OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
 parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
 
 
-def drawn_number(one: PartNumber, rng: np.random.Generator) -> float:
+def drawn_number(number: PartNumber, rng: np.random.Generator) -> float:
     """A number within its bounds; small and large ones are as likely."""
-    if one.whole:
-        return int(rng.integers(int(one.least), int(one.most) + 1))
-    low = one.least if one.least > -LARGEST else -1e3
-    high = min(one.most, 1e3)
+    if number.whole:
+        return int(rng.integers(int(number.least), int(number.most) + 1))
+    low = number.least if number.least > -LARGEST else -1e3
+    high = min(number.most, 1e3)
     if low >= 0.0:
-        sign = rng.choice([-1.0, 1.0]) if one.in_size else 1.0
+        sign = rng.choice([-1.0, 1.0]) if number.in_size else 1.0
         return float(sign * np.exp(rng.uniform(math.log(max(low, 1e-3)), math.log(high))))
     return float(rng.uniform(low, high))
 
@@ -53,35 +53,37 @@ def drawn_section(part: type[Part], rng: np.random.Generator) -> dict[str, float
 
 def drawn_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
     data: dict[str, float] = {}
-    for key, one in part.numbers().items():
-        if one.default is not REQUIRED and rng.random() < 0.3:
+    for key, number in part.numbers().items():
+        if number.default is not REQUIRED and rng.random() < 0.3:
             continue
-        value = drawn_number(one, rng)
-        if one.follows is not None:
-            if one.follows not in data:
+        value = drawn_number(number, rng)
+        if number.follows is not None:
+            if number.follows not in data:
                 continue
-            value = data[one.follows] * float(rng.uniform(1.0, 3.0))
+            value = data[number.follows] * float(rng.uniform(1.0, 3.0))
         data[key] = value
     return data
 
 
 def read(part: type[Part], data: dict[str, Any]) -> Part:
     section = Section(data, "drawn.yaml", f"joints.elbow.{part.section}")
-    found = part.read(section)
+    part_read = part.read(section)
     section.finish()
-    return found
+    return part_read
 
 
-def out_of_bounds(key: str, one: PartNumber, data: dict[str, float]) -> list[Any]:
+def out_of_bounds(key: str, number: PartNumber, data: dict[str, float]) -> list[Any]:
     bad: list[Any] = [None, "much", True, [1.0], math.nan, math.inf, -math.inf, 10**400]
-    bad.append(one.most + 1e-3 * (abs(one.most) or 1.0) if one.most < LARGEST else 2.0 * LARGEST)
-    if one.above is not None:
-        bad += [one.above] if one.in_size else [one.above, one.above - 1.0, -LARGEST]
-        bad += [0.5 * SMALLEST] if one.above == 0.0 else []
-    if one.at_least is not None:
-        bad.append(one.at_least - 1e-3)
-    if one.follows is not None:
-        bad.append(0.99 * data.get(one.follows, 0.0) - 1e-3)
+    bad.append(
+        number.most + 1e-3 * (abs(number.most) or 1.0) if number.most < LARGEST else 2.0 * LARGEST
+    )
+    if number.above is not None:
+        bad += [number.above] if number.in_size else [number.above, number.above - 1.0, -LARGEST]
+        bad += [0.5 * SMALLEST] if number.above == 0.0 else []
+    if number.at_least is not None:
+        bad.append(number.at_least - 1e-3)
+    if number.follows is not None:
+        bad.append(0.99 * data.get(number.follows, 0.0) - 1e-3)
     return bad
 
 
@@ -90,21 +92,21 @@ def test_numbers_are_read_as_given_or_take_their_defaults(part: type[Part]) -> N
     rng = np.random.default_rng([len(part.__name__), 1])
     for _ in range(20):
         data = drawn_section(part, rng)
-        found = read(part, data)
-        for key, one in part.numbers().items():
-            leader = one.follows and getattr(found, one.follows)
-            expected = data.get(key, one.default if leader is None else leader)
-            assert getattr(found, key) == expected, f"{key} of {data}"
+        part_read = read(part, data)
+        for key, number in part.numbers().items():
+            followed = number.follows and getattr(part_read, number.follows)
+            expected = data.get(key, number.default if followed is None else followed)
+            assert getattr(part_read, key) == expected, f"{key} of {data}"
 
 
 @parts
 def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 2])
-    for key, one in part.numbers().items():
+    for key, number in part.numbers().items():
         data = drawn_section(part, rng)
-        if one.follows is not None:
-            data.setdefault(one.follows, 1.0)
-        for bad in out_of_bounds(key, one, data):
+        if number.follows is not None:
+            data.setdefault(number.follows, 1.0)
+        for bad in out_of_bounds(key, number, data):
             with pytest.raises(Refusal) as refusal:
                 read(part, data | {key: bad})
             printed = str(refusal.value)
@@ -116,9 +118,9 @@ def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Par
 def test_a_missing_number_and_an_unknown_one_are_refused(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 3])
     data = drawn_section(part, rng)
-    for key, one in part.numbers().items():
-        if one.default is REQUIRED:
-            rest = {other: value for other, value in data.items() if other != key}
+    for key, number in part.numbers().items():
+        if number.default is REQUIRED:
+            rest = {name: value for name, value in data.items() if name != key}
             with pytest.raises(
                 Refusal, match=rf"{part.section}.{key} must be a (whole )?number.*nothing"
             ):
@@ -134,15 +136,15 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
     """Constants to the last bit, varied numbers by their place, what follows one by its ratio."""
     rng = np.random.default_rng([len(part.__name__), 4])
     for _ in range(20):
-        found = read(part, drawn_section(part, rng))
-        could = {one.name: one for one in found.could_vary("elbow")}
+        instance = read(part, drawn_section(part, rng))
+        could = {one.name: one for one in instance.could_vary("elbow")}
         chosen = [name for name in could if rng.random() < 0.5]
         places = {name: f"p[{k}]" for k, name in enumerate(chosen)}
         p = [could[name].value for name in chosen]
-        text = found.initialiser("elbow", places)
+        text = instance.initialiser("elbow", places)
         members = dict(re.findall(r"\.(\w+) = ([^,{}]+)", text))
         for key, one in part.numbers().items():
-            value, at = getattr(found, key), f"joints.elbow.{part.section}.{key}"
+            value, at = getattr(instance, key), f"joints.elbow.{part.section}.{key}"
             assert (at in could) == (
                 one.varied and not one.whole and one.follows is None and value is not None
             ), at
@@ -207,8 +209,8 @@ def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]
     declared = {*part.numbers(), *(key.name for key in part.keys)}
     assert declared <= rows.keys() and all(rows[key][3] for key in declared), "what each is"
     of_others = {kind.section.partition(".")[2] for kind in PARTS}
-    known = {key.partition(".")[0] for key in declared}
-    assert section.keys_asked - of_others == known - of_others
+    sections = {key.partition(".")[0] for key in declared}
+    assert section.keys_asked - of_others == sections - of_others
 
 
 # Parts of nearly every scene, whose equations stand in docs/concepts/physics.md.
@@ -220,12 +222,12 @@ def test_a_part_has_its_page_and_a_test_with_it(part: type[Part]) -> None:
     module = part.__module__.rsplit(".", 1)[1]
     page = DOCS / "reference" / "parts" / f"{module}.md"
     assert page.exists() or module in IN_PHYSICS, f"write {page.relative_to(DOCS.parent)}"
-    known_by = (
+    labels = (
         part.section.rpartition(".")[2],
         getattr(part, "kind", ""),
         *vars(part).get("named_by", ()),
     )
-    name = re.compile("|".join(rf'"{word}"|\b{part.__name__}\b' for word in known_by if word))
+    name = re.compile("|".join(rf'"{word}"|\b{part.__name__}\b' for word in labels if word))
     tests = (file for file in TESTS.glob("test_*.py") if file != Path(__file__))
     assert any(name.search(file.read_text()) for file in tests), f"write test/test_{module}.py"
 

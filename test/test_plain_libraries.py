@@ -155,9 +155,9 @@ def test_rows_times_steps_beyond_what_can_be_counted_are_refused(plant: Plant) -
     before = as_bytes(plant)
     for _ in range(200):
         rows = np.zeros((int(2 ** rng.integers(1, 12)), N))
-        least = 10**15 // len(rows) + 1
-        steps = int(rng.choice([least, 2**62, 2**64 // len(rows), 2**63 // len(rows)]))
-        refused(plant.run, rows, max(steps, least))
+        lowest = 10**15 // len(rows) + 1
+        steps = int(rng.choice([lowest, 2**62, 2**64 // len(rows), 2**63 // len(rows)]))
+        refused(plant.run, rows, max(steps, lowest))
         assert as_bytes(plant) == before, (len(rows), steps)
     assert plant.run(np.zeros((0, N)), 10**15).shape == (0, N)
 
@@ -278,13 +278,13 @@ def test_long_calls_give_the_same_bits_in_pieces(
         plant.reset()
         q = plant.run(rows, steps)
         plant.advance(rows[0], 1000)
-        whole = as_bytes(plant)
+        in_full = as_bytes(plant)
         for piece in (16, 128, 512):
             monkeypatch.setattr("arm_emulator.machine.plant.plant.PIECE", piece)
             plant.reset()
             assert plant.run(rows, steps).tobytes() == q.tobytes(), (steps, piece)
             plant.advance(rows[0], 1000)
-            assert as_bytes(plant) == whole, (steps, piece)
+            assert as_bytes(plant) == in_full, (steps, piece)
             monkeypatch.undo()
     assert PIECE % 16 == 0
 

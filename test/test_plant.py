@@ -49,13 +49,13 @@ def test_same_bits_however_the_steps_are_asked_for(plant: Plant) -> None:
 @pytest.mark.parametrize("steps", [0, 1, 3, 16, 50])
 def test_same_bits_in_rows_as_one_by_one(plant: Plant, steps: int) -> None:
     rows = np.random.default_rng(1).uniform(-60.0, 60.0, (40, 3))  # beyond the supply, too
-    one_by_one = []
+    positions = []
     for row in rows:
         plant.advance(row, steps)
-        one_by_one.append(plant.state.q)
+        positions.append(plant.state.q)
     end = as_bytes(plant)
     plant.reset()
-    assert plant.run(rows, steps).tobytes() == np.array(one_by_one).tobytes()
+    assert plant.run(rows, steps).tobytes() == np.array(positions).tobytes()
     assert as_bytes(plant) == end
 
 
@@ -69,17 +69,17 @@ def test_divergence_is_caught_at_the_last_state_within_bounds() -> None:
     plant = Plant(load_scene("three_axis", overrides=overrides))
     with pytest.raises(Diverged, match=r"joint (waist|shoulder|elbow) diverged after t = .* at dt"):
         plant.advance([20.0, -20.0, 10.0], 100_000)
-    held = plant.state
+    last = plant.state
     assert plant.t < 10.0
-    measured = np.floor(held.theta_m * 1024 / (2.0 * np.pi))
+    measured = np.floor(last.theta_m * 1024 / (2.0 * np.pi))
     np.testing.assert_array_equal(plant.measured.encoder_counts, measured, "measured there")
-    np.testing.assert_array_equal(plant.measured.current, held.current, "measured there")
-    for array in (held.q, held.v, held.current, held.theta_m, held.omega_m):
+    np.testing.assert_array_equal(plant.measured.current, last.current, "measured there")
+    for array in (last.q, last.v, last.current, last.theta_m, last.omega_m):
         assert np.isfinite(array).all()
-    assert np.abs(held.v).max() * 1e-2 <= np.pi
+    assert np.abs(last.v).max() * 1e-2 <= np.pi
     with pytest.raises(Diverged):  # it stays there
         plant.advance([20.0, -20.0, 10.0], 1)
-    assert plant.t == held.t
+    assert plant.t == last.t
     plant.reset()
     plant.advance([0.0, 0.0, 0.0], 10)
 

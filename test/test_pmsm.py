@@ -147,11 +147,11 @@ def test_commands_stay_within_the_inverters_circle_and_go_without_power(arm: Pat
             "uq that is left"
         )
     saved, row = plant.save(), np.full(3, 3.0)
-    other = Plant(plant.scene)
-    other.restore(saved)
-    for one in (plant, other):
-        one.advance(row, 20)
-    assert plant.save() == other.save(), "the held ud is part of what is saved"
+    restored = Plant(plant.scene)
+    restored.restore(saved)
+    for machine in (plant, restored):
+        machine.advance(row, 20)
+    assert plant.save() == restored.save(), "the held ud is part of what is saved"
     plant.powered = False
     for _ in range(200):
         plant.exchange(row, command_d=row)

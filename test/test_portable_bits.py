@@ -13,6 +13,8 @@ def test_bits_are_those_of_every_compiler_and_processor(
 ) -> None:
     # `make test` compiles at another level, by quick_cxx, on the strength of this test.
     monkeypatch.delenv("CXX", raising=False)
-    kept = json.loads(KEPT.read_text())
-    found = dict(digests("native", "-O3"))
-    assert found == {name: kept[name] for name in found}, "the physics, or a compiler, differs"
+    expected = json.loads(KEPT.read_text())
+    computed = dict(digests("native", "-O3"))
+    assert computed == {name: expected[name] for name in computed}, (
+        "the physics, or a compiler, differs"
+    )

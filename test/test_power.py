@@ -34,27 +34,27 @@ def exchanged(plant: Plant, V: Array) -> None:
 WAYS = [fed, rows, metered, exchanged]
 
 
-def moved(scene: Scene, way: Callable[[Plant, Array], None], on: bool, V: Array) -> Array:
+def moved(scene: Scene, drive: Callable[[Plant, Array], None], on: bool, V: Array) -> Array:
     plant = Plant(scene)
     plant.powered = on
-    way(plant, V)
+    drive(plant, V)
     state = plant.state
     return np.array([*state.q, *state.v, *state.current])
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("drive", WAYS)
 @pytest.mark.parametrize("sensed", some([True, False], 1))
 def test_without_power_commands_are_nothing(
-    way: Callable[[Plant, Array], None], sensed: bool
+    drive: Callable[[Plant, Array], None], sensed: bool
 ) -> None:
     """As under 0 V, to the last bit; and not as with power."""
     keys: dict[str, object] = {"energy_flow": True, "integrator.dt": 1e-4}
     if sensed:
         keys["joints.elbow.encoder.noise"] = 1e-3
     scene, V = load_scene("three_axis", keys), np.array([9.0, -5.0, 7.0])
-    off = moved(scene, way, False, V)
-    np.testing.assert_array_equal(off, moved(scene, way, True, 0.0 * V))
-    assert np.abs(moved(scene, way, True, V) - off).max() > 1e-3
+    off = moved(scene, drive, False, V)
+    np.testing.assert_array_equal(off, moved(scene, drive, True, 0.0 * V))
+    assert np.abs(moved(scene, drive, True, V) - off).max() > 1e-3
     plant = Plant(scene)
     plant.powered = False
     assert not plant.powers(V).given.any()
@@ -67,8 +67,8 @@ def test_arms_of_a_fleet_have_power_each_for_itself() -> None:
     for arm in off:
         fleet[arm].powered = False
     q = fleet.run(np.tile(V, (3, 1)), 20)
-    one = {on: Plant(scene) for on in (True, False)}
-    for on, plant in one.items():
+    plants = {on: Plant(scene) for on in (True, False)}
+    for on, plant in plants.items():
         plant.powered = on
         expected = plant.run(np.tile(V, (3, 1)), 20)
         arms = [k for k in range(11) if (k not in off) == on]

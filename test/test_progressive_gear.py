@@ -179,9 +179,11 @@ def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) 
     named = ["ProgressiveGear" in scene_unit(scene) for scene in scenes]
     assert named == [False, True], "which gear the core is compiled with"
     voltages = rng.uniform(-20.0, 20.0, (10, 1))
-    one = Plant(linear).run(voltages, 100)
-    other = plant_with(file, gear={"cubic_stiffness": 0.0}).run(voltages, 100)
-    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12, err_msg="the motions")
+    linear_motion = Plant(linear).run(voltages, 100)
+    cubic_motion = plant_with(file, gear={"cubic_stiffness": 0.0}).run(voltages, 100)
+    np.testing.assert_allclose(
+        linear_motion, cubic_motion, rtol=1e-9, atol=1e-12, err_msg="the motions"
+    )
 
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit"], 1))

@@ -91,28 +91,28 @@ def _values(volts: float) -> dict[str, Any]:
 
 
 def test_records_with_arrays_are_equal_if_their_values_are() -> None:
-    one, same, other = _values(1.0), _values(1.0), _values(2.0)
-    for name, value in one.items():
+    first, same, different = _values(1.0), _values(1.0), _values(2.0)
+    for name, value in first.items():
         assert value == same[name] == copy.deepcopy(value), name
         assert value is not same[name] and value != 1, name
-    differing = {name for name in one if one[name] != other[name]}
+    differing = {name for name in first if first[name] != different[name]}
     assert differing >= {"scene", "state", "measured", "fleet", "fleet measured", "pose"}
-    unknown = dataclasses.replace(one["state"], q=np.array([0.0, np.nan, 0.0]))
+    unknown = dataclasses.replace(first["state"], q=np.array([0.0, np.nan, 0.0]))
     assert unknown == copy.deepcopy(unknown), "NaN: not measured"
-    assert len({one["scene"], same["scene"], other["scene"]}) == 2
+    assert len({first["scene"], same["scene"], different["scene"]}) == 2
 
 
 def test_no_object_shows_itself_by_its_address() -> None:
     gains, plant = load_gains("three_axis"), Plant("three_axis")
     kinematics = Kinematics(plant.scene.urdf, plant.scene.joint_names, plant.scene.tool)
     fleet = Fleet("three_axis", 2)
-    for one in (
+    for instance in (
         *(plant, fleet, plant.scene, gains, kinematics, Servo("three_axis"), Recording(plant)),
         *(Session("three_axis", "lockstep", "free_run"), JacobianController(kinematics)),
         *(OfflineRun("three_axis", gains.servo, gains.motion), ServoFleet(fleet, "three_axis")),
         *(fleet.step(np.zeros((2, 3))), plant.links, linearise("three_axis")),
     ):
-        assert not re.search(r"\bat 0x|\n", repr(one)), repr(one)
+        assert not re.search(r"\bat 0x|\n", repr(instance)), repr(instance)
     assert repr(plant.scene) == "<Scene three_axis: waist, shoulder, elbow>"
 
 
@@ -214,8 +214,8 @@ def test_a_recording_is_shown_by_rerun(tmp_path: Path) -> None:
         run.run(rows, 1)
     assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
     chunks = RrdReader(tmp_path / "run.rrd").stream().filter(content="/signals/q/waist")
-    shown = sum(one.to_record_batch().num_rows for one in chunks if not one.is_static)
-    assert shown == 700
+    count = sum(chunk.to_record_batch().num_rows for chunk in chunks if not chunk.is_static)
+    assert count == 700
     with pytest.raises(Refusal, match="end in"):
         Recording(plant, "run.txt")
 
@@ -235,7 +235,9 @@ def test_helpers_for_users_tests() -> None:
     plant = testing.plant_of("three_axis")
     servo, target = Servo(load_gains(find_config("three_axis", ".yaml")).servo), plant.scene.start
     q = testing.drive(
-        plant, lambda _, seen: servo.update(seen.encoder_counts, seen.current, target), 500
+        plant,
+        lambda _, measured: servo.update(measured.encoder_counts, measured.current, target),
+        500,
     )
     testing.assert_settles(q, target, within=1e-3, last=100)
     with pytest.raises(AssertionError, match=r"joint 1 is .* off"):
@@ -341,10 +343,10 @@ def test_the_keywords_of_a_part_are_its_signature() -> None:
         fields = {field.name: field for field in dataclasses.fields(kind)}
         signature = inspect.signature(kind)
         assert signature.parameters.keys() == fields.keys(), kind
-        for name, one in signature.parameters.items():
-            assert one.kind is one.KEYWORD_ONLY
+        for name, parameter in signature.parameters.items():
+            assert parameter.kind is parameter.KEYWORD_ONLY
             required = fields[name].default is fields[name].default_factory is dataclasses.MISSING
-            assert (one.default is one.empty) == required, name
+            assert (parameter.default is parameter.empty) == required, name
     needed = {value.name for value in inspect.signature(DcMotor).parameters.values()
               if value.default is value.empty}  # fmt: skip
     assert needed == {"resistance", "torque_constant", "back_emf_constant", "rotor_inertia"}

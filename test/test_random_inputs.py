@@ -98,9 +98,9 @@ class Strangers:
         """Publish a message, a random one if it is None."""
         kind = class_of(self.topics[topic])
         if topic not in self._publishers:
-            kept = topic in ("/robot_description", "/emulator/events")
+            is_latched = topic in ("/robot_description", "/emulator/events")
             qos = QoSProfile(depth=10)
-            if kept:
+            if is_latched:
                 qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
         self._publishers[topic].publish(
@@ -109,8 +109,8 @@ class Strangers:
 
     def listeners(self, topic: str) -> int:
         """Return how many listeners the publisher of a topic has found."""
-        found: int = self._publishers[topic].get_subscription_count()
-        return found
+        count: int = self._publishers[topic].get_subscription_count()
+        return count
 
     def call(self, service: str) -> None:
         """Call a service with a random request; parameters are those of its node, most often."""
@@ -134,9 +134,9 @@ class Strangers:
 
     def waiting(self) -> list[str]:
         """Return services that have not answered yet."""
-        self.answered += sum(one.done() for one in self._futures)
-        self._futures = [one for one in self._futures if not one.done()]
-        return [one.service for one in self._futures]
+        self.answered += sum(future.done() for future in self._futures)
+        self._futures = [future for future in self._futures if not future.done()]
+        return [future.service for future in self._futures]
 
     def settle(self) -> None:
         """Wait for all answers.
@@ -271,7 +271,7 @@ def test_the_page_outlives_what_others_publish() -> None:
     rng = random.Random(f"page {SEED}")
     with own_domain() as domain:
         user = User(domain)
-        hands = RosControls("/", 1e-3, lockstep=True)
+        controls = RosControls("/", 1e-3, lockstep=True)
         try:
             kinds = (EmulatorStatus, MachineEvent, MotionStatus, DiagnosticArray)
             topics = ("emulator/status", "emulator/events", "motion/status", "diagnostics")
@@ -289,10 +289,10 @@ def test_the_page_outlives_what_others_publish() -> None:
                 user.spin(0.001)
             end = EmulatorStatus(phase=EmulatorStatus.PHASE_RUNNING, powered=True)
             publishers[0].publish(end)
-            user.wait("the newest state", lambda: hands.news().state == "running")
-            hands.news()
+            user.wait("the newest state", lambda: controls.news().state == "running")
+            controls.news()
         finally:
-            hands.close()
+            controls.close()
             user.close()
 
 
@@ -314,8 +314,8 @@ def swing(rng: random.Random, names: list[str]) -> JointTrajectory:
 
 def assert_within(user: User, limits: dict[str, Any]) -> None:
     for name, q, v in zip(user.truth.name, user.truth.position, user.truth.velocity, strict=True):
-        lower, upper, most = (
-            float(limits[name].get(one)) for one in ("lower", "upper", "velocity")
+        lower, upper, largest = (
+            float(limits[name].get(key)) for key in ("lower", "upper", "velocity")
         )
-        assert abs(v) <= 1.05 * most, f"{name} moves at {v:.3g} rad/s, of {most:g}"
+        assert abs(v) <= 1.05 * largest, f"{name} moves at {v:.3g} rad/s, of {largest:g}"
         assert 1.05 * lower <= q <= 1.05 * upper, f"{name} is at {q:.3g} rad"

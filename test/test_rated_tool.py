@@ -61,8 +61,8 @@ def shares(folder: Path, names: list[str], payload: bool | float) -> np.ndarray:
     out = []
     for name in names:
         joints = ARMS[name]
-        given = float(joints[0]["payload"]) if payload is True else payload
-        mass = None if payload is False else float(given)
+        rating = float(joints[0]["payload"]) if payload is True else payload
+        mass = None if payload is False else float(rating)
         written = made(folder / f"{name}_{payload}", described(name, joints), mass)
         assert all(drive.notes["torque"].startswith("guess") for drive in written.drives)
         for motor in motors(written):
@@ -112,9 +112,9 @@ def test_a_flange_that_rolls_holds_and_turns_a_cube_beside_its_axis(
     parts = [Part("0 1 0", (1.0, 0.0, 0.0), 30.0), Part(axis, (0.1, 0.0, 0.0), 1e-6, velocity=4.0)]
     written = made(tmp_path / "roll", serial("roll", parts), payload)
     a = (payload / 1000.0) ** (1.0 / 3.0)
-    held, turned = payload * G * a / 2.0, payload * (a**2 / 4.0 + a**2 / 6.0)
+    static, dynamic = payload * G * a / 2.0, payload * (a**2 / 4.0 + a**2 / 6.0)
     # The heaviest of the poses drawn is not quite the horizontal one.
-    expected = 1.3 * held + turned * speed / 0.25
+    expected = 1.3 * static + dynamic * speed / 0.25
     assert written.drives[1].peak_torque == pytest.approx(expected, rel=0.02)
     # The first joint holds it beyond the flange; both its directions are drawn.
     (tool,) = written.tools

@@ -36,12 +36,14 @@ CURRENT: dict[str, Any] = {"joints.elbow.current_sensor": {"noise": 0.1}}
 
 def sensors() -> dict[str, Any]:
     """Overrides: all kinds at the waist and at the elbow, none at the shoulder."""
-    found: dict[str, Any] = {f"joints.{name}.motor.winding": WINDING for name in ("waist", "elbow")}
+    overrides: dict[str, Any] = {
+        f"joints.{name}.motor.winding": WINDING for name in ("waist", "elbow")
+    }
     for name, (_, _, size) in KINDS.items():
         scaled = {"offset": -0.2 * size, "range": size, "resolution": size / STEPS}
-        found[f"joints.waist.{name}"] = {"gain_error": GAIN, **scaled}
-        found[f"joints.elbow.{name}"] = {"noise": NOISE * size, "delay": DELAY}
-    return found
+        overrides[f"joints.waist.{name}"] = {"gain_error": GAIN, **scaled}
+        overrides[f"joints.elbow.{name}"] = {"noise": NOISE * size, "delay": DELAY}
+    return overrides
 
 
 @pytest.fixture(scope="module")
@@ -49,38 +51,40 @@ def rows() -> dict[str, np.ndarray]:
     """Readings and truths by name, a row per tick, under commands that jump."""
     scene = load_scene("three_axis", RIGID | CURRENT | sensors())
     plant, rng = Plant(scene), np.random.default_rng(4)
-    found: dict[str, list[np.ndarray]] = {}
+    columns: dict[str, list[np.ndarray]] = {}
     for tick in range(TICKS):
         if tick % 100 == 0:
             command = rng.uniform(-30.0, 30.0, 3)
         truths = {of: getattr(plant.state, of) for of in ("q", "v", "omega_m")}
         truths["temperature"] = plant.winding_temperatures
-        shown = {value.reading: getattr(plant.measured, value.reading) for value in KINDS.values()}
-        for name, row in (truths | shown).items():
-            found.setdefault(name, []).append(np.array(row))
+        readings = {
+            value.reading: getattr(plant.measured, value.reading) for value in KINDS.values()
+        }
+        for name, row in (truths | readings).items():
+            columns.setdefault(name, []).append(np.array(row))
         plant.exchange(command)
-    return {name: np.array(row) for name, row in found.items()}
+    return {name: np.array(row) for name, row in columns.items()}
 
 
 def test_every_kind_is_there() -> None:
-    assert set(KINDS) == {one.section for one in ANALOG if one.field == "reading"}
+    assert set(KINDS) == {sensor.section for sensor in ANALOG if sensor.field == "reading"}
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 def test_it_shows_its_quantity_with_its_errors(rows: dict[str, np.ndarray], kind: Kind) -> None:
-    shown, true = rows[kind.reading][:, 0], rows[kind.of][:, 0]
-    wanted = np.clip((1.0 + GAIN) * true - 0.2 * kind.size, -kind.size, kind.size)
-    error = np.abs(shown - wanted).max() * STEPS / kind.size
+    reading, true = rows[kind.reading][:, 0], rows[kind.of][:, 0]
+    expected = np.clip((1.0 + GAIN) * true - 0.2 * kind.size, -kind.size, kind.size)
+    error = np.abs(reading - expected).max() * STEPS / kind.size
     assert 0.4 < error <= 0.5 * (1.0 + 1e-9), "half a multiple of its resolution, from tick 0 on"
-    at_end = np.abs(wanted) == kind.size
+    at_end = np.abs(expected) == kind.size
     assert at_end.any() and not at_end.all(), "its range was reached"
     assert not rows[kind.reading][:, 1].any(), "a joint without one"
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
 def test_its_noise_is_white_and_it_is_late(rows: dict[str, np.ndarray], kind: Kind) -> None:
-    shown, true = rows[kind.reading][:, 2], rows[kind.of][:, 2]
-    noise = (shown[DELAY:] - true[:-DELAY]) / (NOISE * kind.size)
+    reading, true = rows[kind.reading][:, 2], rows[kind.of][:, 2]
+    noise = (reading[DELAY:] - true[:-DELAY]) / (NOISE * kind.size)
     count = len(noise)
     # Five standard deviations of each statistic.
     assert abs(noise.mean()) < 5 / np.sqrt(count)

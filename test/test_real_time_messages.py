@@ -16,8 +16,8 @@ from arm_emulator_msgs.msg import MotorCommand
 JOINTS = ["waist", "shoulder", "elbow"]
 
 
-def session_of(one: InProcess) -> Any:
-    return one.nodes["emulator"]._session
+def session_of(nodes: InProcess) -> Any:
+    return nodes.nodes["emulator"]._session
 
 
 def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
@@ -29,13 +29,13 @@ def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
         numbers[draw.randrange(3)] = bad[spoil]
     ticks = {"stale": max(0, answered - 1), "same": max(0, answered), "future": newest + 10**6}
     tick = ticks.get(spoil, draw.randint(answered + 1, newest))
-    other = started() + 1 if spoil == "machine" else draw.choice([0, started()])
+    machine_number = started() + 1 if spoil == "machine" else draw.choice([0, started()])
     names = draw.sample(JOINTS, 3) if draw.random() < 0.1 else JOINTS
-    return MotorCommand(joint_names=names, command=numbers, tick=tick, machine=other)
+    return MotorCommand(joint_names=names, command=numbers, tick=tick, machine=machine_number)
 
 
 def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
-    within = all(abs(one) <= COMMAND.most for one in command.command)  # false of a NaN
+    within = all(abs(voltage) <= COMMAND.most for voltage in command.command)  # false of a NaN
     return within and answered <= command.tick <= newest and command.machine in (0, started())
 
 
@@ -43,28 +43,28 @@ def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
 def test_only_commands_that_are_due_are_held(seed: int) -> None:
     """By the rules of docs/concepts/time.md, whichever of C and Python takes them."""
     draw, taken_in_c = random.Random(seed), 0
-    with in_process("realtime") as one:
-        done = one.take_in_c("emulator")
-        session, look = session_of(one), one.nodes["emulator"]._pacer.look
-        go_on(one, 20, look)
+    with in_process("realtime") as nodes:
+        done = nodes.take_in_c("emulator")
+        session, look = session_of(nodes), nodes.nodes["emulator"]._pacer.look
+        go_on(nodes, 20, look)
         for _ in range(200):
             while session.tick <= session.submit_command + 2:
-                go_on(one, 1, look)
+                go_on(nodes, 1, look)
             answered, newest, refused = (
-                session.submit_command, session.tick, one.refused("emulator"),
+                session.submit_command, session.tick, nodes.refused("emulator"),
             )  # fmt: skip
-            held, in_c = session.held[0].tolist(), done[0]
+            command_before, in_c = session.held[0].tolist(), done[0]
             command = drawn(draw, answered, newest)
-            one.send("motor_commands", command)
+            nodes.send("motor_commands", command)
             if is_due(command, answered, newest):
                 place = dict(zip(command.joint_names, command.command, strict=True))
                 assert session.held[0].tolist() == [place[name] for name in JOINTS]
                 assert session.submit_command == command.tick
                 taken_in_c += done[0] - in_c
             elif command.tick <= newest:  # later ones: time has gone on since
-                assert session.held[0].tolist() == held
+                assert session.held[0].tolist() == command_before
                 assert session.submit_command == answered
                 assert done[0] == in_c
                 elsewhere = command.machine not in (0, started())
-                assert one.refused("emulator") == refused + (not elsewhere)
+                assert nodes.refused("emulator") == refused + (not elsewhere)
     assert taken_in_c > 2, "C takes those in the form of the ones before"

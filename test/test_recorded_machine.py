@@ -104,12 +104,12 @@ def test_the_first_moment_of_a_condition_is_explained(
     while machine.tick < machine.last:
         machine.advance(1)
         speeds.append(float(np.abs(machine.session.state.v[1])))
-    least = sorted(speeds)[60]
+    threshold = sorted(speeds)[60]
     at = 20
     for arguments, tick in (
-        (["--when", f"abs(v.shoulder) > {least!r}"], np.argmax(np.array(speeds) > least)),
-        (["--at", f"{at * 1e-3}", "--when", f"abs(v.shoulder) > {least!r}"],
-         at + 1 + np.argmax(np.array(speeds[at + 1 :]) > least)),
+        (["--when", f"abs(v.shoulder) > {threshold!r}"], np.argmax(np.array(speeds) > threshold)),
+        (["--at", f"{at * 1e-3}", "--when", f"abs(v.shoulder) > {threshold!r}"],
+         at + 1 + np.argmax(np.array(speeds[at + 1 :]) > threshold)),
         (["--when", "tick >= 0"], 0),
         (["--when", "tick > 1e6"], None),
     ):  # fmt: skip
@@ -127,6 +127,6 @@ def test_the_first_moment_of_a_condition_is_explained(
 
 @pytest.mark.parametrize("at", ("-1", "1e9", "nan", "0.0996"))
 def test_a_moment_beyond_the_record_is_refused(at: str, explain: Explain) -> None:
-    code, found = explain(at)
+    code, output = explain(at)
     assert code == 2
-    assert "--at must be within the run, 0 to 0.099 s" in found["refused"]
+    assert "--at must be within the run, 0 to 0.099 s" in output["refused"]

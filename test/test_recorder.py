@@ -54,9 +54,11 @@ def read(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
 def _csv(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
     with file.open(newline="") as stream:
         head, *rows = csv.reader(stream)
-    named = [re.fullmatch(r"(.*?)(?: \[(.*)\])?", one) for one in head]
+    named = [re.fullmatch(r"(.*?)(?: \[(.*)\])?", heading) for heading in head]
     assert all(named)
-    names, units = zip(*((one[1], one[2] or "") for one in named if one), strict=True)
+    names, units = zip(
+        *((heading[1], heading[2] or "") for heading in named if heading), strict=True
+    )
     columns = [
         [float(cell) if cell else None for cell in column] for column in zip(*rows, strict=True)
     ]
@@ -96,7 +98,9 @@ def _parquet(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
     import pyarrow.parquet as pq
 
     table = pq.read_table(file)
-    units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in table.schema}
+    units = {
+        column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in table.schema
+    }
     return table.to_pydict(), units
 
 
@@ -113,8 +117,8 @@ READERS: dict[str, Callable[[Path], tuple[dict[str, list[Any]], dict[str, str]]]
 def truth_of(plant: Plant) -> dict[str, Any]:
     """Return all values that a record must contain, from the plant."""
     scene, state, measured = plant.scene, plant.state, plant.measured
-    found: dict[str, Any] = {"t": state.t, "energy": plant.energy}
-    found |= {
+    values_by_name: dict[str, Any] = {"t": state.t, "energy": plant.energy}
+    values_by_name |= {
         f"{name}.{joint}": float(value)
         for name in ROWS
         for joint, value in zip(scene.joint_names, getattr(state, name), strict=True)
@@ -126,8 +130,11 @@ def truth_of(plant: Plant) -> dict[str, Any]:
             values, strict=True,
         ):  # fmt: skip
             of = zip("xyz", value, strict=True) if output.per_unit else [("", value)]
-            found |= {f"measured.{output.name}.{owner}.{k}".rstrip("."): one for k, one in of}
-    return found
+            values_by_name |= {
+                f"measured.{output.name}.{owner}.{k}".rstrip("."): axis_value
+                for k, axis_value in of
+            }
+    return values_by_name
 
 
 def test_a_row_has_the_time_and_the_tick_of_its_measurement(scene: Scene) -> None:
@@ -196,8 +203,8 @@ def in_real_time(file: Path) -> tuple[Plant, Callable[[], None]]:
 
 
 def in_lock_step(file: Path) -> tuple[Plant, Callable[[], None]]:
-    one = load_offline_run("three_axis")
-    return one.session.plant, lambda: one.advance(10_000)  # more than the ring has room for
+    run = load_offline_run("three_axis")
+    return run.session.plant, lambda: run.advance(10_000)  # more than the ring has room for
 
 
 def on_canopen(file: Path) -> tuple[Plant, Callable[[], None]]:
@@ -239,8 +246,8 @@ def await_rows(process: subprocess.Popen[str], folder: Path) -> None:
 
     def used() -> float:
         """CPU time of the run and of the process that writes [s]."""
-        one = psutil.Process(process.pid)
-        return sum(each.cpu_times().user for each in (one, *one.children()))
+        process_tree = psutil.Process(process.pid)
+        return sum(each.cpu_times().user for each in (process_tree, *process_tree.children()))
 
     while used() < needed:
         assert process.poll() is None, process.communicate()
@@ -316,9 +323,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_is_reported_and_leaves_a_whole_file_or_none(
     small_disk: Path, suffix: str
 ) -> None:
-    file, one = small_disk / f"run{suffix}", load_offline_run("three_axis")
-    recorder = Recorder(one.session.plant, RunOutputs(file), waits=True)
-    one.advance(20_000)
+    file, run = small_disk / f"run{suffix}", load_offline_run("three_axis")
+    recorder = Recorder(run.session.plant, RunOutputs(file), waits=True)
+    run.advance(20_000)
     with pytest.raises(Refusal, match="accept every row, got the disk takes no more: No space"):
         recorder.close()
     if suffix in (".csv", ".mcap"):
@@ -336,30 +343,34 @@ def test_rerun_gets_the_run(tmp_path: Path) -> None:
         for _ in range(50):
             plant.exchange([5.0, 0.0, 1.0])
     columns, _ = read(tmp_path / "run.csv")
-    shown: list[float] = []
-    for one in chunk.RrdReader(file).stream().filter(content="/signals/q/elbow"):
-        batch = one.to_record_batch()
+    values: list[float] = []
+    for part in chunk.RrdReader(file).stream().filter(content="/signals/q/elbow"):
+        batch = part.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
-            shown += [value[0] for value in batch["Scalars:scalars"].to_pylist()]
-    assert shown == columns["q.elbow"]
+            values += [value[0] for value in batch["Scalars:scalars"].to_pylist()]
+    assert values == columns["q.elbow"]
 
 
 def recording_commands() -> list[str]:
     """Commands that take --record and --rerun."""
-    found = []
+    names = []
     for name in command_names():
-        one = load_command(name)
-        assert one is not None
-        if "kept" in inspect.signature(one.function).parameters:
-            found.append(name)
-    return found
+        command = load_command(name)
+        assert command is not None
+        if "kept" in inspect.signature(command.function).parameters:
+            names.append(name)
+    return names
 
 
 def servers() -> list[str]:
     """Commands that let a machine run until Ctrl-C, without a network."""
-    known = ((name, load_command(name)) for name in command_names())
+    commands = ((name, load_command(name)) for name in command_names())
     network = ("look", "record", "replay", "up")
-    return [name for name, one in known if one and one.until_stopped and name not in network]
+    return [
+        name
+        for name, command in commands
+        if command and command.until_stopped and name not in network
+    ]
 
 
 def test_every_run_without_a_network_can_be_kept() -> None:
@@ -369,17 +380,17 @@ def test_every_run_without_a_network_can_be_kept() -> None:
 @pytest.mark.parametrize("name", recording_commands())
 def test_wrong_places_are_refused_before_anything_is_begun(name: str) -> None:
     words = ["no_board.yaml", "no.elf"] if name == "firmware" else ["no_scene"]
-    for option, got, line in (
+    for option, value, line in (
         ("--record", "run.txt", "--record must end in a known kind, got run.txt; valid: .mcap, "),
         ("--record", "run", "--record must end in a known kind, got run; valid: .mcap, "),
         ("--rerun", "run.csv", "--rerun must be a port or end in .rrd, got run.csv"),
     ):
         with pytest.raises(Refusal, match=re.escape(f"{name}: {line}")):
-            one = load_command(name)
-            assert one is not None
+            process_tree = load_command(name)
+            assert process_tree is not None
             from arm_emulator.cli.arguments import run_with
 
-            run_with(one, [*words, option, got])
+            run_with(process_tree, [*words, option, value])
 
 
 def test_files_that_cannot_be_are_refused(tmp_path: Path) -> None:

@@ -100,12 +100,12 @@ def ticks_in(bag: Path) -> list[int]:
     ]
 
 
-def assert_every_tick(bag: Path, at_least: int) -> None:
+def assert_every_tick(bag: Path, count: int) -> None:
     """Each tick from 0 on is there, and `check-bag` finds the run equal."""
     ticks = ticks_in(bag)
     missing = set(range(max(ticks))) - set(ticks)
     assert not missing, f"{len(missing)} of {max(ticks)} ticks are missing, first {min(missing)}"
-    assert max(ticks) >= at_least, "ticks that the test waited for"
+    assert max(ticks) >= count, "ticks that the test waited for"
     assert check_bag(bag, scene="three_axis") == 0, "check"
 
 
@@ -116,9 +116,9 @@ def away(process: subprocess.Popen[str], seconds: float) -> None:
     process.send_signal(signal.SIGCONT)
 
 
-def await_ticks(one: User, count: int) -> None:
-    at = one.tick
-    one.wait(f"{count} ticks more", lambda: one.tick > at + count)
+def await_ticks(listener: User, count: int) -> None:
+    at = listener.tick
+    listener.wait(f"{count} ticks more", lambda: listener.tick > at + count)
 
 
 @pytest.fixture(scope="module")
@@ -131,11 +131,11 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
     slow_bag, killed_bag, own_bag = (folder / name for name in ("slow", "killed", "own"))
     draw = random.Random(4)
     with (
-        user() as one,
+        user() as listener,
         recorder(slow_bag) as slow,
         recorder(killed_bag) as killed,
         begun(slow, killed),
-        network_of(one, folder / "log", record=own_bag, start="first_answer"),
+        network_of(listener, folder / "log", record=own_bag, start="first_answer"),
     ):
         # As late as a busy machine may make them; the machine must not leave tick 0 before.
         for process in (slow, killed):
@@ -143,15 +143,17 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
         time.sleep(draw.uniform(2.0, 3.0))
         for process in (slow, killed):
             process.send_signal(signal.SIGCONT)
-        one.wait("the run", lambda: one.tick > 100)
+        listener.wait("the run", lambda: listener.tick > 100)
         for _ in range(3):
             away(slow, draw.uniform(0.5, 2.0))
-            await_ticks(one, 50)
+            await_ticks(listener, 50)
         killed.kill()
-        await_ticks(one, 300)
-        printed = one.wait("word of it", lambda: one.value("emulator", "newest of recorders"))
+        await_ticks(listener, 300)
+        printed = listener.wait(
+            "word of it", lambda: listener.value("emulator", "newest of recorders")
+        )
         assert "has ended; its bag may need `repair`" in printed
-        assert one.call("emulator/pause", True).success
+        assert listener.call("emulator/pause", True).success
         code, words = end(slow)
         assert code == 0, f"the recorder states that something is missing: {words}"
     return slow_bag, killed_bag, own_bag, words
@@ -166,7 +168,7 @@ def begun(*recorders: subprocess.Popen[str]) -> Iterator[None]:
 
 
 @contextmanager
-def network_of(one: User, log: Path, **options: Any) -> Iterator[None]:
+def network_of(listener: User, log: Path, **options: Any) -> Iterator[None]:
     """Run a network in the domain of a user who is there already."""
     clock, start = options.pop("clock", "lockstep"), options.pop("start")
     with Bringup("three_axis", clock=clock, start=start, emulator=options, log=log) as nodes:
@@ -207,24 +209,24 @@ def test_the_emulators_own_record_is_complete(
 
 
 def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
-    with network(tmp_path / "log", start="first_answer") as (one, _):
-        one.wait("the run", lambda: one.tick > 200)
+    with network(tmp_path / "log", start="first_answer") as (listener, _):
+        listener.wait("the run", lambda: listener.tick > 200)
         # The machine stands while a recorder is loaded: both would want the processor.
-        assert one.call("emulator/pause", True).success
+        assert listener.call("emulator/pause", True).success
         with recorder(tmp_path / "late") as late, begun(late):
-            assert one.call("emulator/pause", False).success
+            assert listener.call("emulator/pause", False).success
             await_words(late, "/motor_states: the first state has arrived, tick ")
             printed = await_words(late, "the machine is at tick")
             assert re.search(
                 r"at tick \d+ already, and `check-bag` needs a run from tick 0 on", printed
             ), printed
             assert "--from-start" in printed
-            assert one.call("emulator/pause", True).success
+            assert listener.call("emulator/pause", True).success
             with recorder(tmp_path / "reset", "--from-start") as again, begun(again):
-                assert one.call("emulator/pause", False).success
-                one.wait("the reset", lambda: 0 <= one.tick < 100)
-                await_ticks(one, 300)
-                assert one.call("emulator/pause", True).success
+                assert listener.call("emulator/pause", False).success
+                listener.wait("the reset", lambda: 0 <= listener.tick < 100)
+                await_ticks(listener, 300)
+                assert listener.call("emulator/pause", True).success
                 code, words = end(again, signal.SIGTERM)
     assert code == 0 and "it is reset now" in words, words
     ticks = ticks_in(tmp_path / "reset")
@@ -239,16 +241,20 @@ def test_a_recorder_in_real_time_counts_its_losses_and_the_emulators_own_record_
     """A recorder that writes nothing while far more arrives than it keeps."""
     reports: list[RecorderReport] = []
     with (
-        user(clock="realtime") as one,
+        user(clock="realtime") as listener,
         recorder(tmp_path / "away", program=BUSY) as process,
         network_of(
-            one, tmp_path / "log", clock="realtime", start="first_answer", record=tmp_path / "own"
+            listener,
+            tmp_path / "log",
+            clock="realtime",
+            start="first_answer",
+            record=tmp_path / "own",
         ),
     ):
-        one.node.create_subscription(RecorderReport, "emulator/recorders", reports.append, 10)
-        one.wait("some states to be recorded", lambda: reports and reports[-1].written > 100)
+        listener.node.create_subscription(RecorderReport, "emulator/recorders", reports.append, 10)
+        listener.wait("some states to be recorded", lambda: reports and reports[-1].written > 100)
         process.send_signal(signal.SIGUSR1)
-        await_ticks(one, 3000)  # more than it keeps
+        await_ticks(listener, 3000)  # more than it keeps
         process.send_signal(signal.SIGUSR2)
         await_words(process, "ticks of /motor_states")  # while recording
         code, printed = end(process)
@@ -285,22 +291,22 @@ def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
 def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
     """To the message, however several of them interleave."""
     draw = random.Random(seed)
-    one = Numbered()
+    single = Numbered()
     first = draw.randrange(1, 1000)
-    kept = sorted(draw.sample(range(first, first + 500), 300))
-    for number in kept:
-        one.take(b"a", number)
-    assert one.lost == kept[-1] - kept[0] + 1 - len(kept)
-    assert one.newest == kept[-1]
+    numbers = sorted(draw.sample(range(first, first + 500), 300))
+    for number in numbers:
+        single.take(b"a", number)
+    assert single.lost == numbers[-1] - numbers[0] + 1 - len(numbers)
+    assert single.newest == numbers[-1]
 
-    lost = one.lost
-    one.forget()
-    for number in (one.newest + 1, one.newest + 8):
-        one.take(b"a", number)
-    assert one.lost == 6, f"beside {lost} that are forgotten"
+    lost = single.lost
+    single.forget()
+    for number in (single.newest + 1, single.newest + 8):
+        single.take(b"a", number)
+    assert single.lost == 6, f"beside {lost} that are forgotten"
     for more in (0, 2):  # the middleware reports what was forgotten late, and more at once
-        one.on_lost(SimpleNamespace(total_count=lost + 6 + more))
-        assert one.lost == 6 + more
+        single.on_lost(SimpleNamespace(total_count=lost + 6 + more))
+        assert single.lost == 6 + more
 
     several, lost = Numbered(), 0
     next_numbers = [draw.randrange(1, 1000) for _ in range(draw.randrange(2, 5))]
@@ -324,50 +330,52 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
     draw = random.Random(seed)
     names = [f"{k}.{draw.randrange(16**8):08x}" for k in range(3)]
     here, written, now = set(names), dict.fromkeys(names, 0), 0.0
-    one = Recorders(lambda: set(here))
-    one.begin()
-    one.published, tick = 1, 0
-    gone, asleep = names[0], names[1]
-    gone_at, asleep_at = draw.randrange(50, 2000), draw.randrange(50, 2000)
+    recorders = Recorders(lambda: set(here))
+    recorders.begin()
+    recorders.published, tick = 1, 0
+    ended, silent_name = names[0], names[1]
+    ended_at, asleep_at = draw.randrange(50, 2000), draw.randrange(50, 2000)
     for step in range(18_000):
         now += 0.01
-        if step == gone_at:
-            here.discard(gone)
+        if step == ended_at:
+            here.discard(ended)
         for name in names:
-            silent = (name == gone and step >= gone_at) or (name == asleep and step >= asleep_at)
+            silent = (name == ended and step >= ended_at) or (
+                name == silent_name and step >= asleep_at
+            )
             if not silent and draw.random() < 0.3:
-                written[name] = min(one.published, written[name] + draw.randrange(40))
-                one.report(name, written[name], False)
-        if not one.behind(tick == 0, now):
+                written[name] = min(recorders.published, written[name] + draw.randrange(40))
+                recorders.report(name, written[name], False)
+        if not recorders.behind(tick == 0, now):
             if tick == 0:
                 assert min(written.values()) >= 1, "tick 0 was left before all had written it"
             tick += 1
-            one.published += 1
-        kept = [w for name, w in written.items() if name in one.names]
-        assert one.published - min(kept, default=one.published) <= 100 + 1
-    assert one.names == [names[2]], "who is gone, or writes nothing, is let go"
-    printed = " ".join(one.news)
-    assert f"recorder {gone} has ended" in printed
-    assert f"recorder {asleep} has written nothing for 120 s" in printed
+            recorders.published += 1
+        positions = [w for name, w in written.items() if name in recorders.names]
+        assert recorders.published - min(positions, default=recorders.published) <= 100 + 1
+    assert recorders.names == [names[2]], "who is gone, or writes nothing, is let go"
+    printed = " ".join(recorders.news)
+    assert f"recorder {ended} has ended" in printed
+    assert f"recorder {silent_name} has written nothing for 120 s" in printed
     assert tick > 1000, "the machine went on"
 
 
 def test_reports_that_no_recorder_wrote_stop_nothing() -> None:
-    one = Recorders(set)
-    one.published = 10
+    recorders = Recorders(set)
+    recorders.published = 10
     for name in ("", "x" * 300, "1.xyz", "1.00000000\n"):
         with pytest.raises(Refusal, match="be a recorder's name"):
-            one.report(name, 5, False)
-    one.report("1.00000000", 2**63, False)
-    assert one.names == []
+            recorders.report(name, 5, False)
+    recorders.report("1.00000000", 2**63, False)
+    assert recorders.names == []
 
 
 def test_recorders_are_known_before_the_network_reports_of_them() -> None:
     topics = ["cell1/motor_states", "clock"]
     with own_domain():
-        with RecorderPresence(None) as every, RecorderPresence(topics) as one:
+        with RecorderPresence(None) as every, RecorderPresence(topics) as limited:
             with RecorderPresence(["clock"]):
-                assert recorders_of("/cell1/motor_states") == {every.recorder, one.recorder}
+                assert recorders_of("/cell1/motor_states") == {every.recorder, limited.recorder}
             assert recorders_of("/motor_states") == {every.recorder}
             with own_domain():  # another one
                 assert recorders_of("/motor_states") == set()
@@ -388,11 +396,11 @@ def test_a_slow_disk_makes_lockstep_wait_and_real_time_count(
     else:
         with pytest.raises(Refusal, match=r"\d+ messages were dropped, the disk is too slow"):
             record.close()
-    kept = [int.from_bytes(m.data, "little") for m in Bag(tmp_path / "bag").messages()]
+    numbers = [int.from_bytes(m.data, "little") for m in Bag(tmp_path / "bag").messages()]
     assert Bag(tmp_path / "bag").complete
-    assert len(kept) + record.dropped == 1000, "what is neither kept nor counted"
+    assert len(numbers) + record.dropped == 1000, "what is neither kept nor counted"
     assert (record.dropped == 0) == waits
-    assert kept == sorted(kept)
+    assert numbers == sorted(numbers)
 
 
 def _slow_write(write: Callable[..., None]) -> Callable[..., None]:

@@ -78,13 +78,13 @@ def words_of(bag: Path) -> list[str]:
 
 def whole_chunks(file: Path) -> list[tuple[int, int]]:
     """Return where each chunk of a whole file ends, and how many messages it has."""
-    found = []
+    ends = []
     with file.open("rb") as stream:
         for record in StreamReader(stream, emit_chunks=True).records:
             if isinstance(record, Chunk):
                 messages = [one for one in breakup_chunk(record) if isinstance(one, Message)]
-                found.append((stream.tell(), len(messages)))
-    return found
+                ends.append((stream.tell(), len(messages)))
+    return ends
 
 
 def assert_whole(bag: Path, words: list[str]) -> None:
@@ -99,9 +99,9 @@ def assert_whole(bag: Path, words: list[str]) -> None:
         reader = make_reader(stream, validate_crcs=True)
         read = [m.data for _, _, m in reader.iter_messages(log_time_order=True)]
     assert [deserialize_message(data, String).data for data in read] == words, "what mcap reads"
-    with Reader(bag) as other:
-        assert other.message_count == len(words), "messages that rosbags counts"
-        assert [m for _, _, m in other.messages()] == read, "what rosbags reads"
+    with Reader(bag) as rosbag:
+        assert rosbag.message_count == len(words), "messages that rosbags counts"
+        assert [m for _, _, m in rosbag.messages()] == read, "what rosbags reads"
     assert Bag(bag).complete, "our own reader finds it cut off"
     assert sorted(file.name for file in bag.iterdir()) == [file.name, "metadata.yaml"]
 
@@ -125,11 +125,11 @@ def test_every_whole_chunk_of_a_bag_that_was_cut_anywhere_is_kept(tmp_path: Path
         bag.mkdir()
         (bag / "cut_0.mcap").write_bytes(data[:length])
         (bag / "metadata.yaml.tmp").write_bytes(bytes(100))
-        kept = sum(messages for end, messages in chunks if end <= length)
+        count = sum(messages for end, messages in chunks if end <= length)
         assert repair(bag), f"cut at {length}: taken for whole"
-        assert words_of(bag) == words[:kept], f"cut at {length} of {len(data)}"
-        assert not kept or Bag(bag).about.items() >= FACTS.items(), "facts precede all chunks"
-        assert_whole(bag, words[:kept])
+        assert words_of(bag) == words[:count], f"cut at {length} of {len(data)}"
+        assert not count or Bag(bag).about.items() >= FACTS.items(), "facts precede all chunks"
+        assert_whole(bag, words[:count])
         assert not repair(bag), f"cut at {length}: mended, and not whole"
 
 
@@ -200,8 +200,8 @@ def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
     reported: dict[Path, object] = {}
     words: dict[Path, list[str]] = {}
     threads = []
-    with (small_disk / "other").open("wb") as other:
-        other.write(bytes(random.Random(seed).randrange(100_000)))
+    with (small_disk / "other").open("wb") as filler:
+        filler.write(bytes(random.Random(seed).randrange(100_000)))
     for k in range(recorders):
         bag = small_disk / f"bag{k}"
         words[bag] = []
@@ -212,10 +212,12 @@ def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
     for thread in threads:
         thread.join()
     for bag, printed in words.items():
-        kept = words_of(bag)
-        assert reported[bag] == (errno.ENOSPC, True, len(kept)), f"{bag.name}: error, whole, count"
-        assert kept == printed[: len(kept)], "what is kept"
-        assert_whole(bag, kept)
+        readable = words_of(bag)
+        assert reported[bag] == (errno.ENOSPC, True, len(readable)), (
+            f"{bag.name}: error, whole, count"
+        )
+        assert readable == printed[: len(readable)], "what is kept"
+        assert_whole(bag, readable)
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EDQUOT, errno.ENOSPC, None])
@@ -242,10 +244,10 @@ def test_no_row_is_written_after_the_first_failure(
         if not (bag / "metadata.yaml").exists():
             assert not heals and number is not None, "the disk takes metadata again"
             assert repair(bag), "a bag without metadata"
-        kept = words_of(bag)
-        assert kept == printed[: len(kept)], "what is kept"
-        assert len(kept) == 100 or number is not None, "what is lost"
-        assert_whole(bag, kept)
+        readable = words_of(bag)
+        assert readable == printed[: len(readable)], "what is kept"
+        assert len(readable) == 100 or number is not None, "what is lost"
+        assert_whole(bag, readable)
 
 
 class _Writes:
@@ -306,9 +308,9 @@ def test_a_recorder_killed_at_any_moment_leaves_what_repair_makes_whole(
             continue  # killed before it was made
         repair(bag)
         talk(tmp_path / "whole", 300, turn)
-        kept, all_words = words_of(bag), words_of(tmp_path / "whole")
-        assert kept == all_words[: len(kept)], "what is kept"
-        assert_whole(bag, kept)
+        readable, all_words = words_of(bag), words_of(tmp_path / "whole")
+        assert readable == all_words[: len(readable)], "what is kept"
+        assert_whole(bag, readable)
 
 
 def test_metadata_that_count_otherwise_are_written_anew(tmp_path: Path) -> None:

@@ -137,21 +137,21 @@ def test_the_arm_moves_as_pinocchio_states(tmp_path, oracle):
     times, rows = samples(500)
     offer_all(stream, times, rows)
     assert stream.close()
-    shown = np.arange(0, 500, 20)  # 50 Hz of 1 kHz
+    samples_shown = np.arange(0, 500, 20)  # 50 Hz of 1 kHz
     frames = read(file, "/transforms", "Transform3D:child_frame")
     p = read(file, "/transforms", "Transform3D:translation")[1]
     xyzw = read(file, "/transforms", "Transform3D:quaternion")[1]
     for joint, link in zip(NAMES, "abc", strict=True):
         own = frames[1] == link
-        assert np.array_equal(frames[0][own], times[shown])
-        for k, sample in enumerate(shown):
+        assert np.array_equal(frames[0][own], times[samples_shown])
+        for k, sample in enumerate(samples_shown):
             T = oracle.in_parent_link(joint, rows[sample, 0])
             # Rerun keeps transforms in single precision: 6e-8 relative, some roundings.
             assert p[own][k] == pytest.approx(T[:3, 3], abs=1e-6)
             assert pin.Quaternion(xyzw[own][k]).matrix() == pytest.approx(T[:3, :3], abs=1e-6)
     ends = read(file, "/tool/path", "LineStrips3D:strips")
-    assert np.array_equal(ends[0], times[shown][1:])
-    p_WT = np.array([oracle.p_WT(rows[sample, 0]) for sample in shown])
+    assert np.array_equal(ends[0], times[samples_shown][1:])
+    p_WT = np.array([oracle.p_WT(rows[sample, 0]) for sample in samples_shown])
     assert ends[1][:, 0] == pytest.approx(p_WT[:-1], abs=1e-6)
     assert ends[1][:, 1] == pytest.approx(p_WT[1:], abs=1e-6)
 
@@ -189,7 +189,7 @@ def test_events_are_texts_at_their_times(tmp_path):
     at, texts = read(file, "/events", "TextLog:text")
     assert at.tolist() == [19 * MS, 30 * MS]
     assert [str(text) for text in texts] == ["power off", "refused: too much"]
-    assert [str(one) for one in read(file, "/events", "TextLog:level")[1]] == ["INFO", "WARN"]
+    assert [str(level) for level in read(file, "/events", "TextLog:level")[1]] == ["INFO", "WARN"]
     closed = RerunStream(URDF, NAMES)
     closed.offer_text(0, "nobody looks")
 

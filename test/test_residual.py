@@ -87,13 +87,13 @@ def test_fig_4_ten_millimetres(axis: int, sign: int) -> None:
     """Below 1 % of the way within 20 instructions, and then within the bound for good."""
     experiment = Experiment("three_axis")
     experiment.start(START, settle=0.0)
-    way = sign * 0.010 * np.eye(3)[axis]
+    displacement = sign * 0.010 * np.eye(3)[axis]
     R_WT, p_WT = experiment.controller.kinematics.forward(START)
-    deviations = np.array(list(experiment.deviations(Pose(p_WT + way, R_WT), 60)))
+    deviations = np.array(list(experiment.deviations(Pose(p_WT + displacement, R_WT), 60)))
     bound = predicted_residual(
         experiment.controller, experiment.plant.state.q, experiment.count_angle
     )
-    assert np.allclose(deviations[0], way, rtol=0, atol=1e-12)
+    assert np.allclose(deviations[0], displacement, rtol=0, atol=1e-12)
     assert np.linalg.norm(deviations[20:], axis=1).max() < 0.01 * 0.010
     assert (np.abs(deviations[25:]) < bound.encoder).all()
     assert bound.encoder.max() < 1e-4  # m; a bound that states something
@@ -108,10 +108,10 @@ def test_residual_stays_within_the_bound_and_the_bound_is_tight() -> None:
         if experiment.controller.kinematics.singular_values(q)[-1] < 0.1:
             continue
         experiment.start(q, settle=0.0)
-        way = rng.normal(size=3)
-        way *= 0.010 / np.linalg.norm(way)
+        displacement = rng.normal(size=3)
+        displacement *= 0.010 / np.linalg.norm(displacement)
         R_WT, p_WT = experiment.controller.kinematics.forward(q)
-        rest = np.array(list(experiment.deviations(Pose(p_WT + way, R_WT), 40)))[25:]
+        rest = np.array(list(experiment.deviations(Pose(p_WT + displacement, R_WT), 40)))[25:]
         bound = predicted_residual(
             experiment.controller, experiment.plant.state.q, experiment.count_angle
         )

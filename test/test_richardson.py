@@ -32,19 +32,19 @@ def arm(scheme: str, dt: float, **changes: Any) -> Scene:
 
 def test_a_step_is_the_combination_of_its_ingredients() -> None:
     rows = np.random.default_rng(6).uniform(-10.0, 10.0, (20, 3))
-    whole, half, both = (
-        Plant(arm(*one))
-        for one in (("rosenbrock", 1e-3), ("rosenbrock", 5e-4), ("richardson", 1e-3))
+    full_step, half, both = (
+        Plant(arm(*integrator))
+        for integrator in (("rosenbrock", 1e-3), ("rosenbrock", 5e-4), ("richardson", 1e-3))
     )
     for row in rows:
         saved = both.state
-        for plant in (whole, half):
+        for plant in (full_step, half):
             plant.put("start", {name: getattr(saved, name) for name in SET})
-        whole.advance(row, 1), half.advance(row, 2), both.advance(row, 1)
+        full_step.advance(row, 1), half.advance(row, 2), both.advance(row, 1)
         for name in SET:
-            w, y, got = (getattr(plant.state, name) for plant in (whole, half, both))
+            w, y, combined = (getattr(plant.state, name) for plant in (full_step, half, both))
             size = np.abs(y).max() + 1.0
-            np.testing.assert_allclose(got, y + (y - w) / 3.0, rtol=0.0, atol=1e-13 * size)
+            np.testing.assert_allclose(combined, y + (y - w) / 3.0, rtol=0.0, atol=1e-13 * size)
 
 
 def test_at_a_limit_it_is_rosenbrock_with_half_the_step() -> None:

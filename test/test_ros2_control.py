@@ -56,7 +56,7 @@ def test_varied_numbers_are_commands_with_the_scene_s_values(tmp_path: Path) -> 
     values = {
         command.get("name"): float(command.findtext("param") or "nan") for command in commands
     }
-    assert values == {one.name: one.value for one in scene.varied}
+    assert values == {number.name: number.value for number in scene.varied}
     assert values["faults.elbow.gear_breaks"] == 0.0 and len(values) == 3
 
 
@@ -66,11 +66,11 @@ def test_joints_that_follow_one_other_are_mimics_and_other_couplings_are_refused
     parts, shares = ARMS["telescope"]
     robot = ET.fromstring(description(machine(tmp_path, parts, shares), "anywhere"))
     (control,) = robot.findall("ros2_control")
-    assert [one.get("name") for one in control.findall("joint")] == shafts_of(parts, shares)
+    assert [mimic.get("name") for mimic in control.findall("joint")] == shafts_of(parts, shares)
     mimics = {
-        joint.get("name", ""): {one.get("joint", ""): float(one.get("multiplier", ""))}
+        joint.get("name", ""): {mimic.get("joint", ""): float(mimic.get("multiplier", ""))}
         for joint in robot.findall("joint")
-        for one in joint.findall("mimic")
+        for mimic in joint.findall("mimic")
     }
     assert mimics == shares and not list(robot.iter("coupling"))
     for name in ("palletizer", "bevel wrist", "differential"):
@@ -98,9 +98,9 @@ def test_the_package_exports_the_plugin_of_descriptions() -> None:
     built = (PACKAGE / "CMakeLists.txt").read_text()
     for depend, start in (("depend", "^"), ("test_depend", "^  ")):
         depends = {one.text for one in package.findall(depend)}
-        found = set(re.findall(rf"{start}find_package\((\w+)", built, re.M)) - {"ament_cmake"}
+        packages = set(re.findall(rf"{start}find_package\((\w+)", built, re.M)) - {"ament_cmake"}
         controllers = {one for one in depends if str(one).endswith("_controller")}
-        assert depends - controllers == found
+        assert depends - controllers == packages
 
 
 @pytest.mark.parametrize(("period", "rate"), [(1e-3, 500), (2e-3, 500), (4e-3, 250), (5e-4, 500)])

@@ -32,9 +32,11 @@ def test_processes_that_choose_at_once_choose_differently() -> None:
             subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             for _ in range(count)
         ]
-        for other in others:
-            ending.enter_context(other)  # which ends with its standard input
-        chosen = [int(other.stdout.readline()) for other in others if other.stdout is not None]
+        for process in others:
+            ending.enter_context(process)  # which ends with its standard input
+        chosen = [
+            int(process.stdout.readline()) for process in others if process.stdout is not None
+        ]
         assert len(set(chosen)) == count, f"of {count} processes, the domains {sorted(chosen)}"
         assert all(claimed(domain) is None for domain in chosen), "a claimed domain was given away"
 

@@ -74,11 +74,11 @@ def scene_of(folder: Path, joint: dict[str, Any], steps: int, **integrator: Any)
 def angles(plant: Plant, begin: float, rows: int, steps: int) -> Array:
     """Of a rotor that is let go, after each of the rows."""
     let_go(plant, begin)
-    found = []
+    positions = []
     for _ in range(rows):
         plant.advance(np.zeros(1), steps)
-        found.append(float(plant.state.theta_m[0]))
-    return np.array(found)
+        positions.append(float(plant.state.theta_m[0]))
+    return np.array(positions)
 
 
 def let_go(plant: Plant, angle: float) -> None:
@@ -127,20 +127,20 @@ def test_the_error_is_of_first_order_without_located_events(
         # Each turn takes up to a step too long, at a speed of at most rate * begin. Schemes of
         # first order are a step beside the truth in each radian of the swing, too.
         turned = rate * rows * PERIOD * (1.0 / np.pi + (scheme in ("implicit", "paper")))
-        most = (1.0 + turned) * rate * begin * PERIOD / steps
-        assert off < most, f"{steps} steps"
+        bound = (1.0 + turned) * rate * begin * PERIOD / steps
+        assert off < bound, f"{steps} steps"
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_stuck_rotor_holds_up_to_its_breakaway_torque(tmp_path: Path, seed: int) -> None:
     joint, _ = swinging(np.random.default_rng([seed, 12]))
     volts_per_torque = joint["motor"]["resistance"] / joint["motor"]["torque_constant"]
-    at_most = joint["motor"]["friction"]["breakaway"] * volts_per_torque
+    volts = joint["motor"]["friction"]["breakaway"] * volts_per_torque
     for events in ("step", "located"):
         plant = Plant(scene_of(tmp_path, joint, 10, events=events))
-        plant.advance(np.array([0.999999 * at_most]), 200)
+        plant.advance(np.array([0.999999 * volts]), 200)
         assert plant.state.theta_m[0] == 0.0, "a stuck rotor has moved"
-        plant.advance(np.array([1.000001 * at_most]), 20)
+        plant.advance(np.array([1.000001 * volts]), 20)
         assert plant.state.theta_m[0] > 0.0, "an overloaded rotor is still stuck"
 
 

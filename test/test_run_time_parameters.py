@@ -64,8 +64,8 @@ def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(
         assert parameters.set("motion_controller", weight=weight) == ""
         assert parameters.set("emulator", timeout=7) == ""
         joints = tuple(
-            dataclasses.replace(one, **{gain: new}) if one.name == joint else one
-            for one in run.drives.servo.config.joints
+            dataclasses.replace(gains, **{gain: new}) if gains.name == joint else gains
+            for gains in run.drives.servo.config.joints
         )
         run.drives.retune(dataclasses.replace(run.drives.servo.config, joints=joints))
         assert isinstance(run.controller, JacobianController)
@@ -128,15 +128,15 @@ def test_every_number_has_a_range_and_words(three_nodes: SharedNetwork) -> None:
             names = [n for n in parameters.names(node) if not n.startswith("qos_")]
             about = parameters.describe(node, names)
             assert set(about) == set(names), node
-            for name, one in about.items():
+            for name, descriptor in about.items():
                 if name in ("use_sim_time", "start_type_description_service"):
                     continue
-                assert one.description, (node, name)
-                if one.type in (floats, wholes):
-                    ranges = [*one.floating_point_range, *one.integer_range]
+                assert descriptor.description, (node, name)
+                if descriptor.type in (floats, wholes):
+                    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
                     assert len(ranges) == 1 and ranges[0].from_value < ranges[0].to_value, name
         about = parameters.describe("servo", ["joints.elbow.gear_ratio", "joints.elbow.resistance"])
-        words = {name: one.description for name, one in about.items()}
+        words = {name: descriptor.description for name, descriptor in about.items()}
         assert words["joints.elbow.gear_ratio"].startswith("link turns per motor turn")
         assert words["joints.elbow.resistance"].endswith("(number >= 0 ohm)")
         assert set(SETTABLE) > {f.name for f in dataclasses.fields(JointServo)} & set(GAINS)

@@ -187,8 +187,8 @@ def test_a_tree_has_all_joints_that_are_not_locked(locked: tuple[str, ...]) -> N
     robot = ET.fromstring(TREE)
     for link in robot.findall("link"):
         link.append(ET.fromstring(body))
-    held = dict.fromkeys(locked, 0.0)
-    chain = read_chain(robot, "tree.urdf", "tree.yaml", locked=held, tool="b")
+    angles = dict.fromkeys(locked, 0.0)
+    chain = read_chain(robot, "tree.urdf", "tree.yaml", locked=angles, tool="b")
     moving = [name for name in ("ja", "jb", "jf", "jg") if name not in locked]
     assert [joint.name for joint in chain.joints] == moving
     assert [joint.parent for joint in chain.joints] == [-1, *[0] * (len(moving) - 1)]

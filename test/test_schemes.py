@@ -93,9 +93,12 @@ def voltages(joints: int) -> np.ndarray:
 
 @cache
 def truth(machine: str) -> np.ndarray:
-    one = scene(machine, "paper", 100)
+    machine_scene = scene(machine, "paper", 100)
     return reference(
-        one, voltages(len(one.joints)), PERIOD, payload=MACHINES[machine].get("payload")
+        machine_scene,
+        voltages(len(machine_scene.joints)),
+        PERIOD,
+        payload=MACHINES[machine].get("payload"),
     )
 
 
@@ -113,13 +116,15 @@ def error(machine: str, scheme: str, steps: int) -> float:
 
 def test_reference_by_three_methods() -> None:
     """Implicit, explicit and of many steps: what they agree on is no matter of method."""
-    one = scene("everything", "paper", 100)
+    machine = scene("everything", "paper", 100)
     rows = voltages(3)[:2]
-    explicit = reference(one, rows, PERIOD, 1e-9, method="DOP853")
+    explicit = reference(machine, rows, PERIOD, 1e-9, method="DOP853")
     # Each makes an error of 1e-9 per step at most, in some hundred steps that damping forgets.
     for method in ("Radau", "LSODA"):
-        other = reference(one, rows, PERIOD, 1e-9, method=method)
-        assert other == pytest.approx(explicit, abs=1e-9), f"motions by {method} and by DOP853"
+        motion_by_method = reference(machine, rows, PERIOD, 1e-9, method=method)
+        assert motion_by_method == pytest.approx(explicit, abs=1e-9), (
+            f"motions by {method} and by DOP853"
+        )
 
 
 @pytest.mark.parametrize("rigid", [False, True], ids=["elastic", "rigid"])
@@ -136,7 +141,7 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
     }
     gear = {"ratio": Ng} if rigid else {"ratio": Ng, "stiffness": Kg, "damping": Dg}
     joint = {"motor": motor, "gear": gear, "friction": {"viscous": Dl}}
-    one = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint}))
+    machine = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint}))
     V = 10.0
     # Rows of (i, tm, wm, q, v, 1); without L the current's row is its steady value inserted.
     i = np.array([1.0, 0, 0, 0, 0, 0]) if L else np.array([0, 0, -K / R, 0, 0, V / R])
@@ -152,7 +157,7 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
         motor_rows = [wm, (K * i - Ng * T) / Mm]
     di = (V * np.eye(6)[5] - R * i - K * wm) / L if L else np.zeros(6)
     A = np.array([di, *motor_rows, np.eye(6)[4], dv, np.zeros(6)])
-    states = reference_states(one, np.full((10, 1), V), PERIOD)
+    states = reference_states(machine, np.full((10, 1), V), PERIOD)
     for k, state in enumerate(states):
         exact = expm(A * PERIOD * (k + 1))[:5, 5]
         # 1e-11 of the largest entry, the motor's 90 rad/s, in each of a hundred steps.
@@ -199,11 +204,11 @@ def test_orders(machine: str, scheme: str) -> None:
 
 def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
     """At dt = 10 ms three_axis is within 5e-4 rad after 1 s."""
-    one = scene("everything", "rosenbrock", 1)
+    machine = scene("everything", "rosenbrock", 1)
     t = PERIOD * np.arange(100)[:, None]
     rows = 12.0 * np.sin(2.0 * np.pi * (0.5 + 0.3 * np.arange(3)) * t + np.arange(3))
-    exact = reference(one, rows, PERIOD, 1e-6)
-    assert Plant(one).run(rows, 1)[-1] == pytest.approx(exact[-1], abs=5e-4), "arm after 1 s"
+    exact = reference(machine, rows, PERIOD, 1e-6)
+    assert Plant(machine).run(rows, 1)[-1] == pytest.approx(exact[-1], abs=5e-4), "arm after 1 s"
 
 
 # Limits

@@ -40,24 +40,24 @@ def inner(scene: Scene) -> list[str]:
     """The numbers that may become larger and smaller by a hundredth."""
     return [
         name
-        for name, one in numbers_of(scene).items()
-        if (margin := 0.01 * abs(one.value)) > 0.0
-        and one.number.ends[0] < one.value - margin
-        and one.value + margin < one.number.ends[1]
+        for name, number in numbers_of(scene).items()
+        if (margin := 0.01 * abs(number.value)) > 0.0
+        and number.number.ends[0] < number.value - margin
+        and number.value + margin < number.number.ends[1]
     ]
 
 
 def differences(plant: Plant, rows: Array, varied: tuple[Varied, ...], share: float) -> list[Array]:
     """Derivatives after the last row, (N, n), of the quantities in their order."""
     ends = []
-    for one in varied:
+    for number in varied:
         for point in POINTS:
-            plant.set_parameter(one.name, one.value * (1.0 + share * point))
+            plant.set_parameter(number.name, number.value * (1.0 + share * point))
             plant.reset()
             plant.run(rows, plant.scene.steps_per_period)
             ends.append([getattr(plant.state, name) for name in QUANTITIES])
-        plant.set_parameter(one.name, one.value)
-    widths = share * np.array([one.value for one in varied])
+        plant.set_parameter(number.name, number.value)
+    widths = share * np.array([number.value for number in varied])
     by = np.array(ends).reshape(len(varied), len(POINTS), len(QUANTITIES), -1)
     return [*np.einsum("kpij,p->ijk", by, WEIGHTS) / widths]
 
@@ -73,20 +73,22 @@ def compare(scene: Scene, rows: Array) -> None:
     sizes = [np.abs(getattr(plant.state, quantity)).max() for quantity in QUANTITIES]
     tries = [differences(plant, rows, varied, share) for share in SHARES]
     for quantity, size, *by in zip(QUANTITIES, sizes, *tries, strict=True):
-        got = of.by[quantity][-1]
-        off = np.min([np.abs(one - got) for one in by], axis=0)
+        derivative = of.by[quantity][-1]
+        off = np.min([np.abs(one - derivative) for one in by], axis=0)
         # 1e-6 of the number's effect, what rounding leaves of differences, and by how much these
         # disagree: an event that passes the end of a step changes the scheme's error.
-        most = np.abs(got).max(axis=0)
+        largest = np.abs(derivative).max(axis=0)
         pairs = [np.abs(a - b) for a, b in itertools.combinations(by, 2)]
         disagree = np.sort(pairs, axis=0)[1]  # two may agree by chance
-        permitted = 1e-6 * most + 1e-9 * (size + 1.0) / values
-        known = disagree <= permitted
-        assert known.mean() > 0.5, "differences know most of them"
-        permitted = np.where(known, permitted, permitted + np.ptp(by, axis=0))
+        permitted = 1e-6 * largest + 1e-9 * (size + 1.0) / values
+        resolved = disagree <= permitted
+        assert resolved.mean() > 0.5, "differences know most of them"
+        permitted = np.where(resolved, permitted, permitted + np.ptp(by, axis=0))
         worst = np.unravel_index(int(np.argmax(off / permitted)), off.shape)
         at = f"{quantity} of joint {worst[0]} by {names[worst[1]]}"
-        assert (off <= permitted).all(), f"{at}: {got[worst]}, differences {[b[worst] for b in by]}"
+        assert (off <= permitted).all(), (
+            f"{at}: {derivative[worst]}, differences {[b[worst] for b in by]}"
+        )
 
 
 # In a short run a mixture has some of them.

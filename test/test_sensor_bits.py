@@ -15,30 +15,30 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_others(scene: Scene) -> None:
-    one, again, other = (
+    first, second, third = (
         motion(noisy(scene, seed), np.random.default_rng(6), 100) for seed in (1.0, 1.0, 2.0)
     )
-    assert all(same(a, b) for (a, _), (b, _) in zip(one, again, strict=True)), "the same seed"
+    assert all(same(a, b) for (a, _), (b, _) in zip(first, second, strict=True)), "the same seed"
     for name in ("encoder_counts", "current", "torque", "specific_force", "angular_rate"):
-        assert not np.array_equal(rows(one, name), rows(other, name)), f"{name} of another seed"
-    np.testing.assert_array_equal(truth(one, "q"), truth(other, "q"), "the same motion")
+        assert not np.array_equal(rows(first, name), rows(third, name)), f"{name} of another seed"
+    np.testing.assert_array_equal(truth(first, "q"), truth(third, "q"), "the same motion")
 
 
 def test_steps_in_any_pieces_give_the_same_bits(scene: Scene) -> None:
     rng = np.random.default_rng(9)
-    one, other = noisy(scene, 4.0), noisy(scene, 4.0)
+    exchanged, stepped = noisy(scene, 4.0), noisy(scene, 4.0)
     for _ in range(60):
         voltage = rng.normal(0.0, 20.0, 3)
-        one.exchange(voltage)
+        exchanged.exchange(voltage)
         left = scene.steps_per_period
         while left:
             some = min(left, int(rng.integers(1, 4)))
             if rng.random() < 0.5:
-                other.advance(voltage, some)
+                stepped.advance(voltage, some)
             else:
-                other.run([voltage], some)
+                stepped.run([voltage], some)
             left -= some
-        mine, its = one.measured, other.measured
+        mine, its = exchanged.measured, stepped.measured
         for field in set(FIELDS) - {"applied"}:  # which only an exchange reports
             assert getattr(mine, field).tobytes() == getattr(its, field).tobytes(), field
 
@@ -54,11 +54,11 @@ def test_measurements_hold_until_the_next_tick(scene: Scene) -> None:
 
 
 def test_a_restored_machine_measures_on_to_the_last_bit(scene: Scene) -> None:
-    one, other = noisy(scene, 4.0), noisy(scene, 9.0)
-    motion(one, np.random.default_rng(2), 77)
-    motion(other, np.random.default_rng(3), 33)
-    other.restore(one.save())
-    assert same(one.measured, other.measured), "at once"
-    after = [motion(plant, np.random.default_rng(4), 100) for plant in (one, other)]
+    saved, restored = noisy(scene, 4.0), noisy(scene, 9.0)
+    motion(saved, np.random.default_rng(2), 77)
+    motion(restored, np.random.default_rng(3), 33)
+    restored.restore(saved.save())
+    assert same(saved.measured, restored.measured), "at once"
+    after = [motion(plant, np.random.default_rng(4), 100) for plant in (saved, restored)]
     assert all(same(a, b) for (a, _), (b, _) in zip(*after, strict=True)), "from there on"
-    assert one.save() == other.save(), "all that the machine is"
+    assert saved.save() == restored.save(), "all that the machine is"

@@ -115,23 +115,23 @@ def test_gain_offset_range_and_resolution_are_as_the_equation_states(
 ) -> None:
     rng = np.random.default_rng(len(name))
     field, place = CHANNELS[name]
-    one, other = Plant(scene), Plant(scene)  # with errors and without
-    x = rows(motion(other, np.random.default_rng(8), 300), field)[(slice(None), *place)]
+    faulty, ideal = Plant(scene), Plant(scene)  # with errors and without
+    x = rows(motion(ideal, np.random.default_rng(8), 300), field)[(slice(None), *place)]
     x = x.reshape(len(x), -1)
     gain, biases = float(rng.uniform(-0.2, 0.2)), rng.normal(size=3)
-    wanted = (1.0 + gain) * x + biases[: x.shape[1]]
-    limit = float(np.median(np.abs(wanted)))  # so that half of them are beyond
+    expected = (1.0 + gain) * x + biases[: x.shape[1]]
+    limit = float(np.median(np.abs(expected)))  # so that half of them are beyond
     res = limit * float(rng.uniform(0.01, 0.1))
     numbers = {"gain_error": gain, "resolution": res, "range": limit}
     keys = ("offset",) if name.endswith("_sensor") else ("bias_x", "bias_y", "bias_z")
     numbers |= dict(zip(keys, map(float, biases), strict=False))
-    set_all(one, {f"{name}.{key}": value for key, value in numbers.items()})
-    one.reset()
-    y = rows(motion(one, np.random.default_rng(8), 300), field)[(slice(None), *place)]
-    y, wanted = y.reshape(len(y), -1), np.clip(wanted, -limit, limit)
+    set_all(faulty, {f"{name}.{key}": value for key, value in numbers.items()})
+    faulty.reset()
+    y = rows(motion(faulty, np.random.default_rng(8), 300), field)[(slice(None), *place)]
+    y, expected = y.reshape(len(y), -1), np.clip(expected, -limit, limit)
     steps = y / res
     np.testing.assert_allclose(steps, np.rint(steps), rtol=0, atol=1e-9, err_msg="multiples")
-    assert np.abs(y - wanted).max() <= 0.5 * res * (1.0 + 1e-9), "rounded to the next multiple"
+    assert np.abs(y - expected).max() <= 0.5 * res * (1.0 + 1e-9), "rounded to the next multiple"
     assert np.abs(y).max() <= limit + 0.5 * res, "limited"
 
 
@@ -155,11 +155,11 @@ def test_readings_of_a_unit_are_lost_independently_of_each_other(scene: Scene) -
     set_all(plant, {f"imus.at_hand.{name}.held": 0.5 for name in names})
     reported = motion(plant, np.random.default_rng(6), 600)
     channels = (rows(reported, name)[:, 0] for name in ("specific_force", "angular_rate"))
-    held = np.diff(np.hstack([*channels]), axis=0) == 0.0
-    shares = held.mean(axis=0)
-    assert np.abs(shares - 0.5).max() < 5.0 * 0.5 / math.sqrt(len(held)), "five deviations"
-    together = np.corrcoef(held.T) - np.eye(6)
-    assert np.abs(together).max() < 5.0 / math.sqrt(len(held)), (
+    is_repeated = np.diff(np.hstack([*channels]), axis=0) == 0.0
+    shares = is_repeated.mean(axis=0)
+    assert np.abs(shares - 0.5).max() < 5.0 * 0.5 / math.sqrt(len(is_repeated)), "five deviations"
+    together = np.corrcoef(is_repeated.T) - np.eye(6)
+    assert np.abs(together).max() < 5.0 / math.sqrt(len(is_repeated)), (
         "five deviations, of independent ones"
     )
 
@@ -195,14 +195,14 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
     plant.exchange(np.ones(3))
     measurement = plant.measurement
     short, size = ARM.ffi.offsetof("arm_measurement", "sensors"), ARM.sizeof("arm_measurement")
-    one = ARM.ffi.new("arm_measurement *")
-    room = ARM.ffi.buffer(one)
+    struct = ARM.ffi.new("arm_measurement *")
+    room = ARM.ffi.buffer(struct)
     room[:] = bytes(ARM.ffi.buffer(measurement, short)) + b"\xab" * (size - short)
-    one.size = short
-    assert plant.core.arm_measure(plant.machine, one) == 0, "the struct of version 1"
+    struct.size = short
+    assert plant.core.arm_measure(plant.machine, struct) == 0, "the struct of version 1"
     assert room[short:] == b"\xab" * (size - short), "behind its end"
-    one.size = short - 1
-    assert plant.core.arm_measure(plant.machine, one) == 1, "one that is too short"
+    struct.size = short - 1
+    assert plant.core.arm_measure(plant.machine, struct) == 1, "one that is too short"
 
 
 def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
@@ -219,9 +219,9 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
     check_joints(scene, words)
     with pytest.raises(Refusal, match=r"servo.joints.waist.encoder_bits must be .* 0, got 16"):
         check_joints(plain, words)
-    one, other = run(plain, servo), run(scene, words)
+    counted, worded = run(plain, servo), run(scene, words)
     # The counts are the same, but for angles at the very edge of one.
-    np.testing.assert_allclose(other.off, one.off, rtol=0, atol=1e-9, err_msg="the motion")
+    np.testing.assert_allclose(worded.off, counted.off, rtol=0, atol=1e-9, err_msg="the motion")
     count = TURN / 1024
     sigma = 3.0 * count  # of the motor's angle; and 0.05 A
     varied = tuple(
@@ -231,7 +231,7 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
     noisy = run(dataclasses.replace(scene, varied=varied), words)
     at_link = scene.gear_ratios * (sigma + count)
     assert (noisy.swing < 6.0 * at_link).all(), f"at rest: {noisy.swing} of {at_link}"
-    worse = np.abs(noisy.off).max(axis=0) - np.abs(one.off).max(axis=0)
+    worse = np.abs(noisy.off).max(axis=0) - np.abs(counted.off).max(axis=0)
     assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"
 
 

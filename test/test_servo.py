@@ -118,8 +118,8 @@ def test_the_servo_observes_by_the_voltage_that_was_applied() -> None:
         servo, machine = servo_of(fast), Drivetrain(fast, stiffness=1.0, damping=0.0)
         applied, off = 0.0, []
         for tick in range(400):
-            given = {"applied": [applied]} if reported else {}
-            servo.observe([machine.counts], [machine.x[0]], **given)
+            voltages = {"applied": [applied]} if reported else {}
+            servo.observe([machine.counts], [machine.x[0]], **voltages)
             servo.control([0.0])
             applied = float(rng.uniform(-1.0, 1.0))
             if tick > 50:
@@ -234,11 +234,11 @@ def test_a_word_that_wraps_is_followed_as_counts_that_go_on() -> None:
 def test_an_impossible_word_is_refused_and_changes_nothing() -> None:
     plain = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
     joints = tuple(dataclasses.replace(joint, encoder_bits=10) for joint in plain.joints)
-    servo, other = (Servo(dataclasses.replace(plain, joints=joints)) for _ in range(2))
+    servo, twin = (Servo(dataclasses.replace(plain, joints=joints)) for _ in range(2))
     zero = np.zeros(3)
-    for one in (servo, other):
-        one.update([1023, 0, 5], zero, zero)
+    for either in (servo, twin):
+        either.update([1023, 0, 5], zero, zero)
     with pytest.raises(Refusal, match="counts must be numbers within"):
         servo.update([0, 1024, 0], zero, zero)
-    voltages = [one.update([2, 1022, 7], zero, zero) for one in (servo, other)]
+    voltages = [either.update([2, 1022, 7], zero, zero) for either in (servo, twin)]
     np.testing.assert_array_equal(*voltages)

@@ -57,7 +57,7 @@ def draw_axis(
     `speed` bounds the servo period in time constants of the motor, R Mm / (Kt Kb).
     """
     period = log_uniform(rng, 2.5e-4, 4e-3)
-    mean, spread = log_uniform(rng, 1e-3, 300.0), log_uniform(rng, 1.0, 5.0)
+    mean, ratio_of_poses = log_uniform(rng, 1e-3, 300.0), log_uniform(rng, 1.0, 5.0)
     ratio = log_uniform(rng, 5e-3, 0.2)
     rotor = mean * log_uniform(rng, 0.1, 10.0) * ratio**2
     x = log_uniform(rng, *speed)
@@ -67,12 +67,12 @@ def draw_axis(
     stiffness, damping = None, 0.0
     if rng.random() > 0.25 if rigid is None else not rigid:
         frequency = 2.0 * math.pi * log_uniform(rng, 4.0, 50.0)  # of the heaviest, rotor held
-        stiffness = mean * spread * frequency**2
+        stiffness = mean * ratio_of_poses * frequency**2
         damping = 2.0 * log_uniform(rng, 0.01, 0.1) * math.sqrt(stiffness * mean)
     return Axis(
         MotorData(R, y * R * period, Kt, Kt, rotor, counts),
         GearData(ratio, stiffness, damping),
-        (mean / spread, mean * spread),
+        (mean / ratio_of_poses, mean * ratio_of_poses),
         period,
     )
 
@@ -99,16 +99,16 @@ def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
         A = np.array([[-Kt * Kb / R / Mm, 0.0], [1.0, 0.0]])
         by_hand = [[Kt / R / Mm, -1.0 / Mm], [0.0, 0.0]]
         start = np.array([omega, 0.0])
-    whole = np.zeros((len(A) + 2, len(A) + 2))
-    whole[: len(A)] = np.hstack([A, by_hand])
-    after = scipy.linalg.expm(whole * period) @ [*start, V, load]
+    block = np.zeros((len(A) + 2, len(A) + 2))
+    block[: len(A)] = np.hstack([A, by_hand])
+    after = scipy.linalg.expm(block * period) @ [*start, V, load]
     expected = after[:3] if L else [(V - Kb * after[0]) / R, after[0], after[1]]
     sums = (motor.current, motor.speed, motor.turn)
-    for name, one, value in zip(("current", "speed", "turn"), sums, expected, strict=True):
+    for name, coefficients, value in zip(("current", "speed", "turn"), sums, expected, strict=True):
         # Large terms may cancel, and either exponential loses digits if L R and Mm are far apart.
-        terms = np.abs(np.array(one) * [i, omega, V, load]).sum()
-        got = float(np.dot(one, [i, omega, V, load]))
-        assert got == pytest.approx(value, abs=1e-6 * terms), f"{name} at x = {x:g}, y = {y:g}"
+        terms = np.abs(np.array(coefficients) * [i, omega, V, load]).sum()
+        result = float(np.dot(coefficients, [i, omega, V, load]))
+        assert result == pytest.approx(value, abs=1e-6 * terms), f"{name} at x = {x:g}, y = {y:g}"
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -118,9 +118,9 @@ def test_held_is_the_matrix_exponential(seed: int) -> None:
     A = rng.normal(size=(n, n)) * log_uniform(rng, 1e-3, 30.0)
     B = rng.normal(size=(n, m))
     F, G = discretise_zoh(A, B, 0.7)
-    whole = scipy.linalg.expm(0.7 * np.block([[A, B], [np.zeros((m, n + m))]]))
-    scale = np.abs(whole).max()
-    assert np.abs(np.hstack([F, G]) - whole[:n]).max() < 1e-11 * scale, "against scipy's expm"
+    block = scipy.linalg.expm(0.7 * np.block([[A, B], [np.zeros((m, n + m))]]))
+    scale = np.abs(block).max()
+    assert np.abs(np.hstack([F, G]) - block[:n]).max() < 1e-11 * scale, "against scipy's expm"
 
 
 # The servo as a linear system
@@ -139,26 +139,28 @@ def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
     x, V = np.zeros(len(STATES)), 0.0
     size = {"theta": 1e-3, "current": 1.0, "applied": 1.0, "target": 1e-3 * axis.gear.ratio}
     for tick in range(50):
-        one, two = rng.normal(size=(2, len(INPUTS))) * [
+        first, second = rng.normal(size=(2, len(INPUTS))) * [
             size.get(name, axis.gear.ratio) for name in INPUTS
         ]
         if tick == 0:  # begins with the motor at rest, its load held
-            one, two = np.zeros((2, len(INPUTS)))
+            first, second = np.zeros((2, len(INPUTS)))
         count = 2.0 * math.pi / FINE
         voltages = []
-        for servo, row in zip(pair, (one, two), strict=True):
+        for servo, row in zip(pair, (first, second), strict=True):
             theta, current, voltage, *targets = row
             counts = math.floor(theta / count)
             q, v, tau = ([value] for value in targets)
             voltages.append(servo.update([counts], [current], q, v, tau, [voltage])[0])
-        u = one - two
+        u = first - second
         if tick > 0:
             V = float(linear.C @ x + linear.D @ u)
             x = linear.A @ x + linear.B @ u
-            terms = np.abs(linear.C * x).sum() + np.abs(linear.D * (np.abs(one) + abs(two))).sum()
-            got = voltages[0] - voltages[1]
+            terms = (
+                np.abs(linear.C * x).sum() + np.abs(linear.D * (np.abs(first) + abs(second))).sum()
+            )
+            difference = voltages[0] - voltages[1]
             # Both voltages are rounded, and a count of 6e-12 rad is left.
-            assert got == pytest.approx(V, abs=1e-6 * terms), f"voltages at tick {tick}"
+            assert difference == pytest.approx(V, abs=1e-6 * terms), f"voltages at tick {tick}"
 
 
 # Motors of every speed, by the real servo and exact machines
@@ -286,8 +288,8 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
         # The observer receives the voltage that was applied, as by a drive whose gain is off.
         assert stable(0.97 * margins.gain_up), f"below the gain margin {margins.gain_up:g}"
         assert not stable(1.03 * margins.gain_up), f"beyond the gain margin {margins.gain_up:g}"
-    whole = math.floor(min(margins.delay, 30.0) - 0.05)
-    assert stable(1.0, whole), f"{whole} periods of dead time, margin {margins.delay:g}"
+    periods = math.floor(min(margins.delay, 30.0) - 0.05)
+    assert stable(1.0, periods), f"{periods} periods of dead time, margin {margins.delay:g}"
     if margins.delay < 29.0:
         assert not stable(1.0, math.ceil(margins.delay + 0.05)), f"margin {margins.delay:g}"
 

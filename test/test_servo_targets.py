@@ -83,16 +83,16 @@ def test_speeds_in_steps_are_not_asked_of_the_rotor_twice() -> None:
     """
     T = 10 * PERIOD
     drives = ServoArm(ServoConfig(PERIOD, T, 0.2, 2.0, 48.0, (JOINT,)))
-    asked = []
+    changes = []
     for k in range(8):
         drives.measure(k * 10_000_000, [0], [0.0])
         drives.aim(Target(np.zeros(1), np.array([float(k > 3)]), np.zeros(1)))
         drives.command(powered=True)
         state = drives.servo.state[0]
-        asked += [state["a_target"] * T, (state["a_target"] + state["jerk_target"] * T) * T]
-    assert max(asked) <= 1.8 + 1e-9
-    assert min(asked) >= -0.4 - 1e-9
-    assert asked[-1] == 0.0
+        changes += [state["a_target"] * T, (state["a_target"] + state["jerk_target"] * T) * T]
+    assert max(changes) <= 1.8 + 1e-9
+    assert min(changes) >= -0.4 - 1e-9
+    assert changes[-1] == 0.0
 
 
 @pytest.mark.parametrize("speed", [0.2, -0.7])

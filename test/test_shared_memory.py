@@ -58,7 +58,7 @@ def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept() -> 
             for _ in range(2)
         ]
         try:
-            left, kept = (segments(node) for node in nodes)
+            left, owned = (segments(node) for node in nodes)
             if not left:
                 pytest.skip("this middleware keeps no segments")
             time.sleep(arm_emulator.ros.shared_memory.YOUNG)
@@ -70,7 +70,7 @@ def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept() -> 
             while any(file.exists() for file in left):  # another process may be at it, too
                 assert time.monotonic() < deadline, "what the killed one left"
                 clear_left_over()
-            assert kept and all(file.exists() for file in kept), "what the living one has"
+            assert owned and all(file.exists() for file in owned), "what the living one has"
         finally:
             for node in nodes:
                 node.send_signal(signal.SIGKILL)
@@ -118,7 +118,7 @@ def kill_between_two_messages(node: subprocess.Popen[str]) -> bool:
     while "_mutex" in " ".join(locks := stopped_with(node)):  # it opens a port
         node.send_signal(signal.SIGCONT)
         time.sleep(0.01)
-    ports = [one.removesuffix("_el") for one in locks if "_port" in one and one.endswith("_el")]
+    ports = [lock.removesuffix("_el") for lock in locks if "_port" in lock and lock.endswith("_el")]
     node.kill()
     node.wait()
     for port in ports:
@@ -145,8 +145,8 @@ def test_partners_of_a_killed_node_hear_the_next_one() -> None:
         partner = rclpy.create_node("partner", context=context)
         late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-        def keep(one: Int64) -> None:
-            heard.append(one.data)
+        def keep(message: Int64) -> None:
+            heard.append(message.data)
 
         partner.create_subscription(Int64, "process", keep, late)
         executor = SingleThreadedExecutor(context=context)
@@ -194,8 +194,8 @@ def test_ports_that_are_whole_young_or_of_others_are_kept(tmp_path: Path) -> Non
 
 def test_young_files_of_other_users_or_other_names_are_kept(tmp_path: Path) -> None:
     name = "fastrtps_0123456789abcdef"
-    for other in ("fastrtps_port7000_el", "fastrtps_xyz_el", f"{name}_el_", "mine_el"):
-        (tmp_path / other).touch()
+    for name_of_other in ("fastrtps_port7000_el", "fastrtps_xyz_el", f"{name}_el_", "mine_el"):
+        (tmp_path / name_of_other).touch()
     (tmp_path / "fastrtps_00000000000000aa_el").symlink_to(tmp_path / "mine_el")
     before = sorted(tmp_path.iterdir())
     for file in (tmp_path / name, tmp_path / f"{name}_el"):

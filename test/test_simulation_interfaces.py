@@ -108,9 +108,9 @@ class Simulation(Client):
             feedback = message.feedback
             heard.append((feedback.completed_steps, feedback.remaining_steps))
 
-        asked = self.goals.send_goal_async(SimulateSteps.Goal(steps=steps), hear)
-        self.user.wait("the goal's acceptance", asked.done)
-        goal = asked.result()
+        acceptance = self.goals.send_goal_async(SimulateSteps.Goal(steps=steps), hear)
+        self.user.wait("the goal's acceptance", acceptance.done)
+        goal = acceptance.result()
         if cancel_at >= 0:
             self.user.wait("some steps", lambda: heard and heard[-1][0] >= cancel_at)
             goal.cancel_goal_async()
@@ -123,13 +123,13 @@ class Simulation(Client):
 
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]:
-    with network(tmp_path_factory.mktemp("log")) as (one, _):
-        yield Simulation(one)
+    with network(tmp_path_factory.mktemp("log")) as (user_of_network, _):
+        yield Simulation(user_of_network)
 
 
 def test_features_are_those_claimed(simulation: Simulation) -> None:
     answer = simulation.call(GetSimulatorFeatures, "get_simulator_features")
-    assert set(answer.features.features) == {getattr(SimulatorFeatures, one) for one in CLAIMED}
+    assert set(answer.features.features) == {getattr(SimulatorFeatures, name) for name in CLAIMED}
     assert not answer.features.spawn_formats
 
 
@@ -176,8 +176,8 @@ def test_states_steps_and_resets_to_equal_bits(simulation: Simulation) -> None:
     assert simulation.reset(state | spawned) == ok and user.tick == end
     begun, big = simulation.begin_steps(2**63), user.tick + 20
     user.wait("many steps", lambda: user.tick > big)
-    for other in (simulation.goal(5)[0], simulation.step(1)):
-        assert other.error_message == "other steps are not done yet"
+    for result_of_steps in (simulation.goal(5)[0], simulation.step(1)):
+        assert result_of_steps.error_message == "other steps are not done yet"
     assert simulation.reset(time | state | spawned) == ok
     user.wait("their end", begun.done)
     assert begun.result().result.error_message == "the simulation was reset"
@@ -213,10 +213,10 @@ def test_entities_are_the_arm_and_its_links(simulation: Simulation) -> None:
     links.place(np.array(user.truth.position), np.array(user.truth.velocity))
     assert list(answer.entities) == everything
     for name, state in zip(answer.entities, answer.states, strict=True):
-        one = simulation.call(
+        single = simulation.call(
             GetEntityState, "get_entity_state", GetEntityState.Request(entity=name)
         )
-        assert one.state.pose == state.pose and one.result.result == Result.RESULT_OK
+        assert single.state.pose == state.pose and single.result.result == Result.RESULT_OK
         if name in links.names:
             p = state.pose.position
             assert np.abs(links.pose(name)[0] - (p.x, p.y, p.z)).max() < 1e-12
@@ -246,9 +246,9 @@ def test_an_inactive_emulator_refuses_and_still_names_its_features(simulation: S
 
 
 def test_a_client_lets_it_quit(tmp_path: Path) -> None:
-    with user() as one, Bringup("three_axis", log=tmp_path, only=("emulator",)) as nodes:
-        simulation = Simulation(one)
-        one.wait("its start", lambda: simulation.state == "active")
+    with user() as client, Bringup("three_axis", log=tmp_path, only=("emulator",)) as nodes:
+        simulation = Simulation(client)
+        client.wait("its start", lambda: simulation.state == "active")
         assert simulation.to(SimulationState.STATE_QUITTING) == Result.RESULT_OK
-        one.wait("its end", nodes.ended)
+        client.wait("its end", nodes.ended)
         assert nodes.ended() == ("emulator", 0)

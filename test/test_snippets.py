@@ -97,17 +97,17 @@ def fences(kind: str) -> list[tuple[Path, str]]:
 def lines_of(shell: str) -> Iterator[str]:
     """Yield whole commands: continued lines and quotes joined, texts for `<<` left out."""
     shell = re.sub(r"<<'(\w+)'\n.*?^\1$", "", shell, flags=re.M | re.S)
-    held = ""
+    unfinished = ""
     for line in shell.replace("\\\n", " ").split("\n"):
-        held = f"{held}\n{line}" if held else line
+        unfinished = f"{unfinished}\n{line}" if unfinished else line
         try:
-            shlex.split(held, comments=True)
+            shlex.split(unfinished, comments=True)
         except ValueError:  # a quote that goes on
             continue
-        if held.strip() and not held.lstrip().startswith("#"):
-            yield held
-        held = ""
-    assert not held, f"a quote without end: {held}"
+        if unfinished.strip() and not unfinished.lstrip().startswith("#"):
+            yield unfinished
+        unfinished = ""
+    assert not unfinished, f"a quote without end: {unfinished}"
 
 
 def commands_of(line: str) -> Iterator[list[str]]:
@@ -158,17 +158,17 @@ def check_ours(words: list[str]) -> None:
     command = load_command(words[0])
     assert command is not None, f"no command {words[0]}"
     if any(set(word) & set("[]") for word in words):
-        known = page_of(command)
+        help_text = page_of(command)
         for option in re.findall(r"--[a-z-]+", " ".join(words)):
-            assert option in known, option
+            assert option in help_text, option
         return
 
     @functools.wraps(command.function)
     def nothing(*_: Any, **__: Any) -> int:
         return 0
 
-    given = [word for word in words[1:] if word != "--json"]  # which all commands have
-    assert run_with(command._replace(function=nothing), given) == 0
+    arguments = [word for word in words[1:] if word != "--json"]  # which all commands have
+    assert run_with(command._replace(function=nothing), arguments) == 0
 
 
 def on_pages() -> set[str]:
@@ -189,10 +189,11 @@ def check_python(words: list[str]) -> None:
 def check_make(words: list[str]) -> None:
     """The targets of a call of make are those of one Makefile, ours or an example's."""
     targets = {word for word in words[1:] if "=" not in word}
-    known = [
-        set(re.findall(r"^([a-z][\w-]*):", (ROOT / one).read_text(), re.M)) for one in MAKEFILES
+    makefiles = [
+        set(re.findall(r"^([a-z][\w-]*):", (ROOT / makefile).read_text(), re.M))
+        for makefile in MAKEFILES
     ]
-    assert any(targets <= one for one in known), targets
+    assert any(targets <= makefile for makefile in makefiles), targets
 
 
 @pytest.mark.parametrize("words", shell_commands())
@@ -210,10 +211,12 @@ def test_a_command_on_a_page_exists(words: list[str]) -> None:
         first = word.split("/")[0]
         if "/" in word and first in TOP and not set(word) & set("*[]$"):
             assert (ROOT / word).exists(), word
-        found = re.fullmatch(r"arm_emulator_msgs/(?:(srv)|msg)/(\w+)", word)
-        if found:
-            kind = "srv" if found[1] else "msg"
-            assert (ROOT / "msg" / (found[1] or "") / f"{found[2]}.{kind}").exists(), word
+        message_type = re.fullmatch(r"arm_emulator_msgs/(?:(srv)|msg)/(\w+)", word)
+        if message_type:
+            kind = "srv" if message_type[1] else "msg"
+            assert (
+                ROOT / "msg" / (message_type[1] or "") / f"{message_type[2]}.{kind}"
+            ).exists(), word
 
 
 def test_commands_that_end_soon_run(
@@ -246,12 +249,12 @@ def test_shell_and_python_stand_in_fences() -> None:
 
 
 def python_fences() -> list[Any]:
-    found: dict[str, int] = {}
+    counts: dict[str, int] = {}
     blocks = []
     for page, text in fences("python"):
-        found[page.name] = found.get(page.name, -1) + 1
+        counts[page.name] = counts.get(page.name, -1) + 1
         if page.name not in PYTHON or PYTHON[page.name][0] not in text:
-            blocks.append(pytest.param(text, id=f"{page.name}-{found[page.name]}"))
+            blocks.append(pytest.param(text, id=f"{page.name}-{counts[page.name]}"))
     return blocks
 
 

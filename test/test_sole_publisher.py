@@ -53,11 +53,11 @@ class Mover:
 
     def state_of(self, number: int) -> int:
         """Return the newest state of a trajectory, 0 for none."""
-        return next((one.state for one in self.heard[::-1] if one.number == number), 0)
+        return next((report.state for report in self.heard[::-1] if report.number == number), 0)
 
     def move(self, to: float, seconds: int = 3) -> int:
         """Send all joints to a place; return the number of the trajectory."""
-        number = 1 + max((one.number for one in self.heard), default=0)
+        number = 1 + max((report.number for report in self.heard), default=0)
         point = JointTrajectoryPoint(positions=[to, 0.5 + to, 0.8 + to], velocities=[0.0] * 3)
         point.time_from_start.sec = seconds
         self._orders.publish(JointTrajectory(joint_names=JOINTS, points=[point]))
@@ -147,7 +147,7 @@ def test_a_reset_by_the_emulator_begins_anew(mover: Mover) -> None:
     assert user.call("emulator/reset").success
     user.wait("the end", lambda: mover.state_of(number) == MotionStatus.STATE_ABORTED)
     assert "the machine began anew" in next(
-        one.reason for one in mover.heard[::-1] if one.number == number
+        report.reason for report in mover.heard[::-1] if report.number == number
     )
     after = mover.move(0.6)
     user.wait("the next", lambda: mover.state_of(after) == MotionStatus.STATE_REACHED)
@@ -202,8 +202,8 @@ class SlowGraph:
     def get_publishers_info_by_topic(self, topic_name: str) -> list[Any]:
         """See `Node`."""
         return [
-            SimpleNamespace(endpoint_gid=one, node_namespace="/", node_name=name)
-            for one, name in self.names.get(topic_name, {}).items()
+            SimpleNamespace(endpoint_gid=gid, node_namespace="/", node_name=name)
+            for gid, name in self.names.get(topic_name, {}).items()
         ]
 
 
@@ -227,8 +227,8 @@ def test_a_refusal_waits_for_the_names_of_its_nodes(monkeypatch: pytest.MonkeyPa
     assert "must be node /servo, whose messages are taken, got node /stranger" in graph.refusals[0]
     # A publisher that stays unknown is reported nevertheless, after some time.
     graph.names["/joint_states"][stranger] = unknown
-    other = b"o" * size
-    assert not sole.admits(other)
+    unnamed = b"o" * size
+    assert not sole.admits(unnamed)
     sole.report()
     assert len(graph.refusals) == 1
     now = time.monotonic()

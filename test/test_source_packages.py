@@ -108,5 +108,5 @@ def test_a_manifest_that_cannot_be_read_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "binary" / "package.xml").write_bytes(b"\xff\0<name>")
     (tmp_path / "folder" / "package.xml").mkdir(parents=True)
     package(tmp_path / "good", "good")
-    found = source_packages(tmp_path / "good" / "urdf")
-    assert found["good"] == (tmp_path / "good").resolve()
+    packages = source_packages(tmp_path / "good" / "urdf")
+    assert packages["good"] == (tmp_path / "good").resolve()

@@ -19,10 +19,10 @@ def test_a_spoiled_file_is_taken_or_refused_in_one_line(kind: str, tmp_path: Pat
     """A sound one is taken: what is refused is refused for what was done to it."""
     for module in NEEDS.get(kind, ()):
         pytest.importorskip(module, reason="see requirements-peers.txt")
-    one, number = KINDS[kind], list(KINDS).index(kind)
+    file_kind, number = KINDS[kind], list(KINDS).index(kind)
     (tmp_path / "sound").mkdir()
-    file = one.write(np.random.default_rng(1), tmp_path / "sound")
-    assert (verdict(file, one.words(file)) == "") == one.taken, "a sound file"
+    file = file_kind.write(np.random.default_rng(1), tmp_path / "sound")
+    assert (verdict(file, file_kind.words(file)) == "") == file_kind.taken, "a sound file"
     refused = 0
     for turn in range(CASES // 5 if kind in SLOW and not FULL else CASES):
         rng = np.random.default_rng([0, number, turn])

@@ -48,19 +48,21 @@ def test_small_motions_move_as_the_matrix_of_the_scheme(scheme: str, seed: int) 
     motions = SmallMotions(plant, np.zeros(3))
     dq, dv = SIZE * rng.normal(size=(2, len(scene.joints)))
     x = []
-    for drive, joint, one_q, one_v in zip(plant.linear_drives(), scene.joints, dq, dv, strict=True):
-        behind = [0.0, one_q / joint.gear.ratio, one_v / joint.gear.ratio][: len(drive.D)]
+    for drive, joint, joint_q, joint_v in zip(
+        plant.linear_drives(), scene.joints, dq, dv, strict=True
+    ):
+        behind = [0.0, joint_q / joint.gear.ratio, joint_v / joint.gear.ratio][: len(drive.D)]
         x += [value for value, D in zip(behind, drive.D, strict=True) if D != 0.0]
     x = np.concatenate([x, dq, dv])
-    one_step = motions.step(scheme, scene.integrator.dt)
-    if len(one_step) == 2 * len(x):  # a scheme that takes the step before: it begins without one
+    transition = motions.step(scheme, scene.integrator.dt)
+    if len(transition) == 2 * len(x):  # a scheme that takes the step before: it begins without one
         x = np.concatenate([x, x])
     plant.reset(q=dq, v=dv)
     plant.advance(np.zeros(len(dq)), STEPS)
-    x = np.linalg.matrix_power(one_step, STEPS) @ x
+    x = np.linalg.matrix_power(transition, STEPS) @ x
     q, v = x[motions.links :][: 2 * len(dq)].reshape(2, -1)
     # By symmetry what is not linear is SIZE**2 of the motion. SmallMotions differentiates gravity
     # with a step of 1e-5, which is good to 1e-10; both add up over the steps.
-    for what, got, expected in (("q", plant.state.q, q), ("v", plant.state.v, v)):
+    for quantity, got, expected in (("q", plant.state.q, q), ("v", plant.state.v, v)):
         error = np.abs(got - expected).max() / np.abs(expected).max()
-        assert error < 1e-8, f"{scheme}: {what} is {got} in the core, {expected} by the matrix"
+        assert error < 1e-8, f"{scheme}: {quantity} is {got} in the core, {expected} by the matrix"

@@ -62,8 +62,8 @@ class Stopped:
         self.waited = 0  # the last tick at which it stood still, or came to rest
         instruct = self.run.instructor.instruct
 
-        def kept(*given: Any) -> JointSetpoint:
-            answer = instruct(*given)
+        def kept(*arguments: Any) -> JointSetpoint:
+            answer = instruct(*arguments)
             if answer.now is not None:
                 self.asked.append((len(self.links), answer.now))
             return answer
@@ -114,8 +114,8 @@ class Stopped:
         the commanded speeds change beyond what the accelerations give.
         """
         period = self.run.motion_ticks
-        asked = [one for tick, one in self.asked if tick > self.ready + period]
-        a, v = (np.array([getattr(one, name) for one in asked]) for name in "av")
+        references = [one for tick, one in self.asked if tick > self.ready + period]
+        a, v = (np.array([getattr(one, name) for one in references]) for name in "av")
         most = self.limits.acceleration
         return float((np.abs(a) / most).max()), float(
             (np.abs(np.diff(v, axis=0)) * SECOND / period / most).max()
@@ -136,8 +136,8 @@ def draw(seed: int) -> tuple[Stopped, np.random.Generator, int, int]:
         }
         for one in braked
     }
-    given = {"feedforward": "torque"} if name == "three_axis" else {}  # else of its file
-    arm = Stopped(name, brakes, method="way", **given)
+    feedforward = {"feedforward": "torque"} if name == "three_axis" else {}  # else of its file
+    arm = Stopped(name, brakes, method="way", **feedforward)
     return arm, rng, int(rng.integers(0, 900)), int(rng.integers(1, 700))
 
 
@@ -168,15 +168,17 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
         start = arm.scene.start
         if trajectory:
             names = arm.kinematics.joint_names
-            way = rng.uniform(-JOINT_WAY, JOINT_WAY, len(names))
+            displacement = rng.uniform(-JOINT_WAY, JOINT_WAY, len(names))
             points = [
                 TrajectoryPoint(
-                    k * 400_000_000, list(start + way * k / 4), list(way / 1.6 * (0 < k < 4))
+                    k * 400_000_000,
+                    list(start + displacement * k / 4),
+                    list(displacement / 1.6 * (0 < k < 4)),
                 )
                 for k in range(5)
             ]
             arm.run.instructor.add_trajectory(arm.run.controller, names, points)
-            end = arm.kinematics.forward(start + way)[1]
+            end = arm.kinematics.forward(start + displacement)[1]
         else:
             steps = (0.0, 0.5, 1.0)
             poses = [Pose(p_WT + part * TOOL_LINE, R_WT) for part in steps]
@@ -204,10 +206,10 @@ def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
         np.inf * np.ones(N),
     )
     begin, end = rng.uniform(-2.0, 2.0, (2, N))
-    way = TimedPath(JointCurve.line(begin, end), limits)
-    since = rng.uniform(0.0, 1.05) * way.duration
-    now = Reference.at_rest(way.at(since).q + rng.normal(0.0, 0.05, N))
-    on = Resumed(way, since, now, limits)
+    planned = TimedPath(JointCurve.line(begin, end), limits)
+    since = rng.uniform(0.0, 1.05) * planned.duration
+    now = Reference.at_rest(planned.at(since).q + rng.normal(0.0, 0.05, N))
+    on = Resumed(planned, since, now, limits)
     times = np.linspace(0.0, on.duration, 800)
     moves = [on.at(float(t)) for t in times]
     q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")
@@ -219,7 +221,7 @@ def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
     h = times[1] - times[0]
     between = 0.5 * (v[1:] + v[:-1]) * h
     assert np.abs(np.diff(q, axis=0) - between).max() <= limits.jerk.max() * h**3
-    assert on.duration < way.duration - since + 2.0
+    assert on.duration < planned.duration - since + 2.0
 
 
 def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -> None:
@@ -243,10 +245,10 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -
             node.count_publishers = node.count_subscribers = refused  # type: ignore[method-assign]
             executor = SingleThreadedExecutor()
             executor.add_node(servo)
-            answers: list[int] = []
+            answered_stamps: list[int] = []
 
             def on_targets(message: Any) -> None:
-                answers.append(nanoseconds_of(message.header.stamp))
+                answered_stamps.append(nanoseconds_of(message.header.stamp))
 
             servo.create_subscription(JointState, "joint_targets", on_targets, 10)
             states = servo.create_publisher(JointState, "joint_states", 10)
@@ -258,10 +260,10 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -
                 message = JointState(name=scene.joint_names, position=scene.start)
                 message.header.stamp = stamp(period * PERIOD_NS)
                 end = time.monotonic() + seconds
-                while time.monotonic() < end and period * PERIOD_NS not in answers:
+                while time.monotonic() < end and period * PERIOD_NS not in answered_stamps:
                     states.publish(message)
                     executor.spin_once(0.02)
-                return period * PERIOD_NS in answers
+                return period * PERIOD_NS in answered_stamps
 
             assert answered(1, PATIENCE), "a servo that publishes no state moves all joints"
             reports = servo.create_publisher(ServoState, "servo_states", 10)
@@ -290,7 +292,7 @@ def test_speeds_from_which_no_way_to_rest_is_found_hold_the_arm() -> None:
     q, v = scene.start, np.array([-2.3, 247106.0, -1.5])
     can = np.array([True, False, True])
     for k, movable in enumerate((can, ~can, can)):
-        asked = run.instructor.instruct(run.controller, k * PERIOD_NS, q, v, movable)
-        np.testing.assert_array_equal(asked.q, q)
+        setpoint = run.instructor.instruct(run.controller, k * PERIOD_NS, q, v, movable)
+        np.testing.assert_array_equal(setpoint.q, q)
     assert run.instructor.restarts > 0 and "no way to take up the speeds" in run.instructor.trouble
     assert "\n" not in run.instructor.trouble

@@ -95,8 +95,10 @@ class LowArm:
         times = np.arange(0.02, motion.duration, 0.02)
         moves = [(t, motion.at(t)) for t in (*times.tolist(), motion.duration)]
         points = [
-            TrajectoryPoint(round(t * 1e9), one.q.tolist(), one.v.tolist(), one.a.tolist())
-            for t, one in moves
+            TrajectoryPoint(
+                round(t * 1e9), reference.q.tolist(), reference.v.tolist(), reference.a.tolist()
+            )
+            for t, reference in moves
         ]
         self.number = self.instructor.add_trajectory(
             self.run.controller, self.kinematics.joint_names, points
@@ -204,25 +206,25 @@ def test_a_motion_slows_down_on_its_way_within_its_limits(seed: int) -> None:
     """Drawn ways at drawn moments: angles of the way at each time, at a pace that falls to 0."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 8))
-    v_most, a_most, jerk_most = (
+    v_limit, a_limit, jerk_limit = (
         rng.uniform(low, high, N) for low, high in ((0.5, 4.0), (1.0, 20.0), (20.0, 400.0))
     )
-    limits = JointPathLimits(v_most, a_most, jerk_most, np.full(N, np.inf))
+    limits = JointPathLimits(v_limit, a_limit, jerk_limit, np.full(N, np.inf))
     begin, end = rng.uniform(-2.0, 2.0, (2, N))
-    way = TimedPath(JointCurve.line(begin, end), limits)
-    since = rng.uniform(0.0, 1.0) * way.duration
-    slow = TimeScaled(way, since, 1.0, 0.0, limits)
+    planned = TimedPath(JointCurve.line(begin, end), limits)
+    since = rng.uniform(0.0, 1.0) * planned.duration
+    slow = TimeScaled(planned, since, 1.0, 0.0, limits)
     times = np.linspace(0.0, slow.duration, 400)
     moves = [slow.at(float(t)) for t in times]
     q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")
-    first = way.at(since)
+    first = planned.at(since)
     assert np.abs(q[0] - first.q).max() < 1e-9 and np.abs(v[0] - first.v).max() < 1e-9
     assert np.abs(v[-1]).max() < 1e-6 and slow.at(slow.duration + 1.0).q == pytest.approx(q[-1])
-    assert (np.abs(v) <= v_most * 1.001).all() and (np.abs(a) <= a_most * 1.001).all()
+    assert (np.abs(v) <= v_limit * 1.001).all() and (np.abs(a) <= a_limit * 1.001).all()
     # On the line, and forwards.
     part = (q - begin) @ (end - begin) / ((end - begin) @ (end - begin))
     assert np.abs(begin + np.outer(part, end - begin) - q).max() < 1e-9
     assert (np.diff(part) >= -1e-12).all()
     # Speeds are those of the angles: nothing jumps.
     h = times[1] - times[0]
-    assert np.abs(np.diff(q, axis=0) - 0.5 * (v[1:] + v[:-1]) * h).max() <= jerk_most.max() * h**3
+    assert np.abs(np.diff(q, axis=0) - 0.5 * (v[1:] + v[:-1]) * h).max() <= jerk_limit.max() * h**3

@@ -72,7 +72,7 @@ def curve(rng: np.random.Generator) -> Callable[[float], np.ndarray]:
 def has_room(arm: Streamed, at: Callable[[float], np.ndarray]) -> bool:
     """Return whether the joints can follow a curve at all, by Newton's method alone."""
     kinematics: Kinematics = arm.kinematics
-    dt, q, way = 5e-3, arm.scene.start, list[np.ndarray]()
+    dt, q, angles = 5e-3, arm.scene.start, list[np.ndarray]()
     for t in np.arange(0.0, 2.5, dt):
         for _ in range(3):
             error = kinematics.tool_error(q, Pose(arm.p_WT + at(t), arm.R_WT))
@@ -80,11 +80,11 @@ def has_room(arm: Streamed, at: Callable[[float], np.ndarray]) -> bool:
         s = kinematics.singular_values(q)
         if np.linalg.norm(error) > 1e-3 or s[0] > 15.0 * s[-1]:
             return False
-        way.append(q)
-    v = np.diff(way, axis=0) / dt
+        angles.append(q)
+    v = np.diff(angles, axis=0) / dt
     slow = (np.abs(v) < 0.8 * kinematics.velocity_limit).all() and np.abs(v).max() < 2.5
     a = np.diff(v, axis=0) / dt
-    inside = (way > kinematics.lower + 0.1) & (way < kinematics.upper - 0.1)
+    inside = (angles > kinematics.lower + 0.1) & (angles < kinematics.upper - 0.1)
     return bool(slow and np.abs(a).max() < 8.0 and inside.all())
 
 

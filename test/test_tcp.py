@@ -40,8 +40,8 @@ class Client:
         self._lines.close()
         self.socket.close()
 
-    def ask(self, **given: Any) -> dict[str, Any]:
-        self._lines.write(json.dumps(given).encode() + b"\n")
+    def ask(self, **request: Any) -> dict[str, Any]:
+        self._lines.write(json.dumps(request).encode() + b"\n")
         self._lines.flush()
         reply: dict[str, Any] = json.loads(self._lines.readline())
         return reply
@@ -66,10 +66,10 @@ def test_clients_one_after_the_other_get_the_bits_of_the_plant() -> None:
                     command, powered = rng.uniform(-20.0, 20.0, 3), k % 7 != 3
                     plant.powered = powered
                     plant.exchange(command, reply["tick"])
-                    given = {"command": command.tolist(), "tick": reply["tick"], "power": powered}
-                    reply = client.ask(**given)
+                    request = {"command": command.tolist(), "tick": reply["tick"], "power": powered}
+                    reply = client.ask(**request)
                     assert reply["power"] == powered
-                    assert client.ask(**given) == reply, "a command that comes again"
+                    assert client.ask(**request) == reply, "a command that comes again"
                     for name in ("encoder_counts", "current", "applied"):
                         assert reply[name] == getattr(plant.measured, name).tolist(), name
     assert session.plant.save() == plant.save()
@@ -77,7 +77,7 @@ def test_clients_one_after_the_other_get_the_bits_of_the_plant() -> None:
 
 def test_lines_of_every_other_kind_are_refused_and_change_no_bit() -> None:
     server, good = TcpServer(lockstep(), port=0), {"command": [1.0, 2.0, 3.0]}
-    asked, before = server.answer(b"{}"), server._session.plant.save()
+    state, before = server.answer(b"{}"), server._session.plant.save()
     wrong = [
         b"", b"{", b"\xff\xfe", b"[" * 10_000, b"[1.0, 2.0, 3.0]", b"null", b'{"colour": 1}',
         *(json.dumps(good | one).encode() for one in (
@@ -92,7 +92,7 @@ def test_lines_of_every_other_kind_are_refused_and_change_no_bit() -> None:
     for line in wrong:
         reply = json.loads(server.answer(line))
         assert reply.keys() == {"refused"} and "\n" not in reply["refused"], line
-        assert server.answer(b"{}") == asked and server._session.plant.save() == before, line
+        assert server.answer(b"{}") == state and server._session.plant.save() == before, line
     assert server.refused == len(wrong)
     server._session.close()
 
@@ -132,7 +132,7 @@ def test_in_real_time_ticks_pass_by_themselves() -> None:
 
 
 def test_an_address_that_is_taken_is_refused() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
         with pytest.raises(Refusal, match=f"address 127.0.0.1:{port} must be free"):
             TcpServer(lockstep(), port=port)

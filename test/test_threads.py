@@ -45,12 +45,12 @@ def plant(
     return Plant(load_scene("three_axis", overrides=overrides))
 
 
-def after_one_second(one: Plant) -> np.ndarray:
+def after_one_second(machine: Plant) -> np.ndarray:
     """Joint angles after 1 s of sine voltages, held over servo periods of 1 ms."""
-    one.reset()
+    machine.reset()
     t = np.arange(1000)[:, None] * 1e-3
     voltages = 12.0 * np.sin(2 * np.pi * (0.5 + 0.3 * np.arange(3)) * t + np.arange(3))
-    return one.run(voltages, one.scene.steps_per_period)[-1]
+    return machine.run(voltages, machine.scene.steps_per_period)[-1]
 
 
 def thread_count() -> int:
@@ -59,24 +59,24 @@ def thread_count() -> int:
 
 @pytest.mark.parametrize(("exchange", "depth"), [("lag", 1), ("predict", 1), ("predict", 2)])
 def test_same_bits_every_time_under_load(exchange: str, depth: int) -> None:
-    one = plant(2, exchange=exchange, depth=depth)
-    seen = set()
+    machine = plant(2, exchange=exchange, depth=depth)
+    states = set()
     with load_processors(2):
         for repetition in range(100 if FULL else 10):
-            one.reset()
+            machine.reset()
             for steps in (30, 1, 69, 100) if repetition % 2 else (200,):
-                one.advance([10.0, -20.0, 15.0], steps)
-            s = one.state
-            seen.add(b"".join(a.tobytes() for a in (s.q, s.v, s.omega_m, s.current)))
-    assert len(seen) == 1, "different last states of equal runs"
+                machine.advance([10.0, -20.0, 15.0], steps)
+            s = machine.state
+            states.add(b"".join(a.tobytes() for a in (s.q, s.v, s.omega_m, s.current)))
+    assert len(states) == 1, "different last states of equal runs"
 
 
 def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
     """Table 1 for our scene: first order for every joint, no joint above the paper's figure."""
     differences = {}
     for dt, papers in PAPER_TABLE_1.items():
-        one, two = (after_one_second(plant(threads, dt)) for threads in (1, 2))
-        differences[dt] = np.abs(one - two)
+        single, double = (after_one_second(plant(threads, dt)) for threads in (1, 2))
+        differences[dt] = np.abs(single - double)
         assert np.all(differences[dt] <= papers), f"at {dt} s, one thread and two: {differences}"
     # Ten times smaller with a tenth of the step; 15 % are left for the next order at 1e-3.
     for dt, rel in ((1e-3, 0.15), (1e-4, 0.02)):
@@ -101,9 +101,9 @@ PREDICTED = [("paper", 1), ("paper", 2), ("extrapolated", 1), ("implicit", 2), (
 def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str, depth: int) -> None:
     differences = []
     for dt in (1e-3, 5e-4, 2.5e-4):
-        one = after_one_second(plant(1, dt, scheme=scheme))
-        two = after_one_second(plant(2, dt, "predict", scheme, depth))
-        differences.append(float(np.linalg.norm(one - two)))
+        single = after_one_second(plant(1, dt, scheme=scheme))
+        double = after_one_second(plant(2, dt, "predict", scheme, depth))
+        differences.append(float(np.linalg.norm(single - double)))
     orders = np.log2(np.array(differences[:-1]) / differences[1:])
     assert orders == pytest.approx([2.0, 2.0], abs=0.3), "orders of the difference"
 
@@ -114,10 +114,10 @@ def test_a_long_chain_agrees_too(tmp_path: Path) -> None:
     differences = []
     for threads in (1, 2):
         scene = random_chain(tmp_path, 6, 14, gravity=GRAVITY, threads=threads)
-        one = Plant(load_scene(tmp_path / "scene.yaml", overrides={"integrator.dt": 1e-6}))
-        one.reset(q=np.linspace(-0.5, 0.5, len(scene.joints)))
-        one.advance(np.zeros(len(scene.joints)), 10_000)
-        differences.append(one.state.q)
+        machine = Plant(load_scene(tmp_path / "scene.yaml", overrides={"integrator.dt": 1e-6}))
+        machine.reset(q=np.linspace(-0.5, 0.5, len(scene.joints)))
+        machine.advance(np.zeros(len(scene.joints)), 10_000)
+        differences.append(machine.state.q)
     # Predicted to second order: dt^2 times second derivatives of up to 1e4 in 10 ms.
     assert differences[0] == pytest.approx(differences[1], abs=1e-7), "one thread and two"
 
@@ -141,15 +141,15 @@ def test_a_fault_is_caught_in_two_threads_as_in_one() -> None:
 
 def test_no_thread_is_left_and_no_core_is_busy() -> None:
     before = thread_count()
-    one = plant(2)
+    machine = plant(2)
     assert thread_count() == before + 1, "threads with a plant of two"
-    one.advance([5.0, 5.0, 5.0], 1000)
+    machine.advance([5.0, 5.0, 5.0], 1000)
     began, used = time.monotonic(), time.process_time()
     time.sleep(0.3)  # the interval of the measurement
     share = (time.process_time() - used) / (time.monotonic() - began)
     # A spinning thread would take a whole core, or its half on a busy machine.
     assert share < 0.2, "part of a core that a resting plant uses"
-    del one
+    del machine
     # A thread that has been joined may be listed for a moment more.
     deadline = time.monotonic() + 10.0
     while thread_count() != before and time.monotonic() < deadline:

@@ -103,20 +103,20 @@ STORY: list[tuple[int, str, Act]] = [
 def straight(scene: str, story: list[tuple[int, str, Act]], ends: int) -> dict[int, Any]:
     """Every 7th tick of a run without a timeline, and those after changes."""
     run = load_offline_run(scene)
-    seen: dict[int, Any] = {}
+    states: dict[int, Any] = {}
     for ticks, _, act in [*story, (ends, "", lambda _: None)]:
         end = run.tick + ticks
         while run.tick < end:
             run.advance(min(7 - run.tick % 7, end - run.tick))
-            seen[run.tick] = whole(run)
+            states[run.tick] = whole(run)
         act(run)
-        seen[run.tick] = whole(run)
-    return seen
+        states[run.tick] = whole(run)
+    return states
 
 
 @pytest.mark.parametrize("scene", some(("ur5", "three_axis", "panda"), 2))
 def test_any_tick_of_the_past_equals_the_straight_run(scene: str) -> None:
-    seen = straight(scene, STORY, 200)
+    states = straight(scene, STORY, 200)
     line = Timeline(load_offline_run(scene), every=100)
     for ticks, name, act in STORY:
         line.advance(ticks)
@@ -126,45 +126,45 @@ def test_any_tick_of_the_past_equals_the_straight_run(scene: str) -> None:
     ticks = [change.tick for change in line.changes]
     for (begin, name, _), end in zip(line.changes, [*ticks[1:], line.newest], strict=True):
         if name in ("target", "path", "trajectory", "jog"):
-            assert seen[begin][4] != seen[end][4], f"joint targets during: {name}"
+            assert states[begin][4] != states[end][4], f"joint targets during: {name}"
     rng = np.random.default_rng(3)
-    for tick in rng.permutation(list(seen)).tolist():
+    for tick in rng.permutation(list(states)).tolist():
         line.go_to(tick)
-        assert whole(line.run) == seen[tick], f"tick {tick} visited"
+        assert whole(line.run) == states[tick], f"tick {tick} visited"
     # Driving on from the past leads through the changes, too.
     line.go_to(5)
     line.advance(line.newest - 5)
-    assert whole(line.run) == seen[line.newest], "end, driven from the past"
+    assert whole(line.run) == states[line.newest], "end, driven from the past"
 
 
 def test_forks_of_forks_are_straight_runs_of_their_own_story() -> None:
-    one, two, three = move(0.02, 0.0, -0.02), move(0.0, 0.03, 0.0), retune
+    first, second, third = move(0.02, 0.0, -0.02), move(0.0, 0.03, 0.0), retune
     line = Timeline(load_offline_run("three_axis"), every=64)
     line.advance(50)
-    line.change("one", one)
+    line.change("one", first)
     line.advance(450)
     line.go_to(170)
     fork = line.fork()
-    fork.change("two", two)
+    fork.change("two", second)
     fork.advance(230)
     fork.go_to(290)
     of_fork = fork.fork()
-    of_fork.change("three", three)
+    of_fork.change("three", third)
     of_fork.advance(140)
     stories = {
-        line: ([(50, "one", one)], 500),
-        fork: ([(50, "one", one), (120, "two", two)], 400),
-        of_fork: ([(50, "one", one), (120, "two", two), (120, "three", three)], 430),
+        line: ([(50, "one", first)], 500),
+        fork: ([(50, "one", first), (120, "two", second)], 400),
+        of_fork: ([(50, "one", first), (120, "two", second), (120, "three", third)], 430),
     }
     assert of_fork.parent is fork and fork.parent is line and line.parent is None
     assert (fork.begins, of_fork.begins) == (170, 290), "where they fork"
     for timeline, (story, newest) in stories.items():
         assert timeline.newest == newest, "a fork changes no other"
-        seen = straight("three_axis", story, newest - sum(ticks for ticks, *_ in story))
-        for tick in sorted(seen, key=lambda tick: tick * 7919 % 101):
-            for other in (line, of_fork, timeline):  # they share one run
-                other.go_to(min(tick, other.newest))
-            assert whole(timeline.run) == seen[tick], f"{timeline}, tick {tick}"
+        states = straight("three_axis", story, newest - sum(ticks for ticks, *_ in story))
+        for tick in sorted(states, key=lambda tick: tick * 7919 % 101):
+            for member in (line, of_fork, timeline):  # they share one run
+                member.go_to(min(tick, member.newest))
+            assert whole(timeline.run) == states[tick], f"{timeline}, tick {tick}"
 
 
 def test_a_change_that_is_refused_leaves_no_trace() -> None:
@@ -186,9 +186,9 @@ def test_a_change_that_is_refused_leaves_no_trace() -> None:
     for tick in (-1, 26, 1.5, True):
         with pytest.raises(Refusal, match=r"Timeline.go_to: tick must be"):
             line.go_to(tick)  # type: ignore[arg-type]
-    other = load_offline_run("three_axis")
+    second_run = load_offline_run("three_axis")
     with pytest.raises(Refusal, match=r"what `save` of the same run returned"):
-        other.restore(line.run.save())
+        second_run.restore(line.run.save())
 
 
 def test_checkpoints_cost_no_more_than_their_number() -> None:

@@ -69,9 +69,9 @@ def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         one.go_to(one.newest)
         expected[name] = rows(one.run.session)
     for name, one in lines.items():
-        found = compare(tmp_path / name)
-        assert found.difference is None
-        assert found.tally.states == one.newest + 1
+        comparison = compare(tmp_path / name)
+        assert comparison.difference is None
+        assert comparison.tally.states == one.newest + 1
         about = Bag(tmp_path / name).about
         assert about.get(PARENT) == (str(tmp_path / parents[name]) if name in parents else None)
         if name in parents:

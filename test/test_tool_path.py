@@ -45,36 +45,36 @@ def test_a_curve_goes_through_its_poses_and_its_change_is_its_derivative(seed: i
     curve = ToolCurve(poses, per_turn=0.25, arcs=bool(seed % 2))
     assert len(curve) == len(poses) - 1
     met = curve.poses(curve.at_poses)
-    np.testing.assert_allclose(met.p, [one.p_WT for one in poses], atol=1e-9)
-    np.testing.assert_allclose(met.R, [one.R_WT for one in poses], atol=1e-9)
+    np.testing.assert_allclose(met.p, [target.p_WT for target in poses], atol=1e-9)
+    np.testing.assert_allclose(met.R, [target.R_WT for target in poses], atol=1e-9)
     h = 1e-6
     x = rng.uniform(h, curve.ends[-1] - h, 30)
     x = x[np.abs(curve.ends - x[:, None]).min(axis=1) > 2 * h]
     before, after = curve.poses(x - h), curve.poses(x + h)
     # Central differences over 1e-6 m: rounding 1e-16 / 1e-6.
-    gone = np.linalg.norm(after.p - before.p, axis=1) / (2 * h)
+    travelled = np.linalg.norm(after.p - before.p, axis=1) / (2 * h)
     turned = [pin.log3(b @ a.T) for a, b in zip(before.R, after.R, strict=True)]
     turning = np.linalg.norm(turned, axis=1) / (2 * h)
-    np.testing.assert_allclose(np.maximum(gone, 0.25 * turning), 1.0, atol=1e-6)
+    np.testing.assert_allclose(np.maximum(travelled, 0.25 * turning), 1.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_three_poses_on_a_circle_are_an_arc_of_it(seed: int) -> None:
     rng = np.random.default_rng([seed, 2])
     R, center, radius = pin.exp3(rng.normal(size=3)), rng.normal(size=3), 10.0 ** rng.uniform(-2, 0)
-    begin, whole = rng.uniform(0.0, 2 * np.pi), rng.uniform(0.1, 2 * np.pi - 0.1)
-    via = rng.uniform(0.1, 0.9) * whole
+    begin, arc = rng.uniform(0.0, 2 * np.pi), rng.uniform(0.1, 2 * np.pi - 0.1)
+    via = rng.uniform(0.1, 0.9) * arc
 
     def on(phi: float) -> np.ndarray:
         return np.asarray(center + radius * R @ [math.cos(begin + phi), math.sin(begin + phi), 0.0])
 
-    curve = ToolCurve([pose(on(phi)) for phi in (0.0, via, whole)], 0.25, arcs=True)
-    assert curve.ends[-1] == pytest.approx(radius * whole), "the length of the arc"
+    curve = ToolCurve([pose(on(phi)) for phi in (0.0, via, arc)], 0.25, arcs=True)
+    assert curve.ends[-1] == pytest.approx(radius * arc), "the length of the arc"
     assert curve.kinks().max() < 1e-6, "no corner at the pose between"
     np.testing.assert_allclose(curve.curvature(), 1.0 / radius, rtol=1e-6)
     parts = rng.uniform(0.0, 1.0, 20)
-    wanted = [on(part * whole) for part in parts]
-    np.testing.assert_allclose(curve.poses(parts * curve.ends[-1]).p, wanted, atol=1e-7 * radius)
+    expected = [on(part * arc) for part in parts]
+    np.testing.assert_allclose(curve.poses(parts * curve.ends[-1]).p, expected, atol=1e-7 * radius)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -100,9 +100,9 @@ def test_flat_corners_are_rounded_and_passed_near_by() -> None:
     points = [pose([0.1 * math.cos(t), 0.1 * math.sin(t), 0.0]) for t in turn]
     path = ToolPath(points, LIMITS)
     assert len(path.stops) == 2, "it stops nowhere between"
-    way = path.curve.poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
+    points_on_path = path.curve.poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
     for point in points:
-        assert np.linalg.norm(way - point.p_WT, axis=1).min() < 1.1 * 5e-5
+        assert np.linalg.norm(points_on_path - point.p_WT, axis=1).min() < 1.1 * 5e-5
 
 
 # Paths of an arm
@@ -139,9 +139,9 @@ class Arm:
     def judge(self, motion: MotionSequence, times: np.ndarray) -> None:
         """Limits over all of the way, and that derivatives are those of the angles."""
         limits = self.law.limits
-        seen = [motion.at(t) for t in times]
-        q, v, a = (np.array([getattr(one, k) for one in seen]) for k in "qva")
-        jerk = np.array([one.jerk for one in seen])
+        references = [motion.at(t) for t in times]
+        q, v, a = (np.array([getattr(one, k) for one in references]) for k in "qva")
+        jerk = np.array([one.jerk for one in references])
         assert (np.abs(v) <= limits.speed * (1 + 1e-6)).all(), "speed"
         assert (np.abs(a) <= limits.acceleration * (1 + 1e-6)).all(), "acceleration"
         assert (np.abs(jerk) <= limits.jerk * (1 + 1e-3)).all(), "jerk"
@@ -173,8 +173,8 @@ def test_a_path_keeps_limits_and_place_all_the_way(seed: int) -> None:
         # Between samples of the curve half a step of it is left.
         assert np.linalg.norm(curve - at, axis=1).min() < 1e-4, "beside its path"
     if seed % 3 != 2:
-        for one in poses:
-            assert np.linalg.norm(p - one.p_WT, axis=1).min() < 1e-3, "on its way"
+        for target in poses:
+            assert np.linalg.norm(p - target.p_WT, axis=1).min() < 1e-3, "on its way"
 
 
 @pytest.mark.parametrize("seed", some(range(4), 2))
@@ -228,9 +228,9 @@ def test_stamped_poses_are_met_at_their_times() -> None:
     times = [5 * SECOND, 8 * SECOND, 9 * SECOND, 12 * SECOND]
     motion = arm.plan(ToolPath(poses, LIMITS, times_ns=times))
     assert motion.duration == pytest.approx(12.0)
-    for time, wanted in zip(times, poses, strict=True):
+    for time, target in zip(times, poses, strict=True):
         p = arm.kinematics.forward(motion.at(time * 1e-9).q)[1]
-        np.testing.assert_allclose(p, wanted.p_WT, atol=1e-6, err_msg="at its time")
+        np.testing.assert_allclose(p, target.p_WT, atol=1e-6, err_msg="at its time")
 
 
 def test_stamps_that_the_joints_cannot_keep_are_refused_or_take_longer() -> None:
@@ -263,7 +263,7 @@ def test_repeated_poses_change_nothing(blend: float) -> None:
     arm = Arm()
     poses = [arm.drawn(rng) for _ in range(3)]
     once = arm.plan(ToolPath(poses, LIMITS, blend=blend))
-    again = arm.plan(ToolPath([one for one in poses for _ in range(3)], LIMITS, blend=blend))
+    again = arm.plan(ToolPath([target for target in poses for _ in range(3)], LIMITS, blend=blend))
     assert again.duration == pytest.approx(once.duration)
 
 
@@ -279,17 +279,17 @@ def test_no_path_leads_to_numbers_that_are_not_finite(seed: int) -> None:
     rng = np.random.default_rng([seed, 9])
     arm = Arm()
     size = 10.0 ** rng.uniform(-12, -1)
-    turns = rng.choice([0.0, 1e-9, 0.3], 6)
+    rotations = rng.choice([0.0, 1e-9, 0.3], 6)
     points = np.cumsum(rng.choice([0.0, 0.0, 1.0, -1.0], (6, 3)) * size, axis=0)
     axes = rng.normal(size=(6, 3))
-    axes *= (turns / np.linalg.norm(axes, axis=1))[:, None]
+    axes *= (rotations / np.linalg.norm(axes, axis=1))[:, None]
     poses = [arm.pose(p, axis) for p, axis in zip(points, axes, strict=True)]
     for arcs in (False, True):
         for blend in (0.0, 10.0 ** rng.uniform(-9, 1)):
             motion = arm.plan(ToolPath(poses, LIMITS, arcs=arcs, blend=blend))
             for t in rng.uniform(0.0, motion.duration + 0.1, 20):
-                one = motion.at(t)
-                assert np.isfinite([one.q, one.v, one.a, one.jerk]).all()
+                reference = motion.at(t)
+                assert np.isfinite([reference.q, reference.v, reference.a, reference.jerk]).all()
             p = arm.tools(motion, np.array([motion.duration]))[0]
             np.testing.assert_allclose(p, poses[-1].p_WT, atol=1e-7)
 

@@ -47,9 +47,9 @@ class TopicSystem:
 
     def write(self, q: dict[str, float], v: dict[str, float], time_ns: int) -> JointState | None:
         """Return its message; None: nothing differs by more than the threshold."""
-        given = {"position": (q, self.state), "velocity": (v, self.speed)}
+        signals = {"position": (q, self.state), "velocity": (v, self.speed)}
         difference = sum(
-            abs(given[kind][1][name] - given[kind][0][name])
+            abs(signals[kind][1][name] - signals[kind][0][name])
             for name in self.joints
             for kind in self.commands
         )
@@ -58,7 +58,7 @@ class TopicSystem:
         message = JointState(name=self.joints)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(time_ns, 10**9)
         for kind in self.commands:
-            setattr(message, kind, [given[kind][0][name] for name in self.joints])
+            setattr(message, kind, [signals[kind][0][name] for name in self.joints])
         self.sent += 1
         return message
 
@@ -103,8 +103,8 @@ def test_a_trajectory_is_followed_and_then_held(
         if message is not None:
             nodes.send("joint_targets", message)
         true = nodes.newest("emulator/joint_states")
-        got = dict(zip(true.name, true.position, strict=True))
-        off.append(np.array([abs(got[name] - q[name]) for name in names]))
+        positions = dict(zip(true.name, true.position, strict=True))
+        off.append(np.array([abs(positions[name] - q[name]) for name in names]))
     assert nodes.refused("servo") == nodes.refused("emulator") == 0
     # At 30 AWAY / 16 SECONDS = 0.56 rad/s a period of 10 ms is 6 mrad late, a servo of some 10 1/s
     # without the speed 60 mrad; a gear that carries the arm's weight is wound up by some mrad.

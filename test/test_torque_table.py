@@ -52,7 +52,7 @@ class Interpolant:
 @pytest.fixture(scope="module")
 def gantry(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Links that do not feel each other, each moved by one of the tables."""
-    joints = {name: {"torque_table": one} for name, one in zip(GANTRY, TABLES, strict=True)}
+    joints = {name: {"torque_table": table} for name, table in zip(GANTRY, TABLES, strict=True)}
     file = write_scene(
         tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints, energy_flow=True,
         servo_period=1e-2, integrator={"scheme": "rosenbrock", "dt": 1e-3},
@@ -75,9 +75,9 @@ def test_torque_and_energy_are_those_of_scipys_interpolant(gantry: Scene) -> Non
     """The torque by the speed after 1 us from rest, in which it changes by some 1e-10."""
     truths, dt = [Interpolant(table) for table in TABLES], 1e-6
     rng = np.random.default_rng(5)
-    drawn_ones = [around(table, rng, 200) for table in TABLES]
-    count = max(map(len, drawn_ones))
-    angles = np.column_stack([np.resize(one, count) for one in drawn_ones])
+    samples = [around(table, rng, 200) for table in TABLES]
+    count = max(map(len, samples))
+    angles = np.column_stack([np.resize(one, count) for one in samples])
     plant = Plant(with_dt(gantry, dt))
     for q in angles:
         plant.reset(q)
@@ -150,7 +150,7 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(
 
 @pytest.mark.parametrize("key", ["angles", "torques"])
 def test_a_list_that_is_missing_and_a_key_that_is_unknown_are_refused(key: str) -> None:
-    table = {other: numbers for other, numbers in GOOD.items() if other != key}
+    table = {name: numbers for name, numbers in GOOD.items() if name != key}
     with pytest.raises(Refusal, match=rf"torque_table\.{key} must have 4 to 256 numbers"):
         load_scene("three_axis", {"joints.elbow.torque_table": table})
     with pytest.raises(Refusal, match=r"key joints\.elbow\.torque_table\.colour"):

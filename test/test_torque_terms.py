@@ -62,22 +62,22 @@ def moments(scene: Scene, seed: int) -> tuple[Plant, list[tuple[bytes, np.ndarra
             scene.chain.joints[-1].link, ExternalWrench((3.0, -2.0, 5.0), (0.1, 0.2, -0.3))
         )
     limits = np.where(np.isfinite(scene.largest_commands), scene.largest_commands, 1.0)
-    found = []
-    while len(found) < MOMENTS:
-        if len(found) % 50 == 0:
+    records = []
+    while len(records) < MOMENTS:
+        if len(records) % 50 == 0:
             plant.reset()
         command = limits * rng.uniform(-0.3, 0.3, len(limits)) * rng.integers(0, 2, len(limits))
         for _ in range(int(rng.integers(1, 8))):
             plant.exchange(command)
         saved = plant.save()
-        found.append((saved, command, terms.of(saved, command)))
-    return plant, found
+        records.append((saved, command, terms.of(saved, command)))
+    return plant, records
 
 
 def test_terms_sum_up_to_zero(tmp_path: Path) -> None:
     for scene in scenes(tmp_path):
-        _, found = moments(scene, 1)
-        for _, _, now in found:
+        _, records = moments(scene, 1)
+        for _, _, now in records:
             for side in (now.link, now.rotor):
                 if "inertia" in side:
                     rows = np.array(list(side.values()))
@@ -88,12 +88,12 @@ def test_terms_sum_up_to_zero(tmp_path: Path) -> None:
 
 def test_each_term_is_what_others_compute(tmp_path: Path) -> None:
     scene = many_parts(tmp_path)
-    plant, found = moments(scene, 2)
+    plant, records = moments(scene, 2)
     model = pin.buildModelFromXML(scene.urdf)
     data = model.createData()
     model.gravity.linear = np.array(scene.gravity)
     still, stuck = np.zeros(3), 0
-    for saved, _, now in found:
+    for saved, _, now in records:
         plant.restore(saved)
         state, link, rotor = plant.state, now.link, now.rotor
         q, v = state.q, state.v
@@ -103,7 +103,7 @@ def test_each_term_is_what_others_compute(tmp_path: Path) -> None:
         M = np.triu(M) + np.triu(M, 1).T
         gravity = pin.rnea(model, data, turned, still, still)
         coriolis = pin.rnea(model, data, turned, v, still) - gravity
-        acts = sum(np.nan_to_num(one) for name, one in link.items() if name != "inertia")
+        acts = sum(np.nan_to_num(term) for name, term in link.items() if name != "inertia")
         inertia_of_rotor = np.nan_to_num(link["rotor behind a rigid gear"])
         a = np.linalg.solve(M, acts)
         near = {"rtol": 1e-9, "atol": 1e-10 * np.abs(acts).max() + 1e-12}  # condition of M
@@ -139,9 +139,9 @@ def test_the_external_wrench_is_a_term_of_its_own(tmp_path: Path) -> None:
     J = pin.computeFrameJacobian(model, data, turned, frame, pin.LOCAL_WORLD_ALIGNED)
     pin.framesForwardKinematics(model, data, turned)
     lever = data.oMf[frame].rotation @ point
-    wanted = J[:3].T @ force + J[3:].T @ (moment + np.cross(lever, force))
+    expected = J[:3].T @ force + J[3:].T @ (moment + np.cross(lever, force))
     now = terms.of(plant.save(), np.zeros(3))
-    np.testing.assert_allclose(now.link["external wrench"], wanted, atol=1e-11)
+    np.testing.assert_allclose(now.link["external wrench"], expected, atol=1e-11)
     assert "external wrench" not in TorqueTerms(load_scene("three_axis")).of(
         Plant("three_axis").save(), np.zeros(3)
     ).link  # fmt: skip

@@ -44,9 +44,9 @@ def test_gains_are_written_and_nothing_else_changes(name: str, rigid: bool, tmp_
     file = tmp_path / "servo.yaml"
     before = (CONFIG / "servo" / f"{name}.yaml").read_text()
     file.write_text(before)
-    wanted = other_gains(load_servo_config(file), rng, rigid)
-    write_gains(file, wanted)
-    assert load_servo_config(file) == wanted
+    expected = other_gains(load_servo_config(file), rng, rigid)
+    write_gains(file, expected)
+    assert load_servo_config(file) == expected
     comments = re.compile(r"#.*")
     after = file.read_text()
     assert comments.findall(after) == comments.findall(before), "comments"
@@ -57,7 +57,7 @@ def test_gains_are_written_and_nothing_else_changes(name: str, rigid: bool, tmp_
         for text in (before, after)
     ]
     assert others[0] == others[1], "lines that are no gains"
-    again = other_gains(wanted, rng, rigid)
+    again = other_gains(expected, rng, rigid)
     write_gains(file, again)  # a link_inertia that is there is replaced
     assert load_servo_config(file) == again
 
@@ -73,9 +73,9 @@ def test_a_dotted_file_is_written_too(tmp_path: Path) -> None:
         else:
             lines.append(f"    joints.{name}.{line.strip()}")
     file.write_text(head + "\n".join(lines) + "\n")
-    wanted = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=True)
-    write_gains(file, wanted)
-    assert load_servo_config(file) == wanted
+    expected = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=True)
+    write_gains(file, expected)
+    assert load_servo_config(file) == expected
 
 
 def test_values_that_joints_share_are_refused_and_stay(tmp_path: Path) -> None:
@@ -85,9 +85,9 @@ def test_values_that_joints_share_are_refused_and_stay(tmp_path: Path) -> None:
     start = shared.index("      shoulder:\n")
     shared = shared[:start] + "      shoulder: *one\n      elbow: *one\n"
     file.write_text(shared)
-    wanted = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=False)
+    expected = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=False)
     with pytest.raises(Refusal, match="have values of its own for each joint"):
-        write_gains(file, wanted)
+        write_gains(file, expected)
     assert file.read_text() == shared
 
 
@@ -95,27 +95,27 @@ def test_inertias_are_those_of_the_mass_matrix() -> None:
     """Against Pinocchio over the same poses: M_jj, and 1 / (M^-1)_jj."""
     scene = load_scene("ur5")
     oracle = Oracle(scene)
-    least, most = [], []
+    lowest, highest = [], []
     for q in poses(scene, tuned.POSES):
         M = pin.crba(oracle.model, oracle.data, oracle.configuration(q))
         M = np.triu(M) + np.triu(M, 1).T
-        least.append(1.0 / np.diag(np.linalg.inv(M)))
-        most.append(np.diag(M))
-    expected = np.array([np.min(least, axis=0), np.max(most, axis=0)]).T
-    got = np.array(link_inertias([scene]))
-    assert np.abs(got / expected - 1.0).max() < 1e-9, "kg m2, least and largest per joint"
+        lowest.append(1.0 / np.diag(np.linalg.inv(M)))
+        highest.append(np.diag(M))
+    expected = np.array([np.min(lowest, axis=0), np.max(highest, axis=0)]).T
+    ranges = np.array(link_inertias([scene]))
+    assert np.abs(ranges / expected - 1.0).max() < 1e-9, "kg m2, least and largest per joint"
 
 
 def test_links_fall_as_the_derivative_of_their_weight() -> None:
     """Against Pinocchio's derivatives of the weight, over the same poses."""
     scene = load_scene("ur5")
     oracle = Oracle(scene)
-    most = np.zeros(6)
+    highest = np.zeros(6)
     for q in poses(scene, tuned.POSES):
         at = oracle.configuration(q)
         slope = pin.computeGeneralizedGravityDerivatives(oracle.model, oracle.data, at)
-        most = np.maximum(most, -np.diag(slope))
-    np.testing.assert_allclose(falls(scene), most, atol=1e-4)  # N m/rad, of up to 58
+        highest = np.maximum(highest, -np.diag(slope))
+    np.testing.assert_allclose(falls(scene), highest, atol=1e-4)  # N m/rad, of up to 58
 
 
 def test_poses_on_a_slide_without_end_are_near() -> None:
@@ -128,8 +128,8 @@ def test_poses_on_a_slide_without_end_are_near() -> None:
         joint.remove(limit)
     ET.SubElement(joint, "limit", {"lower": "-1e9", "upper": "1e9"})
     text = ET.tostring(robot, encoding="unicode")
-    drawn = np.array(poses(dataclasses.replace(scene, urdf=text), 50))[1:]
-    assert 0.3 < np.abs(drawn[:, 0]).max() <= 0.5
+    samples = np.array(poses(dataclasses.replace(scene, urdf=text), 50))[1:]
+    assert 0.3 < np.abs(samples[:, 0]).max() <= 0.5
 
 
 @pytest.mark.parametrize("seed", some(range(200), 30))
@@ -144,11 +144,11 @@ def test_a_loop_holds_a_link_that_falls(seed: int) -> None:
         load_servo_config(file).joints[0], velocity_gain=K, position_gain=kp, integral_time=5.0 / kp
     )
     shared = dataclasses.replace(joint, position_gain=kp * rng.uniform(0.05, 1.0))
-    held = holding(shared, G, kp)
-    assert (held == shared) == (2.0 * G <= K * shared.position_gain)
+    stiffened = holding(shared, G, kp)
+    assert (stiffened == shared) == (2.0 * G <= K * shared.position_gain)
     for share in (0.6, 1.0, 2.0):
-        k, stiff = share * K, share * K * held.position_gain
-        poles = np.roots([M, k, stiff - G, stiff / held.integral_time])
+        k, stiff = share * K, share * K * stiffened.position_gain
+        poles = np.roots([M, k, stiff - G, stiff / stiffened.integral_time])
         assert poles.real.max() < 0.0, (share, M, K, G)
 
 
@@ -184,9 +184,9 @@ def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixtu
     file.write_text((CONFIG / "servo" / "three_axis.yaml").read_text())
     before = load_servo_config(file)
     assert tune(str(scene), out=tmp_path / "out", write=True) == 0
-    shown = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in ("margins, worst pose", "overshoot", "at rest", "written: "):
-        assert words in shown, f"{words!r} is not in\\n{shown}"
+        assert words in printed, f"{words!r} is not in\\n{printed}"
     assert (tmp_path / "out" / "tune_three_axis.png").stat().st_size > 10_000, "bytes of a picture"
     after = load_servo_config(file)
     assert after != before

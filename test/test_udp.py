@@ -43,16 +43,16 @@ def lockstep() -> Session:
 
 
 def datagram(kinds: Datagrams, tick: int, command: object = 0.0, control: int = POWER) -> bytes:
-    one = np.zeros((), kinds.command)
-    one["layout"], one["tick"], one["control"] = kinds.layout, tick, control
-    one["command"] = command
-    return one.tobytes()
+    fields = np.zeros((), kinds.command)
+    fields["layout"], fields["tick"], fields["control"] = kinds.layout, tick, control
+    fields["command"] = command
+    return fields.tobytes()
 
 
 def read(server: UdpServer, reply: bytes) -> np.void:
     assert not reply.startswith(REFUSED), reply
-    one: np.void = np.frombuffer(reply, server.datagrams.measurement)[0]
-    return one
+    fields: np.void = np.frombuffer(reply, server.datagrams.measurement)[0]
+    return fields
 
 
 def built(folder: Path) -> Path:
@@ -192,8 +192,8 @@ def test_the_header_has_the_bytes_of_the_datagrams(
 
 
 def test_an_address_that_is_taken_is_refused() -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
-        port = other.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        port = listener.getsockname()[1]
         with pytest.raises(Refusal, match=f"address 127.0.0.1:{port} must be free"):
             UdpServer(lockstep(), port=port)

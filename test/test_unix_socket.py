@@ -61,7 +61,7 @@ def test_only_a_name_that_is_free_or_a_socket_that_was_left_is_taken(tmp_path: P
         tmp_path / ("s" * 200),
         "s\0",
     ]
-    for one in wrong:
+    for path_to_take in wrong:
         with pytest.raises(Refusal, match="unix-socket: path must be free"):
-            UnixSocketServer(lockstep(), one)
+            UnixSocketServer(lockstep(), path_to_take)
     assert path.read_text() == "mine"

@@ -45,8 +45,11 @@ def up(
             assert names == ["emulator", "motion_controller", "servo"], "nodes of `up`"
             yield launcher, children
             for child in children:
-                what = f"{child} to end"
-                wait(lambda child=child: not child.is_running() or child.status() == "zombie", what)
+                purpose = f"{child} to end"
+                wait(
+                    lambda child=child: not child.is_running() or child.status() == "zombie",
+                    purpose,
+                )
         finally:
             end(launcher, children)
 
@@ -56,9 +59,9 @@ def end(launcher: subprocess.Popen[str], children: list[psutil.Process]) -> None
     started = list(children)
     if launcher.poll() is None:
         started += psutil.Process(launcher.pid).children(recursive=True)
-    for one in started:
+    for process in started:
         with suppress(psutil.NoSuchProcess):
-            one.kill()
+            process.kill()
     launcher.kill()
     launcher.communicate()
 

@@ -69,9 +69,11 @@ def test_drives_that_state_they_are_in_usual_modes_are(tmp_path: Path) -> None:
         core.ask(joint, brake_open, 20_000, pointer(counted))
         return counted.tolist()
 
-    at_once, wrongly, usual = ask(0, True)
+    at_once, wrongly, in_regular_modes = ask(0, True)
     assert wrongly == 0, "a limit, a stop or a brake holds in a mode that is called usual"
     # The rest are links that leave their stop faster than it follows.
-    assert 0.99 * usual < at_once <= usual, "usual modes that the quick check misses"
+    assert 0.99 * in_regular_modes < at_once <= in_regular_modes, (
+        "usual modes that the quick check misses"
+    )
     for joint, brake_open in ((0, False), (1, True), (2, True)):
         assert ask(joint, brake_open)[0] == 0, "friction, teeth and closed brakes must be asked"

@@ -34,33 +34,35 @@ def scene() -> Scene:
 
 
 def test_one_library_serves_every_value(scene: Scene) -> None:
-    one, other = Plant(scene), Plant(scene)
-    other.set_parameter(MASS, 3.0)
+    unchanged, changed = Plant(scene), Plant(scene)
+    changed.set_parameter(MASS, 3.0)
     heavy = dataclasses.replace(
         scene, varied=tuple(dataclasses.replace(number, value=2.5) for number in scene.varied)
     )
-    assert library_of(heavy).file == one.core.file == other.core.file, "libraries"
+    assert library_of(heavy).file == unchanged.core.file == changed.core.file, "libraries"
     assert Plant(heavy).parameters[MASS] == 2.5, "as the scene has it"
-    assert one.parameters[MASS] == 1.0, "as another scene has it"
-    assert other.parameters[MASS] == 3.0, "as it was set"
+    assert unchanged.parameters[MASS] == 1.0, "as another scene has it"
+    assert changed.parameters[MASS] == 3.0, "as it was set"
     rows = np.random.default_rng(0).normal(0.0, 10.0, (20, 3))
-    assert not np.allclose(motion(one, rows), motion(other, rows)), "the mass has no effect"
+    assert not np.allclose(motion(unchanged, rows), motion(changed, rows)), "the mass has no effect"
 
 
 def test_a_number_that_is_set_is_saved_and_the_motion_goes_on(scene: Scene) -> None:
-    rows, one, other = (
+    rows, machine, restored = (
         np.random.default_rng(1).normal(0.0, 10.0, (30, 3)),
         Plant(scene),
         Plant(scene),
     )
-    motion(one, rows)
-    before = one.state
-    one.set_parameter(MASS, 5.0)
-    assert one.state == before, "a state is no matter of numbers"
-    other.restore(one.save())
-    assert other.parameters == one.parameters == {MASS: 5.0}, "of the restored machine"
-    np.testing.assert_array_equal(motion(one, rows), motion(other, rows), err_msg="last states")
-    assert one.save() == other.save(), "all that the machines are"
+    motion(machine, rows)
+    before = machine.state
+    machine.set_parameter(MASS, 5.0)
+    assert machine.state == before, "a state is no matter of numbers"
+    restored.restore(machine.save())
+    assert restored.parameters == machine.parameters == {MASS: 5.0}, "of the restored machine"
+    np.testing.assert_array_equal(
+        motion(machine, rows), motion(restored, rows), err_msg="last states"
+    )
+    assert machine.save() == restored.save(), "all that the machines are"
 
 
 @pytest.mark.parametrize(

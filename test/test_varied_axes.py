@@ -97,10 +97,10 @@ def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1
         written = expressions(joint, places)
         assert written is not None, "numbers that are varied"
         for name, text in written.items():
-            got = eval(text, {"p": p})  # a sum of products, as C++ and Python write them
+            result = eval(text, {"p": p})  # a sum of products, as C++ and Python write them
             # A sum of nine terms, each rounded.
             rounding = 2e-15 * (1.0 + np.abs(h).sum() + np.abs(I).sum())
-            assert abs(got - expected[name]) < rounding, f"{seed}: {name} = {text}"
+            assert abs(result - expected[name]) < rounding, f"{seed}: {name} = {text}"
 
 
 # The machines
@@ -110,22 +110,24 @@ def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1
 def test_varied_links_on_skewed_axes_are_those_of_pinocchio(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng([seed, 12])
     urdf = skew(rng, random_chain_urdf(rng, 3))
-    other = with_other_links(rng, urdf)
+    changed_urdf = with_other_links(rng, urdf)
     files = []
-    for name, text in (("one", urdf), ("other", other)):
+    for name, text in (("one", urdf), ("other", changed_urdf)):
         (tmp_path / name).mkdir()
         joints: dict[str, Any] = {joint: {} for joint in moving_joints(text)}
         common: dict[str, Any] = {"gravity": [0.0, 0.0, -9.81], "varied": ["links.*"]}
         files.append(write_scene(tmp_path / name, text, joints, **common))
-    scene, wanted = map(load_scene, files)
-    plant, oracle = Plant(scene), Oracle(wanted)
-    for one in wanted.varied:
-        plant.set_parameter(one.name, one.value)
+    scene, changed = map(load_scene, files)
+    plant, oracle = Plant(scene), Oracle(changed)
+    for number in changed.varied:
+        plant.set_parameter(number.name, number.value)
     q, v, tau = rng.normal(size=(3, 50, len(scene.joints)))
     expected = np.array([oracle.aba(*row) for row in zip(q, v, tau, strict=True)])
-    got = plant.links.accelerations(q, v, tau)
+    accelerations = plant.links.accelerations(q, v, tau)
     # As in test_dynamics.py.
-    np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-10, err_msg="accelerations")
+    np.testing.assert_allclose(
+        accelerations, expected, rtol=1e-9, atol=1e-10, err_msg="accelerations"
+    )
     plant.reset(q[0], v[0])
     energies = plant.energy, oracle.energy(q[0], v[0])
     assert energies[0] == pytest.approx(energies[1], rel=1e-12), "energy [J]"
@@ -138,7 +140,7 @@ def write_skewed_mixture(folder: Path, seed: int) -> tuple[Path, Path]:
     scene = yaml.safe_load(file.read_text())
     for joint in scene["joints"].values():
         sensors = SENSORS | (MOTOR_SENSORS if "motor" in joint else {})
-        joint |= {key: one for key, one in sensors.items() if rng.random() < 0.5}
+        joint |= {key: section for key, section in sensors.items() if rng.random() < 0.5}
     first = moving_joints((folder / "mixture.urdf").read_text())[0]
     gyroscope = {"noise": 1e-3, "bias_x": 0.01}
     scene["imus"] = {"hand": {"link": f"{first}_link", "gyroscope": gyroscope}}
@@ -164,7 +166,7 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
     another one.
     """
     links = {one.name: one.value for one in of_links.varied}
-    known = {
+    fixed = {
         f"joints.{joint.name}.motor.{key}"
         for joint in scene.joints
         if any(isinstance(part, CurrentLoop) for part in joint.parts)
@@ -174,7 +176,7 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
         one.name: links[one.name]
         if one.name.startswith("links.")
         else one.value
-        if one.name in known
+        if one.name in fixed
         else one.value + 1.0
         if one.name == "seed"
         else float(np.clip(one.value * rng.uniform(1.0, 1.2), one.number.least, one.number.most))
@@ -189,9 +191,9 @@ def constants(scene: Scene, values: dict[str, float]) -> dict[str, float]:
         for part in joint.parts:
             for key, one in part.numbers().items():
                 place = f"joints.{joint.name}.{part.section}."
-                leader = None if one.follows is None else getattr(part, one.follows)
-                if leader:
-                    ratio = getattr(part, key) / leader
+                followed = None if one.follows is None else getattr(part, one.follows)
+                if followed:
+                    ratio = getattr(part, key) / followed
                     built[place + key] = ratio * values[f"{place}{one.follows}"]
     return built
 
@@ -214,27 +216,27 @@ def moved(scene: Scene, values: dict[str, float], seed: int) -> tuple[np.ndarray
 @pytest.mark.parametrize("seed", some(range(30), 1))
 def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path) -> None:
     """All parts' numbers, links' and sensors' at once, on a mixture with skewed axes."""
-    mixture, other = write_skewed_mixture(tmp_path, seed)
+    mixture, with_links = write_skewed_mixture(tmp_path, seed)
     # Where events fall does not depend on whence the numbers come, and costs half of the compiler.
     fine: dict[str, Any] = {"integrator.dt": 0.01 / STEPS[-1], "integrator.events": "step"}
     all_of_them = {**fine, "varied": ["joints.*", "links.*", "imus.*", "seed"]}
     rng = np.random.default_rng([seed, 14])
     scene = load_scene(mixture, all_of_them)
-    values = other_values(scene, load_scene(other, all_of_them), rng)
+    values = other_values(scene, load_scene(with_links, all_of_them), rng)
     try:
-        built = load_scene(other, {**fine, **constants(scene, values)})
+        built = load_scene(with_links, {**fine, **constants(scene, values)})
         expected, measured = moved(built, {}, seed)
     except Diverged:
         with pytest.raises(Diverged):
             moved(scene, values, seed)
         return
-    got, reported = moved(scene, values, seed)
+    states, reported = moved(scene, values, seed)
     size = np.abs(expected).max(axis=(0, 2), keepdims=True)
     # Rounding, which stick-slip and hard stops let grow in 0.2 s.
-    assert (np.abs(got - expected) / (1.0 + size)).max() < 1e-8, "states"
-    for one, other in zip(reported, measured, strict=True):
+    assert (np.abs(states - expected) / (1.0 + size)).max() < 1e-8, "states"
+    for one, with_links in zip(reported, measured, strict=True):
         for field in KNOWN:
-            mine, its = (np.asarray(getattr(m, field), dtype=float) for m in (one, other))
+            mine, its = (np.asarray(getattr(m, field), dtype=float) for m in (one, with_links))
             # A motion that is off by 1e-8 may be at the edge of a count.
             atol = 1.0 if getattr(one, field).dtype == np.int64 else 1e-6
             np.testing.assert_allclose(mine, its, rtol=1e-6, atol=atol, err_msg=field)

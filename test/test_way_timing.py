@@ -26,8 +26,8 @@ def test_limits_hold_where_the_third_derivative_of_their_curve_steps(case: int) 
     along = None
     if case % 2:
         ends = np.sort(rng.random(3)) + np.array([0.0, 0.0, 1.0])
-        length, top, most, jerk = rng.uniform(0.3, 3.0, 4)
-        along = ToolPathLimits(length, top, most, jerk, ends, rng.uniform(0.0, 5.0, 3))
+        length, top, deceleration, jerk = rng.uniform(0.3, 3.0, 4)
+        along = ToolPathLimits(length, top, deceleration, jerk, ends, rng.uniform(0.0, 5.0, 3))
     planned = TimedPath(curve, limits, along=along)
     rows = [planned.at(t) for t in np.linspace(0.0, planned.duration, 4000)]
     for key, limit in (("v", speed), ("a", acceleration), ("jerk", limits.jerk)):

@@ -75,14 +75,14 @@ def run(
     q: np.ndarray,
     target: Pose,
     seconds: float,
-    seen: Callable[[np.ndarray], None] = lambda q: None,
+    observe: Callable[[np.ndarray], None] = lambda q: None,
 ) -> np.ndarray:
     """Joints that stand where they are asked to; return where they end."""
     for _ in range(round(seconds / controller.period)):
         instruction = controller.update(q, target)
         assert instruction.v is not None
         q = instruction.q + controller.period * instruction.v
-        seen(q)
+        observe(q)
     return q
 
 
@@ -113,15 +113,17 @@ def test_limits_hold_whatever_is_asked(seed: int) -> None:
         np.testing.assert_allclose(now.q, q, atol=1e-9, err_msg="the reference jumped")
         # Between periods, too: the motion that was promised at this one.
         for t in np.linspace(0.0, 1.0, 5):
-            one = controller._motion.at(controller._time - period + t * period)
-            for what in ("speed", "acceleration"):
-                share = np.abs(one.v if what == "speed" else one.a) / getattr(limits, what)
-                assert share.max() <= 1.0 + 1e-6, f"{what}: {share.max()}"
+            reference = controller._motion.at(controller._time - period + t * period)
+            for quantity in ("speed", "acceleration"):
+                share = np.abs(reference.v if quantity == "speed" else reference.a) / getattr(
+                    limits, quantity
+                )
+                assert share.max() <= 1.0 + 1e-6, f"{quantity}: {share.max()}"
             # Ruckig's jumps of jerk are met within 1e-7 s.
-            assert one.jerk is not None
-            assert (np.abs(one.jerk) <= limits.jerk * (1.0 + 1e-3)).all(), "jerk"
+            assert reference.jerk is not None
+            assert (np.abs(reference.jerk) <= limits.jerk * (1.0 + 1e-3)).all(), "jerk"
             low, high = arm.lower - 1e-8, arm.upper + 1e-8
-            assert ((one.q >= low) & (one.q <= high)).all(), "position"
+            assert ((reference.q >= low) & (reference.q <= high)).all(), "position"
         q = controller.coming.q
 
 
@@ -146,8 +148,8 @@ def test_a_line_keeps_position_limits_between_its_nodes(seed: int) -> None:
             assert curve.leaves(arm.lower, arm.upper) is not None
             again = joints_along(tree, start, *ends, None)
             if isinstance(again, JointCurve):  # of more nodes
-                most = again.derivatives(np.linspace(0.0, 1.0, 20_001))[0][:, j].max()
-                assert most <= arm.upper[j] + 2e-9
+                highest = again.derivatives(np.linspace(0.0, 1.0, 20_001))[0][:, j].max()
+                assert highest <= arm.upper[j] + 2e-9
             arm.upper[j] = dense[:, j].max() + 1e-7  # between the samples
             assert curve.leaves(arm.lower, arm.upper) is None
             arm.upper[j] = before
@@ -170,9 +172,9 @@ def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
         target = pose_of(arm, end)
         controller = law_of(arm, 0.02)
         controller.begin(start)
-        ways: list[np.ndarray] = []
-        run(controller, start, target, 8.0, ways.append)
-        left = [float(np.linalg.norm(arm.scale * arm.tool_error(q, target))) for q in ways]
+        positions: list[np.ndarray] = []
+        run(controller, start, target, 8.0, positions.append)
+        left = [float(np.linalg.norm(arm.scale * arm.tool_error(q, target))) for q in positions]
         if left[-1] < 1e-6:
             reached += 1
             there = int(np.argmax(np.array(left) < 1e-4))

@@ -42,8 +42,8 @@ def rise(t: float) -> np.ndarray:
     """C dTheta/dt = R0 (1 + alpha (ambient - 20 + Theta)) I^2 - Theta/Rth, from 0 [K]."""
     power = WEAK["resistance"] * CURRENT**2
     rate = (1.0 / RTH - ALPHA * power) / C
-    most = power * (1.0 + ALPHA * (AMBIENT - 20.0)) / (C * rate)
-    return most * -np.expm1(-rate * t)
+    final = power * (1.0 + ALPHA * (AMBIENT - 20.0)) / (C * rate)
+    return final * -np.expm1(-rate * t)
 
 
 def test_a_constant_current_heats_along_the_exponential(locked: Path) -> None:
@@ -68,8 +68,8 @@ def test_a_constant_current_heats_along_the_exponential(locked: Path) -> None:
 
 def test_a_drive_beyond_its_limit_states_so_and_is_off_until_it_is_below(locked: Path) -> None:
     scene = load_scene(locked)
-    plant, other = Plant(scene), Plant(scene)
-    seen, hot = np.zeros(3, int), np.zeros(3, bool)
+    plant, restored = Plant(scene), Plant(scene)
+    switched, hot = np.zeros(3, int), np.zeros(3, bool)
     for tick in range(300):
         plant.exchange(VOLTS)
         off = np.where(hot, 0.0, VOLTS)
@@ -78,15 +78,15 @@ def test_a_drive_beyond_its_limit_states_so_and_is_off_until_it_is_below(locked:
         assert braked == hot[2], f"brake at tick {tick}"
         was, hot = hot, plant.winding_temperatures > LIMIT
         assert (plant.overheated == hot).all(), f"fault at tick {tick}"
-        seen += was != hot
+        switched += was != hot
         if tick == 150:
-            other.restore(plant.save())
-    assert (seen > 3).all(), f"it went off and on: {seen}"
+            restored.restore(plant.save())
+    assert (switched > 3).all(), f"it went off and on: {switched}"
     # The copper does not get hotter than by one period of full loss.
     assert (plant.winding_temperatures < LIMIT + 2e-3 * 25.0 * 1.3 / C).all()
     for _ in range(149):
-        other.exchange(VOLTS)
-    assert (other.winding_temperatures == plant.winding_temperatures).all(), "saved in between"
+        restored.exchange(VOLTS)
+    assert (restored.winding_temperatures == plant.winding_temperatures).all(), "saved in between"
     plant.reset()
     assert (plant.winding_temperatures == AMBIENT).all(), "a reset cools"
 
@@ -131,7 +131,7 @@ def by_runge_kutta(rows: np.ndarray, seconds: float) -> np.ndarray:
             [di, di_d, wm, torque / (ROTOR + MOVED * RATIO**2), (loss - hot / RTH) / C]
         )
 
-    x, h, found = np.zeros(15), 2e-5, []
+    x, h, rows_found = np.zeros(15), 2e-5, []
     for u in rows:
         for _ in range(round(seconds / h)):
             k1 = rates(x, u)
@@ -139,8 +139,8 @@ def by_runge_kutta(rows: np.ndarray, seconds: float) -> np.ndarray:
             k3 = rates(x + 0.5 * h * k2, u)
             k4 = rates(x + h * k3, u)
             x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        found.append(np.concatenate([RATIO * x[6:9], RATIO * x[9:12], x[12:]]))
-    return np.array(found)
+        rows_found.append(np.concatenate([RATIO * x[6:9], RATIO * x[9:12], x[12:]]))
+    return np.array(rows_found)
 
 
 def test_motors_in_motion_follow_their_temperature(moving: Path) -> None:
@@ -152,8 +152,8 @@ def test_motors_in_motion_follow_their_temperature(moving: Path) -> None:
         for row, expected in zip(rows, truth, strict=True):
             plant.advance(row, round(0.02 / dt))
             hot = plant.winding_temperatures - AMBIENT
-            found = np.concatenate([plant.state.q, plant.state.v, hot])
-            off.append(np.abs(found - expected) / np.abs(truth).max(axis=0))
+            reached = np.concatenate([plant.state.q, plant.state.v, hot])
+            off.append(np.abs(reached - expected) / np.abs(truth).max(axis=0))
         errors.append(np.max(off, axis=0))
     # Of the largest; a quarter at half the step, but for the error's next term.
     assert errors[1].max() < 1e-3 and (errors[1] < 0.3 * errors[0]).all(), f"{errors}"

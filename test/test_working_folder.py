@@ -86,5 +86,5 @@ def test_a_network_imports_nothing_of_the_working_folder(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    with network(folder / "log", start="first_answer") as (one, _):
-        one.wait("the run", lambda: one.tick > 20)
+    with network(folder / "log", start="first_answer") as (user, _):
+        user.wait("the run", lambda: user.tick > 20)
