@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +75,12 @@ def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) ->
     }</robot>"""  # fmt: skip
 
 
-def slides_urdf(names: Iterable[str]) -> str:
-    """Links of 2 kg that hang on the base, each of which slides along x and feels no other."""
+def slides_urdf(names: Iterable[str], axes: Iterable[str] = ("1 0 0",)) -> str:
+    """Links of 2 kg on the base that do not feel each other, each along the next of the axes."""
     text = '<robot name="slides"><link name="base"/>'
-    for name in names:
+    for name, axis in zip(names, cycle(axes), strict=False):
         text += LINK.format(
-            name=name, kind="prismatic", xyz="0 0 0", rpy="0 0 0", parent="base", axis="1 0 0",
+            name=name, kind="prismatic", xyz="0 0 0", rpy="0 0 0", parent="base", axis=axis,
             com="0 0 0", com_rpy="0 0 0", mass=2.0, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
         )  # fmt: skip
     return text + "</robot>"

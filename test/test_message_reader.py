@@ -247,16 +247,16 @@ def spoiled(draw: random.Random) -> tuple[MotorState, str]:
             return message, f"joint must be one of the arm, got {bad}; valid: {valid}"
         return message, f"joint names must name every joint once, got {names_text}; valid: {valid}"
     if kind == 3:
-        at, names_text = draw.randrange(4), draw.choice([10**15 + 1, -(2**63), 2**63 - 1])
-        message.encoder_counts[at] = names_text
+        at, value = draw.randrange(4), draw.choice([10**15 + 1, -(2**63), 2**63 - 1])
+        message.encoder_counts[at] = value
         count = f"encoder_counts of {message.joint_names[at]}"
-        return message, f"{count} must be a number within +-1e+15, got {float(names_text)}"
+        return message, f"{count} must be a number within +-1e+15, got {float(value)}"
     name = draw.choice(NAMES)
     at, largest = message.joint_names.index(name), LARGEST[NAMES.index(name)]
-    names_text = draw.choice([np.nextafter(largest, 9), -largest - 1, np.inf, -np.inf, np.nan])
-    message.current[at] = names_text
-    rule = f"be a number within +-{largest:g} rad" if np.isfinite(names_text) else "be finite"
-    return message, f"current of {name} must {rule}, got {float(names_text)}"
+    value = draw.choice([np.nextafter(largest, 9), -largest - 1, np.inf, -np.inf, np.nan])
+    message.current[at] = value
+    rule = f"be a number within +-{largest:g} rad" if np.isfinite(value) else "be finite"
+    return message, f"current of {name} must {rule}, got {float(value)}"
 
 
 def test_a_refusal_names_rule_and_value() -> None:

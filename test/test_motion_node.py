@@ -92,13 +92,13 @@ def test_nodes_and_offline_run_follow_a_trajectory_and_a_path_with_the_same_bits
         bits = np.asarray(state.encoder_counts, dtype=np.int64).tobytes() + state.current.tobytes()
         assert nodes.states[tick] == bits, f"the first other bit at tick {tick}"
         run.advance(1)
-    for stamped, report in zip(heard, run.instructor.reports.waiting, strict=False):
-        assert (stamped.kind, stamped.number, stamped.state) == (
+    for status, report in zip(heard, run.instructor.reports.waiting, strict=False):
+        assert (status.kind, status.number, status.state) == (
             report.kind,
             report.number,
             report.state,
         )
-    printed = [(stamped.kind, stamped.state) for stamped in heard]
+    printed = [(status.kind, status.state) for status in heard]
     assert (2, MotionStatus.STATE_REACHED) in printed and (3, MotionStatus.STATE_MOVING) in printed
     assert nodes.newest("joint_targets").velocity, "speeds reach the servo"
 

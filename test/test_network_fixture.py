@@ -131,12 +131,12 @@ def test_a_node_that_was_met_gets_what_is_published_once() -> None:
             for k in range(20):
                 publisher = sender.create_publisher(Int64, "numbers", 1)
                 assert sender.spin_until(
-                    lambda context=publisher: context.get_subscription_count(), LONGEST
+                    lambda publisher=publisher: publisher.get_subscription_count(), LONGEST
                 )
                 assert sender.meet("acting", LONGEST)
                 publisher.publish(Int64(data=k))
                 assert sender.spin_until(lambda k=k: len(heard) > k, LONGEST), f"number {k}"
-            assert [context.data for context in heard] == list(range(20))
+            assert [message.data for message in heard] == list(range(20))
             assert not sender.meet("nobody", 0.5)
         finally:
             executor.shutdown()

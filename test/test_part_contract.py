@@ -1,6 +1,6 @@
 """Properties of every part that a scene may have.
 
-Three parts at a time, each alone in a drive without friction and limits, in the joints of a gantry,
+Six parts at a time, each alone in a drive without friction and limits, in the joints of a machine
 whose slides do not feel each other. Commands jump, and the power is cut on the way. The test of the
 part compares its motion with the truth, `test_lanes` all of them in lanes with single arms.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machines import GANTRY, GRAVITY, gantry_urdf
+from machines import GRAVITY, slides_urdf
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
@@ -29,7 +29,7 @@ from oracles.mixtures import (
 
 Parts = tuple[type[Part], ...]
 # The last ones come once more rather than leave a slide empty.
-BESIDE = [(PARTS + PARTS)[k : k + 3] for k in range(0, len(PARTS), 3)]
+BESIDE = [(PARTS + PARTS)[k : k + 6] for k in range(0, len(PARTS), 6)]
 
 
 def names(parts: Parts) -> str:
@@ -37,8 +37,9 @@ def names(parts: Parts) -> str:
 
 
 def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
-    joints = {name: drawn_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
-    file = write_scene(folder, gantry_urdf(), joints, gravity=GRAVITY)
+    joints = {f"slide{k}": drawn_alone(part, 0) for k, part in enumerate(parts)}
+    urdf = slides_urdf(joints, ("1 0 0", "0 1 0", "0 0 1"))
+    file = write_scene(folder, urdf, joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": "located"})
     for part, joint in zip(parts, scene.joints, strict=True):
         assert any(type(other_part) is part for other_part in joint.parts), (

@@ -386,11 +386,11 @@ def test_wrong_places_are_refused_before_anything_is_begun(name: str) -> None:
         ("--rerun", "run.csv", "--rerun must be a port or end in .rrd, got run.csv"),
     ):
         with pytest.raises(Refusal, match=re.escape(f"{name}: {line}")):
-            process_tree = load_command(name)
-            assert process_tree is not None
+            command = load_command(name)
+            assert command is not None
             from arm_emulator.cli.arguments import run_with
 
-            run_with(process_tree, [*words, option, value])
+            run_with(command, [*words, option, value])
 
 
 def test_files_that_cannot_be_are_refused(tmp_path: Path) -> None:
