@@ -181,7 +181,7 @@ def test_a_recorder_that_is_often_away_misses_nothing(
     lockstep_bags: tuple[Path, Path, Path, str],
 ) -> None:
     bag, _, _, printed = lockstep_bags
-    assert_every_tick(bag, at_least=500)
+    assert_every_tick(bag, count=500)
     assert "lost" not in printed
 
 
@@ -190,7 +190,7 @@ def test_a_killed_recorder_has_every_tick_before_it(
 ) -> None:
     _, bag, _, _ = lockstep_bags
     assert repair(bag)
-    assert_every_tick(bag, at_least=1)
+    assert_every_tick(bag, count=1)
 
 
 def test_the_emulators_own_record_is_complete(
@@ -198,7 +198,7 @@ def test_the_emulators_own_record_is_complete(
 ) -> None:
     slow, _, bag, _ = lockstep_bags
     assert Bag(bag).complete
-    assert_every_tick(bag, at_least=max(ticks_in(slow)))
+    assert_every_tick(bag, count=max(ticks_in(slow)))
     # Every voltage is compared with a command: those that were taken are all there.
     reported = re.search(
         r"(\d+) motor states, \d+ true joint states, (\d+) commands", capfd.readouterr().out
@@ -264,7 +264,7 @@ def test_a_recorder_in_real_time_counts_its_losses_and_the_emulators_own_record_
     ticks = ticks_in(tmp_path / "away")
     span = range(min(ticks), max(ticks))
     assert int(reported[1]) == len(set(span) - set(ticks)) > 1000, printed
-    assert_every_tick(tmp_path / "own", at_least=3000)
+    assert_every_tick(tmp_path / "own", count=3000)
 
 
 def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ def test_friction_of_a_rotor_that_turns_with_its_link_is_that_of_the_link(tmp_pa
     """Behind a rigid gear the same motion as with that friction at the link, to rounding."""
     motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05}
     motor["rotor_inertia"] = 1e-4
-    ratio, rows = 0.05, np.array([[6.0], [-6.0], [0.0], [3.0]])
+    ratio, rows = 0.05, np.array([[12.0], [-12.0], [0.0], [6.0]])
     dry, viscous = 0.05, 1e-4
     friction = {
         "coulomb": dry / ratio,
