@@ -112,7 +112,7 @@ BAD = {
 
 @pytest.mark.parametrize("topic", BAD)
 def test_refused_orders_are_reported_with_their_reason(nodes: InProcess, topic: str) -> None:
-    """What else is refused: test_joint_trajectory.py, test_tool_path.py, test_pose.py."""
+    """Further refusals: test_joint_trajectory.py, test_tool_path.py, test_pose.py."""
     names = list(nodes.nodes["motion_controller"]._controller.kinematics.joint_names)
     target = PoseStamped()
     target.header.frame_id = "elsewhere"
