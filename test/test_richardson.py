@@ -12,7 +12,6 @@ from machines import MOTOR, one_link_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.plant.plant_state import SET
-from arm_emulator_fleet import Fleet
 
 PERIOD, VOLTS = 0.01, 10.0
 
