@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
 from arm_emulator import Session, load_scene
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.message_types import definition_of
@@ -19,40 +22,51 @@ from arm_emulator_msgs.msg import MotorCommand, MotorState
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
 
 
-class _Sender:
-    """Writes what a network in lock-step sends, 1 us apart."""
+class EmulatorBag:
+    """Writes what the emulator of a session sends, 1 us apart.
 
-    def __init__(self, writer: BagWriter, session: Session) -> None:
-        kinds = {name: f"arm_emulator_msgs/msg/{one.__name__}" for name, one in TYPES.items()}
-        self._numbers = {
-            topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
-            for topic, kind in kinds.items()
-        }
-        self._writer, self._session = writer, session
-        self._names = list(session.scene.joint_names)
-        self._clock = 10**18
+    Args:
+        writer: of the bag.
+        session: of which it is.
+        kinds: of messages by their topics.
+    """
 
-    def send(self, topic: str, message: Any) -> None:
+    def __init__(
+        self, writer: BagWriter, session: Session, kinds: Mapping[str, type] = TYPES
+    ) -> None:
+        self._writer, self._session, self._kinds, self._clock = writer, session, kinds, 10**18
+        self._numbers = {}
+        for topic, kind in kinds.items():
+            name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+            self._numbers[topic] = writer.add_topic(Topic(topic, name, definition_of(name)))
+        self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
+
+    def send(self, topic: str, **fields: Any) -> None:
         self._clock += 1000
+        if topic != "/motor_commands":
+            fields["header"] = Header(stamp=stamp(self._session.logical_ns))
+        message = self._kinds[topic](**fields)
+        if topic == "/motor_states":
+            self._measured.begin(message, self._session.measured)
         data = serialize_message(message)
         self._writer.write(self._numbers[topic], self._clock, self._clock, data)
 
-    def report(self) -> None:
+    def report(self, machine: int = 0) -> None:
+        """Send the present motor state."""
         session = self._session
-        state = MotorState(
-            header=Header(stamp=stamp(session.logical_ns)),
-            tick=session.tick,
-            joint_names=self._names,
-            powered=session.powered,
-            encoder_counts=session.measured.encoder_counts,
-            current=session.state.current,
-            applied=session.measured.applied,
-        )
-        self.send("/motor_states", state)
+        self.send("/motor_states", tick=session.tick, powered=session.powered, machine=machine,
+                  joint_names=list(session.scene.joint_names),
+                  imu_names=[imu.name for imu in session.scene.imus])  # fmt: skip
 
-    def command(self, tick: int, voltage: list[float]) -> None:
-        message = MotorCommand(tick=tick, joint_names=self._names, command=voltage)
-        self.send("/motor_commands", message)
+    def command(self, tick: int, voltage: list[float], **fields: Any) -> None:
+        names = list(self._session.scene.joint_names)
+        self.send("/motor_commands", tick=tick, joint_names=names, command=voltage, **fields)
+
+    def event(self, machine: int, number: int, kind: int) -> None:
+        """Send the state after a change by hand."""
+        session = self._session
+        self.send("/emulator/events", tick=session.tick, powered=session.powered, machine=machine,
+                  number=number, kind=kind, state=array("B", session.plant.save()))  # fmt: skip
 
 
 def synthetic(
@@ -66,7 +80,7 @@ def synthetic(
     names = list(session.scene.joint_names)
     rng = np.random.default_rng(7)
     with BagWriter(folder) as writer:
-        sender = _Sender(writer, session)
+        sender = EmulatorBag(writer, session)
         for _ in range(runs):
             session.reset()
             session.powered = True

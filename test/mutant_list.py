@@ -233,7 +233,7 @@ MUTANTS = (
         f"{MECHANICS}/sensors.hpp",
         "least(encoder[j].delay), least(link_encoder[j].delay);",
         "least(encoder[j].delay);",
-        "test_encoders.py",
+        "test_sensors.py",
     ),
     Mutant(
         f"{MECHANICS}/sensors.hpp",

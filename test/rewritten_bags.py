@@ -20,10 +20,12 @@ def rewrite(
     copy: Path,
     change: Callable[[BagMessage], bytes | None],
     reports_changes: bool = False,
+    first: Iterable[BagMessage] = (),
 ) -> Path:
     """Write a copy in which `change` gives each message's bytes, None to leave it out.
 
-    With `reports_changes` it has a topic of changes by hand, on which none came.
+    With `reports_changes` it has a topic of changes by hand, on which none came. It begins with
+    the messages `first`.
     """
     original = Bag(bag)
     with BagWriter(copy) as writer:
@@ -33,6 +35,8 @@ def rewrite(
         for name, topic in original.topics.items():
             new = Topic(topic.name, topic.type, topic.definition, topic.offered, topic.type_hash)
             numbers[name] = writer.add_topic(new)
+        for message in first:
+            writer.write(numbers[message.topic], message.received, message.published, message.data)
         for message in original.messages():
             data = change(message)
             if data is not None:

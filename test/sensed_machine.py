@@ -87,7 +87,7 @@ def write(folder: Path) -> Path:
         "slide": {
             "gear": {"ratio": 0.03},
             "encoder": {"counts_per_turn": 1024, "index": "correct", **ERRORS},
-            "link_encoder": {"counts_per_turn": 100_000, "index": "latch", "delay": 2},
+            "link_encoder": {"counts_per_turn": 100_000, "index": "latch", "delay": 4},
             "torque_sensor": {**ANALOG, "delay": 3},
         },
         "hand": {

@@ -19,12 +19,6 @@ PAGE = page_of("assumed").read_text()
 MARKED = sorted(
     file for file in CONFIG.glob("*.yaml") if re.search(r"#.*\bassumed [\d.]", file.read_text())
 )
-# Numbers of three_axis that data sheets leave open.
-VARIED = sorted(
-    f"joints.{joint}.{name}"
-    for joint in ("waist", "shoulder", "elbow")
-    for name in ("motor.torque_constant", "motor.back_emf_constant", "gear.stiffness")
-)
 
 
 @pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)

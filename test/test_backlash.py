@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 
@@ -133,37 +134,16 @@ def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme:
     assert errors[1] < 0.4 * errors[0], f"a tenth of the step, {errors}"
 
 
-def test_without_play_the_gear_is_the_elastic_one(tmp_path: Path) -> None:
-    """Its damper pulls, too, and no step is cut, so that energy and motion are the same."""
-    joint, speed = drawn(np.random.default_rng([1, 21]))
-    period = span(joint, speed)
-    joint["gear"] |= {"backlash": 0.0, "damping": 20.0}
-    scene = scene_of(tmp_path, period, 20, events="located")
-    elastic = load_scene(tmp_path / "scene.yaml", {"joints.joint.gear.backlash": None})
-    runs, lost = [], []
-    for one in (scene, elastic):
-        plant = Plant(one)
-        for key in ("stiffness", "damping", *(["backlash"] if one is scene else [])):
-            plant.set_parameter(f"joints.joint.gear.{key}", joint["gear"][key])
-        plant.put("test", {"omega_m": [speed / one.joints[0].gear.ratio]})
-        flows = [plant.advance_metered(np.zeros(1), 20) for _ in range(ROWS)]
-        runs.append([float(plant.state.q[0]), float(plant.state.omega_m[0])])
-        lost.append(sum(float(flow.dissipated[0]) for flow in flows))
-    # Rounding alone: the two are compiled apart.
-    assert runs[0] == pytest.approx(runs[1], rel=1e-11), "link [rad] and rotor [rad/s]"
-    assert lost[0] == pytest.approx(lost[1], rel=1e-11), "dissipated [J]"
-
-
-def test_a_gear_without_play_keeps_the_order_of_events_at_other_joints() -> None:
-    """Against the same machine without the key, whose link friction has its own closed forms."""
+def test_a_gear_without_play_is_the_elastic_one() -> None:
+    """Its damper pulls, too, and it cuts no step; links that stick keep their located events."""
     rows = np.repeat(np.random.default_rng(0).uniform(-12.0, 12.0, (50, 3)), 8, axis=0)
-    friction = {"viscous": 2.0, "coulomb": 1.0}
-    common = {"joints.*.friction": friction, "gravity": [0.0, 0.0, -9.81],
-              "integrator.events": "located", "integrator.dt": 1e-4}  # fmt: skip
+    common = {"joints.*.friction": {"viscous": 2.0, "coulomb": 1.0}, "energy_flow": True,
+              "gravity": [0.0, 0.0, -9.81], "integrator.events": "located",
+              "integrator.dt": 1e-4}  # fmt: skip
     worn = {"joints.*.gear.backlash": 0.0, "faults": ["*.backlash_grows"]}
-    plain, with_key = (
-        Plant(scene).run(rows, scene.steps_per_period)
-        for scene in (load_scene("three_axis", common | more) for more in ({}, worn))
-    )
+    plants = [Plant(load_scene("three_axis", common | more)) for more in ({}, worn)]
+    elastic, without_play = (balance_of(plant, rows, 10) for plant in plants)
     # Instants of events are known to 1e-10 of a step, and sticking amplifies rounding little.
-    assert with_key == pytest.approx(plain, abs=1e-9)
+    assert plants[1].state.q == pytest.approx(plants[0].state.q, abs=1e-9)
+    assert plants[1].state.theta_m == pytest.approx(plants[0].state.theta_m, abs=1e-7)
+    assert without_play.dissipated == pytest.approx(elastic.dissipated, rel=1e-7)

@@ -215,17 +215,6 @@ def test_a_change_of_a_bag_is_found(recording: tuple[Path, str], tmp_path: Path,
         assert recorded != computed
 
 
-def test_another_scene_differs_or_is_refused(recording: tuple[Path, str], tmp_path: Path) -> None:
-    config = Path(__file__).resolve().parents[1] / "config"
-    shutil.copytree(config / "urdf", tmp_path / "urdf")
-    text = (config / "three_axis.yaml").read_text()
-    other = tmp_path / "three_axis.yaml"
-    other.write_text(f"{text}\npayload: 2.0  # as in examples/my_tests.py\n")
-    code, printed = run("check-bag", recording[0], "--scene", other)
-    assert code == 1
-    assert "the first difference: run " in printed
-
-
 def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
     """An independent reader: metadata, QoS, definitions, and every byte."""
     bag, printed = recording

@@ -6,7 +6,6 @@ import random
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import yaml
 from by_hand import CLOCKS, go_on, session_of
 from draws import some
 from in_process import in_process
-from machines import CONFIG, MOTOR, MOVED, gantry_urdf, one_link_urdf, write_scene
+from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
@@ -50,23 +49,29 @@ def scene(file: Path) -> Scene:
     return load_scene(file)
 
 
-def test_turning_joints_stop_within_the_way_of_the_closed_form(tmp_path: Path) -> None:
-    """They turn on until the brakes close, then slow down steadily: v^2 / (2 a) more.
+Ng, Mm, DT = 0.02, 1e-4, 1e-4
 
-    One behind a rigid gear and one behind a stiff elastic one, which do not feel each other.
-    """
-    rng = np.random.default_rng(1)
-    Ng, Mm, dt = 0.02, 1e-4, 1e-4
+
+@pytest.fixture(scope="module")
+def gantry(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Joints behind a rigid gear, a stiff elastic one, and a rigid one with a quick brake."""
     motor = {"resistance": 1e6, "torque_constant": 0.05, "back_emf_constant": 0.0}
-    joints: dict[str, Any] = {"z": {}}
-    for name, spring in (("x", {}), ("y", {"stiffness": 1e9, "damping": 1e5})):
-        joints[name] = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng} | spring,
-                        "brake": BRAKE}  # fmt: skip
-    scene = load_scene(
-        write_scene(tmp_path, gantry_urdf(), joints, varied=["joints.*.brake.torque"],
-                    integrator={"scheme": "rosenbrock", "dt": dt, "events": "located"})
+    stiff, quick = {"stiffness": 1e9, "damping": 1e5}, {"close_delay": 3e-4, "release_delay": 6e-4}
+    joints = {
+        name: {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng} | spring,
+               "brake": BRAKE | delays}
+        for name, spring, delays in (("x", {}, {}), ("y", stiff, {}), ("z", {}, quick))
+    }  # fmt: skip
+    integrator = {"scheme": "rosenbrock", "dt": DT, "events": "located"}
+    return load_scene(
+        write_scene(tmp_path_factory.mktemp("gantry"), gantry_urdf(), joints,
+                    varied=["joints.*.brake.torque"], integrator=integrator)
     )  # fmt: skip
-    plant = Plant(scene)
+
+
+def test_turning_joints_stop_within_the_way_of_the_closed_form(gantry: Scene) -> None:
+    """They turn on until the brakes close, then slow down steadily: v^2 / (2 a) more."""
+    rng, plant, dt = np.random.default_rng(1), Plant(gantry), DT
     # A stiff gear is no rigid one: its wind-up, 1e-8 m, is what differs.
     for _ in range(5):
         v, torque = rng.uniform((0.5, 0.05), (3.0, 0.3), (2, 2)).T
@@ -91,58 +96,43 @@ def test_turning_joints_stop_within_the_way_of_the_closed_form(tmp_path: Path) -
 
 
 def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
-    """The result is independent of the division into calls; a withdrawn command has no effect."""
+    """Divisions into calls change no bit; a withdrawn command has no effect."""
     draw = random.Random(2)
     dt = scene.integrator.dt
     steps = {False: round(CLOSE / dt), True: round(RELEASE / dt)}
     for _ in range(10):
-        plant, now, wanted, due, closed = Plant(scene), 0, False, 0, False
+        plant, stepped, now, wanted, due, closed = Plant(scene), Plant(scene), 0, False, 0, False
         for _ in range(30):
             if draw.random() < 0.5:
                 on = draw.random() < 0.5
                 if wanted != (not on):
                     wanted, due = not on, now + steps[on]
-                plant.powered = on
+                plant.powered = stepped.powered = on
             count = draw.choice([1, 2, 7, 20, 41])
-            plant.advance(np.zeros(3), count)
+            plant.advance(np.array([1.0, -2.0, 0.5]), count)
+            for _ in range(count):
+                stepped.advance(np.array([1.0, -2.0, 0.5]), 1)
             now += count
             if now >= due:
                 closed = wanted
             assert (plant.measured.brake_closed == closed).all(), f"after {now} steps"
+        assert plant.save() == stepped.save(), "in pieces of time"
+        plant.reset()
+        assert (plant.measured.brake_closed == (not plant.powered)).all(), "as power is"
 
 
 def test_a_delay_of_whole_steps_is_so_many_steps_though_its_quotient_is_rounded(
-    tmp_path: Path,
+    gantry: Scene,
 ) -> None:
     """3e-4 / 1e-4 is a little less than 3 in binary numbers, 6e-4 / 1e-4 a little less than 6."""
-    brake = {"torque": 0.6, "close_delay": 3e-4, "release_delay": 6e-4}
-    assert 3e-4 / 1e-4 < 3.0 and 6e-4 / 1e-4 < 6.0
-    joint = {"motor": MOTOR, "gear": {"ratio": 0.02}, "brake": brake}
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint})
-    plant = Plant(load_scene(file, {"integrator.dt": 1e-4, "servo_period": 1e-3}))
+    assert 3e-4 / DT < 3.0 and 6e-4 / DT < 6.0
+    plant = Plant(gantry)
     for on, steps in ((False, 3), (True, 6)):
         plant.powered = on
-        plant.advance(np.zeros(1), steps - 1)
-        assert plant.measured.brake_closed[0] == on, f"{steps - 1} steps after a request"
-        plant.advance(np.zeros(1), 1)
-        assert plant.measured.brake_closed[0] == (not on), f"{steps} steps after it"
-
-
-def test_the_bits_do_not_depend_on_the_pieces_of_time(scene: Scene) -> None:
-    draw = random.Random(3)
-    one, other = Plant(scene), Plant(scene)
-    for _ in range(6):
-        on = draw.random() < 0.5
-        for plant in (one, other):
-            plant.powered = on
-        total = draw.randrange(30, 100)
-        one.advance([1.0, -2.0, 0.5], total)
-        while total > 0:
-            piece = min(total, draw.randrange(1, 12))
-            other.advance([1.0, -2.0, 0.5], piece)
-            total -= piece
-        np.testing.assert_array_equal(one.state.q, other.state.q, err_msg="q")
-        np.testing.assert_array_equal(one.state.omega_m, other.state.omega_m, err_msg="rotors")
+        plant.advance(np.zeros(3), steps - 1)
+        assert plant.measured.brake_closed[2] == on, f"{steps - 1} steps after a request"
+        plant.advance(np.zeros(3), 1)
+        assert plant.measured.brake_closed[2] == (not on), f"{steps} steps after it"
 
 
 def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
@@ -180,22 +170,6 @@ def test_a_brake_that_closes_at_rest_moves_nothing(torque: float, dt: float, sch
     assert plant.measured.brake_closed.all()
     np.testing.assert_allclose(plant.state.q, start.q, atol=1e-12)
     np.testing.assert_allclose(plant.state.v, 0.0, atol=1e-11)
-
-
-def test_a_machine_is_saved_while_a_brake_is_on_its_way(scene: Scene) -> None:
-    draw = random.Random(5)
-    one, other = Plant(scene), Plant(scene)
-    for _ in range(12):
-        one.powered = draw.random() < 0.5
-        one.advance([1.0, 2.0, 3.0], draw.randrange(1, 30))
-        other.powered = draw.random() < 0.5
-        other.restore(one.save())
-        assert other.powered == one.powered, "power"
-        for plant in (one, other):
-            plant.advance([1.0, 2.0, 3.0], 45)
-        assert one.save() == other.save(), "all that the machines are, later"
-    one.reset()
-    assert (one.measured.brake_closed == (not one.powered)).all(), "after a reset, as power is"
 
 
 def test_commands_close_brakes_by_their_bits(scene: Scene) -> None:

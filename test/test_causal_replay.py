@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import pytest
 from draws import some
 from geometry_msgs.msg import PoseStamped
-from mcap.reader import make_reader
-from mcap.records import Channel, Schema
-from mcap.writer import Writer
 from network import PATIENCE, network, node
 from rclpy.serialization import deserialize_message, serialize_message
+from rewritten_bags import rewrite
 from test_command_line import run
 
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.ros import causal_replay
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.bag import Bag, BagMessage
 from arm_emulator.ros.message_types import message_class
 from arm_emulator.ros.node_shell import nanoseconds_of, stamp
 from arm_emulator.ros.ros_domain import own_domain
@@ -51,39 +49,6 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert user.call("emulator/pause", False).success
         user.wait("some motion", lambda: user.tick > TICKS)
     return bag
-
-
-class Copy:
-    """A bag that gets messages of another one.
-
-    Args:
-        file: of the bag.
-    """
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._writer = Writer(file)
-        self._writer.start()
-        self._schemas, self._channels = dict[int, int](), dict[int, int]()
-
-    def add(
-        self, schema: Schema, channel: Channel, data: bytes, logged: int, published: int
-    ) -> None:
-        """Write a message of a channel of the other bag, with times [ns]."""
-        if channel.id not in self._channels:
-            if schema.id not in self._schemas:
-                known = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-                self._schemas[schema.id] = known
-            self._channels[channel.id] = self._writer.register_channel(
-                channel.topic,
-                channel.message_encoding,
-                self._schemas[schema.id],
-                channel.metadata,
-            )
-        self._writer.add_message(self._channels[channel.id], logged, data, published)
-
-    def finish(self) -> None:
-        """Write the end of the file."""
-        self._writer.finish()
 
 
 def replayed(bag: Path, into: str) -> tuple[int, dict[str, Any], str]:
@@ -120,25 +85,16 @@ def test_answers_recorded_long_before_the_first_question_do_not_matter(
 ) -> None:
     """A recorder that finds the servo long before the emulator, which is reset afterwards."""
     monkeypatch.setattr(causal_replay, "AHEAD", 100)
-    late = tmp_path / "late"
-    late.mkdir()
-    with (
-        (late / "late_0.mcap").open("wb") as file,
-        next(bag.glob("*.mcap")).open("rb") as recorded,
-    ):
-        copy = Copy(file)
-        whole = list(make_reader(recorded).iter_messages(log_time_order=False))
-        earlier = [one for one in whole if one[1].topic == "/motor_commands"]
-        shift = 1_000_000_000_000
-        for before, messages in ((shift, earlier), (0, whole)):
-            for schema, channel, one in messages:
-                data = one.data
-                if before:  # of a run that went farther
-                    command = deserialize_message(data, MotorCommand)
-                    command.tick += 10 * TICKS
-                    data = serialize_message(command)
-                copy.add(schema, channel, data, one.log_time - before, one.publish_time - before)
-        copy.finish()
+    shift, earlier = 1_000_000_000_000, list[BagMessage]()
+    for one in Bag(bag).messages(["/motor_commands"]):
+        command = deserialize_message(one.data, MotorCommand)
+        command.tick += 10 * TICKS  # of a run that went farther
+        earlier.append(
+            BagMessage(
+                one.topic, one.received - shift, one.published - shift, serialize_message(command)
+            )
+        )
+    late = rewrite(bag, tmp_path / "late", lambda one: one.data, first=earlier)
     with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
         code, facts, errors = replayed(late, "servo")
     assert code == 0 and facts["missed"] is None, errors
@@ -151,20 +107,16 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     """The bag has a motion period's first states and answers, and not the targets for them."""
     monkeypatch.setattr(causal_replay, "PATIENCE", 10.0)
     last = 500  # a motion period begins
-    cut = tmp_path / "cut"
-    cut.mkdir()
-    with (cut / "cut_0.mcap").open("wb") as file, next(bag.glob("*.mcap")).open("rb") as recorded:
-        copy = Copy(file)
-        for schema, channel, one in make_reader(recorded).iter_messages(log_time_order=False):
-            message = deserialize_message(one.data, message_class(schema.name))
-            header = getattr(message, "header", None)
-            after = header is not None and nanoseconds_of(header.stamp) > (last + 3) * 1_000_000
-            lost = channel.topic == "/joint_targets" and (
-                nanoseconds_of(message.header.stamp) == last * 1_000_000
-            )
-            if not (after or lost):
-                copy.add(schema, channel, one.data, one.log_time, one.publish_time)
-        copy.finish()
+    kinds = {name: message_class(topic.type) for name, topic in Bag(bag).topics.items()}
+
+    def recorded(one: BagMessage) -> bytes | None:
+        header = getattr(deserialize_message(one.data, kinds[one.topic]), "header", None)
+        at = None if header is None else nanoseconds_of(header.stamp)
+        after = at is not None and at > (last + 3) * 1_000_000
+        lost = one.topic == "/joint_targets" and at == last * 1_000_000
+        return None if after or lost else one.data
+
+    cut = rewrite(bag, tmp_path / "cut", recorded)
     with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
         code, facts, errors = replayed(cut, "servo")
     assert code == 0 and facts["missed"] is None, errors

@@ -67,22 +67,6 @@ def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "noisy_rows"
 
 
-def test_a_process_that_prints_much_still_answers(noisy: str) -> None:
-    one = RowProcess(
-        Plant("three_axis"), noisy, {"hangs": False}, "test", waits=False, patience=30.0
-    )
-    assert one.ready == "ready" and one.trouble == ""
-    assert one.close() == "over"
-
-
-def test_a_process_that_does_not_end_is_killed(noisy: str) -> None:
-    one = RowProcess(Plant("three_axis"), noisy, {"hangs": True}, "test", waits=False, patience=0.5)
-    begun = time.monotonic()
-    answer = one.close()
-    assert time.monotonic() - begun < LONGEST
-    assert isinstance(answer, Refusal) and "killed by SIGKILL" in str(answer)
-
-
 def test_a_process_that_has_answered_is_not_waited_for(noisy: str) -> None:
     task = {"hangs": False, "stays": True}
     one = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
@@ -92,7 +76,10 @@ def test_a_process_that_has_answered_is_not_waited_for(noisy: str) -> None:
 
 
 def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
-    """Each ends when all three are asked to: one after another they would be killed."""
+    """Each ends when all three are asked to: one after another they would be killed.
+
+    They answer although they print more than a pipe holds.
+    """
     plant, meets = Plant("three_axis"), {"hangs": False, "meets": (str(tmp_path), 3)}
     every = [
         RowProcess(plant, noisy, meets, "test", waits=False, patience=PATIENCE) for _ in range(3)
@@ -101,7 +88,7 @@ def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
     other = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=PATIENCE)
     dismiss_all(plant)
     assert [one.close() for one in every] == 3 * ["over"]
-    assert not other.trouble
+    assert other.ready == "ready" and not other.trouble
     assert other.close() == "over"
 
 
@@ -118,7 +105,7 @@ def test_processes_that_hang_are_killed_at_one_deadline(noisy: str) -> None:
 
 
 def test_further_signals_give_no_further_time(noisy: str) -> None:
-    """The process has 0.5 s; with each signal anew it would never end here."""
+    """The first SIGTERM gives it 0.5 s, whatever its code does."""
     one = RowProcess(
         Plant("three_axis"), noisy, {"hangs": True}, "test", waits=False, patience=30.0
     )
@@ -154,17 +141,3 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     ):
         raise KeyboardInterrupt
     assert len(list(tmp_path.glob("met_*"))) == 2
-
-
-def test_sigterm_ends_a_process_that_hangs(noisy: str) -> None:
-    """The system kills it after its grace, whatever its code does."""
-    one = RowProcess(
-        Plant("three_axis"), noisy, {"hangs": True}, "test", waits=False, patience=30.0
-    )
-    os.kill(one.process_id, signal.SIGTERM)
-    deadline = time.monotonic() + LONGEST
-    while runs(one.process_id):
-        assert time.monotonic() < deadline, "it ignores SIGTERM"
-        time.sleep(0.01)
-    assert "killed by SIGALRM" in one.trouble
-    assert isinstance(one.close(), Refusal)

@@ -47,15 +47,10 @@ def test_a_free_rotor_swings_in_a_tooth_as_a_pendulum(
     assert errors[1] < 2e-3 and errors[1] < 0.3 * errors[0], f"{errors}"
 
 
+# What any waves may be is in test_kinematic_error.py.
 BAD: list[tuple[object, str]] = [
-    (3.0, "must be a list"),
-    ([1.0, 2.0], "must list waves of [order, amplitude in N m]"),
     ([[1.0]], "must list waves of [order, amplitude in N m]"),
-    ([[0.0, 1.0]], "must list waves whose order is a number > 0"),
-    ([[float("nan"), 1.0]], "must list waves whose order is a number"),
-    ([[6.0, "much"]], "must list waves whose amplitude is a number within +-1000 N m"),
-    ([[6.0, True]], "must list waves whose amplitude is a number within +-1000 N m"),
-    ([[6.0, 0.1]] * 17, "must have at most 16 waves"),
+    ([[6.0, 1001.0]], "must list waves whose amplitude is a number within +-1000 N m"),
 ]
 
 

@@ -207,21 +207,6 @@ class Arm:
         return float(self.kinematics.forward(self.run.session.state.q)[1][2] - self.p_WT[2])
 
 
-def test_a_target_below_the_floor_is_stopped_before_it() -> None:
-    """The pair is named, the arm rests above, and may leave upwards."""
-    arm = Arm()
-    arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
-    arm.advance(2.0)
-    last = arm.run.instructor.reports.take()[-1]
-    assert last.state in (State.ABORTED, State.REFUSED)
-    assert "floor" in last.reason and "would touch" in last.reason
-    assert np.abs(arm.run.session.state.v).max() < 1e-3
-    arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.05]), arm.R_WT))
-    arm.advance(2.0)
-    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
-    assert arm.height == pytest.approx(0.05, abs=1e-3)
-
-
 def test_without_obstacles_the_same_move_is_made() -> None:
     """The floor, not another obstacle, stops the arm."""
     arm = Arm(collisions="off")
@@ -413,17 +398,6 @@ def test_parts_that_touch_already_do_not_hide_others() -> None:
     # The outer ball: 1 - sin(0.2) - sin(0.2 + b) - 0.05 = 0.86.
     touch = math.asin(0.09 - math.sin(0.2)) - 0.2 + 0.8
     assert found[0] == pytest.approx(touch / 2.0, abs=0.015)
-
-
-def test_after_a_refusal_the_arm_takes_other_targets() -> None:
-    """The arm rests where it was, and leaves along a free way."""
-    arm = Arm()
-    arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
-    arm.advance(0.5)
-    assert arm.run.instructor.reports.take()[-1].state is State.REFUSED
-    arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.05]), arm.R_WT))
-    arm.advance(2.0)
-    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
 
 
 def test_obstacles_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -148,7 +148,7 @@ def at_the_supply(file: Path, rows: np.ndarray) -> float:
     return at / count
 
 
-@pytest.mark.parametrize("events", ["located", "step"])
+@pytest.mark.parametrize("events", some(["step", "located"], 1))
 def test_it_saturates_and_recovers_as_an_independent_solution_does(
     events: str, tmp_path: Path
 ) -> None:
@@ -207,7 +207,7 @@ def test_a_heated_winding_is_one_that_the_drive_does_not_know(tmp_path: Path) ->
     assert errors[1] < 5e-3 and errors[1] < 0.35 * errors[0], errors
 
 
-@pytest.mark.parametrize("last", [{}, {"winding": WINDING}], ids=["cold", "heated"])
+@pytest.mark.parametrize("last", some([{"winding": WINDING}, {}], 1), ids=repr)
 def test_energy_is_what_the_supply_gives_less_what_is_dissipated(
     last: dict[str, Any], tmp_path: Path
 ) -> None:

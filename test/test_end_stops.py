@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from draws import some
-from machines import CONFIG, LINK_INERTIA, MOTOR, one_link_urdf, write_scene
+from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 
@@ -166,23 +165,5 @@ def test_stops_stand_at_the_limits_of_the_urdf_on_request(beyond: float) -> None
         load_scene("ur5", {"joints.elbow_joint.end_stops": K | {"at": "limits", "beyond": -0.1}})
     with pytest.raises(Refusal, match=r"end_stops\.beyond"):
         load_scene("ur5", {"joints.elbow_joint.end_stops": STOPS | {"beyond": 0.1}})
-
-
-def test_every_bad_section_is_refused_in_one_line() -> None:
-    rng = np.random.default_rng(4)
-    scene = yaml.safe_load((CONFIG / "three_axis.yaml").read_text())
-    assert "elbow" in scene["joints"]
-    for _ in range(30):
-        bad = dict(STOPS)
-        key = str(rng.choice([*STOPS, "colour"]))
-        bad[key] = rng.choice(np.array([None, "soft", math.nan, -math.inf, 2e4, -2e15], object))
-        if key == "stiffness" and bad[key] == 2e4:
-            continue
-        if key == "damping" and bad[key] == 2e4:
-            continue
-        with pytest.raises(Refusal) as refusal:
-            load_scene("three_axis", {"joints.elbow.end_stops": bad})
-        printed = str(refusal.value)
-        assert f"joints.elbow.end_stops.{key} must" in printed and "\n" not in printed, printed
     with pytest.raises(Refusal, match=r"upper must be > 0\.5 rad, the lower one"):
         load_scene("three_axis", {"joints.elbow.end_stops": STOPS | {"lower": 0.5}})

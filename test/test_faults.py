@@ -153,24 +153,6 @@ def begun(scene: Scene) -> tuple[Plant, bytes, list[bytes]]:
     return plant, saved, drive(plant, range(BEGIN, END))
 
 
-def test_names_units_and_ranges_are_sound() -> None:
-    assert len(FAULTS) >= 40
-    assert len({fault.name for fault in FAULTS}) == len(FAULTS), "a name twice"
-    for kind in FAULTS:
-        number = kind.magnitude
-        assert number.holds(0.0) and number.holds(number.default) and number.default, kind.name
-        for place, expression in kind.sets.items():
-            off = eval(expression.format(x="0.7", m="0.0"))
-            assert off == 0.7, f"{kind.name} at magnitude 0 changes {place}"
-            assert eval(expression.format(x="0.7", m=str(number.default))) != 0.7, kind.name
-
-
-def test_every_kind_is_there(scene: Scene) -> None:
-    assert {fault.kind.name for fault in scene.faults} == {fault.name for fault in FAULTS}
-    names = {one.name for one in scene.varied if one.name.startswith("faults.")}
-    assert names == {f"faults.{fault.name}" for fault in scene.faults}
-
-
 def test_a_scene_without_faults_has_the_same_unit(tmp_path: Path) -> None:
     text = scene_unit(everything(tmp_path, faults=[]))
     assert "faults" not in text and "parameters = 0" in text

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-from array import array
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from draws import FULL, some
-from rclpy.serialization import serialize_message
+from made_bags import EmulatorBag
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 
 from arm_emulator import PlantState, Session
 from arm_emulator.bags.comparison import compare
@@ -25,20 +22,16 @@ from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant import compiler
 from arm_emulator.machine.plant.build_facts import build_facts
-from arm_emulator.machine.plant.measured_fields import MeasuredFields
-from arm_emulator.ros.bag_metadata import Topic
 from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.message_types import definition_of
-from arm_emulator.ros.node_shell import stamp
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 
 ROOT = Path(__file__).resolve().parents[1]
 TICKS = 60
 KINDS = {
-    "/motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
-    "/emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
-    "/emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
-    "/diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
+    "/motor_states": MotorState,
+    "/emulator/joint_states": JointState,
+    "/emulator/events": MachineEvent,
+    "/diagnostics": DiagnosticArray,
 }
 VARIED = "joints.elbow.friction.viscous"
 Plant = Callable[[Session, int], None]
@@ -79,39 +72,25 @@ def record(
     """
     session = Session(str(scene), "lockstep", "first_answer")
     names = list(session.scene.joint_names)
-    fields = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
-    rng, clock, events, states = np.random.default_rng(4), 10**18, 0, []
+    rng, events, states = np.random.default_rng(4), 0, []
     with BagWriter(folder) as writer:
-        numbers = {
-            topic: writer.add_topic(Topic(topic, kind, definition_of(kind)))
-            for topic, (_, kind) in KINDS.items()
-        }
-
-        def send(topic: str, **values: Any) -> None:
-            nonlocal clock
-            clock += 1000
-            message = KINDS[topic][0](header=Header(stamp=stamp(session.logical_ns)), **values)
-            if topic == "/motor_states":
-                fields.begin(message, session.measured)
-            writer.write(numbers[topic], clock, clock, serialize_message(message))
+        bag = EmulatorBag(writer, session, KINDS)
 
         def report() -> None:
             now = session.state
             states.append(now)
-            send("/motor_states", tick=session.tick, powered=session.powered, machine=1,
-                 joint_names=names)  # fmt: skip
+            bag.report(machine=1)
             if truths:
-                send("/emulator/joint_states", name=names, position=now.q.tolist(),
-                     velocity=now.v.tolist(), effort=now.gear_torque.tolist())  # fmt: skip
+                bag.send("/emulator/joint_states", name=names, position=now.q.tolist(),
+                         velocity=now.v.tolist(), effort=now.gear_torque.tolist())  # fmt: skip
 
         def event(kind: int) -> None:
             nonlocal events
             events += 1
-            send("/emulator/events", tick=session.tick, powered=session.powered, machine=1,
-                 number=events, kind=kind, state=array("B", session.plant.save()))  # fmt: skip
+            bag.event(1, events, kind)
 
         build = [KeyValue(key=key, value=one) for key, one in build_facts(session.plant).items()]
-        send("/diagnostics", status=[DiagnosticStatus(name="emulator", values=build)])
+        bag.send("/diagnostics", status=[DiagnosticStatus(name="emulator", values=build)])
         report()
         for tick in range(TICKS):
             unseen(session, tick)

@@ -29,8 +29,6 @@ from arm_emulator.motion.trajectory.jerk_limited_velocity import JerkLimitedVelo
 from arm_emulator_msgs.msg import MotionStatus
 from motion_controller_node import order_topics
 
-NS = 1_000_000_000
-
 
 class Jogged:
     """An arm under jog commands in every motion period, through the whole machine."""
@@ -115,16 +113,7 @@ def test_a_jog_rests_before_the_stretched_pose(period: float) -> None:
     assert np.ptp(elbow[-round(0.3 / period) :]) < 2e-3
 
 
-def test_a_twist_of_the_tool_turns_with_it() -> None:
-    """The same numbers along the tool's own axes are another direction: down, with ur5."""
-    one = Jogged()
-    R_WT = one.kinematics.forward(one.run.session.state.q)[0]
-    one.jog(0.5, one.twist(0.0, 0.0, 0.1, 0.0, 0.0, 0.0, link="tool0"))
-    way = one.tool()[-1] - one.tool()[0]
-    np.testing.assert_allclose(way / np.linalg.norm(way), R_WT[:, 2], atol=0.02)
-
-
-@pytest.mark.parametrize("link", ["forearm_link", "wrist_1_link", "base_link", "world"])
+@pytest.mark.parametrize("link", ["tool0", "forearm_link", "wrist_1_link", "base_link", "world"])
 def test_a_twist_is_along_any_link(link: str) -> None:
     """As MoveIt Servo takes any frame: Pinocchio's placement of the link at the start."""
     one = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})

@@ -54,16 +54,19 @@ def test_jacobian_is_the_derivative_of_forward_kinematics(joints: int, seed: int
         if f'<joint name="{kind}_{i}"' in urdf
     ]
     kinematics = Kinematics(urdf, names, f"{names[-1]}_link", task="pose")
-    q, h = rng.uniform(-2, 2, joints), 1e-6
-    J = kinematics.jacobian(q)
-    for j in range(joints):
-        step = h * np.eye(joints)[j]
+    assert_jacobian(kinematics, rng.uniform(-2, 2, joints))
+
+
+def assert_jacobian(kinematics: Kinematics, q: np.ndarray, robot: str = "") -> None:
+    """Compare the Jacobian with central differences of forward kinematics."""
+    J, h = kinematics.jacobian(q), 1e-6
+    for j, step in enumerate(h * np.eye(len(q))):
         R_plus, p_plus = kinematics.forward(q + step)
         R_minus, p_minus = kinematics.forward(q - step)
         turn = Rotation.from_matrix(R_plus @ R_minus.T).as_rotvec()
         difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
         # Central differences: h^2 of truncation and 1e-16 / h of rounding.
-        assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8)
+        assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8), (robot, j)
 
 
 def longest_chain(file: Path) -> tuple[list[str], str]:
@@ -89,7 +92,7 @@ def longest_chain(file: Path) -> tuple[list[str], str]:
 def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kinematics() -> None:
     folder = example_robot_data()
     assert folder is not None
-    rng, robots, h = np.random.default_rng(11), 0, 1e-6
+    rng, robots = np.random.default_rng(11), 0
     for file in sorted(folder.rglob("*.urdf")):
         names, tool = longest_chain(file)
         try:
@@ -99,17 +102,10 @@ def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kine
         robots += 1
         for _ in range(3):
             q = rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
-            J = kinematics.jacobian(q)
-            for j in range(len(names)):
-                step = h * np.eye(len(names))[j]
-                R_plus, p_plus = kinematics.forward(q + step)
-                R_minus, p_minus = kinematics.forward(q - step)
-                turn = Rotation.from_matrix(R_plus @ R_minus.T).as_rotvec()
-                difference = np.concatenate([p_plus - p_minus, turn]) / (2 * h)
-                # Central differences: h^2 of truncation and 1e-16 / h of rounding.
-                assert np.allclose(J[:, j], difference, rtol=0, atol=1e-8), (file.name, names[j])
+            assert_jacobian(kinematics, q, file.name)
             error, same = kinematics.error_and_jacobian(q, Pose(*kinematics.forward(q)[::-1]))
-            assert np.array_equal(same, J) and np.abs(error).max() < 1e-15, file.name
+            assert np.array_equal(same, kinematics.jacobian(q)), file.name
+            assert np.abs(error).max() < 1e-15, file.name
     assert robots >= 60, f"{robots} robots only"
 
 

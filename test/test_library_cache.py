@@ -171,14 +171,6 @@ def test_a_spoiled_library_is_never_loaded_but_made_anew(
     assert len(seen) >= 15, seen
 
 
-def test_every_cut_of_a_library_is_found_out(cache: Path, sound: Sound) -> None:
-    file = sound.put(cache)
-    for size in range(0, len(sound.stored), 101):
-        file.write_bytes(sound.stored[:size])
-        with pytest.raises(library_cache.Damaged):
-            library_cache.content(file)
-
-
 def test_a_folder_in_the_place_of_a_library_is_reported(cache: Path, sound: Sound) -> None:
     cache.mkdir()
     (cache / sound.name / "precious").mkdir(parents=True)

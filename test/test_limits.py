@@ -57,6 +57,9 @@ def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int
     assert errors[0] < 0.03 * moved and errors[1] < 0.01 * moved, errors
     # Second order, down to the reference's own error.
     assert errors[2] < 0.05 * errors[1] + 1e-9, errors
+    scene, _ = drawn_three_axis(seed, "rosenbrock", 1e-3, events="located")
+    off = np.abs(Plant(scene).run(voltages, 20) - truth).max()
+    assert off < 0.03 * moved, f"where steps are cut, {off} of {moved} rad"
 
 
 PIECE = 1e-4  # s, in which a current meets or leaves its limit once at most
@@ -127,7 +130,7 @@ def drawn_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
     return motor, gear, rng.uniform(-40.0, 40.0, size=8)
 
 
-@pytest.mark.parametrize(("seed", "scheme"), some(enumerate(SCHEMES), 3))
+@pytest.mark.parametrize(("seed", "scheme"), some(enumerate(SCHEMES), 2))
 def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, scheme: str) -> None:
     """A current that meets and leaves its limit within steps costs no more than their size."""
     motor, gear, V = drawn_joint(seed)

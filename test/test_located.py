@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
-from test_limits import drawn_joint, drawn_three_axis, limited_truth
+from test_limits import drawn_joint, limited_truth
 
 from arm_emulator import Plant, Refusal, load_scene
-from arm_emulator.base.arrays import Array
-from oracles.reference import reference
 
 SECOND_ORDER = ["rosenbrock", "extrapolated"]
 
@@ -23,82 +21,7 @@ def located(scheme: str, dt: float, period: float) -> dict[str, Any]:
     return {"servo_period": period, "integrator": integrator}
 
 
-def belt(rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float], float]:
-    """Friction, spring and speed of a mass that rubs on the ground and is towed by a spring.
-
-    The spring is strong enough beside friction that the mass stops within its first half swing.
-    """
-    I, Kg = LINK_INERTIA, float(10 ** rng.uniform(1, 3))  # noqa: E741
-    Dc = float(rng.uniform(0.5, 3.0))
-    friction = {"coulomb": Dc, "breakaway": Dc * float(rng.choice([1.0, rng.uniform(1.2, 2.0)]))}
-    speed = float(Dc / np.sqrt(Kg * I) * rng.uniform(0.3, 0.9))
-    return friction, {"ratio": 1.0, "stiffness": Kg}, speed
-
-
-def belt_truth(
-    friction: dict[str, float], gear: dict[str, float], speed: float, t: Array
-) -> tuple[Array, int]:
-    """Position of the mass, and how often it stopped.
-
-    The spring's twist u is Dc/Kg plus a harmonic oscillation while the mass slides. It begins at
-    the belt's speed with u = 0. It stops where du/dt is the belt's speed, and it breaks away where
-    Kg u is the breakaway torque.
-    """
-    I, Kg, Dc, Ds = LINK_INERTIA, gear["stiffness"], friction["coulomb"], friction["breakaway"]  # noqa: E741
-    w, begin, out, stops = np.sqrt(Kg / I), 0.0, np.full_like(t, np.nan), 0
-    A, B = -Dc / Kg, 0.0  # u = Dc/Kg + A cos w(t - begin) + B sin w(t - begin)
-    stop = np.arcsin(speed * Kg / (Dc * w)) / w
-    while begin < t[-1]:
-        here = (t >= begin) & (t <= begin + stop)
-        s = w * (t[here] - begin)
-        out[here] = speed * t[here] - (Dc / Kg + A * np.cos(s) + B * np.sin(s))
-        stops += begin + stop < t[-1]
-        twist = Dc / Kg + A * np.cos(w * stop) + B * np.sin(w * stop)
-        begin += stop
-        rest = speed * begin - twist
-        away = begin + (Ds / Kg - twist) / speed
-        out[(t >= begin) & (t <= away)] = rest
-        A, B, begin = (Ds - Dc) / Kg, speed / w, away
-        if A == 0.0:  # from here on the mass moves with the belt's speed, less a swing to rest
-            stop = 2.0 * np.pi / w
-        else:
-            stop = 2.0 * (np.pi - np.arctan(A * w / speed)) / w
-    return out, stops
-
-
-@pytest.mark.parametrize(
-    ("seed", "scheme"),
-    some([(0, "rosenbrock"), (1, "extrapolated"), (0, "extrapolated"), (1, "rosenbrock")], 1),
-)
-def test_sticking_and_slipping_follow_the_closed_form_with_order_two(
-    tmp_path: Path, seed: int, scheme: str
-) -> None:
-    """A rotor that nothing can slow down tows its link through a soft gear."""
-    rng = np.random.default_rng(seed)
-    friction, gear, speed = belt(rng)
-    swing = 2.0 * np.pi * np.sqrt(LINK_INERTIA / gear["stiffness"])
-    rotor = 1e14  # kg m2: in a second 1 N m moves it by less than rounding
-    motor = {"resistance": 1.0, "torque_constant": 0.1, "back_emf_constant": 0.0}
-    joint = {"motor": {**motor, "rotor_inertia": rotor}, "gear": gear, "friction": friction}
-    period, rows = float(round(swing / 7.3, 9)), 30
-    t = period * np.arange(1, rows + 1)
-    truth, stops = belt_truth(friction, gear, speed, t)
-    assert stops >= 2, "the mass shall stick and slip"
-    errors = []
-    for steps in (20, 40, 80, 160):
-        file = write_scene(
-            tmp_path, one_link_urdf(), {"joint": joint}, **located(scheme, period / steps, period)
-        )
-        plant = Plant(load_scene(file))
-        plant.reset(v=[speed])
-        q = plant.run(np.zeros((rows, 1)), steps)[:, 0]
-        errors.append(float(np.abs(q - truth).max()))
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    # The next term of the error's expansion is a few per cent of it with 140 steps a swing.
-    assert orders == pytest.approx(2.0, abs=0.15), errors
-
-
-@pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated"])
+@pytest.mark.parametrize("scheme", some(SECOND_ORDER, 1))
 def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str) -> None:
     """A constant torque against dry friction, then the opposite one, behind a rigid gear.
 
@@ -152,18 +75,6 @@ def test_currents_at_limits_follow_the_closed_form_with_order_two(
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     # The fastest of these motors has a time constant of 0.1 ms.
     assert orders == pytest.approx(2.0, abs=0.15), errors
-
-
-@pytest.mark.parametrize("seed", some([2, 1], 1))
-def test_motors_far_faster_than_a_step_are_followed_where_events_are_located(seed: int) -> None:
-    """Light rotors without inductance that reach and leave their limits within one step."""
-    scene, voltages = drawn_three_axis(seed, "rosenbrock", 1e-3)
-    truth = reference(scene, voltages, 0.02, 1e-10, method="LSODA")
-    scene, _ = drawn_three_axis(seed, "rosenbrock", 1e-3, events="located")
-    q = Plant(scene).run(voltages, 20)
-    # As for steps that are not cut, test_limits.py.
-    way = np.abs(truth - scene.start).max()
-    assert np.abs(q - truth).max() < 0.03 * way, f"of a way of {way:.3g} rad"
 
 
 def test_without_events_nothing_is_cut() -> None:

@@ -56,7 +56,7 @@ def test_without_errors_sensors_report_what_is_there(scene: Scene) -> None:
     at_link = np.floor(q[:, 0] * 4096 / TURN) % 2**14
     np.testing.assert_array_equal(link[:, 0], at_link, "absolute at the link")
     scale = np.floor(q[:, 1] * 100_000)  # counts per m
-    np.testing.assert_array_equal(link[:, 1], late(scale, 2), "along the slide, 2 ticks late")
+    np.testing.assert_array_equal(link[:, 1], late(scale, 4), "later than all other sensors")
     np.testing.assert_array_equal(link[:, 2], 0, "a joint without encoder at the link")
     reported_current = rows(reported, "current")
     np.testing.assert_allclose(reported_current[:, 0], current[:, 0], rtol=0, atol=1e-12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import pytest
 from draws import FULL, some
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from arm_emulator.toolchain.unit import compile_units
@@ -96,35 +94,25 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: 
     fleet = Fleet(scene, count, varied=values, q=q, v=v, workers=2)
     moved = fleet.run(voltages, STEPS)
     assert (fleet.faults == -1).all(), f"tame machines: {fleet.diverged}"
-    furthest = 0.0
+    furthest, stuck, limited = 0.0, 0, 0
+    limits = [getattr(joint.motor, "current_limit", None) or np.inf for joint in scene.joints]
     for arm in range(count):
         plant = alone(scene, values, arm, q, v)
         expected = plant.run(voltages[:, arm], STEPS)
+        stuck += int((plant.state.v == 0.0).sum())
+        most = [
+            values.get(f"joints.{joint.name}.motor.current_limit", np.full(count, limit))[arm]
+            for joint, limit in zip(scene.joints, limits, strict=True)
+        ]
+        limited += int((np.abs(plant.state.current) >= np.array(most) * (1.0 - 1e-12)).sum())
         np.testing.assert_array_equal(moved[:, arm], expected, err_msg=f"{arm}")
         assert_state_of(fleet, arm, plant)
         furthest = max(furthest, float(np.abs(expected - q[arm]).max()))
     assert furthest > 0.01, f"the arms hardly moved: {furthest} rad"
+    assert stuck > 0 and limited > 0, f"at the end {stuck} joints stick, {limited} are limited"
 
 
-def test_limits_and_locks_are_met_in_lanes(tmp_path: Path) -> None:
-    """The test above relies on this: its machines stick, and their currents are at their limits."""
-    stuck = limited = 0
-    for seed, scheme in ((6, "paper"), (16, "extrapolated")):
-        folder = tmp_path / str(seed)
-        folder.mkdir()
-        scene = mixture(folder, seed, scheme)
-        limits = np.array([getattr(j.motor, "current_limit", None) or np.inf
-                           for j in scene.joints])  # fmt: skip
-        rng = np.random.default_rng(seed)
-        plant = Plant(scene)
-        for row in rng.uniform(-20.0, 20.0, (60, len(scene.joints))):
-            plant.advance(row, STEPS)
-            stuck += int((plant.state.v == 0.0).sum())
-            limited += int((np.abs(plant.state.current) >= limits * (1.0 - 1e-12)).sum())
-    assert stuck > 20 and limited > 50, f"{stuck} stuck, {limited} limited"
-
-
-@pytest.mark.parametrize("way", ["it turns too far in a step", "its gear is too stiff"])
+@pytest.mark.parametrize("way", some(["it turns too far in a step", "its gear is too stiff"], 1))
 def test_an_arm_that_diverges_is_reported_and_touches_no_neighbour(
     way: str, tmp_path: Path
 ) -> None:
@@ -288,13 +276,3 @@ def test_senseless_arguments_are_refused(attempt: Any, words: str, tmp_path: Pat
     with pytest.raises(Refusal) as refused:
         attempt(scene)
     assert words in str(refused.value), str(refused.value)
-
-
-def test_the_header_is_c(tmp_path: Path) -> None:
-    """A user in C99 includes arm_fleet.h without a warning."""
-    source = tmp_path / "user.c"
-    source.write_text('#include "arm_fleet.h"\nint main(void) { return arm_fleet_lanes() < 1; }\n')
-    command = ["cc", "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
-    command += [f"-I{BOUNDARY}", f"-I{FOLDER}", str(source)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

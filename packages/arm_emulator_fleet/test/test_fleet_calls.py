@@ -82,17 +82,6 @@ def test_exchanges_under_power_and_without(seed: int, scene: Scene) -> None:
     assert np.ptp(fleet.measured.current[:, 1]) > 0.0
 
 
-def test_an_emergency_stop_stops_the_arms_that_it_is_for(scene: Scene) -> None:
-    fleet = Fleet(scene, COUNT)
-    on = np.arange(COUNT) % 2 == 0
-    fleet.powered = on
-    for _ in range(100):
-        fleet.exchange([0.0, 0.0, 10.0])
-    moved = np.abs(fleet.state.q[:, 2] - scene.start[2])
-    assert (moved[on] > 1e-3).all() and (moved[~on] < 1e-12).all()
-    assert fleet.measured.applied[:, 2].tolist() == [10.0 if one else 0.0 for one in on]
-
-
 @pytest.mark.parametrize("arms", [[2, 5], np.arange(COUNT) == 4, -1, slice, []], ids=range(5))
 def test_some_arms_are_reset_and_the_others_go_on(arms: Any, scene: Scene) -> None:
     rng = np.random.default_rng(1)

@@ -164,23 +164,6 @@ def test_neighbours_whose_joints_stick_change_no_bit(tmp_path: Path) -> None:
     assert 0 < rested < len(V) * COUNT / 2, "some arms have a joint that sticks, others do not"
 
 
-MINE = """
-#include "arm_fleet.h"
-/* Twice the counts above 100 as a command, and no number from a tick on. */
-typedef struct mine { int32_t joints, tick[16], spoiled; } mine;
-void mine_step(void* with, int32_t first, int32_t arms, const arm_joint_measurement* joint,
-               const uint8_t* powered, arm_joint_command* command) {
-  mine* one = with;
-  for (int32_t k = first; k < first + arms; ++k) {
-    const int32_t tick = one->tick[k]++;
-    for (int32_t j = k * one->joints; j < (k + 1) * one->joints; ++j)
-      command[j].value = tick == 20 && k == one->spoiled ? 0.0 / 0.0
-                         : powered[k] ? 0.01 * (joint[j].encoder - 100 * k) : 0.0;
-  }
-}
-"""
-
-
 # A law that reads all that rows of lanes have, and the same arm by arm.
 ROWS = """
 #include "arm_fleet.h"
@@ -214,16 +197,10 @@ void by_rows(void* with, const arm_fleet_rows* rows) {
 def compiled(folder: Path, text: str) -> ctypes.CDLL:
     source, built = folder / "mine.c", folder / "mine.so"
     source.write_text(text)
-    command = [
-        "cc",
-        "-shared",
-        "-fPIC",
-        "-ffp-contract=off",
-        f"-I{BOUNDARY}",
-        f"-I{FOLDER}",
-        str(source),
-    ]
-    run_compiler([*command, "-o", str(built)], folder, "mine", "mine.c")
+    warnings = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    command = ["cc", *warnings, "-shared", "-fPIC", "-ffp-contract=off"]
+    command += [f"-I{BOUNDARY}", f"-I{FOLDER}", str(source), "-o", str(built)]
+    run_compiler(command, folder, "mine", "mine.c")
     return ctypes.CDLL(str(built))
 
 
@@ -232,9 +209,10 @@ def address(function: Any) -> int:
 
 
 def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> None:
-    """It moves the arms as the same law does arm by arm, to the last bit: gliding, cut, braked."""
+    """It moves the arms as the same law does arm by arm, and in Python: gliding, cut, braked."""
     law = compiled(tmp_path, ROWS)
     fleets = [Fleet(three_axis, COUNT, workers=2) for _ in range(2)]
+    other = Fleet(three_axis, COUNT)
     keeps = np.array([len(three_axis.joints), -1, *[0] * 16], np.int32)
     in_rows = FleetControl(address(law.by_rows), keeps.ctypes.data, in_lanes=True)
     controls = in_rows, FleetControl(address(law.by_arm), keeps.ctypes.data)
@@ -247,6 +225,12 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
         fleet.powered = True
         fleet.follow(control, 30, links=rows[60:])
     assert np.array_equal(links[0], links[1])
+    for period in range(90):
+        on = ~off if 30 <= period < 60 else np.ones(COUNT, bool)
+        other.powered, seen = on, other.measured
+        asked = 0.3 - 0.01 * seen.encoder_counts - 0.05 * seen.current + 0.1 * seen.applied
+        other.exchange(np.where(on[:, None] & (seen.brake_closed == 0), asked, 0.0))
+        assert np.array_equal(other.state.q, links[0, period]), period
     assert fleets[0].measured.applied.any(axis=1).all() and np.ptp(links[0], axis=0).max() > 1e-3
     assert not np.array_equal(links[0, -1, 0], links[0, -1, 1]), "an arm that was cut"
     assert (keeps[2 : 2 + COUNT] == 90).all() and (keeps[2 + COUNT :] == 0).all()
@@ -255,23 +239,6 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
         fleets[0].follow(in_rows, 5)
     assert fleets[0].state.t[9] == pytest.approx(0.090)
     assert fleets[0].state.t[0] == pytest.approx(0.095)
-
-
-def test_code_of_users_commands_arm_by_arm(tmp_path: Path, three_axis: Scene) -> None:
-    scene = three_axis
-    keeps = np.array([len(scene.joints), *[0] * 16, -1], np.int32)
-    fleet, other = Fleet(scene, COUNT, workers=2), Fleet(scene, COUNT)
-    control = FleetControl(address(compiled(tmp_path, MINE).mine_step), keeps.ctypes.data)
-    frame, beside = fleet.frame(), other.step(np.zeros(3), 0)
-    fleet.follow(control, 20, out=frame)
-    for _ in range(20):
-        counts = beside.measured.encoder_counts
-        other.step(0.01 * (counts - 100 * np.arange(COUNT)[:, None]), out=beside)
-    assert np.array_equal(frame.q, beside.q) and (keeps[1 : COUNT + 1] == 20).all()
-    keeps[17] = 9
-    with pytest.raises(Refusal, match=r"Fleet\.follow: arm 9: .* must be finite, got nan"):
-        fleet.follow(control, 5)
-    assert fleet.state.t[9] == pytest.approx(0.020) and fleet.state.t[0] == pytest.approx(0.025)
 
 
 def test_senseless_arguments_are_refused(three_axis: Scene) -> None:

@@ -115,26 +115,6 @@ def test_a_step_is_an_exchange_and_a_look(scene: Scene) -> None:
         assert np.array_equal(frame.faults, other.faults)
 
 
-def test_an_arm_that_diverges_is_reported_by_steps_and_its_neighbours_go_on(scene: Scene) -> None:
-    fleet, other = Fleet(scene, COUNT), Fleet(scene, COUNT)
-    fast = np.zeros((COUNT, 3))
-    fast[4] = 1.3 * np.pi / scene.integrator.dt  # rad/s: more than half a turn in a step
-    fleet.reset(v=fast)
-    frame = fleet.frame()
-    rows = np.zeros((COUNT, 3))
-    for _ in range(30):
-        fleet.step(rows, out=frame)
-        other.step(rows)
-    assert frame.faults[4] >= 0 and (np.delete(frame.faults, 4) == -1).all()
-    assert list(fleet.diverged) == [4]
-    sound = np.arange(COUNT) != 4
-    assert np.array_equal(frame.q[sound], other.state.q[sound])
-    assert frame.t[4] < frame.t[5]
-    fleet.reset([4])
-    fleet.step(rows, out=frame)
-    assert (frame.faults == -1).all()
-
-
 def test_an_arm_goes_on_in_its_lane_when_nobody_holds_it_any_more(scene: Scene) -> None:
     """The fleet continues from a state set by hand."""
     fleet = Fleet(scene, COUNT)
