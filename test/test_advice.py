@@ -59,20 +59,28 @@ def true_error(method: Method, steps: int) -> float:
     return float(np.abs(q - truth).max())
 
 
-@pytest.mark.parametrize("wanted", some([1e-5, 1e-4, 3e-6, 1e-7, 1e-8], 1))
-def test_settings_keep_the_error_by_an_independent_solution(wanted: float) -> None:
+@pytest.mark.parametrize("expected", some([1e-5, 1e-4, 3e-6, 1e-7, 1e-8], 1))
+def test_settings_keep_the_error_by_an_independent_solution(expected: float) -> None:
     judge, _ = demo()
-    found = advise(judge, wanted)
-    assert found.settings == sorted(found.settings, key=lambda one: one.cost), "the cheapest first"
-    assert {one.method.events for one in found.settings} == {STEP}, "nothing here to locate"
-    for one in found.settings:
-        steps = round(1e-3 / one.dt)
-        true = true_error(one.method, steps)
+    result = advise(judge, expected)
+    assert result.settings == sorted(result.settings, key=lambda setting: setting.cost), (
+        "the cheapest first"
+    )
+    assert {setting.method.events for setting in result.settings} == {STEP}, (
+        "nothing here to locate"
+    )
+    for setting in result.settings:
+        steps = round(1e-3 / setting.dt)
+        true = true_error(setting.method, steps)
         # Off by the truth's own error, a share of what is wanted.
-        assert one.error - 2.0 * SHARE * wanted <= true <= one.error <= wanted, f"{one}, {true}"
-        assert np.isinf(one.others), "one motion reports nothing of others"
+        assert setting.error - 2.0 * SHARE * expected <= true <= setting.error <= expected, (
+            f"{setting}, {true}"
+        )
+        assert np.isinf(setting.others), "one motion reports nothing of others"
         for fewer in step_counts(max(1, steps // 2), steps):
-            assert true_error(one.method, fewer) > (1.0 - 2.0 * SHARE) * wanted, f"{fewer} will do"
+            assert true_error(setting.method, fewer) > (1.0 - 2.0 * SHARE) * expected, (
+                f"{fewer} will do"
+            )
 
 
 @pytest.mark.parametrize("seed", some([31, 10, 381, 138, 1, 470, 3, 0, 2], 1))
@@ -83,15 +91,15 @@ def test_truths_of_machines_that_stick_are_as_good_as_is_stated(seed: int, tmp_p
     expected, events = reference_with_events(scene, rows, scene.servo_period)
     assert events > 0, "nothing sticks, and nothing is limited"
     runs = Runs(scene)
-    for wanted in (1e-4, 1e-7):
-        found = find_truth(runs, rows, wanted, 100_000)
-        assert not isinstance(found, str), found
-        assert is_confirmed(runs, rows, found, wanted / SHARE, 100_000), (
+    for target in (1e-4, 1e-7):
+        result = find_truth(runs, rows, target, 100_000)
+        assert not isinstance(result, str), result
+        assert is_confirmed(runs, rows, result, target / SHARE, 100_000), (
             "by events at the ends of steps"
         )
-        off = np.abs(found.q - expected).max()
+        off = np.abs(result.q - expected).max()
         # The reference's own error, some 1e-12 a step.
-        assert off <= found.error + 1e-10 and found.error <= wanted, f"{off:.1e}: {found}"
+        assert off <= result.error + 1e-10 and result.error <= target, f"{off:.1e}: {result}"
 
 
 def test_the_remaining_error_follows_from_the_ratio_of_differences() -> None:
@@ -107,11 +115,11 @@ def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
     """As if the code that locates events had them at other places than there are."""
     judge, _ = demo()
     commands = judge.motions[0].commands
-    found = find_truth(judge.runs, commands, 1e-6, 4096)
-    assert not isinstance(found, str), found
-    assert is_confirmed(judge.runs, commands, found, 1e-6, 4096)
-    found.q[-1] += 1e-3
-    assert not is_confirmed(judge.runs, commands, found, 1e-6, 4096), "off by 1 mrad at the end"
+    result = find_truth(judge.runs, commands, 1e-6, 4096)
+    assert not isinstance(result, str), result
+    assert is_confirmed(judge.runs, commands, result, 1e-6, 4096)
+    result.q[-1] += 1e-3
+    assert not is_confirmed(judge.runs, commands, result, 1e-6, 4096), "off by 1 mrad at the end"
 
 
 # Every fifth scene is of the same class (bench/advice.py): these are one each.
@@ -122,20 +130,20 @@ def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
     """`python -m bench.claims advice` has more scenes, longer motions and more errors."""
     try_only(monkeypatch, "implicit", "rosenbrock")
     verdicts = judge_scene(seed, seconds=0.2 if FULL else 0.1, errors=some([1e-5, 1e-6], 1))
-    for one in verdicts:
-        assert not one.none, one
-        assert one.true, f"beyond what was reported: {one}"
+    for verdict in verdicts:
+        assert not verdict.none, verdict
+        assert verdict.true, f"beyond what was reported: {verdict}"
         # 1.3 is what is claimed where nobody disturbs the clock.
-        assert one.cost < 2.0, f"dear: {one}"
+        assert verdict.cost < 2.0, f"dear: {verdict}"
 
 
 def test_no_setting_is_advised_if_none_keeps_the_error() -> None:
     """After many turns an angle is rounded to 2e-12 rad in every step."""
     judge, _ = demo()
     scene = load_scene("three_axis", overrides={"joints.*.start": 1e4})
-    found = advise(Judge(scene, judge.motions), 1e-11)
-    assert not found.settings, "of rounded angles"
-    assert "motion demo: steps that are halved agree to" in found.why_none, found.why_none
+    result = advise(Judge(scene, judge.motions), 1e-11)
+    assert not result.settings, "of rounded angles"
+    assert "motion demo: steps that are halved agree to" in result.why_none, result.why_none
 
 
 def test_a_reserve_grows_where_one_motion_stands_out() -> None:
@@ -155,15 +163,15 @@ def test_divergence_is_no_error_that_is_kept(monkeypatch: pytest.MonkeyPatch) ->
     judge = Judge(scene, [Motion("push", np.full((20, 3), 5.0))])
     assert judge.know_truths(1e-3) == "", "a truth"
     assert judge.error(Method("paper", STEP), 1) == np.inf, "an error of what diverges"
-    settings = {str(one.method): one for one in advise(judge, 1e-3).settings}
+    settings = {str(setting.method): setting for setting in advise(judge, 1e-3).settings}
     assert "paper" not in settings or settings["paper"].dt < 1e-5, settings
     assert "rosenbrock" in settings, settings
 
 
 def test_senseless_errors_and_missing_motions_are_refused() -> None:
-    for wanted in (0.0, -1.0, 1e-13, 2.0, float("nan")):
+    for expected in (0.0, -1.0, 1e-13, 2.0, float("nan")):
         with pytest.raises(Refusal, match="advise: error must be from 1e-11 to 1 rad"):
-            advise(demo()[0], wanted)
+            advise(demo()[0], expected)
     with pytest.raises(Refusal, match=r"nowhere.csv"):
         advise_scene("three_axis", motion=Path("nowhere.csv"))
 
@@ -205,8 +213,8 @@ def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path
     assert plant.state.gear_torque == pytest.approx(expected, rel=2e-2), "torques of the links"
     limits = [joint.largest_command(scene.supply_voltage) for joint in scene.joints]
     amplitude = 48.0 / math.sqrt(3.0)  # of which the core clamps commands of a pmsm
-    wanted = {"dc": 48.0, "loop": 48.0, "pmsm": amplitude, "torque": 0.2, "current": 3.0}
-    assert limits == [wanted.get(kind) for kind in kinds], "limits [V, A, N m]"
+    target = {"dc": 48.0, "loop": 48.0, "pmsm": amplitude, "torque": 0.2, "current": 3.0}
+    assert limits == [target.get(kind) for kind in kinds], "limits [V, A, N m]"
     motions = judged_motions(scene, 0.1)
     assert {motion.name for motion in motions} == set(KINDS), "kinds of motions"
     largest = np.max([np.abs(motion.commands).max(axis=0) for motion in motions], axis=0)
@@ -219,8 +227,8 @@ def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path
 
 def test_motions_are_the_same_every_time_and_begin_at_rest() -> None:
     scene = load_scene("three_axis")
-    for one, other in zip(judged_motions(scene, 0.1), judged_motions(scene, 0.1), strict=True):
-        assert np.array_equal(one.commands, other.commands), one.name
+    for first, second in zip(judged_motions(scene, 0.1), judged_motions(scene, 0.1), strict=True):
+        assert np.array_equal(first.commands, second.commands), first.name
     stop = ExcitationMotions(scene, 0.1).drawn("stop", np.random.default_rng(3)).commands
     assert (stop[50:] == 0.0).all() and np.abs(stop[:50]).max() > 0.0, "no commands from the middle"
 
@@ -232,13 +240,13 @@ def test_a_table_and_a_bag_are_motions(tmp_path: Path) -> None:
     rows = read_commands(table, scene)
     expected = 3 * [[2, 3, 1]] + 2 * [[5, 6, 4]] + 2 * [[0, 0, 0]]
     assert rows.tolist() == expected, "rows hold until the next"
-    with in_process("lockstep") as one:
-        one.begin_record()
-        one.run_to(20)
-        assert one.call("emulator/reset").success  # the run that counts
-        one.run_to(60)
-        state = one.nodes["emulator"]._session.state
-        one.write(tmp_path / "bag")
+    with in_process("lockstep") as nodes:
+        nodes.begin_record()
+        nodes.run_to(20)
+        assert nodes.call("emulator/reset").success  # the run that counts
+        nodes.run_to(60)
+        state = nodes.nodes["emulator"]._session.state
+        nodes.write(tmp_path / "bag")
     read = read_commands(tmp_path / "bag", scene)[: round(state.t / scene.servo_period)]
     q = Plant(scene).run(read, scene.steps_per_period)
     assert np.array_equal(q[-1], state.q), "the motion again"
@@ -264,22 +272,24 @@ def test_advice_is_on_the_values_that_a_machine_has_of_varied_numbers(seed: int)
     common = {"varied": ["joints.*"], "integrator.scheme": "paper", "integrator.dt": 1e-3}
     scene = load_scene("three_axis", overrides=common)
     values = {}
-    for one in scene.varied:
-        kind = one.name.split(".", 2)[2]
+    for number in scene.varied:
+        kind = number.name.split(".", 2)[2]
         decades = {"gear.stiffness": (1.0, 3.0), "gear.damping": (-1.0, 0.3)}.get(kind, (-0.1, 0.1))
-        values[one.name] = float(one.value * 10.0 ** rng.uniform(*decades))
+        values[number.name] = float(number.value * 10.0 ** rng.uniform(*decades))
     volts = rng.uniform(-20.0, 20.0, (1000, 3))
     plant = Plant(scene)
     plant.advance(volts[0], 100)  # with the scene's own values it holds
     for name, value in values.items():
         plant.set_parameter(name, value)
     plant.reset()
-    got = diverged(plant, volts)
-    assert {one.name: one.value for one in got.scene.varied} == values, "values at the divergence"
-    made_so = Plant(load_scene("three_axis", overrides={**common, **values}))
-    expected = diverged(made_so, volts)
-    assert got.t == expected.t, "when it diverged"
-    hint = why(got)
+    reported_divergence = diverged(plant, volts)
+    assert {number.name: number.value for number in reported_divergence.scene.varied} == values, (
+        "values at the divergence"
+    )
+    reference_plant = Plant(load_scene("three_axis", overrides={**common, **values}))
+    expected = diverged(reference_plant, volts)
+    assert reported_divergence.t == expected.t, "when it diverged"
+    hint = why(reported_divergence)
     assert hint == why(expected), "what would hold for small motions"
     assert "each step multiplies a small motion" in hint, hint
 

@@ -21,24 +21,26 @@ def test_the_matrix_has_the_imports_that_import_linter_sees() -> None:
     """Truth: the graph of grimp, by which import-linter judges the contracts."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     graph = grimp.build_graph(*project["root_packages"], cache_dir=None)
-    found = architecture.imports_of_rooms()
-    rooms = set(found) - {architecture.NAMESPACE}
+    result = architecture.imports_of_rooms()
+    rooms = set(result) - {architecture.NAMESPACE}
     for room in rooms:
         if graph.find_children(room):
             graph.squash_module(room)
     for room in rooms:
         # A package that imports itself has no dot.
         imported = graph.find_modules_directly_imported_by(room) & rooms - {room}
-        assert found[room] - {architecture.NAMESPACE} == imported, room
+        assert result[room] - {architecture.NAMESPACE} == imported, room
     picture = (DOCS / "contribute" / "rooms.svg").read_text()
-    drawn = set(re.findall("<title>(\\S+) imports (\\S+)</title>", picture))
-    assert drawn == {(room, to) for room, targets in found.items() for to in targets}
+    pictured = set(re.findall("<title>(\\S+) imports (\\S+)</title>", picture))
+    assert pictured == {(room, to) for room, targets in result.items() for to in targets}
 
 
 def test_every_floor_of_the_contract_is_a_row_of_the_picture() -> None:
     picture = (DOCS / "contribute" / "rooms.svg").read_text()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    layers = next(one for one in project["contracts"] if one["type"] == "layers")["layers"]
+    layers = next(contract for contract in project["contracts"] if contract["type"] == "layers")[
+        "layers"
+    ]
     for room in " | ".join(layers).split(" | "):
         assert f">{room}</text>" in picture, room
 

@@ -111,11 +111,11 @@ def test_the_shipped_scenes_have_margins(name: str) -> None:
     file = find_config(name, ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
     assert check_loops(scene, servo) == []
-    for one in ServoLoops(scene, servo, delay=1).margins():
-        assert one.gain_up > 1.6, f"with a period of dead time: {one}"
-        assert one.phase > math.radians(30.0), f"with a period of dead time: {one}"
+    for margin in ServoLoops(scene, servo, delay=1).margins():
+        assert margin.gain_up > 1.6, f"with a period of dead time: {margin}"
+        assert margin.phase > math.radians(30.0), f"with a period of dead time: {margin}"
         # Of drives that close a current loop: there is no back EMF that stands any dead time.
-        assert one.delay > 1.5, f"with a period of dead time: {one}"
+        assert margin.delay > 1.5, f"with a period of dead time: {margin}"
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -132,10 +132,10 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
         )
         harder = dataclasses.replace(servo, joints=tuple(joints))
         loops = ServoLoops(scene, harder)
-        found = loops.unstable()
-        if found is not None and growth(loops.loops[0], servo.period) > 1.0:
+        result = loops.unstable()
+        if result is not None and growth(loops.loops[0], servo.period) > 1.0:
             break
-    assert found is not None
+    assert result is not None
     with pytest.raises(Refusal) as refusal:
         check_loops(scene, harder)
     words = str(refusal.value)
@@ -143,13 +143,13 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
     assert "small motions that grow" in words
     assert "; valid: velocity_gain " in words
     assert "or a servo period of " in words
-    assert found.softer is not None
-    assert found.period is not None
-    joints[bad] = found.softer
+    assert result.softer is not None
+    assert result.period is not None
+    joints[bad] = result.softer
     softer = dataclasses.replace(servo, joints=tuple(joints))
     assert ServoLoops(scene, softer).unstable() is None, "the gains that were named"
     again = ServoLoops(scene, harder)
-    every = again.closed(again.joints, found.period, 0)
+    every = again.closed(again.joints, result.period, 0)
     assert all(loop.radius < 1.0 for loop in every), "the period that was named"
 
 
@@ -188,12 +188,12 @@ def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine
         for _ in range(5):
             plant.advance(V, scene.steps_per_period)
             x = F @ x + G @ V
-        for what, got, expected in (
+        for quantity, actual, expected in (
             ("current", plant.state.current, motions.current @ x + motions.current_by_command * V),
             ("motor angle", plant.state.theta_m - before, motions.theta_m @ x),
         ):
-            error = np.abs(got - expected).max() / np.abs(expected).max()
-            assert error < 1e-4, f"{what}: {got} by the core, {expected} by the matrices"
+            error = np.abs(actual - expected).max() / np.abs(expected).max()
+            assert error < 1e-4, f"{quantity}: {actual} by the core, {expected} by the matrices"
 
 
 def test_a_gear_with_play_is_looked_at_loaded_and_within_its_play() -> None:
@@ -203,11 +203,11 @@ def test_a_gear_with_play_is_looked_at_loaded_and_within_its_play() -> None:
     played = load_scene(
         "three_axis", {"gravity": [0.0, 0.0, -9.81], "joints.*.gear.backlash": 1e-3}
     )
-    one, other = ServoLoops(plain, servo), ServoLoops(played, servo)
-    for without, loaded in zip(one.loops, other.loops, strict=True):
+    first, second = ServoLoops(plain, servo), ServoLoops(played, servo)
+    for without, loaded in zip(first.loops, second.loops, strict=True):
         np.testing.assert_allclose(loaded.A, without.A, atol=1e-9)
-    worst = zip(one.margins(), other.margins(), strict=True)
+    worst = zip(first.margins(), second.margins(), strict=True)
     assert all(b.delay <= a.delay + 1e-9 and b.phase <= a.phase + 1e-9 for a, b in worst)
-    assert other.unstable() is None, "links that hang in the play fall; that is no loop's fault"
+    assert second.unstable() is None, "links that hang in the play fall; that is no loop's fault"
     apart = SmallMotions(Plant(played), plain.start)
     assert not np.array_equal(apart.J, SmallMotions(Plant(played), plain.start, loaded=True).J)

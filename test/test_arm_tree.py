@@ -66,7 +66,9 @@ def _last_link(urdf: str) -> str:
     import xml.etree.ElementTree as ET
 
     robot = ET.fromstring(urdf.encode())
-    parents = {one.get("link") for one in robot.iter("parent") if one.get("link")}
+    parents = {element.get("link") for element in robot.iter("parent") if element.get("link")}
     return next(
-        one.get("name", "") for one in robot.findall("link") if one.get("name") not in parents
+        element.get("name", "")
+        for element in robot.findall("link")
+        if element.get("name") not in parents
     )

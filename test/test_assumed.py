@@ -23,8 +23,8 @@ MARKED = sorted(
 
 @pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)
 def test_every_figure_has_a_source_or_a_range(file: Path) -> None:
-    found = origins(file)
-    names = [name for one in found for name in one.names()]
+    result = origins(file)
+    names = [name for figure in result for name in figure.names()]
     assert len(names) == len(set(names)), "a figure is reported twice"
     there = {
         f"joints.{joint.name}.{section}"
@@ -57,9 +57,13 @@ def test_a_figure_that_does_not_state_where_it_is_from_is_refused(
     file: Path, tmp_path: Path
 ) -> None:
     """Each of them in turn: without a mark, off its range, with a source that nobody names."""
-    text, other = file.read_text(), tmp_path / file.name
+    text, second = file.read_text(), tmp_path / file.name
     lines, rng = text.splitlines(), np.random.default_rng(1)
-    of_figures = {one.line - 1: f"{one.section}.{one.key}" for one in origins(file) if one.assumed}
+    of_figures = {
+        origin.line - 1: f"{origin.section}.{origin.key}"
+        for origin in origins(file)
+        if origin.assumed
+    }
     assert of_figures, "figures that are assumed"
     for k, figure in of_figures.items():
         bare = lines[k].partition("#")[0]
@@ -70,9 +74,9 @@ def test_a_figure_that_does_not_state_where_it_is_from_is_refused(
         }  # fmt: skip
         rule = str(rng.choice(list(wrong)))
         line = str(rng.choice(wrong[rule]))
-        other.write_text("\n".join([*lines[:k], line, *lines[k + 1 :]]))
+        second.write_text("\n".join([*lines[:k], line, *lines[k + 1 :]]))
         with pytest.raises(Refusal) as refusal:
-            origins(other)
+            origins(second)
         printed = str(refusal.value)
         expected = f"{file.name}, line {k + 1}: {figure} must {rule}"
         assert printed.startswith(expected) and "\n" not in printed, printed
@@ -83,34 +87,38 @@ def test_a_figure_may_have_a_source_that_the_head_names(tmp_path: Path) -> None:
     (k,) = [k for k, line in enumerate(lines) if "resistance: 0.3 " in line]
     lines[k] = "      resistance: 0.3  # ohm [1]"
     (tmp_path / "ur5.yaml").write_text("\n".join(lines))
-    (one,) = [one for one in origins(tmp_path / "ur5.yaml") if one.line == k + 1]
-    assert one.assumed is None and one.source.startswith("Universal Robots, Max. joint torques")
+    (origin,) = [origin for origin in origins(tmp_path / "ur5.yaml") if origin.line == k + 1]
+    assert origin.assumed is None and origin.source.startswith(
+        "Universal Robots, Max. joint torques"
+    )
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
-    for one in assumed_of(CONFIG / f"{name}.yaml"):
-        joints = f"{one.joints[0]} to {one.joints[-1]}"
-        row = f"| `{one.label}` | {joints} | {one.value:.3g} | {one.low:.3g} to {one.high:.3g} | "
+    for figure in assumed_of(CONFIG / f"{name}.yaml"):
+        joints = f"{figure.joints[0]} to {figure.joints[-1]} | {figure.value:.3g}"
+        row = f"| `{figure.label}` | {joints} | {figure.low:.3g} to {figure.high:.3g} | "
         assert row in PAGE, f"{row}: make the tables anew by python -m bench --only assumed"
 
 
 def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
     """A rotor turns 1/r times as fast: constants, dry friction grow by r0/r, the rest squared."""
-    for one in assumed_of(CONFIG / "ur5.yaml"):
-        if one.label == "gear.ratio":
-            values = one.at(0.5 * one.value)
+    for figure in assumed_of(CONFIG / "ur5.yaml"):
+        if figure.label == "gear.ratio":
+            values = figure.at(0.5 * figure.value)
             for name, value in values.items():
                 power = 2.0 if name.endswith(("rotor_inertia", "viscous")) else 1.0
-                assert value == pytest.approx(one.nominal[name] * 2.0**power), name
-            assert len(values) == 3 * len(one.joints), "constants, back EMF and inertia of each"
+                assert value == pytest.approx(figure.nominal[name] * 2.0**power), name
+            assert len(values) == 3 * len(figure.joints), "constants, back EMF and inertia of each"
 
 
 def test_an_arm_with_other_numbers_makes_another_demo() -> None:
     name = "three_axis"
-    numbers = {one.name: one.value for one in load_scene(name, {"varied": VARIED}).varied}
-    stiff = {one: value * (2.0 if "stiffness" in one else 1.0) for one, value in numbers.items()}
-    found = demos(name, [{}, numbers, stiff], 6)
-    assert found[1] == pytest.approx(found[0], abs=1e-9), "the scene's own numbers"
-    assert np.abs(found[0, -1]).max() < 0.5 * np.abs(found[0, 0]).max(), "the tool is on its way"
-    assert np.abs(found[2] - found[0]).max() > 1e-6, "the other arm moves otherwise"
+    numbers = {number.name: number.value for number in load_scene(name, {"varied": VARIED}).varied}
+    stiff = {
+        number: value * (2.0 if "stiffness" in number else 1.0) for number, value in numbers.items()
+    }
+    result = demos(name, [{}, numbers, stiff], 6)
+    assert result[1] == pytest.approx(result[0], abs=1e-9), "the scene's own numbers"
+    assert np.abs(result[0, -1]).max() < 0.5 * np.abs(result[0, 0]).max(), "the tool is on its way"
+    assert np.abs(result[2] - result[0]).max() > 1e-6, "the other arm moves otherwise"

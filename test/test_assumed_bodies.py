@@ -84,22 +84,22 @@ def test_shapes_are_integrated(tmp_path: Path) -> None:
         f'<sphere radius="{r}"/>': (ball, np.eye(3) * 0.4 * ball * r * r),
     }  # fmt: skip
     draw = np.random.default_rng(0)
-    whole, inside = Body(), ""
+    full, inside = Body(), ""
     for text, (mass, tensor) in of.items():
         xyz, rpy = draw.uniform(-1, 1, 3), draw.uniform(-3, 3, 3)
         words = " ".join(map(repr, xyz.tolist())), " ".join(map(repr, rpy.tolist()))
         at = frame_of(xyz, rpy)
-        got = given(assumed(shape(text, *words), tmp_path))
-        np.testing.assert_allclose(got[0], mass, rtol=1e-5)
-        np.testing.assert_allclose(got[1], xyz, rtol=1e-5)
-        np.testing.assert_allclose(got[2], at.R @ tensor @ at.R.T, rtol=1e-4, atol=1e-6)
-        whole = whole + Body.from_center(mass, np.zeros(3), tensor).seen_from(at)
+        actual = given(assumed(shape(text, *words), tmp_path))
+        np.testing.assert_allclose(actual[0], mass, rtol=1e-5)
+        np.testing.assert_allclose(actual[1], xyz, rtol=1e-5)
+        np.testing.assert_allclose(actual[2], at.R @ tensor @ at.R.T, rtol=1e-4, atol=1e-6)
+        full = full + Body.from_center(mass, np.zeros(3), tensor).seen_from(at)
         inside += shape(text, *words)
-    got = given(assumed(inside, tmp_path))
-    np.testing.assert_allclose(got[0], whole.mass, rtol=1e-5)
-    np.testing.assert_allclose(got[1], whole.moment / whole.mass, rtol=1e-5)
-    about = Body.from_center(*got)
-    np.testing.assert_allclose(about.inertia, whole.inertia, rtol=1e-4)
+    actual = given(assumed(inside, tmp_path))
+    np.testing.assert_allclose(actual[0], full.mass, rtol=1e-5)
+    np.testing.assert_allclose(actual[1], full.moment / full.mass, rtol=1e-5)
+    about = Body.from_center(*actual)
+    np.testing.assert_allclose(about.inertia, full.inertia, rtol=1e-4)
 
 
 def test_a_mesh_is_its_convex_hull_and_is_found_in_its_package(tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_an_arm_without_inertia_becomes_a_scene_that_names_what_is_assumed(
     file = tmp_path / "arm.urdf"
     file.write_text(arm([box, measured + box, ""]))
     written = write_new(file, tmp_path / "new", density=500.0)
-    assert [one.link for one in written.assumed] == ["l1", "l3"], "what is measured stays"
+    assert [body.link for body in written.assumed] == ["l1", "l3"], "what is measured stays"
     scene = load_scene(written.file)
     assert scene.assumed == ("l1", "l3")
     masses = [joint.body.mass for joint in scene.chain.joints]

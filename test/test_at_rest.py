@@ -28,15 +28,17 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("place", "laws", "scheme", "events", "weightless"), some(CASES, 3))
+@pytest.mark.parametrize(
+    ("place", "friction_laws", "scheme", "events", "weightless"), some(CASES, 3)
+)
 def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
-    place: str, laws: tuple[str, ...], scheme: str, events: str, weightless: bool
+    place: str, friction_laws: tuple[str, ...], scheme: str, events: str, weightless: bool
 ) -> None:
     """Rotors that rub viscously ended as a divergence in 34 of 200 poses without weights."""
     equations = equations_of("three_axis")
     wrong = [
         line
-        for law in laws
+        for law in friction_laws
         for line in judge(Case("three_axis", place, law, scheme, events, weightless), 60, equations)
     ]
     assert not wrong, wrong
@@ -63,8 +65,8 @@ def test_joints_that_break_away_together_do_so_as_one_problem(tmp_path: Path, ev
     data = model.createData()
     for _ in range(300):
         q, dry = rng.uniform(-1.5, 1.5, 3), rng.uniform(0.5, 2.0, 3)
-        for one, Dc in zip(scene.varied, dry, strict=True):
-            plant.set_parameter(one.name, float(Dc))
+        for number, Dc in zip(scene.varied, dry, strict=True):
+            plant.set_parameter(number.name, float(Dc))
         torque = rng.normal(0.0, 2.0, 3)
         plant.reset(q)
         plant.advance(torque, PARTS)
@@ -79,14 +81,14 @@ def test_joints_that_break_away_together_do_so_as_one_problem(tmp_path: Path, ev
 
 def accelerations_from_rest(M: np.ndarray, torque: np.ndarray, dry: np.ndarray) -> np.ndarray:
     """The only ones that agree with Coulomb's law at each joint."""
-    found = []
+    result = []
     for signs in itertools.product((-1.0, 0.0, 1.0), repeat=len(dry)):
-        way = np.array(signs)
-        free = way != 0.0
+        directions = np.array(signs)
+        free = directions != 0.0
         a = np.zeros(len(dry))
-        a[free] = np.linalg.solve(M[np.ix_(free, free)], (torque - dry * way)[free])
-        held = torque - M @ a
-        if (a[free] * way[free] > 0.0).all() and (np.abs(held) <= dry)[~free].all():
-            found.append(a)
-    assert len(found) == 1, "Coulomb's friction has one solution"
-    return found[0]
+        a[free] = np.linalg.solve(M[np.ix_(free, free)], (torque - dry * directions)[free])
+        holding = torque - M @ a
+        if (a[free] * directions[free] > 0.0).all() and (np.abs(holding) <= dry)[~free].all():
+            result.append(a)
+    assert len(result) == 1, "Coulomb's friction has one solution"
+    return result[0]

@@ -48,17 +48,17 @@ def truth(joint: dict[str, Any], speed: float, t: Array) -> tuple[Array, int, Ar
     w = np.full_like(t, np.nan)
     start, at, rate, touched = 0.0, 0.0, speed, 0
     while start < t[-1]:
-        way = np.sign(rate)
-        flight = (way * gap - at) / rate
+        side = np.sign(rate)
+        flight = (side * gap - at) / rate
         here = (t >= start) & (t < start + flight)
         w[here] = at + rate * (t[here] - start)
         start += flight
         here = (t >= start) & (t < start + contact)
         s = t[here] - start
-        w[here] = way * gap + rate / wd * np.exp(-a * s) * np.sin(wd * s)
+        w[here] = side * gap + rate / wd * np.exp(-a * s) * np.sin(wd * s)
         touched += 1
         decay, s = np.exp(-a * contact), wd * contact
-        at = way * gap + rate / wd * decay * np.sin(s)
+        at = side * gap + rate / wd * decay * np.sin(s)
         rate *= decay * (np.cos(s) - a / wd * np.sin(s))
         start += contact
     together = reflected / both * speed * t

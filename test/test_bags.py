@@ -72,9 +72,9 @@ def run(*arguments: object) -> tuple[int, str]:
 def await_line(process: subprocess.Popen[str], line: str) -> None:
     assert process.stdout is not None
     printed = []
-    for one in process.stdout:
-        printed.append(one)
-        if one.strip() == line:
+    for output in process.stdout:
+        printed.append(output)
+        if output.strip() == line:
             return
     raise AssertionError(f"ended without stating {line}: {printed}")
 
@@ -159,13 +159,13 @@ def test_a_recorded_run_is_equal_to_the_last_bit(
 def test_a_bag_of_another_arithmetic_is_named(
     recording: tuple[Path, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    bag, other = recording[0], tmp_path / "other"
+    bag, second = recording[0], tmp_path / "other"
     assert Bag(bag).about["arithmetic"] == ARITHMETIC
     assert check_bag(bag) == 0 and "arithmetic" not in capfd.readouterr().out
-    shutil.copytree(bag, other)
-    metadata = other / "metadata.yaml"
+    shutil.copytree(bag, second)
+    metadata = second / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace(ARITHMETIC, "portable 0"))
-    check_bag(other)
+    check_bag(second)
     line = f"recorded in another arithmetic, portable 0; this is {ARITHMETIC}\n"
     assert capfd.readouterr().out.count(line) == 1
 
@@ -205,12 +205,12 @@ CHANGES: dict[str, tuple[Callable[[BagMessage], bytes | None], int, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("what", CHANGES)
-def test_a_change_of_a_bag_is_found(recording: tuple[Path, str], tmp_path: Path, what: str) -> None:
-    change, exit_code, words = CHANGES[what]
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_of_a_bag_is_found(recording: tuple[Path, str], tmp_path: Path, name: str) -> None:
+    change, exit_code, words = CHANGES[name]
     code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == exit_code and re.search(words, printed), printed
-    if what in ("a count", "a current", "a true speed"):
+    if name in ("a count", "a current", "a true speed"):
         recorded, computed = re.findall(r"(?:recorded|computed) (\S+?),? *(?=,|$)", printed, re.M)
         assert recorded != computed
 
@@ -245,30 +245,30 @@ def test_rosbags_reads_it_back(recording: tuple[Path, str]) -> None:
 def test_a_replay_publishes_the_same_bytes_in_the_same_order(recording: tuple[Path, str]) -> None:
     bag, _ = recording
     expected = [m.data for m in Bag(bag).messages(["/motor_states"])]
-    got: list[bytes] = []
+    actual: list[bytes] = []
     # The only listener: the replay waits for no second one.
-    with own_domain() as domain, listener(domain, got) as spin:
+    with own_domain() as domain, listener(domain, actual) as spin:
         arguments = (bag, "--topics", "motor_states", "--rate", "20", "--wait")
         with command_line("replay", *arguments) as process:
             deadline = time.monotonic() + PATIENCE
-            while len(got) < len(expected):
-                assert time.monotonic() < deadline, f"{len(got)} of {len(expected)} messages"
+            while len(actual) < len(expected):
+                assert time.monotonic() < deadline, f"{len(actual)} of {len(expected)} messages"
                 spin()
             printed, _ = process.communicate(timeout=PATIENCE)
             assert process.returncode == 0, printed
-    assert got == expected
+    assert actual == expected
     assert f"{len(expected)} messages on 1 topics" in printed
 
 
 @contextmanager
-def listener(domain: int, got: list[bytes]) -> Iterator[Callable[[], None]]:
+def listener(domain: int, actual: list[bytes]) -> Iterator[Callable[[], None]]:
     """Be one listener on motor_states and nothing else; yield what takes a message."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = rclpy.create_node("listener", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    node.create_subscription(MotorState, "motor_states", got.append, RECORD_QOS, raw=True)
+    node.create_subscription(MotorState, "motor_states", actual.append, RECORD_QOS, raw=True)
     try:
         yield lambda: executor.spin_once(timeout_sec=0.1)
     finally:
@@ -278,17 +278,17 @@ def listener(domain: int, got: list[bytes]) -> Iterator[Callable[[], None]]:
 
 
 def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]) -> None:
-    with user() as one, command_line("replay", recording[0], "--rate", "0.2"):
-        one.wait("the description", lambda: one.description)
-        assert one.description == load_scene("three_axis").urdf
+    with user() as client, command_line("replay", recording[0], "--rate", "0.2"):
+        client.wait("the description", lambda: client.description)
+        assert client.description == load_scene("three_axis").urdf
 
 
 def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    with user() as one, command_line("record", bag) as recorder:
-        talk = one.node.create_publisher(String, "talk", 1000)
+    with user() as client, command_line("record", bag) as recorder:
+        talk = client.node.create_publisher(String, "talk", 1000)
         await_line(recorder, "recording /talk")
-        one.wait("the recorder", talk.get_subscription_count)
+        client.wait("the recorder", talk.get_subscription_count)
         sent = 0
 
         def size() -> int:
@@ -298,21 +298,21 @@ def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
             return (bag / "bag_0.mcap").stat().st_size
 
         empty = size()
-        one.wait("a flush", lambda: size() > empty)
+        client.wait("a flush", lambda: size() > empty)
         flushed = size()
-        one.wait("another flush", lambda: size() > flushed)
+        client.wait("another flush", lambda: size() > flushed)
         recorder.send_signal(signal.SIGKILL)
         recorder.wait()
     file = bag / "bag_0.mcap"
-    kept = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
+    saved = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
     assert not Bag(bag).complete
-    assert len(kept) > 1
-    assert kept == [f"word {k}" for k in range(len(kept))]
+    assert len(saved) > 1
+    assert saved == [f"word {k}" for k in range(len(saved))]
     # And cut off in the middle of a chunk: the chunks before it.
     os.truncate(file, file.stat().st_size - 20)
     cut = [deserialize_message(m.data, String).data for m in Bag(bag).messages(["/talk"])]
-    assert 0 < len(cut) <= len(kept)
-    assert cut == kept[: len(cut)]
+    assert 0 < len(cut) <= len(saved)
+    assert cut == saved[: len(cut)]
 
 
 def test_resets_power_and_a_free_run_are_followed(tmp_path: Path) -> None:
@@ -369,16 +369,16 @@ def test_messages_not_compared_are_listed_and_fail_with_strict(
     bag = synthetic(tmp_path / "bag", [True] * 15)
     code, printed = run("check-bag", bag)
     assert code == 0 and "equal to the last bit, as far as it was compared" in printed, printed
-    for what in ("the true state of the machine", "whether this was lock-step, as assumed"):
-        assert f"not compared: {what}" in printed, printed
+    for part in ("the true state of the machine", "whether this was lock-step, as assumed"):
+        assert f"not compared: {part}" in printed, printed
     code, strict = run("check-bag", bag, "--strict")
     assert code == 1 and strict == printed, "the same words, another exit code"
 
-    def later(one: BagMessage) -> bytes | None:
+    def later(message: BagMessage) -> bytes | None:
         """Without the beginning of the first run, which a recorder that came late lacks."""
-        kind = TYPES[one.topic]
-        early = one.received < 10**18 + 30_000
-        return None if early and deserialize_message(one.data, kind).tick < 5 else one.data
+        kind = TYPES[message.topic]
+        early = message.received < 10**18 + 30_000
+        return None if early and deserialize_message(message.data, kind).tick < 5 else message.data
 
     code, printed = run("check-bag", rewrite(bag, tmp_path / "later", later))
     assert code == 0 and "motor states of a run that began before the recording" in printed, printed
@@ -387,8 +387,12 @@ def test_messages_not_compared_are_listed_and_fail_with_strict(
 def test_a_check_that_compares_nothing_is_refused(tmp_path: Path) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 5)
 
-    def at_rest(one: BagMessage) -> bytes | None:
-        return one.data if deserialize_message(one.data, TYPES[one.topic]).tick == 0 else None
+    def at_rest(message: BagMessage) -> bytes | None:
+        return (
+            message.data
+            if deserialize_message(message.data, TYPES[message.topic]).tick == 0
+            else None
+        )
 
     code, printed = run("check-bag", rewrite(bag, tmp_path / "rest", at_rest))
     assert code == 2 and "must hold a servo period of a run, got 2 states of tick 0" in printed, (
@@ -400,10 +404,10 @@ def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_pat
     code, printed = run("check-bag", recording[0], "--strict")
     assert "true joint states of no tick" not in printed, printed
 
-    def other(one: BagMessage) -> bytes:
-        if one.topic != "/emulator/joint_states":
-            return one.data
-        message = deserialize_message(one.data, JointState)
+    def other(record: BagMessage) -> bytes:
+        if record.topic != "/emulator/joint_states":
+            return record.data
+        message = deserialize_message(record.data, JointState)
         message.header.stamp.nanosec += 1
         return serialize_message(message)
 

@@ -11,7 +11,7 @@ WORDS = {"tell": "report", "says": "states", "what there is": "its name", "is no
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "result"),
     [
         ("Sensors tell\nit.", [(1, "tell")]),
         ("one\nHe Says so, what\nthere is", [(2, "says"), (2, "what there is")]),
@@ -23,12 +23,12 @@ WORDS = {"tell": "report", "says": "states", "what there is": "its name", "is no
         ("this is\n    none", [(1, "is none")]),
     ],
 )
-def test_whole_words_are_found_with_their_line(text: str, found: list[tuple[int, str]]) -> None:
-    assert [one[:2] for one in banned_words.found_in(text, WORDS)] == found
+def test_whole_words_are_found_with_their_line(text: str, result: list[tuple[int, str]]) -> None:
+    assert [match[:2] for match in banned_words.found_in(text, WORDS)] == result
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "result"),
     [
         ('def f():\n    """What it is."""', [(2, "What")]),
         ('"""Where the tool is."""\n# Whoever asks', [(1, "Where"), (2, "Whoever")]),
@@ -39,8 +39,8 @@ def test_whole_words_are_found_with_their_line(text: str, found: list[tuple[int,
         ("def test_whatnots_are_wholes():", []),
     ],
 )
-def test_comments_begin_with_a_noun_or_a_verb(text: str, found: list[tuple[int, str]]) -> None:
-    assert [one[:2] for one in banned_words.openings_in(text)] == found
+def test_comments_begin_with_a_noun_or_a_verb(text: str, result: list[tuple[int, str]]) -> None:
+    assert [match[:2] for match in banned_words.openings_in(text)] == result
 
 
 def test_the_glossary_bans_and_each_page_is_checked() -> None:
@@ -68,7 +68,7 @@ def test_released_entries_of_the_change_log_are_not_checked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "found"),
+    ("text", "result"),
     [
         ("def test_the_servo_is_reported_what_voltage_was_applied() -> None:", True),
         ("a servo that is reported eq. (6)", True),
@@ -76,5 +76,5 @@ def test_released_entries_of_the_change_log_are_not_checked() -> None:
         ("The step that is reported is that of the start.", False),
     ],
 )
-def test_a_receiver_is_not_reported_a_fact(text: str, found: bool) -> None:
-    assert bool([*banned_words.found_in(text, banned_words.banned())]) == found
+def test_a_receiver_is_not_reported_a_fact(text: str, result: bool) -> None:
+    assert bool([*banned_words.found_in(text, banned_words.banned())]) == result

@@ -47,18 +47,18 @@ def test_the_response_is_that_of_two_masses(file: Path, tmp_path: Path) -> None:
     facts, rows = json.loads(out), read_table(table, {})
     s = 2j * np.pi * np.array(facts["frequency"])
     for j, name in enumerate(GANTRY):
-        one = facts["joints"][name]
+        response = facts["joints"][name]
         for of, expected in zip(("motor", "link"), two_masses(s, j), strict=True):
-            got = np.array(one[of]["gain"]) * np.exp(1j * np.array(one[of]["phase"]))
-            np.testing.assert_allclose(got, expected, rtol=1e-8)
+            actual = np.array(response[of]["gain"]) * np.exp(1j * np.array(response[of]["phase"]))
+            np.testing.assert_allclose(actual, expected, rtol=1e-8)
             # The table has nine digits.
-            np.testing.assert_allclose(rows.column(f"{name}.{of}.gain"), np.abs(got), rtol=1e-8)
+            np.testing.assert_allclose(rows.column(f"{name}.{of}.gain"), np.abs(actual), rtol=1e-8)
         stiffness = STIFFNESS / (2.0 * np.pi) ** 2
         locked = np.sqrt(stiffness / MOVED[j])
         free = np.sqrt(stiffness * (1.0 / MOVED[j] + RATIO**2 / ROTOR))
         # Damping moves peaks by some 1e-3 of their frequency, the grid's step is as large.
-        assert one["antiresonances"] == pytest.approx([locked], rel=3e-3)
-        assert one["resonances"] == pytest.approx([free], rel=3e-3)
+        assert response["antiresonances"] == pytest.approx([locked], rel=3e-3)
+        assert response["resonances"] == pytest.approx([free], rel=3e-3)
 
 
 def test_a_machine_that_is_shaken_swings_as_far(file: Path) -> None:
@@ -71,9 +71,9 @@ def test_a_machine_that_is_shaken_swings_as_far(file: Path) -> None:
     q = plant.run(command[rows:], 1)
     v = np.diff(np.vstack([before, q]), axis=0) / 1e-5
     wave = np.exp(-2j * np.pi * hz * t[rows:])
-    found = 2.0 * (v - v.mean(axis=0)).T @ wave / rows / 0.01
+    result = 2.0 * (v - v.mean(axis=0)).T @ wave / rows / 0.01
     expected = [two_masses(np.array([2j * np.pi * hz]), j)[1][0] for j in range(3)]
-    np.testing.assert_allclose(found, expected, rtol=1e-3)
+    np.testing.assert_allclose(result, expected, rtol=1e-3)
 
 
 def test_wrong_ranges_and_places_are_refused(file: Path, tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_the_servo_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> No
     for _ in range(50):
         servo.update(counts, zero, [0.1] * N)
     largest_count = Number.within("counts", "", 2.0**53)
-    ways: list[Callable[[], Any]] = [
+    paths: list[Callable[[], Any]] = [
         lambda: servo.observe(wrong(largest_count), zero),
         lambda: servo.observe(counts, wrong(CURRENT)),
         lambda: servo.control(wrong(POSITION)),
@@ -128,7 +128,7 @@ def test_the_servo_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> No
     before = state_of(servo)
     for turn in range(700):
         with pytest.raises(Refusal, match=r"^servo: "):
-            ways[turn % len(ways)]()
+            paths[turn % len(paths)]()
         assert state_of(servo) == before, "a refused number has changed the state"
     assert servo.restarts == 0
 
@@ -175,7 +175,7 @@ def test_a_servo_that_is_not_finite_begins_anew_by_itself() -> None:
         alone = {name: state[name] for name in state.dtype.names if name != "learned"}
         return {name: of for name, of in (alone | learned).items() if of.dtype.kind == "f"}
 
-    begun_anew = set()
+    restarted = set()
     names = list(numbers(ServoArm(config)))
     assert len(names) > 15
     for name, value in itertools.product(names, [math.nan, math.inf, -math.inf]):
@@ -188,16 +188,16 @@ def test_a_servo_that_is_not_finite_begins_anew_by_itself() -> None:
                 numbers(drives)[name][1] = value
             drives.measure(now, [5, 5, 5], [0.1, 0.1, 0.1])
             assert np.isfinite(drives.command(True)).all(), f"{name} = {value}, tick {tick}"
-        for other, of in numbers(drives).items():
+        for second, of in numbers(drives).items():
             # The angle to hold is set when targets cease, and not used until then. A joint whose
             # observer is too slow to learn its load does not use what it would have learned.
-            unused = other == name and (name == "q_hold" or name.startswith("learned."))
-            assert np.isfinite(of).all() or unused, f"{name} = {value}: {other} = {of}"
+            unused = second == name and (name == "q_hold" or name.startswith("learned."))
+            assert np.isfinite(of).all() or unused, f"{name} = {value}: {second} = {of}"
         # The joint has no command until a target with an angle comes, at tick 25.
         assert drives.servo.restarts <= (4 if name == "q_target" else 1), f"{name} = {value}"
         if drives.servo.restarts:
-            begun_anew.add(name)
-    assert begun_anew >= {"theta", "omega", "load", "current", "integral"}
+            restarted.add(name)
+    assert restarted >= {"theta", "omega", "load", "current", "integral"}
 
 
 def test_any_finite_data_sheet_is_refused_or_computed_with() -> None:
@@ -284,9 +284,9 @@ def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str)
         p = [rng.choice((0.0, 5e-324, -1e6, 1e6, rng.uniform(-1, 1))) for _ in range(3)]
         direction = np.random.default_rng(rng.getrandbits(32)).normal(size=4)
         pose = Pose.from_quaternion(p, direction / np.linalg.norm(direction))
-        instructor = MotionExecutor()
-        instructor.add(0, pose)
-        POSITION.check("test", instructor.instruct(controller, 0, np.array(q)).q)
+        executor = MotionExecutor()
+        executor.add(0, pose)
+        POSITION.check("test", executor.instruct(controller, 0, np.array(q)).q)
 
 
 def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
@@ -294,28 +294,28 @@ def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
     q, nowhere = run.session.scene.start, Pose(np.zeros(3), np.eye(3))
     object.__setattr__(nowhere, "p_WT", np.full(3, math.nan))
     for poison in (
-        lambda one: setattr(one, "_hold", np.full(3, math.nan)),
-        lambda one: one.add(0, nowhere),
+        lambda executor: setattr(executor, "_hold", np.full(3, math.nan)),
+        lambda executor: executor.add(0, nowhere),
     ):
-        one = MotionExecutor()
-        poison(one)
-        assert np.array_equal(one.instruct(run.controller, 0, q).q, q), "the arm is not held"
-        assert one.restarts == 1 and one.trouble
-        assert np.array_equal(one.instruct(run.controller, 50_000_000, q + 1e-3).q, q)
-        assert one.restarts == 1, "it has begun anew once"
+        executor = MotionExecutor()
+        poison(executor)
+        assert np.array_equal(executor.instruct(run.controller, 0, q).q, q), "the arm is not held"
+        assert executor.restarts == 1 and executor.trouble
+        assert np.array_equal(executor.instruct(run.controller, 50_000_000, q + 1e-3).q, q)
+        assert executor.restarts == 1, "it has begun anew once"
 
 
 def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
     run = load_offline_run("three_axis")
     target = Pose(np.zeros(3), np.eye(3))
-    one = MotionExecutor()
+    executor = MotionExecutor()
     for time_ns in range(MOST_TARGETS):
-        one.add(10**18 + time_ns, target)
+        executor.add(10**18 + time_ns, target)
     with pytest.raises(Refusal, match=f"one of at most {MOST_TARGETS} that wait"):
-        one.add(0, target)
-    one.add(10**18, target)  # in place of the one for the same time
-    one.instruct(run.controller, 10**18, run.session.scene.start)
-    one.add(0, target)
+        executor.add(0, target)
+    executor.add(10**18, target)  # in place of the one for the same time
+    executor.instruct(run.controller, 10**18, run.session.scene.start)
+    executor.add(0, target)
 
 
 @pytest.mark.parametrize("method", ["paper", "way"])
@@ -332,10 +332,10 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str
             assert "\n" not in str(refusal), "a refusal is one line"
             continue
         taken += 1
-        one, q = MotionExecutor(), np.array([0.1, 0.2, 0.3])
-        one.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
+        executor, q = MotionExecutor(), np.array([0.1, 0.2, 0.3])
+        executor.add(0, Pose(np.array([1.0, 2.0, 3.0]), np.eye(3)))
         for period in range(5):
-            instruction = one.instruct(controller, period * 50_000_000, q)
+            instruction = executor.instruct(controller, period * 50_000_000, q)
             POSITION.check("test", instruction.q)
             if instruction.v is not None:
                 VELOCITY.check("test", instruction.v)
@@ -356,39 +356,39 @@ def test_robots_that_take_long_to_compute_with_are_refused(joints: int) -> None:
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
 def test_a_session_refuses_extreme_numbers_and_stays_as_it_was(clock: str) -> None:
     scene, rng = load_scene("three_axis"), random.Random(clock)
-    one, other = (Session(scene, clock, "first_answer") for _ in range(2))
+    first, second = (Session(scene, clock, "first_answer") for _ in range(2))
     names = list(scene.joint_names)
     for tick in range(100):
         for _ in range(5):
             voltage = [rng.gauss(0.0, 1.0) for _ in names]
             voltage[rng.randrange(3)] = rng.choice((huge(rng), math.nan, 1.01 * COMMAND.most))
             with pytest.raises(Refusal):
-                one.offer(tick, names, voltage)
+                first.offer(tick, names, voltage)
             with pytest.raises(Refusal):
-                one.offer(rng.choice((tick + 1, 2**63 - 1, 2**64)), names, [0.0] * 3)
+                first.offer(rng.choice((tick + 1, 2**63 - 1, 2**64)), names, [0.0] * 3)
             with pytest.raises(Refusal):
-                one.offer(tick, names, rng.choice(([None] * 3, ["x"] * 3, [10**400] * 3)))
-        for session in (one, other):
+                first.offer(tick, names, rng.choice(([None] * 3, ["x"] * 3, [10**400] * 3)))
+        for session in (first, second):
             # As much as there may be: the drives apply the supply voltage.
             session.offer(tick, names, [1.0, -2.0, COMMAND.most if tick % 7 else 0.0])
             session.advance()
-        assert one.state.q.tobytes() == other.state.q.tobytes(), f"tick {tick}"
+        assert first.state.q.tobytes() == second.state.q.tobytes(), f"tick {tick}"
 
 
 def test_a_target_that_an_offline_run_refuses_leaves_it_as_it_was() -> None:
     def run(disturb: Callable[[OfflineRun], None]) -> bytes:
-        one = load_offline_run("three_axis")
+        offline = load_offline_run("three_axis")
         for _ in range(10):
-            disturb(one)
-            one.advance(10)
-        return one.session.state.q.tobytes()
+            disturb(offline)
+            offline.advance(10)
+        return offline.session.state.q.tobytes()
 
     rng = random.Random(3)
 
-    def disturb(one: OfflineRun) -> None:
+    def disturb(offline: OfflineRun) -> None:
         with pytest.raises(Refusal):
-            one.instructor.add(0, Pose.from_quaternion([huge(rng), 0.0, 0.0], [0, 0, 0, 1]))
+            offline.instructor.add(0, Pose.from_quaternion([huge(rng), 0.0, 0.0], [0, 0, 0, 1]))
         with pytest.raises(Refusal):
-            one.drives.measure(0, [2**62] * 3, [0.0] * 3)
+            offline.drives.measure(0, [2**62] * 3, [0.0] * 3)
 
     assert run(disturb) == run(lambda _: None)

@@ -64,8 +64,8 @@ def test_a_motion_has_the_same_bits_in_any_pieces(
 ) -> None:
     scene, rng = drawn
     motion = random_motion(rng, len(scene.joints))
-    one = Plant(scene)
-    reported = move(one, motion, at_once)
+    reference = Plant(scene)
+    reported = move(reference, motion, at_once)
     for _ in range(4):
         cut = float(rng.choice([1.0, 0.5, 0.1, 0.02]))
 
@@ -79,9 +79,11 @@ def test_a_motion_has_the_same_bits_in_any_pieces(
                     plant.run([voltage], some)
                 steps -= some
 
-        other = Plant(scene)
-        assert move(other, motion, in_pieces) == reported, "how it ended"
-        assert other.save() == one.save(), f"all that the machine is, in pieces of about {1 / cut}"
+        second = Plant(scene)
+        assert move(second, motion, in_pieces) == reported, "how it ended"
+        assert second.save() == reference.save(), (
+            f"all that the machine is, in pieces of about {1 / cut}"
+        )
 
 
 def test_a_restored_machine_goes_on_to_the_last_bit(
@@ -89,34 +91,34 @@ def test_a_restored_machine_goes_on_to_the_last_bit(
 ) -> None:
     scene, rng = drawn
     before, after = (random_motion(rng, len(scene.joints)) for _ in range(2))
-    one, other = Plant(scene), Plant(scene)
-    move(one, before, at_once)
-    saved = one.save()
-    move(other, after, at_once)  # another past
-    other.restore(saved)
-    assert other.save() == saved, "a restored machine is the saved one"
-    for plant in (one, other):
+    first, second = Plant(scene), Plant(scene)
+    move(first, before, at_once)
+    saved = first.save()
+    move(second, after, at_once)  # another past
+    second.restore(saved)
+    assert second.save() == saved, "a restored machine is the saved one"
+    for plant in (first, second):
         plant.powered = False
         plant.powered = True
-    assert move(one, after, at_once) == move(other, after, at_once), "how it ended"
-    assert one.save() == other.save(), "all that the machine is"
+    assert move(first, after, at_once) == move(second, after, at_once), "how it ended"
+    assert first.save() == second.save(), "all that the machine is"
 
 
 def test_saved_machines_of_others_are_refused(drawn: tuple[Scene, np.random.Generator]) -> None:
     scene, _ = drawn
-    one = Plant(scene)
-    kept = one.save()
+    plant = Plant(scene)
+    saved = plant.save()
     integrator = dataclasses.replace(scene.integrator, dt=scene.integrator.dt / 2)
-    other = Plant(dataclasses.replace(scene, integrator=integrator))
+    second = Plant(dataclasses.replace(scene, integrator=integrator))
     for foreign, words in (
-        (other.save(), "step"),
-        (kept[:-1], "size"),
+        (second.save(), "step"),
+        (saved[:-1], "size"),
         (b"", "size"),
-        (bytes([kept[0] ^ 1]) + kept[1:], "library"),
+        (bytes([saved[0] ^ 1]) + saved[1:], "library"),
     ):
         with pytest.raises(Refusal, match=words):
-            one.restore(foreign)
-        assert one.save() == kept, "a refused state has changed something"
+            plant.restore(foreign)
+        assert plant.save() == saved, "a refused state has changed something"
 
 
 def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generator]) -> None:
@@ -153,20 +155,23 @@ def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generato
     counts = np.floor(now.theta_m * counts_per_rad)
     np.testing.assert_array_equal(plant.measured.encoder_counts[plain], counts[plain])
 
-    kept, one = plant.save(), np.eye(N)[0]
+    saved, first_joint = plant.save(), np.eye(N)[0]
     wrong = [
         {"q": np.full(N, math.nan)},
         {"v": np.zeros(N + 1)},
         {"q": np.full(N, 1e300)},
     ]
     if not elastic[0]:
-        wrong += [{"theta_m": state.theta_m + one}, {"omega_m": state.omega_m + one}]
+        wrong += [
+            {"theta_m": state.theta_m + first_joint},
+            {"omega_m": state.omega_m + first_joint},
+        ]
     if not driven[0] or math.isfinite(limit[0]):
-        wrong += [{"current": state.current + one * 10.0 * min(limit[0], 1e3)}]
+        wrong += [{"current": state.current + first_joint * 10.0 * min(limit[0], 1e3)}]
     for change in wrong:
         with pytest.raises(Refusal):
             plant.state = dataclasses.replace(state, **change)
-        assert plant.save() == kept, "a refused state has changed something"
+        assert plant.save() == saved, "a refused state has changed something"
 
 
 def test_a_library_for_others_describes_its_periods(tmp_path: Path) -> None:

@@ -87,10 +87,10 @@ def test_turning_joints_stop_within_the_way_of_the_closed_form(gantry: Scene) ->
         plant.advance(np.zeros(3), slowing)
         speeds = plant.state.v[:2] - (v - a * slowing * dt)
         plant.advance(np.zeros(3), steps)
-        ways = plant.state.q[:2] - (v * CLOSE + v**2 / (2.0 * a))
-        for off, of_what in ((closing, "until they close"), (0.1 * speeds, "while they slow"),
-                             (ways, "all the way")):  # fmt: skip
-            assert (np.abs(off) < [1e-9, 1e-7]).all(), f"{of_what}: {off} beside {v}, {torque}"
+        distances = plant.state.q[:2] - (v * CLOSE + v**2 / (2.0 * a))
+        for off, phase in ((closing, "until they close"), (0.1 * speeds, "while they slow"),
+                             (distances, "all the way")):  # fmt: skip
+            assert (np.abs(off) < [1e-9, 1e-7]).all(), f"{phase}: {off} beside {v}, {torque}"
         assert plant.state.v[0] == 0.0, "behind the rigid gear it is at rest exactly"
         assert (plant.state.omega_m[:2] == 0.0).all(), "the rotors are at rest exactly"
 
@@ -101,12 +101,12 @@ def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
     dt = scene.integrator.dt
     steps = {False: round(CLOSE / dt), True: round(RELEASE / dt)}
     for _ in range(10):
-        plant, stepped, now, wanted, due, closed = Plant(scene), Plant(scene), 0, False, 0, False
+        plant, stepped, now, expected, due, closed = Plant(scene), Plant(scene), 0, False, 0, False
         for _ in range(30):
             if draw.random() < 0.5:
                 on = draw.random() < 0.5
-                if wanted != (not on):
-                    wanted, due = not on, now + steps[on]
+                if expected != (not on):
+                    expected, due = not on, now + steps[on]
                 plant.powered = stepped.powered = on
             count = draw.choice([1, 2, 7, 20, 41])
             plant.advance(np.array([1.0, -2.0, 0.5]), count)
@@ -114,7 +114,7 @@ def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
                 stepped.advance(np.array([1.0, -2.0, 0.5]), 1)
             now += count
             if now >= due:
-                closed = wanted
+                closed = expected
             assert (plant.measured.brake_closed == closed).all(), f"after {now} steps"
         assert plant.save() == stepped.save(), "in pieces of time"
         plant.reset()
@@ -177,13 +177,13 @@ def test_commands_close_brakes_by_their_bits(scene: Scene) -> None:
     rng = np.random.default_rng(7)
     plant = Plant(scene)
     for enable, closed in ((1, 0), (0, 1), (1, 0), (3, 1), (2, 1), (1, 0)):
-        one = int(rng.integers(3))
+        joint = int(rng.integers(3))
         plant._commands["enable"] = 1
-        plant._commands["enable"][one] = enable
+        plant._commands["enable"][joint] = enable
         for _ in range(40):
             plant.exchange(np.zeros(3))
         expected = np.zeros(3)
-        expected[one] = closed
+        expected[joint] = closed
         np.testing.assert_array_equal(plant.measured.brake_closed, expected, f"enable {enable}")
 
 
@@ -192,24 +192,24 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
     clock: str, file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     draw = random.Random(8)
-    with in_process(clock, file=file) as one:
-        one.begin_record()
-        assert one.call("emulator/reset").success
-        seen = set()
+    with in_process(clock, file=file) as nodes:
+        nodes.begin_record()
+        assert nodes.call("emulator/reset").success
+        observed = set()
 
         def between() -> None:
-            seen.update(one.newest("motor_states").brake_closed)
+            observed.update(nodes.newest("motor_states").brake_closed)
             if draw.random() < 0.02:
-                one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
-                assert one.call("emulator/power", draw.random() < 0.5).success
+                nodes.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
+                assert nodes.call("emulator/power", draw.random() < 0.5).success
 
-        go_on(one, 200, between)
+        go_on(nodes, 200, between)
         for on in (False, True):  # for longer than the delays
-            assert one.call("emulator/power", on).success
-            go_on(one, 50, lambda: seen.update(one.newest("motor_states").brake_closed))
-        assert seen == {0, 1}, "brakes close and open"
-        assert session_of(one).scene.joints[0].brake is not None
-        one.write(tmp_path / "bag")
+            assert nodes.call("emulator/power", on).success
+            go_on(nodes, 50, lambda: observed.update(nodes.newest("motor_states").brake_closed))
+        assert observed == {0, 1}, "brakes close and open"
+        assert session_of(nodes).scene.joints[0].brake is not None
+        nodes.write(tmp_path / "bag")
     code, words = check_bag(tmp_path / "bag", scene=str(file)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     assert re.search(r"\d+ changes by hand", words), words
@@ -225,9 +225,11 @@ def test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does(scene: Scene) 
     for tick in range(150):
         run.session.powered = plant.powered = not 40 <= tick < 80
         run.advance(1)
-        seen, now = plant.measured, round(tick * scene.servo_period * 1e9)
-        closed += int(seen.brake_closed.any() and plant.powered)
-        drives.measure(now, seen.encoder_counts, seen.current, seen.applied, seen.brake_closed)
+        observed, now = plant.measured, round(tick * scene.servo_period * 1e9)
+        closed += int(observed.brake_closed.any() and plant.powered)
+        drives.measure(
+            now, observed.encoder_counts, observed.current, observed.applied, observed.brake_closed
+        )
         drives.aim(Target(q[int(tick >= 20)]))
         plant.exchange(drives.command(plant.powered))
         np.testing.assert_array_equal(run.session.state.q, plant.state.q, f"after tick {tick}")

@@ -64,7 +64,7 @@ class Balance:
     def __init__(self, scene: Scene) -> None:
         self.oracle = Oracle(scene)
         ratio = np.array([joint.gear.ratio for joint in scene.joints])
-        laws = [(joint.friction, joint.rotor_friction) for joint in scene.joints]
+        friction_laws = [(joint.friction, joint.rotor_friction) for joint in scene.joints]
 
         def number(law: object, key: str) -> float:
             return float(getattr(law, key, 0.0))
@@ -72,10 +72,12 @@ class Balance:
         self.c = np.array(
             [
                 number(link, "breakaway") + number(rotor, "breakaway") / abs(Ng)
-                for (link, rotor), Ng in zip(laws, ratio, strict=True)
+                for (link, rotor), Ng in zip(friction_laws, ratio, strict=True)
             ]
         )
-        self.mu = np.array([number(link, "load") + number(rotor, "load") for link, rotor in laws])
+        self.mu = np.array(
+            [number(link, "load") + number(rotor, "load") for link, rotor in friction_laws]
+        )
         self.torque_per_command = np.array([joint.torque_per_command for joint in scene.joints])
         self.at_once = np.array(
             [not (vars(joint.motor).get("inductance") or vars(joint.motor).get("bandwidth"))
@@ -154,13 +156,13 @@ def test_a_joint_breaks_away_where_the_balance_states(
             assert (plant.state.q == q).all() and (plant.state.v == 0.0).all(), (
                 f"at {q}: {torque} N m is within {low} to {high}, and it moved: {plant.state}"
             )
-        j, way = int(rng.integers(len(q))), float(rng.choice([-1.0, 1.0]))
-        torque[j] = middle[j] + way * (1.0 + NEAR) * half[j]
+        j, direction = int(rng.integers(len(q))), float(rng.choice([-1.0, 1.0]))
+        torque[j] = middle[j] + direction * (1.0 + NEAR) * half[j]
         # The slowest motor takes some 13 ms; joints that break away pull at the others.
         for _ in range(60):
             plant.advance(torque / balance.torque_per_command, STEPS)
             if abs(moved := plant.state.q[j] - q[j]) > 1e-7:
                 break
-        assert moved * way > 0.0, (
+        assert moved * direction > 0.0, (
             f"at {q}: {torque[j]} N m is beyond {low[j]} to {high[j]}: joint {j} went {moved}"
         )

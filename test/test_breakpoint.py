@@ -25,10 +25,11 @@ SIGNALS = (
 def arithmetic(draw: random.Random, depth: int) -> str:
     if depth == 0 or draw.random() < 0.3:
         return draw.choice(SIGNALS) if draw.random() < 0.8 else f"{draw.uniform(-2.0, 2.0):.3g}"
-    one, other = arithmetic(draw, depth - 1), arithmetic(draw, depth - 1)
+    first, second = arithmetic(draw, depth - 1), arithmetic(draw, depth - 1)
     return draw.choice([
-        f"({one} + {other})", f"({one} - {other})", f"({one} * {other})", f"({one} / {other})",
-        f"abs({one})", f"sqrt({one})", f"min({one}, {other})", f"max({one}, {other}, 0.1)",
+        f"({first} + {second})", f"({first} - {second})", f"({first} * {second})",
+        f"({first} / {second})", f"abs({first})", f"sqrt({first})", f"min({first}, {second})",
+        f"max({first}, {second}, 0.1)",
     ])  # fmt: skip
 
 
@@ -36,10 +37,10 @@ def formula(draw: random.Random, depth: int) -> str:
     if depth == 0 or draw.random() < 0.3:
         left = draw.choice(("v.*", "abs(q.*)")) if draw.random() < 0.2 else arithmetic(draw, 2)
         return f"{left} {draw.choice(('<', '<=', '>', '>='))} {arithmetic(draw, 1)}"
-    one, other = formula(draw, depth - 1), formula(draw, depth - 1)
+    first, second = formula(draw, depth - 1), formula(draw, depth - 1)
     return draw.choice([
-        f"({one}) and ({other})", f"({one}) or ({other})", f"not ({one})",
-        f"({one}) implies ({other})",
+        f"({first}) and ({second})", f"({first}) or ({second})", f"not ({first})",
+        f"({first}) implies ({second})",
     ])  # fmt: skip
 
 
@@ -54,7 +55,7 @@ def test_it_stops_where_the_condition_begins_to_hold(seed: int) -> None:
     stops, condition = Breakpoint(session.plant, text), Condition(text, scene)
     before = condition.holds(session)
     for tick in range(60):
-        session.offer(tick, scene.joint_names, [one * np.cos(0.3 * tick) for one in volts])
+        session.offer(tick, scene.joint_names, [volt * np.cos(0.3 * tick) for volt in volts])
         session.advance()
         now = condition.holds(session)
         assert stops.take_hit() == (now and not before), (text, tick)
@@ -80,7 +81,11 @@ def test_two_breakpoints_of_a_plant_do_not_know_each_other() -> None:
     hits = []
     for tick in range(1, 8):
         plant.exchange(np.zeros(3))
-        hits += [(tick, one.condition.text) for one in (early, late) if one.take_hit()]
+        hits += [
+            (tick, breakpoint.condition.text)
+            for breakpoint in (early, late)
+            if breakpoint.take_hit()
+        ]
         if tick == 3:
             early.close()
     assert hits == [(3, "tick >= 3"), (5, "tick >= 5")]
@@ -88,47 +93,49 @@ def test_two_breakpoints_of_a_plant_do_not_know_each_other() -> None:
 
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_the_network_stands_where_a_condition_begins_to_hold(clock: str) -> None:
-    with in_process(clock) as one:
-        session = session_of(one)
-        go_on(one, 20)
-        refused = one.call("emulator/break_when", BreakWhen.Request(condition="v.elbw > 1"))
+    with in_process(clock) as nodes:
+        session = session_of(nodes)
+        go_on(nodes, 20)
+        refused = nodes.call("emulator/break_when", BreakWhen.Request(condition="v.elbw > 1"))
         assert not refused.success and "name signals" in refused.message
-        one.call("emulator/pause", True)  # else real time may pass it before the call returns
+        nodes.call("emulator/pause", True)  # else real time may pass it before the call returns
         at = session.tick + 30
-        assert one.call("emulator/break_when", BreakWhen.Request(condition=f"tick >= {at}")).success
-        one.call("emulator/pause", False)
-        stand(one)
+        assert nodes.call(
+            "emulator/break_when", BreakWhen.Request(condition=f"tick >= {at}")
+        ).success
+        nodes.call("emulator/pause", False)
+        stand(nodes)
         assert session.tick == at
         assert session.plant.t == pytest.approx(at * session.scene.servo_period)
-        assert f"stopped at tick {at}" in str(one.nodes["emulator"]._diagnostics.values)
-        one.call("emulator/pause", False)
-        go_on(one, 20)
+        assert f"stopped at tick {at}" in str(nodes.nodes["emulator"]._diagnostics.values)
+        nodes.call("emulator/pause", False)
+        go_on(nodes, 20)
         assert not session.paused, "it stops where it begins to hold, once"
 
 
-@pytest.mark.parametrize("what", ["events", "refusals"])
-def test_the_network_stands_at_changes_and_refusals(what: str) -> None:
-    with in_process("lockstep") as one:
-        session = session_of(one)
-        go_on(one, 20)
-        assert one.call("emulator/break_when", BreakWhen.Request(**{what: True})).success
-        go_on(one, 5)
+@pytest.mark.parametrize("trigger", ["events", "refusals"])
+def test_the_network_stands_at_changes_and_refusals(trigger: str) -> None:
+    with in_process("lockstep") as nodes:
+        session = session_of(nodes)
+        go_on(nodes, 20)
+        assert nodes.call("emulator/break_when", BreakWhen.Request(**{trigger: True})).success
+        go_on(nodes, 5)
         assert not session.paused
-        if what == "events":
-            assert one.call("emulator/power", False).success
+        if trigger == "events":
+            assert nodes.call("emulator/power", False).success
         else:
-            one.send("motor_commands", MotorCommand(tick=session.tick, joint_names=["elbow"]))
+            nodes.send("motor_commands", MotorCommand(tick=session.tick, joint_names=["elbow"]))
         assert session.paused
-        assert one.call("emulator/break_when", BreakWhen.Request()).success
-        one.call("emulator/pause", False)
-        assert one.call("emulator/power", True).success
-        go_on(one, 5)
+        assert nodes.call("emulator/break_when", BreakWhen.Request()).success
+        nodes.call("emulator/pause", False)
+        assert nodes.call("emulator/power", True).success
+        go_on(nodes, 5)
 
 
-def stand(one: InProcess) -> None:
+def stand(nodes: InProcess) -> None:
     """Deliver until time stands still."""
     deadline = time.monotonic() + PATIENCE
-    while not session_of(one).paused:
+    while not session_of(nodes).paused:
         assert time.monotonic() < deadline
-        if not one.deliver():
+        if not nodes.deliver():
             time.sleep(1e-4)

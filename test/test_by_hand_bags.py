@@ -29,27 +29,27 @@ __all__ = ["varied"]  # a fixture
 def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
     """Write a bag of a run with many changes at random ticks; return what was done."""
     draw = random.Random(seed)
-    with in_process(clock, file=varied) as one:
-        one.begin_record()
-        hand = ByHand(draw, one.call, session_of(one).scene.varied)
+    with in_process(clock, file=varied) as nodes:
+        nodes.begin_record()
+        hand = ByHand(draw, nodes.call, session_of(nodes).scene.varied)
         hand.changes()  # of which the run that is checked begins with some
         hand.bursts = [0]
-        assert one.call("emulator/reset").success
+        assert nodes.call("emulator/reset").success
 
         def between() -> None:
             if draw.random() < 0.02:
-                one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
+                nodes.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
                 hand.changes()
 
-        go_on(one, 400, between)
+        go_on(nodes, 400, between)
         while not hand.has_done_much():  # a busy machine looks less often between its ticks
-            go_on(one, 20, between)
+            go_on(nodes, 20, between)
         if clock == "realtime":
-            assert one.call("emulator/pause", True).success
+            assert nodes.call("emulator/pause", True).success
             hand.changes(reset=False)
-            assert one.call("emulator/pause", False).success
-            go_on(one, 50)
-        one.write(bag)
+            assert nodes.call("emulator/pause", False).success
+            go_on(nodes, 50)
+        nodes.write(bag)
     return hand.kinds
 
 
@@ -117,11 +117,11 @@ def test_a_missing_event_is_named(
     puts = (MachineEvent.KIND_SET_STATE, MachineEvent.KIND_RESTORE)
     missing = next(event.number for event in events_of(bag) if event.kind in puts)
 
-    def without(one: BagMessage) -> bytes | None:
-        lost = one.topic == "/emulator/events" and (
-            deserialize_message(one.data, MachineEvent).number == missing
+    def without(message: BagMessage) -> bytes | None:
+        lost = message.topic == "/emulator/events" and (
+            deserialize_message(message.data, MachineEvent).number == missing
         )
-        return None if lost else one.data
+        return None if lost else message.data
 
     try:
         assert check_bag(rewrite(bag, tmp_path / "copy", without), scene=str(varied)) == 1
@@ -142,46 +142,48 @@ def test_without_events_a_difference_is_explained(
 
 
 @contextmanager
-def changed_network(one: User, folder: Path, clock: str) -> Iterator[None]:
+def changed_network(client: User, folder: Path, clock: str) -> Iterator[None]:
     with (
         recorder(folder / "recorder") as process,
         begun(process),
-        network_of(one, folder / "log", clock=clock, record=folder / "own", start="first_answer"),
+        network_of(
+            client, folder / "log", clock=clock, record=folder / "own", start="first_answer"
+        ),
     ):
-        one.wait("the run", lambda: one.tick > 50)
+        client.wait("the run", lambda: client.tick > 50)
         yield
-        assert one.call("emulator/pause", True).success
+        assert client.call("emulator/pause", True).success
         code, printed = end(process, signal.SIGINT)
         assert clock == "realtime" or code == 0, printed
 
 
-def listen(one: User, bag: Path) -> None:
+def listen(client: User, bag: Path) -> None:
     """Change something until a recorder has heard of it."""
 
     def heard() -> bool:
-        assert one.call("emulator/power", True).success
+        assert client.call("emulator/power", True).success
         try:
             return bool(events_of(bag))
         except Refusal:  # not even its head is written yet
             return False
 
-    one.wait("the recorder to hear of an event", heard)
+    client.wait("the recorder to hear of an event", heard)
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path: Path) -> None:
     draw = random.Random(11)
-    with user(clock=clock) as one, changed_network(one, tmp_path, clock):
+    with user(clock=clock) as client, changed_network(client, tmp_path, clock):
         if clock == "realtime":  # the machine does not wait for a recorder to be discovered
-            listen(one, tmp_path / "recorder")
-        hand = ByHand(draw, one.call)
+            listen(client, tmp_path / "recorder")
+        hand = ByHand(draw, client.call)
         for _ in range(12):
-            at = one.tick + draw.randrange(40)
-            one.wait("some ticks", lambda at=at: one.tick >= at or one.tick < 10)
+            at = client.tick + draw.randrange(40)
+            client.wait("some ticks", lambda at=at: client.tick >= at or client.tick < 10)
             hand.changes(reset=clock == "lockstep")
-        assert one.call("emulator/power", True).success
-        at = one.tick
-        one.wait("the rest", lambda: one.tick > at + 50)
+        assert client.call("emulator/power", True).success
+        at = client.tick
+        client.wait("the rest", lambda: client.tick > at + 50)
     assert {"set_state", "restore_state"} <= hand.kinds, hand.kinds
     assert check_bag(tmp_path / "own", scene="three_axis") == 0, "the emulator's own record"
     events = [bytes(event.state) for event in events_of(tmp_path / "own")]

@@ -46,9 +46,9 @@ class Planted(Sound):
 
     def ran(self) -> bool:
         """Whether it has been loaded since this was asked last."""
-        found = self.mark.exists()
+        result = self.mark.exists()
         self.mark.unlink(missing_ok=True)
-        return found
+        return result
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
     wrong = ["group", "others", "folder sticky", "folder a link", "dots behind a link"]
     wrong += ["somebody's", "somebody's link", "root's group"] * ROOT
     fine = ["", "", "sticky above", "link above", "dots", "dots behind a sound link"]
-    way = str(rng.choice(wrong + fine))
+    setup = str(rng.choice(wrong + fine))
     parts = [f"level_{level}" for level in range(rng.integers(2, 5))]
     folder = top.joinpath(*parts)
     folder.mkdir(parents=True)
@@ -84,34 +84,34 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
     level = int(rng.integers(1, len(parts)))  # of an ancestor, or of the folder itself
     above = top.joinpath(*parts[:level])
     any_of_them = top.joinpath(*parts[: rng.integers(1, len(parts) + 1)])
-    if way in ("group", "others"):
-        any_of_them.chmod(0o775 if way == "group" else 0o757)
-    elif way == "root's group":
+    if setup in ("group", "others"):
+        any_of_them.chmod(0o775 if setup == "group" else 0o757)
+    elif setup == "root's group":
         os.chown(any_of_them, 0, SOMEBODY)
         any_of_them.chmod(0o2775)
-    elif way == "somebody's":
+    elif setup == "somebody's":
         os.chown(any_of_them, SOMEBODY, 0)
-    elif way == "folder sticky":
+    elif setup == "folder sticky":
         folder.chmod(0o1777)
-    elif way == "sticky above":
+    elif setup == "sticky above":
         above.chmod(0o1777)
-    elif way in ("folder a link", "link above", "somebody's link"):
-        which = above if way == "link above" else folder if "folder" in way else any_of_them
+    elif setup in ("folder a link", "link above", "somebody's link"):
+        which = above if setup == "link above" else folder if "folder" in setup else any_of_them
         real = which.rename(which.with_name("real"))
         which.symlink_to(real if rng.integers(2) else real.name)
-        if way == "somebody's link":
+        if setup == "somebody's link":
             os.lchown(which, SOMEBODY, 0)
-    elif way.startswith("dots behind"):
+    elif setup.startswith("dots behind"):
         # The parent of the link's target, beside a sound folder of the same name.
         elsewhere = top / "elsewhere"
         (elsewhere / "inner").mkdir(parents=True)
         (elsewhere / folder.name).mkdir()
-        elsewhere.chmod(0o755 if way in fine else 0o777)
+        elsewhere.chmod(0o755 if setup in fine else 0o777)
         (folder.parent / "link").symlink_to(elsewhere / "inner")
         folder = folder.parent / "link" / ".." / folder.name
-    elif way == "dots":
+    elif setup == "dots":
         folder = above / ".." / "." / folder.relative_to(above.parent)
-    return folder, "" if way in fine else way
+    return folder, "" if setup in fine else setup
 
 
 def test_only_a_folder_that_nobody_else_can_change_is_searched(

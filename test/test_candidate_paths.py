@@ -51,8 +51,8 @@ def test_angles_that_converge_slowly_are_no_goal_while_others_reach_the_target(s
     assert not goal.settled and not goal.reached, "another seed"
     controller = law_of(arm, PERIOD)
     controller.begin(start)
-    way = sets_out(controller, target)
-    assert np.linalg.norm(arm.tool_error(way[-1], target)) < 1e-6, controller.way
+    path = sets_out(controller, target)
+    assert np.linalg.norm(arm.tool_error(path[-1], target)) < 1e-6, controller.way
 
 
 @pytest.mark.parametrize("seed", some(range(12), 4))
@@ -83,12 +83,12 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
         controller = law_of(arm, PERIOD)
         controller.begin(start)
         try:
-            way = sets_out(controller, pose_of(arm, end))
+            path = sets_out(controller, pose_of(arm, end))
         except PlanningError as refused:
             assert "mm past its end" in str(refused)
             assert np.array_equal(controller.coming.q, start), "it began"
             continue
-        assert past(arm, way) < 3e-3 + 1e-4, controller.way
+        assert past(arm, path) < 3e-3 + 1e-4, controller.way
     assert arcs >= lines / 2
 
 
@@ -96,9 +96,9 @@ def angles(curve: JointCurve, parts: np.ndarray) -> np.ndarray:
     return np.asarray(curve.derivatives(parts)[0])
 
 
-def past(arm: Kinematics, way: np.ndarray) -> float:
+def past(arm: Kinematics, path: np.ndarray) -> float:
     """Largest distance of the tool past its end, along the line to it [m]."""
-    p = np.array([arm.forward(q)[1] for q in way])
+    p = np.array([arm.forward(q)[1] for q in path])
     line = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
     return float(((p - p[-1]) @ line).max())
 
@@ -118,24 +118,26 @@ def test_a_tool_turns_the_other_way_round_before_it_is_refused() -> None:
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
         home = pose_of(arm, q)
         target = Pose(home.p_WT, turn @ home.R_WT)
-        both = [joints_along(tree, q, home, target, None, True, other) for other in (False, True)]
-        ways = [one for one in both if isinstance(one, JointCurve)]
-        if len(ways) < 2:
+        both = [
+            joints_along(tree, q, home, target, None, True, reverse) for reverse in (False, True)
+        ]
+        paths = [curve for curve in both if isinstance(curve, JointCurve)]
+        if len(paths) < 2:
             continue
-        at = wrist.forward(ways[0].derivatives(middle)[0][0])[1]
+        at = wrist.forward(paths[0].derivatives(middle)[0][0])[1]
         box = Obstacle("box", size=(0.1, 0.1, 0.1), at=tuple(at))
         guard = CollisionGuard(arm, MotionConfig(tool=arm.tool, obstacles=(box,)))
-        touched = [guard.along(partial(angles, one)) for one in ways]
+        touched = [guard.along(partial(angles, curve)) for curve in paths]
         if touched[0] is None or touched[1] is not None or guard.collisions.first(q):
             continue
         turned += 1
         controller = law_of(arm, PERIOD)
         controller.begin(q)
         controller.guard = guard
-        way = sets_out(controller, target)
-        assert np.linalg.norm(arm.tool_error(way[-1], target)) < 1e-6, controller.way
+        q_path = sets_out(controller, target)
+        assert np.linalg.norm(arm.tool_error(q_path[-1], target)) < 1e-6, controller.way
         truth = Collisions(scene.urdf, scene.joint_names, (box,), 0.0)
-        assert not any(truth.first(one) for one in way), controller.way
+        assert not any(truth.first(curve) for curve in q_path), controller.way
 
 
 @pytest.mark.parametrize("seed", some(range(20), 2))
@@ -150,7 +152,7 @@ def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
         Kinematics(text, names, "tool")
         for text in (turning_chain(joints), 'velocity="1"'.join(pieces))
     )
-    moved, found = np.zeros(2), 0
+    moved, result = np.zeros(2), 0
     for _ in range(20):
         q = rng.uniform(-1.5, 1.5, joints)
         target = pose_of(alike, q + 0.1 * rng.normal(size=joints))
@@ -160,7 +162,7 @@ def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
             goal.aim(target, q)
             goal.approach(300)
         if goals[0].reached and goals[1].reached:
-            found += 1
+            result += 1
             moved += [abs(goal.q[slow] - q[slow]) for goal in goals]
-    assert found >= 18, "of 20; other configurations are tried for the rest"
+    assert result >= 18, "of 20; other configurations are tried for the rest"
     assert moved[1] < 0.25 * moved[0]

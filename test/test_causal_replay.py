@@ -86,15 +86,18 @@ def test_answers_recorded_long_before_the_first_question_do_not_matter(
     """A recorder that finds the servo long before the emulator, which is reset afterwards."""
     monkeypatch.setattr(causal_replay, "AHEAD", 100)
     shift, earlier = 1_000_000_000_000, list[BagMessage]()
-    for one in Bag(bag).messages(["/motor_commands"]):
-        command = deserialize_message(one.data, MotorCommand)
+    for message in Bag(bag).messages(["/motor_commands"]):
+        command = deserialize_message(message.data, MotorCommand)
         command.tick += 10 * TICKS  # of a run that went farther
         earlier.append(
             BagMessage(
-                one.topic, one.received - shift, one.published - shift, serialize_message(command)
+                message.topic,
+                message.received - shift,
+                message.published - shift,
+                serialize_message(command),
             )
         )
-    late = rewrite(bag, tmp_path / "late", lambda one: one.data, first=earlier)
+    late = rewrite(bag, tmp_path / "late", lambda message: message.data, first=earlier)
     with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
         code, facts, errors = replayed(late, "servo")
     assert code == 0 and facts["missed"] is None, errors
@@ -109,12 +112,12 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     last = 500  # a motion period begins
     kinds = {name: message_class(topic.type) for name, topic in Bag(bag).topics.items()}
 
-    def recorded(one: BagMessage) -> bytes | None:
-        header = getattr(deserialize_message(one.data, kinds[one.topic]), "header", None)
+    def recorded(message: BagMessage) -> bytes | None:
+        header = getattr(deserialize_message(message.data, kinds[message.topic]), "header", None)
         at = None if header is None else nanoseconds_of(header.stamp)
         after = at is not None and at > (last + 3) * 1_000_000
-        lost = one.topic == "/joint_targets" and at == last * 1_000_000
-        return None if after or lost else one.data
+        lost = message.topic == "/joint_targets" and at == last * 1_000_000
+        return None if after or lost else message.data
 
     cut = rewrite(bag, tmp_path / "cut", recorded)
     with own_domain(), node("servo_node.node", "--params-file", gains("servo")):
@@ -124,8 +127,8 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
 
 
 def test_a_servo_with_another_gain_answers_each_state_with_the_same_bits(bag: Path) -> None:
-    other = [f"joints.{name}.position_gain:=21.0" for name in ("waist", "shoulder", "elbow")]
-    words = [word for gain in other for word in ("-p", gain)]
+    second = [f"joints.{name}.position_gain:=21.0" for name in ("waist", "shoulder", "elbow")]
+    words = [word for gain in second for word in ("-p", gain)]
     digests = set()
     with own_domain(), node("servo_node.node", "--params-file", gains("servo"), *words):
         for _ in some(range(10), 3):
@@ -140,9 +143,9 @@ def test_answers_that_are_missing_are_reported(bag: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(causal_replay, "PATIENCE", 0.5)
     renamed = config_folder() / "servo/three_axis.yaml"
     text = renamed.read_text().replace("elbow", "knee")
-    other = bag.parent / "knee.yaml"
-    other.write_text(text)
-    with own_domain(), node("servo_node.node", "--params-file", str(other)):
+    second = bag.parent / "knee.yaml"
+    second.write_text(text)
+    with own_domain(), node("servo_node.node", "--params-file", str(second)):
         code, facts, errors = replayed(bag, "servo")
     assert code == 1 and facts["answers"] == 0 and facts["messages"] >= TICKS
     assert f"{facts['messages']} answers are missing, from t = 0 s" in str(facts["missed"])

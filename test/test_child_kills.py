@@ -69,10 +69,10 @@ def noisy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_a_process_that_has_answered_is_not_waited_for(noisy: str) -> None:
     task = {"hangs": False, "stays": True}
-    one = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
+    process = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
     begun = time.monotonic()
-    assert one.close() == "over"
-    assert time.monotonic() - begun < 0.5 * LONGEST and not runs(one.process_id)
+    assert process.close() == "over"
+    assert time.monotonic() - begun < 0.5 * LONGEST and not runs(process.process_id)
 
 
 def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
@@ -85,11 +85,11 @@ def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
         RowProcess(plant, noisy, meets, "test", waits=False, patience=PATIENCE) for _ in range(3)
     ]
     task = {"hangs": False}
-    other = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=PATIENCE)
+    second = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=PATIENCE)
     dismiss_all(plant)
-    assert [one.close() for one in every] == 3 * ["over"]
-    assert other.ready == "ready" and not other.trouble
-    assert other.close() == "over"
+    assert [process.close() for process in every] == 3 * ["over"]
+    assert second.ready == "ready" and not second.trouble
+    assert second.close() == "over"
 
 
 def test_processes_that_hang_are_killed_at_one_deadline(noisy: str) -> None:
@@ -99,23 +99,23 @@ def test_processes_that_hang_are_killed_at_one_deadline(noisy: str) -> None:
     ]
     begun = time.monotonic()
     dismiss_all(plant)
-    answers = [one.close() for one in every]
-    assert all("killed by SIGKILL" in str(answer) for answer in answers)
+    responses = [process.close() for process in every]
+    assert all("killed by SIGKILL" in str(answer) for answer in responses)
     assert time.monotonic() - begun < 2.8 * patience
 
 
 def test_further_signals_give_no_further_time(noisy: str) -> None:
     """The first SIGTERM gives it 0.5 s, whatever its code does."""
-    one = RowProcess(
+    process = RowProcess(
         Plant("three_axis"), noisy, {"hangs": True}, "test", waits=False, patience=30.0
     )
     begun = time.monotonic()
-    while runs(one.process_id):
-        os.kill(one.process_id, signal.SIGTERM)
+    while runs(process.process_id):
+        os.kill(process.process_id, signal.SIGTERM)
         assert time.monotonic() - begun < LONGEST, "each signal gives it time"
         time.sleep(0.1)
-    assert "killed by SIGALRM" in one.trouble
-    assert isinstance(one.close(), Refusal)
+    assert "killed by SIGALRM" in process.trouble
+    assert isinstance(process.close(), Refusal)
 
 
 def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(

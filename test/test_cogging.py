@@ -20,8 +20,11 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     """Rotors that nothing holds but one tooth each, and its amplitudes."""
     a = np.random.default_rng(22).uniform(0.01, 0.05, 3)
     joints = {
-        name: {"motor": FREE | {"cogging": {"waves": [[k, float(one)]]}}, "gear": {"ratio": RATIO}}
-        for name, k, one in zip(GANTRY, ORDERS, a, strict=True)
+        name: {
+            "motor": FREE | {"cogging": {"waves": [[k, float(amplitude)]]}},
+            "gear": {"ratio": RATIO},
+        }
+        for name, k, amplitude in zip(GANTRY, ORDERS, a, strict=True)
     }
     folder, integrator = tmp_path_factory.mktemp("gantry"), {"scheme": "rosenbrock", "dt": 1e-4}
     return write_scene(folder, gantry_urdf(), joints, integrator=integrator), a

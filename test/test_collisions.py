@@ -55,24 +55,24 @@ def test_balls_touch_where_their_distance_is_that_of_the_radii(seed: int) -> Non
     """Against the closed form: a floor, and a box that a ball meets on its flat side."""
     rng = np.random.default_rng(seed)
     q, height = rng.uniform(-2.5, 2.5, 2), rng.uniform(-1.0, 0.8)
-    found = Collisions(two_links(), ("a", "b"), [Obstacle("floor", height)], MARGIN).first(q)
+    result = Collisions(two_links(), ("a", "b"), [Obstacle("floor", height)], MARGIN).first(q)
     first = 1.0 - 0.5 * math.sin(q[0])
     second = 1.0 - math.sin(q[0]) - math.sin(q[0] + q[1])
     lowest = min(first - 0.1, second - 0.05)
     if abs(lowest - MARGIN - height) > 1e-6:
-        assert bool(found) == (lowest < height + MARGIN), (lowest, height)
-    if found:
-        assert found.endswith("and floor")
+        assert bool(result) == (lowest < height + MARGIN), (lowest, height)
+    if result:
+        assert result.endswith("and floor")
 
 
 def test_pairs_that_belong_together_are_left_out() -> None:
     """Neighbours overlap by design; a folded ur5 touches itself."""
     scene = load_scene("ur5")
-    one = Collisions(scene.urdf, scene.joint_names, (), MARGIN)
-    assert one.first(scene.start) == ""
+    checker = Collisions(scene.urdf, scene.joint_names, (), MARGIN)
+    assert checker.first(scene.start) == ""
     folded = scene.start.copy()
     folded[2] = 2.9
-    assert one.first(folded) != ""
+    assert checker.first(folded) != ""
     bare = Collisions(two_links(), ("a", "b"), (), MARGIN)
     assert bare.pairs == 0 and bare.first(np.zeros(2)) == ""
 
@@ -129,7 +129,7 @@ def test_boxes_first_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) 
         obstacles = (Obstacle("floor", -0.05), box)
         both.append(Collisions(scene.urdf, scene.joint_names, obstacles, MARGIN))
     q = scene.start + rng.normal(0.0, 0.8, (150, len(scene.start)))
-    first = [[one.first(row) for row in q] for one in both]
+    first = [[checker.first(row) for row in q] for checker in both]
     assert first[0] == first[1]
     touching = [k for k, words in enumerate(first[0]) if words]
     assert [*both[0].suspects(q)] == [*both[1].suspects(q)] == touching
@@ -142,14 +142,14 @@ def test_no_part_moves_farther_than_the_bound(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tested = Collisions(two_links(), ("a", "b"), [Obstacle("floor", -9.0)], MARGIN)
     q = rng.uniform(-2.0, 2.0, 2)
-    way = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 0.0), 2)
+    step = rng.normal(0.0, 10.0 ** rng.uniform(-3.0, 0.0), 2)
 
     def balls(a: float, b: float) -> np.ndarray:
         outer = [math.cos(a) + math.cos(a + b), -math.sin(a) - math.sin(a + b)]
         return np.array([[0.5 * math.cos(a), -0.5 * math.sin(a)], outer])
 
-    moved = np.linalg.norm(balls(*(q + way)) - balls(*q), axis=1)
-    assert (moved <= tested.moved(way) * (1.0 + 1e-9)).all()
+    moved = np.linalg.norm(balls(*(q + step)) - balls(*q), axis=1)
+    assert (moved <= tested.moved(step) * (1.0 + 1e-9)).all()
     # A turn of the outer joint alone leads the outer ball's far side by 1.05 m/rad.
     assert tested.moved(np.array([0.0, 1.0])) == pytest.approx([0.0, 1.05], abs=0.04)
 
@@ -244,11 +244,11 @@ def test_a_way_is_looked_through_before_it_begins() -> None:
     config = MotionConfig(tool="tool", obstacles=(Obstacle("floor", 0.0),))
     kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
     guard = CollisionGuard(kinematics, config)
-    found = guard.along(lambda part: np.outer(part, [2.0, 0.0]))
-    assert found is not None
+    result = guard.along(lambda part: np.outer(part, [2.0, 0.0]))
+    assert result is not None
     # The outer ball: 1 - 2 sin(q) - 0.05 = 0.01.
-    assert found[0] == pytest.approx(math.asin(0.47) / 2.0, abs=0.015)
-    assert found[1] == "second and floor"
+    assert result[0] == pytest.approx(math.asin(0.47) / 2.0, abs=0.015)
+    assert result[1] == "second and floor"
     assert guard.along(lambda part: np.outer(part, [-0.8, 0.0])) is None
 
 
@@ -277,17 +277,17 @@ def test_thin_plates_are_found_wherever_they_are(margin: float) -> None:
         at, turn = p + rng.normal(0.0, [0.0, 0.0, 0.01]), (0.0, rng.uniform(-3.0, 3.0), 0.0)
         plate = Obstacle("plate", size=tuple(size), at=tuple(at), rpy=turn)
         config = MotionConfig(tool="tool", obstacles=(plate,), collision_margin=margin)
-        found = CollisionGuard(kinematics, config).along(angles)
+        result = CollisionGuard(kinematics, config).along(angles)
         q = angles(np.linspace(0.0, 1.0, places + 1))
         near, touching = (Collisions(thin, ("a", "b"), [plate], m) for m in (margin, 0.0))
         if near.first(q[0]):
             continue
         if next(touching.suspects(q), None) is not None:
             met += 1
-            assert found is not None and found[1].endswith("and plate"), seed
-        if found is not None:
+            assert result is not None and result[1].endswith("and plate"), seed
+        if result is not None:
             first = next(near.suspects(q), None)
-            assert first is not None and found[0] >= first / places - 1e-3, seed
+            assert first is not None and result[0] >= first / places - 1e-3, seed
     assert met >= 6
 
 
@@ -296,30 +296,30 @@ KINDS = ("target", "path", "trajectory", "stream", "jog")
 
 def sent_down(arm: Arm, kind: str) -> list[GoalStatus]:
     """Send the tool 0.4 m down by one kind of order; return the reports."""
-    instructor, controller = arm.run.instructor, arm.run.controller
+    executor, controller = arm.run.instructor, arm.run.controller
     below = [Pose(arm.p_WT - np.array([0.0, 0.0, z]), arm.R_WT) for z in (0.0, 0.4)]
     if kind == "target":
-        instructor.add(0, below[1])
+        executor.add(0, below[1])
     elif kind == "path":
-        instructor.add_path(controller, below)
+        executor.add_path(controller, below)
     elif kind == "trajectory":
         names, q = arm.kinematics.joint_names, arm.run.session.state.q.copy()
         for _ in range(60):  # to the joint angles of that place
             J = arm.kinematics.jacobian(q)
             q = q + 0.2 * np.linalg.pinv(J) @ arm.kinematics.tool_error(q, below[1])
         point = TrajectoryPoint(2_000_000_000, q.tolist(), [0.0] * len(q))
-        instructor.add_trajectory(controller, names, [point])
+        executor.add_trajectory(controller, names, [point])
     reports = []
     for k in range(160):
         if kind == "stream":
             depth = min(0.4, 0.3e-2 * k)
-            instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, depth]), arm.R_WT))
+            executor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, depth]), arm.R_WT))
         elif kind == "jog":
-            down, config = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0], instructor._config
+            down, config = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0], executor._config
             now = arm.run.session.logical_ns
-            instructor.jog(twist_command(now, down, "", arm.kinematics, config))
+            executor.jog(twist_command(now, down, "", arm.kinematics, config))
         arm.advance(0.01)
-        reports += instructor.reports.take()
+        reports += executor.reports.take()
     return reports
 
 
@@ -328,7 +328,7 @@ def sent_down(arm: Arm, kind: str) -> list[GoalStatus]:
 def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, box: bool) -> None:
     """The pair is named; the true arm never touches, comes near, and can leave again."""
     arm = Arm(name, box)
-    refused = [one for one in sent_down(arm, kind) if "would touch" in one.reason]
+    refused = [report for report in sent_down(arm, kind) if "would touch" in report.reason]
     jog = arm.run.instructor.jogging
     if kind == "jog":
         assert jog is not None and jog.status is JogStatus.HALT_FOR_COLLISION
@@ -363,21 +363,21 @@ def test_a_move_that_would_collide_is_refused_before_it_begins(seed: int) -> Non
     """
     rng = np.random.default_rng(seed)
     arm = Arm()
-    instructor, start = arm.run.instructor, arm.run.session.state.q
+    executor, start = arm.run.instructor, arm.run.session.state.q
     down = np.array([*rng.uniform(-0.15, 0.15, 2), -rng.uniform(0.05, 0.45)])
     kind, target = seed % 3, Pose(arm.p_WT + down, arm.R_WT)
     if kind == 0:
-        instructor.add(0, target)
+        executor.add(0, target)
     elif kind == 1:
-        instructor.add_path(arm.run.controller, [Pose(arm.p_WT, arm.R_WT), target])
+        executor.add_path(arm.run.controller, [Pose(arm.p_WT, arm.R_WT), target])
     else:
         names = arm.kinematics.joint_names
         end = list(arm.run.session.scene.start + rng.uniform(-0.9, 0.9, 6))
         still = [0.0] * 6
         point = TrajectoryPoint(2_000_000_000, end, still)
-        instructor.add_trajectory(arm.run.controller, names, [point])
+        executor.add_trajectory(arm.run.controller, names, [point])
     arm.advance(4.0)
-    last = instructor.reports.take()[-1]
+    last = executor.reports.take()[-1]
     assert last.state in (State.REFUSED, State.REACHED), last
     if last.state is State.REFUSED:
         assert "would touch at" in last.reason and "the tool at [" in last.reason
@@ -393,11 +393,11 @@ def test_parts_that_touch_already_do_not_hide_others() -> None:
     guard = CollisionGuard(kinematics, config)
     begin = np.array([0.2, -0.8])  # 1 - 0.5 sin(0.2) - 0.1 < 0.85
     assert guard.collisions.first(begin) == "first and floor"
-    found = guard.along(lambda part: begin + np.outer(part, [0.0, 2.0]))
-    assert found is not None and found[1] == "second and floor"
+    result = guard.along(lambda part: begin + np.outer(part, [0.0, 2.0]))
+    assert result is not None and result[1] == "second and floor"
     # The outer ball: 1 - sin(0.2) - sin(0.2 + b) - 0.05 = 0.86.
     touch = math.asin(0.09 - math.sin(0.2)) - 0.2 + 0.8
-    assert found[0] == pytest.approx(touch / 2.0, abs=0.015)
+    assert result[0] == pytest.approx(touch / 2.0, abs=0.015)
 
 
 def test_obstacles_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -40,8 +40,8 @@ def options_of(page: str) -> list[str]:
 
 
 def commands() -> list[Command]:
-    found = [load_command(name) for name in command_names()]
-    return [one for one in found if one is not None]
+    result = [load_command(name) for name in command_names()]
+    return [figure for figure in result if figure is not None]
 
 
 def test_help_lists_every_command_and_imports_none() -> None:
@@ -74,14 +74,15 @@ def test_help_is_there_before_anything_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "LOADED", done.stdout
 
 
-@pytest.mark.parametrize("one", commands(), ids=lambda one: one.name)
-def test_every_argument_is_explained_and_every_command_has_a_page(one: Command) -> None:
-    page = run(one.name, "--help")[1]
+@pytest.mark.parametrize("command", commands(), ids=lambda one: one.name)
+def test_every_argument_is_explained_and_every_command_has_a_page(command: Command) -> None:
+    page = run(command.name, "--help")[1]
     rows = re.findall(r"^ (?:\*  |   )?((?:--|[A-Z]).*)", page, re.MULTILINE)
     assert rows[-1].startswith("--json ")
     for row in rows:
-        assert re.match(r"\S.*  [^ \[]", row), f"{one.name}: {row}"
-    assert any(f"arm_emulator {one.name}" in page.read_text() for page in DOCUMENTS), one.name
+        assert re.match(r"\S.*  [^ \[]", row), f"{command.name}: {row}"
+    text = f"arm_emulator {command.name}"
+    assert any(text in page.read_text() for page in DOCUMENTS), command.name
 
 
 def test_misspelled_words_are_refused_in_a_line_that_names_the_right_one() -> None:

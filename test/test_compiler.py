@@ -44,11 +44,11 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that gives three_axis' library, or that of its periods, without the work."""
-    for name, made in (
+    for name, compiled in (
         ("made", library_of(load_scene("three_axis"))),
         ("tick", unit.library(tick_unit())),
     ):
-        (tmp_path / name).write_bytes(Path(made.file).read_bytes()[:-SEAL_SIZE])
+        (tmp_path / name).write_bytes(Path(compiled.file).read_bytes()[:-SEAL_SIZE])
     of_ticks = 'grep -q tick.c "${out%.so}.cpp"'
     does = f"""
 sleep 0.5
@@ -92,12 +92,18 @@ def test_compilers_are_reported_apart(
 ) -> None:
     """By the name that theirs stands for, and by options; unnamed, a library of any serves."""
     scene = load_scene("three_axis")
-    one = os.environ["CXX"]
-    other, link = tmp_path / "clang++-99", tmp_path / "c++"
-    other.write_bytes(Path(one).read_bytes())
-    other.chmod(0o755)
-    link.symlink_to(other.name)
-    compiles = {one: True, f"{one} -g": True, str(other): True, str(link): False, one + " ": False}
+    compiler = os.environ["CXX"]
+    second, link = tmp_path / "clang++-99", tmp_path / "c++"
+    second.write_bytes(Path(compiler).read_bytes())
+    second.chmod(0o755)
+    link.symlink_to(second.name)
+    compiles = {
+        compiler: True,
+        f"{compiler} -g": True,
+        str(second): True,
+        str(link): False,
+        compiler + " ": False,
+    }
     for command, expected in compiles.items():
         monkeypatch.setenv("CXX", command)
         library_of(scene)
@@ -219,13 +225,13 @@ def test_random_output_of_a_compiler_is_never_loaded(
 ) -> None:
     """Junk, junk that begins as a library does, libraries cut short, other machines' libraries."""
     scene = load_scene("three_axis")
-    whole = Path(ctypes.util.find_library("c") or "libc.so.6")
-    whole = next(Path(line.split()[-1]) for line in Path("/proc/self/maps").read_text().splitlines()
-                 if whole.name in line)  # fmt: skip
-    library = whole.read_bytes()
+    full = Path(ctypes.util.find_library("c") or "libc.so.6")
+    full = next(Path(line.split()[-1]) for line in Path("/proc/self/maps").read_text().splitlines()
+                 if full.name in line)  # fmt: skip
+    library = full.read_bytes()
     monkeypatch.setattr(unit, "Library", lambda *_: pytest.fail("it was loaded"))
-    made = tmp_path / "made"
-    monkeypatch.setenv("CXX", fake_compiler(tmp_path, f'cp {made} "$out"'))
+    compiled = tmp_path / "made"
+    monkeypatch.setenv("CXX", fake_compiler(tmp_path, f'cp {compiled} "$out"'))
     rng = np.random.default_rng(4)
     for case in range(60):
         length = int(rng.integers(0, 3000))
@@ -235,7 +241,7 @@ def test_random_output_of_a_compiler_is_never_loaded(
             library[: int(rng.integers(64, len(library)))],
             library[:18] + rng.bytes(2) + library[20:],
         ][case % 4]
-        made.write_bytes(body)
+        compiled.write_bytes(body)
         with pytest.raises(Refusal, match="make a library, though it reports no error"):
             library_of(scene)
         assert list(cache.iterdir()) == [], case
@@ -255,10 +261,10 @@ def test_a_compiler_that_leaves_somebody_behind_is_not_waited_for(
 
 def test_a_full_disk_is_reported(cache: Path, tmp_path: Path) -> None:
     """No file may grow beyond some bytes, as where a disk or a quota is full."""
-    for most in (100, 10_000):
+    for largest in (100, 10_000):
         code = f"""
 import resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))
+resource.setrlimit(resource.RLIMIT_FSIZE, ({largest}, {largest}))
 sys.argv[1:] = ["compile", "three_axis"]
 from arm_emulator.cli.command_line import main
 main()
@@ -285,9 +291,9 @@ def test_two_processes_at_once_share_one_compilation(quick_compiler: None, cache
     ]
     printed = [process.communicate(timeout=600) for process in processes]
     assert [out for out, _ in printed] == ["0.0\n"] * 3, f"time of three new machines: {printed}"
-    for what in ("scene three_axis", "servo periods"):
-        once = sum(err.count(f"compiling {what}") for _, err in printed)
-        assert once == 1, f"one of them compiles {what}: {printed}"
+    for unit_name in ("scene three_axis", "servo periods"):
+        once = sum(err.count(f"compiling {unit_name}") for _, err in printed)
+        assert once == 1, f"one of them compiles {unit_name}: {printed}"
     assert len(list(cache.glob("*.so"))) == 2, "libraries of one scene, and of its periods"
 
 
@@ -318,14 +324,14 @@ def test_no_place_for_a_cache_is_reported(tmp_path: Path, monkeypatch: pytest.Mo
 
 def running(group: int) -> list[str]:
     """Return what runs in a process group; what has ended and waits to be fetched does not."""
-    found = []
+    result = []
     for process in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             text = process.read_text()
             state, _, its_group = text[text.rindex(")") + 2 :].split()[:3]
             if int(its_group) == group and state != "Z":
-                found.append(text)
-    return found
+                result.append(text)
+    return result
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

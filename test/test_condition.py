@@ -77,7 +77,7 @@ def by_python(text: str, values: dict[str, float]) -> bool | None:
     """The condition by Python; None: it divides by 0."""
     names = sorted(values, key=len, reverse=True)
     pattern = re.compile("|".join(rf"\b{re.escape(name)}\b" for name in names))
-    replaced = pattern.sub(lambda found: f"v[{found[0]!r}]", text)
+    replaced = pattern.sub(lambda result: f"v[{result[0]!r}]", text)
     try:
         return bool(eval(replaced, {"v": values, "abs": abs, "min": min, "max": max}))
     except ZeroDivisionError:
@@ -87,15 +87,15 @@ def by_python(text: str, values: dict[str, float]) -> bool | None:
 def test_random_conditions_hold_where_python_finds_them_true() -> None:
     rng, outcomes = np.random.default_rng(1), list[bool]()
     sessions = [some_session(seed) for seed in range(4)]
-    known = [values_of(session) for session in sessions]
+    expected_values = [values_of(session) for session in sessions]
     for _ in range(300):
         text = comparison(rng, 3)
         condition = Condition(text, SCENE)
-        for session, values in zip(sessions, known, strict=True):
-            wanted = by_python(text, values)
-            if wanted is not None:
-                assert condition.holds(session) == wanted, text
-                outcomes.append(wanted)
+        for session, values in zip(sessions, expected_values, strict=True):
+            expected = by_python(text, values)
+            if expected is not None:
+                assert condition.holds(session) == expected, text
+                outcomes.append(expected)
     assert 0.2 < np.mean(outcomes) < 0.8, "both come"
 
 
@@ -112,9 +112,9 @@ def test_comparisons_are_strict_as_they_are_written() -> None:
 def test_a_star_means_every_joint() -> None:
     session = Session(SCENE, "lockstep", "free_run")
     session.set_state(SCENE.joint_names, {"v": [1.0, 2.0, 3.0]})
-    for least, all_of, some_of in ((0.5, True, True), (1.5, False, True), (3.5, False, False)):
-        assert Condition(f"v.* > {least}", SCENE).holds(session) is all_of
-        assert Condition(f"not v.* <= {least}", SCENE).holds(session) is some_of
+    for smallest, all_of, some_of in ((0.5, True, True), (1.5, False, True), (3.5, False, False)):
+        assert Condition(f"v.* > {smallest}", SCENE).holds(session) is all_of
+        assert Condition(f"not v.* <= {smallest}", SCENE).holds(session) is some_of
 
 
 @pytest.mark.parametrize(
@@ -141,21 +141,23 @@ def test_a_condition_with_a_division_by_zero_never_holds() -> None:
 
 def test_a_run_is_followed_to_the_tick_at_which_a_condition_begins_to_hold() -> None:
     run, straight = load_offline_run("three_axis"), load_offline_run("three_axis")
-    for one in (run, straight):
-        first = one.session.scene.joint_names[0]
-        one.session.set_state([first], {"v": [0.5]})
+    for offline in (run, straight):
+        first = offline.session.scene.joint_names[0]
+        offline.session.set_state([first], {"v": [0.5]})
     condition = Condition("abs(v.waist) < 0.02", run.session.scene)
     line = Timeline(run, every=50)
-    found = line.find(lambda one: condition.holds(one.session), 400)
-    assert found is not None and found == line.tick > 1
+    result = line.find(lambda offline: condition.holds(offline.session), 400)
+    assert result is not None and result == line.tick > 1
     speeds = []
-    for _ in range(found):
+    for _ in range(result):
         straight.advance(1)
         speeds.append(abs(straight.session.state.v[0]))
     assert speeds[-1] < 0.02 <= min(speeds[:-1])
     line.go_to(0)
-    assert line.find(lambda one: condition.holds(one.session), 400) == found, "from the past"
+    assert line.find(lambda offline: condition.holds(offline.session), 400) == result, (
+        "from the past"
+    )
     line.go_to(0)
-    assert line.find(lambda one: False, 37) is None and line.tick == 37
+    assert line.find(lambda offline: False, 37) is None and line.tick == 37
     with pytest.raises(Refusal, match="last must be"):
-        line.find(lambda one: True, 36)
+        line.find(lambda offline: True, 36)

@@ -67,8 +67,8 @@ def test_gains_are_found_from_any_folder(
     for spelling in spellings(scene, here):
         file = find_scene(spelling)
         for kind in BESIDE:
-            found = find_beside(file, kind)
-            assert found.is_absolute() and found.samefile(scene.parent / places[kind]), spelling
+            result = find_beside(file, kind)
+            assert result.is_absolute() and result.samefile(scene.parent / places[kind]), spelling
         line = check_scene(spelling).line
         assert "servo: /" in line and "motion: /" in line
         commands = Bringup(spelling)._words
@@ -92,8 +92,8 @@ def test_shipped_scenes_find_theirs_installed_without_links(
     monkeypatch.chdir(tmp_path)
     for name in ("three_axis", "ur5", "panda"):
         for kind in BESIDE:
-            found = find_beside(find_scene(name), kind)
-            assert found == tmp_path / "share/arm_emulator/config" / kind / f"{name}.yaml"
+            result = find_beside(find_scene(name), kind)
+            assert result == tmp_path / "share/arm_emulator/config" / kind / f"{name}.yaml"
     named = own_scene(tmp_path / "mine", "own", {})
     named.write_text(named.read_text() + "servo: three_axis\n")
     assert find_beside(named, "servo").is_relative_to(tmp_path / "share")
@@ -105,9 +105,9 @@ def test_a_scene_of_ones_own_never_gets_the_gains_of_another(tmp_path: Path) -> 
     for kind in BESIDE:
         with pytest.raises(Refusal) as refusal:
             find_beside(scene, kind)
-        wanted = tmp_path / kind / "three_axis.yaml"
+        expected = tmp_path / kind / "three_axis.yaml"
         assert str(refusal.value) == (
-            f"three_axis.yaml: {kind} parameters must be in {wanted}, got no such file; "
+            f"three_axis.yaml: {kind} parameters must be in {expected}, got no such file; "
             f"valid: write that file, or name one in the scene: `{kind}: FILE`"
         )
     printed = check_scene(str(scene)).line

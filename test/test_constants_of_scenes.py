@@ -44,20 +44,20 @@ def test_kernels_of_blas_change_nothing() -> None:
     paths = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")])
 
     def digests(words: str) -> list[str]:
-        found = []
+        result = []
         for kernel in ("Haswell", "Nehalem"):
             env = os.environ | {"OPENBLAS_CORETYPE": kernel, "PYTHONPATH": paths}
             command = [sys.executable, "-c", words]
             done = subprocess.run(command, capture_output=True, check=False, env=env)
             assert done.returncode == 0, done.stderr.decode()
-            found.append(done.stdout.decode())
-        return found
+            result.append(done.stdout.decode())
+        return result
 
     bare = digests(BARE)
     if bare[0] == bare[1]:
         pytest.skip("this BLAS has one kernel")
-    found = digests(DIGESTS)
-    assert found[0] == found[1]
+    result = digests(DIGESTS)
+    assert result[0] == result[1]
 
 
 def test_products_are_those_of_numpy() -> None:

@@ -50,14 +50,16 @@ def test_a_library_that_remembers_elsewhere_has_no_timeline(build: Callable[...,
         ("out->joint[0].value = rand() % 2;", "rand"),
         ("static __thread int k; out->joint[0].value = ++k;", "variables of threads"),
     ):
-        one = TableRun(SCENE, None, Firmware(build(f"#include <stdlib.h>\n{code(step)}")))
-        one.advance(2)
+        run = TableRun(SCENE, None, Firmware(build(f"#include <stdlib.h>\n{code(step)}")))
+        run.advance(2)
         with pytest.raises(Refusal, match=rf"nothing but its variables.*{named}"):
-            Timeline(one)
+            Timeline(run)
 
 
 def test_only_what_the_same_run_has_saved_is_restored(tmp_path: Path) -> None:
     random_table(np.random.default_rng(3), tmp_path / "table.csv")
-    one, other = (load_table_run("three_axis", tmp_path / "table.csv", None)[0] for _ in range(2))
+    first, second = (
+        load_table_run("three_axis", tmp_path / "table.csv", None)[0] for _ in range(2)
+    )
     with pytest.raises(Refusal, match="of the same run"):
-        one.restore(other.save())
+        first.restore(second.save())

@@ -26,17 +26,17 @@ def step_response(period: float) -> Array:
     session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(config)
     target = scene.start.copy()
     target[0] += WAY / 0.43
-    gone = []
+    travelled = []
     for tick in range(round(LONG / scene.servo_period) + 1):
         measured = session.measured
         drives.measure(session.logical_ns, measured.encoder_counts, measured.current)
         drives.aim(Target(target))
         if tick and tick % round(period / scene.servo_period) == 0:
             measured = drives.servo.q_measured[0]
-            gone.append((measured - scene.start[0]) / (target[0] - scene.start[0]))
+            travelled.append((measured - scene.start[0]) / (target[0] - scene.start[0]))
         session.offer(tick, list(config.joint_names), drives.command(True).tolist())
         session.advance()
-    return np.array(gone)
+    return np.array(travelled)
 
 
 def measured_factor(weight: float, period: float) -> float:
@@ -47,15 +47,15 @@ def measured_factor(weight: float, period: float) -> float:
         gains.motion, method="paper", weight=weight, period=period, step_limit=10.0
     )
     servo = dataclasses.replace(gains.servo, motion_period=period)
-    one = OfflineRun(load_scene(file), servo, motion)
-    kinematics, session = one.controller.kinematics, one.session
+    run = OfflineRun(load_scene(file), servo, motion)
+    kinematics, session = run.controller.kinematics, run.session
     R_WT, p_WT = kinematics.forward(session.scene.start)
     target = Pose(p_WT + np.array([0.0, WAY, 0.0]), R_WT)
-    one.instructor.add(0, target)
+    run.instructor.add(0, target)
     errors = []
     for _ in range(INSTRUCTIONS):
-        one.advance(one.motion_ticks)
-        errors.append(kinematics.tool_error(one.drives.servo.q_measured, target)[1] / WAY)
+        run.advance(run.motion_ticks)
+        errors.append(kinematics.tool_error(run.drives.servo.q_measured, target)[1] / WAY)
     return convergence_factor(errors)
 
 

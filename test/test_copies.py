@@ -46,69 +46,69 @@ WAYS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_copy_goes_on_alike_and_alone(way: str, plant: Plant) -> None:
-    other = WAYS[way](plant)
-    assert bits(other) == bits(plant) and other.parameters == plant.parameters
-    assert other.external_wrenches == plant.external_wrenches
+@pytest.mark.parametrize("method", WAYS)
+def test_a_copy_goes_on_alike_and_alone(method: str, plant: Plant) -> None:
+    second = WAYS[method](plant)
+    assert bits(second) == bits(plant) and second.parameters == plant.parameters
+    assert second.external_wrenches == plant.external_wrenches
     plant.advance(ROW, 20)
-    assert bits(other) != bits(plant), "they share the machine"
-    other.advance(ROW, 20)
-    assert bits(other) == bits(plant)
+    assert bits(second) != bits(plant), "they share the machine"
+    second.advance(ROW, 20)
+    assert bits(second) == bits(plant)
     del plant
-    other.advance(ROW, 20)
+    second.advance(ROW, 20)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_copy_of_a_fleet_goes_on_alike_and_alone(way: str, scene: Scene) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_a_copy_of_a_fleet_goes_on_alike_and_alone(method: str, scene: Scene) -> None:
     fleet = Fleet(scene, 5, varied={NAME: np.linspace(1.0, 5.0, 5)}, workers=2)
     fleet.exchange(ROW)
-    other = WAYS[way](fleet)
-    assert other.save() == fleet.save() and len(other) == 5
-    assert np.array_equal(other.parameters[NAME], np.linspace(1.0, 5.0, 5))
+    second = WAYS[method](fleet)
+    assert second.save() == fleet.save() and len(second) == 5
+    assert np.array_equal(second.parameters[NAME], np.linspace(1.0, 5.0, 5))
     before = fleet.save()
-    other.advance(ROW, 20)
+    second.advance(ROW, 20)
     assert fleet.save() == before, "they share the machines"
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_an_arm_of_a_fleet_is_copied_out_of_it(way: str, scene: Scene) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_an_arm_of_a_fleet_is_copied_out_of_it(method: str, scene: Scene) -> None:
     fleet = Fleet(scene, 3)
     fleet.advance(ROW, 30)
-    other, before = WAYS[way](fleet[1]), fleet[1].save()
-    assert other.save() == before
-    other.advance(ROW, 5)
+    second, before = WAYS[method](fleet[1]), fleet[1].save()
+    assert second.save() == before
+    second.advance(ROW, 5)
     assert fleet[1].save() == before, "the fleet moves with the copy"
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_frames_and_kinematics_are_copied(way: str, scene: Scene) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_frames_and_kinematics_are_copied(method: str, scene: Scene) -> None:
     fleet = Fleet(scene, 3)
     frame = fleet.step(ROW, 30)
-    other, q = WAYS[way](frame), frame.q.copy()
+    second, q = WAYS[method](frame), frame.q.copy()
     fleet.step(ROW, 30, out=frame)
-    assert np.array_equal(other.q, q) and not np.array_equal(frame.q, q)
-    assert other.measured != frame.measured, "they share their arrays"
-    fleet.step(ROW, 30, out=other)
-    assert other.t[0] > frame.t[0]
+    assert np.array_equal(second.q, q) and not np.array_equal(frame.q, q)
+    assert second.measured != frame.measured, "they share their arrays"
+    fleet.step(ROW, 30, out=second)
+    assert second.t[0] > frame.t[0]
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
-    p = WAYS[way](JacobianController(kinematics)).kinematics.forward(scene.start)[1]
+    p = WAYS[method](JacobianController(kinematics)).kinematics.forward(scene.start)[1]
     assert np.array_equal(p, kinematics.forward(scene.start)[1])
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_reasons_are_handed_over_whole(way: str) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_reasons_are_handed_over_whole(method: str) -> None:
     overrides = {"integrator.scheme": "paper", "integrator.dt": 1e-2, "servo_period": 1e-2}
     plant = Plant(load_scene("three_axis", overrides=overrides))
     with pytest.raises(Diverged) as diverged:
         plant.advance([20.0, -20.0, 10.0], 100_000)
     diverged.value.hint = "a hint"
-    got = WAYS[way](diverged.value)
-    assert str(got) == str(diverged.value) and got.t == diverged.value.t
+    actual = WAYS[method](diverged.value)
+    assert str(actual) == str(diverged.value) and actual.t == diverged.value.t
     with pytest.raises(Refusal) as refused:
         plant.advance([1.0], 1)
-    got = WAYS[way](refused.value)
-    assert str(got) == str(refused.value) and got.rule == refused.value.rule
+    actual = WAYS[method](refused.value)
+    assert str(actual) == str(refused.value) and actual.rule == refused.value.rule
 
 
 def in_child(work: Callable[[], object]) -> str:
@@ -178,18 +178,18 @@ def go_on(servo: Servo) -> bytes:
     return np.array(commands).tobytes()
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_copy_of_a_servo_goes_on_alike_and_alone(way: str) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_a_copy_of_a_servo_goes_on_alike_and_alone(method: str) -> None:
     servo = a_servo()
-    other, still = WAYS[way](servo), WAYS[way](servo)
+    second, still = WAYS[method](servo), WAYS[method](servo)
     went = go_on(servo)
-    assert go_on(other) == went, "it has forgotten something"
+    assert go_on(second) == went, "it has forgotten something"
     assert go_on(still) == went, "they share what they remember"
     assert go_on(Servo(servo.config)) != went, "any servo would have passed"
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_copy_of_a_session_goes_on_alike_and_alone(way: str, scene: Scene) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_a_copy_of_a_session_goes_on_alike_and_alone(method: str, scene: Scene) -> None:
     names = scene.joint_names
 
     def run(session: Session, ticks: int) -> bytes:
@@ -201,18 +201,18 @@ def test_a_copy_of_a_session_goes_on_alike_and_alone(way: str, scene: Scene) -> 
     session = Session(scene, "lockstep", "first_answer")
     run(session, 20)
     session.paused = True
-    other, still = WAYS[way](session), WAYS[way](session)
-    assert other.tick == 20 and other.paused and other.scene is other.plant.scene
+    second, still = WAYS[method](session), WAYS[method](session)
+    assert second.tick == 20 and second.paused and second.scene is second.plant.scene
     went = run(session, 10)
-    assert run(other, 10) == went and still.tick == 20, "they share the machine"
+    assert run(second, 10) == went and still.tick == 20, "they share the machine"
     assert run(still, 10) == went and still.state.t == pytest.approx(0.03)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_a_session_whose_time_passes_by_itself_is_not_copied(way: str, scene: Scene) -> None:
+@pytest.mark.parametrize("method", WAYS)
+def test_a_session_whose_time_passes_by_itself_is_not_copied(method: str, scene: Scene) -> None:
     session = real_time_session(scene, "paused")
     with pytest.raises(Refusal, match="its clock must be advanced by its owner"):
-        WAYS[way](session)
+        WAYS[method](session)
     session.close()
 
 
@@ -270,18 +270,18 @@ def advanced(plant: Plant) -> Plant:
 def test_calls_of_threads_on_one_plant_go_one_after_the_other(scene: Scene) -> None:
     """In any order of calls no step is lost, and every observed state is that of a step."""
     plant, expected = Plant(scene), Plant(scene)
-    known = {expected.save()}
+    valid_states = {expected.save()}
     for _ in range(400):
         expected.advance(ROW, 50)
-        known.add(expected.save())
-    seen: set[bytes] = set()
+        valid_states.add(expected.save())
+    observed: set[bytes] = set()
 
     def push() -> None:
         for _ in range(100):
             plant.advance(ROW, 50)
-            seen.add(plant.save())
+            observed.add(plant.save())
 
     with ThreadPoolExecutor(4) as pool:
-        for one in [pool.submit(push) for _ in range(4)]:
-            one.result()
-    assert plant.save() == expected.save() and seen <= known
+        for future in [pool.submit(push) for _ in range(4)]:
+            future.result()
+    assert plant.save() == expected.save() and observed <= valid_states

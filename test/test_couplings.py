@@ -121,12 +121,12 @@ def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) ->
     for _ in range(20):
         p, v, T = (draw.normal(size=C.shape[1]) * size for size in (1.0, 2.0, 30.0))
         expected = truth.accelerations(p, v, T)
-        got = links.accelerations(p, v, T)
-        np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+        actual = links.accelerations(p, v, T)
+        np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
         M, still = loads.mass_matrix(p), np.zeros_like(v)
-        got = np.linalg.solve(M, T - loads.weight(p))
+        actual = np.linalg.solve(M, T - loads.weight(p))
         expected = truth.accelerations(p, still, T)
-        np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("name", some(list(ARMS), 1))
@@ -157,9 +157,9 @@ def test_the_whole_machine_moves_as_its_equations(name: str, tmp_path: Path) -> 
         plant.advance(u, round(end / dt))
         errors.append(float(np.abs(plant.state.q - expected).max()))
         np.testing.assert_allclose(Ng * plant.state.theta_m, plant.state.q, atol=0.05)
-    way = float(np.abs(expected - start).max())
-    assert way > 0.02, "it moves"
-    assert errors[1] < 1e-6 * way
+    distance = float(np.abs(expected - start).max())
+    assert distance > 0.02, "it moves"
+    assert errors[1] < 1e-6 * distance
     assert 3.2 < errors[0] / errors[1] < 4.8, f"order 2: {errors}"
 
 
@@ -219,12 +219,12 @@ def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
     lower = draw.uniform(-2.0, -0.5, L)
     upper = draw.uniform(0.5, 2.0, L)
     low, high = shafts.positions(lower, upper)
-    most = shafts.most(upper)
+    largest = shafts.most(upper)
     assert (low <= high).all()
     for corner in draw.choice([0.0, 1.0], (50, len(names))):
         q = shafts.of_joints(low + corner * (high - low))
         assert (q > lower - 1e-9).all() and (q < upper + 1e-9).all()
-        assert (np.abs(shafts.rates((2.0 * corner - 1.0) * most)) < upper + 1e-9).all()
+        assert (np.abs(shafts.rates((2.0 * corner - 1.0) * largest)) < upper + 1e-9).all()
 
 
 BAD: list[tuple[Shares, str]] = [
@@ -312,11 +312,11 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
         feels = pin.getFrameClassicalAcceleration(model, data, frame, local).linear
         R = pin.updateFramePlacement(model, data, frame).rotation
         feels = feels - R.T @ model.gravity.linear
-        turns = pin.getFrameVelocity(model, data, frame, local).angular
+        rotations = pin.getFrameVelocity(model, data, frame, local).angular
         scale = 1.0 + float(np.abs(feels).max())
-        got = plant.measured
-        np.testing.assert_allclose(got.specific_force[0], feels, rtol=0.0, atol=1e-9 * scale)
-        np.testing.assert_allclose(got.angular_rate[0], turns, rtol=0.0, atol=1e-11 * scale)
+        actual = plant.measured
+        np.testing.assert_allclose(actual.specific_force[0], feels, rtol=0.0, atol=1e-9 * scale)
+        np.testing.assert_allclose(actual.angular_rate[0], rotations, rtol=0.0, atol=1e-11 * scale)
     pin.framesForwardKinematics(model, data, q)
     there = data.oMf[model.getFrameId("tool0")].translation
     np.testing.assert_allclose(ToolChain(scene).positions(x.q[:, None])[:, 0], there, atol=1e-12)
@@ -339,8 +339,8 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     pair = reachable(kinematics, 0.2, np.random.default_rng(1))
     assert pair is not None
-    one = move(scene, gains, "50 mm", *pair)
-    assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
+    outcome = move(scene, gains, "50 mm", *pair)
+    assert not outcome.words and outcome.peak_speed <= 1.0 and not outcome.overshot, outcome
 
 
 @pytest.mark.skipif(not FULL, reason="compiles a machine and its lanes: make test-in-full")
@@ -349,7 +349,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     file = tmp_path / "arm.urdf"
     # Both motors of the differential carry what its first axis takes.
     efforts = (60.0, 120.0, 30.0, 20.0, 20.0)
-    parts = [replace(part, effort=one) for part, one in zip(WRIST, efforts, strict=True)]
+    parts = [replace(part, effort=value) for part, value in zip(WRIST, efforts, strict=True)]
     file.write_text(serial("arm", parts))
     written = write_new(file, tmp_path / "new")
     _, shares = ARMS["differential"]
@@ -371,8 +371,8 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     assert not overloads(scene)
     pair = reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
-    one = move(scene, gains, "50 mm", *pair)
-    assert not one.words and one.peak_speed <= 1.0 and not one.overshot, one
+    value = move(scene, gains, "50 mm", *pair)
+    assert not value.words and value.peak_speed <= 1.0 and not value.overshot, value
 
 
 @pytest.mark.skipif(not FULL, reason="fleets are compiled once more for it: make test-in-full")
@@ -381,9 +381,9 @@ def test_lanes_of_a_fleet_move_as_one_machine(name: str, tmp_path: Path) -> None
     scene = machine(tmp_path, *ARMS[name], external_wrench=True, varied=["links.l4.mass"])
     fleet, plant = Fleet(scene, 9), Plant(scene)
     push = ExternalWrench((20.0, -30.0, 10.0), (1.0, 2.0, -3.0), (0.1, 0.0, 0.2), axes="world")
-    for one in (fleet, plant):
-        one.set_external_wrench("l5", push)
-        one.set_parameter("links.l4.mass", 3.3)
+    for machine_or_fleet in (fleet, plant):
+        machine_or_fleet.set_external_wrench("l5", push)
+        machine_or_fleet.set_parameter("links.l4.mass", 3.3)
     u = 0.3 * np.cos(np.arange(len(scene.joints)))
     fleet.run(np.tile(u, (1, 9, 1)), 200)
     plant.advance(u, 200)

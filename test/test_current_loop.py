@@ -117,7 +117,7 @@ def test_small_commands_move_it_as_matrix_exponentials_state(
 
 def test_a_step_is_of_first_order_with_the_bandwidth_at_any_speed(tmp_path: Path) -> None:
     """1 - exp(-2 pi f t): the zero cancels the winding's pole, the EMF is fed forward."""
-    for dt, most in ((4e-5, 4e-3), (2e-5, 1e-3)):
+    for dt, largest in ((4e-5, 4e-3), (2e-5, 1e-3)):
         plant = Plant(load_scene(write(tmp_path), {"integrator.dt": dt}))
         plant.reset(np.zeros(3), [1.0, 1.0, 1.0])  # 4 V of EMF at x, 2 V at z
         u = np.array([3.0, 0.0, 3.0])
@@ -125,7 +125,7 @@ def test_a_step_is_of_first_order_with_the_bandwidth_at_any_speed(tmp_path: Path
             plant.advance(u, round(8e-5 / dt))
             for j in (0, 2):
                 rise = -np.expm1(-2.0 * np.pi * LOOPS[j]["bandwidth"] * 8e-5 * k)
-                assert plant.state.current[j] == pytest.approx(3.0 * rise, abs=3.0 * most), j
+                assert plant.state.current[j] == pytest.approx(3.0 * rise, abs=3.0 * largest), j
 
 
 def commanded() -> np.ndarray:
@@ -160,8 +160,8 @@ def test_it_saturates_and_recovers_as_an_independent_solution_does(
     size = np.abs(truth).max(axis=0)
     for dt in (1e-4, 5e-5, 2.5e-5, 1.25e-5):
         plant = Plant(load_scene(file, {"integrator.dt": dt}))
-        found = rows_of(plant, rows)[:, [0, 3, 4]]
-        errors.append(float((np.abs(found - truth) / size).max()))
+        result = rows_of(plant, rows)[:, [0, 3, 4]]
+        errors.append(float((np.abs(result - truth) / size).max()))
     # Rates do not jump where the voltage meets the supply, so that both keep order 2.
     assert errors[-1] < 0.3**3 * 2.0 * errors[0] and errors[-1] < 5e-3, errors
 
@@ -177,11 +177,11 @@ def by_its_equations(rows: np.ndarray) -> np.ndarray:
             i, x, _, v, rise = y
             wm, magnets = v / RIGID["ratio"], 1.0 - 0.002 * rise
             R = WEAK["resistance"] * (1.0 + 0.0039 * rise)
-            asked = w * L * (u - i) + x + Kb * wm
-            V = min(max(asked, -SUPPLY), SUPPLY)
+            requested = w * L * (u - i) + x + Kb * wm
+            V = min(max(requested, -SUPPLY), SUPPLY)
             return np.array([
                 (V - R * i - magnets * Kb * wm) / L,
-                w * WEAK["resistance"] * (u - i) + WEAK["resistance"] / L * (V - asked),
+                w * WEAK["resistance"] * (u - i) + WEAK["resistance"] / L * (V - requested),
                 v,
                 (magnets * Kt * i / RIGID["ratio"] - VISCOUS["viscous"] * v) / inertia,
                 (R * i * i - rise / 4.0) / 0.05,
@@ -199,11 +199,11 @@ def test_a_heated_winding_is_one_that_the_drive_does_not_know(tmp_path: Path) ->
     file = write(tmp_path, events="located", winding=WINDING)
     assert truth[-1, 1] > 15.0, "it gets hot"
     for dt in (5e-5, 2.5e-5):
-        plant, found = Plant(load_scene(file, {"integrator.dt": dt})), []
+        plant, result = Plant(load_scene(file, {"integrator.dt": dt})), []
         for u in rows:
             plant.advance(u, round(PERIOD / dt))
-            found.append([plant.state.current[2], plant.winding_temperatures[2] - 20.0])
-        errors.append(float(np.abs(np.array(found) - truth).max()))
+            result.append([plant.state.current[2], plant.winding_temperatures[2] - 20.0])
+        errors.append(float(np.abs(np.array(result) - truth).max()))
     assert errors[1] < 5e-3 and errors[1] < 0.35 * errors[0], errors
 
 
@@ -213,8 +213,8 @@ def test_energy_is_what_the_supply_gives_less_what_is_dissipated(
 ) -> None:
     file, left = write(tmp_path, events="located", **last), []
     for dt in (1e-4, 5e-5, 2.5e-5):
-        found = balance_of(Plant(load_scene(file, {"integrator.dt": dt})), commanded(), 20)
-        left.append(found.left / found.exchanged)
+        result = balance_of(Plant(load_scene(file, {"integrator.dt": dt})), commanded(), 20)
+        left.append(result.left / result.exchanged)
     assert left[-1] < 1e-4 and left[-1] < 0.15 * left[0], left
 
 
@@ -256,9 +256,9 @@ def test_a_current_that_is_set_flows_on(tmp_path: Path) -> None:
 def test_unusable_current_loops_are_refused(
     motor: dict[str, Any], line: str, tmp_path: Path
 ) -> None:
-    whole = {**DC, "current_loop": {"bandwidth": 500.0}, **motor}
+    full = {**DC, "current_loop": {"bandwidth": 500.0}, **motor}
     if "kind" in motor:
-        del whole["resistance"], whole["inductance"], whole["back_emf_constant"]
-    joints = {name: {"motor": whole} for name in GANTRY}
+        del full["resistance"], full["inductance"], full["back_emf_constant"]
+    joints = {name: {"motor": full} for name in GANTRY}
     with pytest.raises(Refusal, match=line):
         load_scene(write_scene(tmp_path, gantry_urdf(), joints))

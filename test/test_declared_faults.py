@@ -38,7 +38,7 @@ def formula(text: str) -> Callable[[float, float], float]:
 
 def faults_in(table: str) -> dict[str, Written]:
     """Return the faults of the table by name."""
-    found: dict[str, Written] = {}
+    result: dict[str, Written] = {}
     for block in table.split("\n\n")[1:]:
         lines = block.splitlines()
         headings = [line.strip("[]") for line in lines if line.startswith("[")]
@@ -53,11 +53,11 @@ def faults_in(table: str) -> dict[str, Written]:
                 place, _, text = change.partition(" ")
                 if numbers[0]:
                     name, unit, default, ends = numbers
-                    assert name not in found, f"{name} has one line"
+                    assert name not in result, f"{name} has one line"
                     low, high = map(float, ends.split(" to "))
-                    found[name] = Written(OWNERS[of], unit, float(default), (low, high), {})
-                found[name].changes[place] = formula(text)
-    return found
+                    result[name] = Written(OWNERS[of], unit, float(default), (low, high), {})
+                result[name].changes[place] = formula(text)
+    return result
 
 
 WRITTEN, DECLARED = faults_in(TABLE.read_text()), {fault.name: fault for fault in FAULTS}

@@ -45,17 +45,17 @@ class Row(NamedTuple):
 
 def numbers_in(table: str) -> dict[str, dict[str, Row]]:
     """Return the rows below each heading of the table."""
-    found: dict[str, dict[str, Row]] = {}
+    result: dict[str, dict[str, Row]] = {}
     for block in table.split("\n\n"):
         lines = block.splitlines()
         headings = [line for line in lines if line.startswith("[")]
         for heading in headings:
             owner, _, unit = heading.strip("[]").partition(", U = ")
-            assert owner not in found, f"{owner} has one heading"
+            assert owner not in result, f"{owner} has one heading"
             rows = lines[len(headings) :]
-            found[owner] = dict(row_of(re.sub(r"\bU\b", unit, line)) for line in rows)
-            assert len(found[owner]) == len(rows), f"{owner} has each number once"
-    return found
+            result[owner] = dict(row_of(re.sub(r"\bU\b", unit, line)) for line in rows)
+            assert len(result[owner]) == len(rows), f"{owner} has each number once"
+    return result
 
 
 def row_of(line: str) -> tuple[str, Row]:
@@ -66,30 +66,30 @@ def row_of(line: str) -> tuple[str, Row]:
     ends = dict(re.findall(r"(>=|<=|>) (\S+?)(?:,|$)", words))
     if between := re.search(r"(\S+) to (\S+)$", words):
         ends[">="], ends["<="] = between.groups()
-    least = ends.get(">=")
+    smallest = ends.get(">=")
     return name, Row(
         "" if unit == "-" else unit,
         default,
         float(ends[">"]) if ">" in ends else None,
-        least if least is None or least.isalpha() else float(least),
+        smallest if smallest is None or smallest.isalpha() else float(smallest),
         float(ends["<="]) if "<=" in ends else None,
         words.startswith("size"),
         words.startswith("whole"),
     )
 
 
-def declared(one: Number) -> Row:
+def declared(number: Number) -> Row:
     """Return a declaration as a row of the table."""
-    leader = getattr(one, "follows", None)
-    default = "needed" if one.default is REQUIRED else "none" if one.default is None else None
+    followed = getattr(number, "follows", None)
+    default = "needed" if number.default is REQUIRED else "none" if number.default is None else None
     return Row(
-        one.unit,
-        leader or default or str(float(one.default)),
-        one.above,
-        leader or one.at_least,
-        None if one.at_most is None else float(one.at_most),
-        one.in_size,
-        one.whole,
+        number.unit,
+        followed or default or str(float(number.default)),
+        number.above,
+        followed or number.at_least,
+        None if number.at_most is None else float(number.at_most),
+        number.in_size,
+        number.whole,
     )
 
 

@@ -114,12 +114,12 @@ def test_the_prediction_names_the_missed_target_or_place() -> None:
     assert met.missed_by(beside, exact=False) == ""
     assert "beside the predicted place" in met.missed_by(beside, exact=True)
     assert "beside the predicted place" in met.missed_by(met.deviations + 1e-3, exact=False)
-    way = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="way"))
+    path_gains = dataclasses.replace(gains, motion=dataclasses.replace(gains.motion, method="way"))
     far = dataclasses.replace(plan, displacement=np.array([5.0, 0.0, 0.0]), instructions=400)
-    for target, one in (
+    for target, variant in (
         ("out of reach", far),
         ("not yet there", dataclasses.replace(plan, instructions=3)),
     ):
-        found = predicted_rest(scene, way, one)
-        assert found.target == target
-        assert f"the target is {target}" in found.missed_by(found.deviations, exact=True)
+        result = predicted_rest(scene, path_gains, variant)
+        assert result.target == target
+        assert f"the target is {target}" in result.missed_by(result.deviations, exact=True)

@@ -31,14 +31,14 @@ def packages() -> list[str]:
 
 def imported(package: str) -> set[str]:
     """Top-level modules that a package imports, other than Python's and ours."""
-    found: set[str] = set()
+    result: set[str] = set()
     for file in (ROOT / package).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
-                found |= {name.name for name in node.names}
+                result |= {name.name for name in node.names}
             elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-                found.add(node.module)
-    tops = {name.partition(".")[0] for name in found}
+                result.add(node.module)
+    tops = {name.partition(".")[0] for name in result}
     return tops - set(sys.stdlib_module_names) - set(packages())
 
 
@@ -49,7 +49,11 @@ def names_in(file: str) -> set[str]:
 
 
 def test_every_import_is_declared_for_a_stock_ros_machine() -> None:
-    depends = {one.text for one in ET.parse(ROOT / "package.xml").getroot() if "depend" in one.tag}
+    depends = {
+        element.text
+        for element in ET.parse(ROOT / "package.xml").getroot()
+        if "depend" in element.tag
+    }
     wheels = names_in("requirements-ros.txt") | names_in("requirements-peers.txt")
     missing = {
         module

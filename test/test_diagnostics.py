@@ -17,8 +17,8 @@ from arm_emulator.ros.node_shell import NodeLog
 
 @pytest.fixture(scope="module")
 def nodes() -> Iterator[InProcess]:
-    with in_process() as one:
-        yield one
+    with in_process() as running:
+        yield running
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def printed(nodes: InProcess, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     printed: list[str] = []
 
     def hear(message: DiagnosticArray) -> None:
-        printed.extend(one.message for one in message.status)
+        printed.extend(status.message for status in message.status)
 
     monkeypatch.setattr(nodes.nodes["servo"]._diagnostics, "send", hear)
     return printed

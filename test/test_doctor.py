@@ -20,7 +20,7 @@ from arm_emulator.ros.ros_domain import own_domain
 
 
 def found(name: str) -> Finding:
-    return next(one for one in findings() if one.name == name)
+    return next(finding for finding in findings() if finding.name == name)
 
 
 @pytest.fixture
@@ -55,8 +55,12 @@ def test_a_missing_tool_is_a_problem_with_a_remedy(
     old.write_text("#!/bin/sh\necho 'error: unknown standard c++20' >&2\nexit 1\n")
     old.chmod(0o755)
     monkeypatch.setenv("CXX", str(old))
-    one = found("compiler")
-    assert one.level == "problem" and "unknown standard" in one.text and "g++ from 11" in one.text
+    finding = found("compiler")
+    assert (
+        finding.level == "problem"
+        and "unknown standard" in finding.text
+        and "g++ from 11" in finding.text
+    )
     monkeypatch.setenv("CXX", "no_such_compiler")
     assert found("compiler").level == "problem"
     monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
@@ -65,22 +69,22 @@ def test_a_missing_tool_is_a_problem_with_a_remedy(
 
 def test_every_import_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Modules that are missing, and those that cannot be imported, are named with their package."""
-    known = {*doctor.NEEDED, *doctor.EXTRAS}
-    ours = {one for one in imported("arm_emulator") if not OF_ROS.fullmatch(one)}
-    known.add("_cffi_backend")  # which `cffi` imports itself
-    assert ours <= known, "each is needed by all, or by the commands that are named"
+    checked = {*doctor.NEEDED, *doctor.EXTRAS}
+    ours = {entry for entry in imported("arm_emulator") if not OF_ROS.fullmatch(entry)}
+    checked.add("_cffi_backend")  # which `cffi` imports itself
+    assert ours <= checked, "each is needed by all, or by the commands that are named"
     (tmp_path / "coal.py").write_text("raise ImportError('libcoal.so: no such file')")
     (tmp_path / "broken_module.py").write_text("print('noise')\nraise SystemExit(0)")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(doctor, "NEEDED", ("coal", "no_such_module", "numpy"))
     monkeypatch.setattr(doctor, "EXTRAS", {"broken_module": "`this`", "no_such_extra": "`that`"})
-    found = {one.name: one for one in doctor.imports()}
-    assert found["numpy"].level == "ok"
-    assert found["coal"].level == "problem" and "libcoal.so" in found["coal"].text
-    assert found["coal"].remedy == "pip install pin"
-    assert found["no_such_module"].level == "problem"
-    assert found["broken_module"].level == "note" and "`this`" in found["broken_module"].text
-    assert found["no_such_extra"] == Finding(
+    result = {entry.name: entry for entry in doctor.imports()}
+    assert result["numpy"].level == "ok"
+    assert result["coal"].level == "problem" and "libcoal.so" in result["coal"].text
+    assert result["coal"].remedy == "pip install pin"
+    assert result["no_such_module"].level == "problem"
+    assert result["broken_module"].level == "note" and "`this`" in result["broken_module"].text
+    assert result["no_such_extra"] == Finding(
         "no_such_extra", "note", "module no_such_extra is not installed, needed by `that`",
         "pip install no_such_extra",
     )  # fmt: skip
@@ -122,11 +126,11 @@ def test_the_domain_is_one_and_stays_here(
 
 def test_a_node_without_a_launcher_is_found_and_one_with_a_launcher_is_not() -> None:
     def numbers() -> list[str]:
-        one = found("processes")
-        return one.remedy.split()[1:] if one.level == "problem" else []
+        finding = found("processes")
+        return finding.remedy.split()[1:] if finding.level == "problem" else []
 
     asleep = "import time; time.sleep(600)"
-    kept = subprocess.Popen([sys.executable, "-c", asleep, "servo_node.node"])
+    saved = subprocess.Popen([sys.executable, "-c", asleep, "servo_node.node"])
     line = f'"{sys.executable}" -c "{asleep}" servo_node.node >/dev/null 2>&1 & echo $!'
     left = int(subprocess.check_output(["sh", "-c", line]))
     try:
@@ -137,11 +141,11 @@ def test_a_node_without_a_launcher_is_found_and_one_with_a_launcher_is_not() -> 
             if adopted_by not in (1, os.getpid()) and "sh\n" not in status:
                 pytest.skip("another process than init adopts orphans here")
             time.sleep(0.05)
-        assert str(left) in numbers() and str(kept.pid) not in numbers()
+        assert str(left) in numbers() and str(saved.pid) not in numbers()
     finally:
         os.kill(left, 9)
-        kept.kill()
-        kept.wait()
+        saved.kill()
+        saved.wait()
     assert str(left) not in numbers()
 
 
@@ -158,8 +162,8 @@ def test_shared_memory_of_the_dead_is_counted_and_stays(
     with open(tmp_path / f"fastrtps_{0:016x}_el") as alive:
         fcntl.flock(alive, fcntl.LOCK_EX)  # as its owner does
         monkeypatch.setattr(doctor, "left_over", lambda: shared_memory.left_over(tmp_path))
-        one = found("shared memory")
-        assert one.level == "note" and one.text.startswith("2 remains")
+        finding = found("shared memory")
+        assert finding.level == "note" and finding.text.startswith("2 remains")
         assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"
 
 
@@ -201,8 +205,8 @@ def test_clocks_and_qos_of_a_running_network(
         try:
             network.stdout.readline()
             deadline = time.monotonic() + 120.0  # a busy machine discovers later
-            while words not in (one := found("network")).text or one.level != level:
-                assert time.monotonic() < deadline, one
+            while words not in (finding := found("network")).text or finding.level != level:
+                assert time.monotonic() < deadline, finding
         finally:
             network.kill()
             network.wait()

@@ -43,21 +43,23 @@ def test_the_site_has_every_page_once() -> None:
         if isinstance(nav, str):
             return [nav]
         return [
-            page for one in nav for page in pages_in(one.values() if type(one) is dict else one)
+            page
+            for entry in nav
+            for page in pages_in(entry.values() if type(entry) is dict else entry)
         ]
 
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
-    made = set(hooks.TOP.values()) - {"index.md"}
+    compiled = set(hooks.TOP.values()) - {"index.md"}
     listed = pages_in(hooks.with_pages(site["nav"]))
     assert len(listed) == len(set(listed))
-    assert set(listed) == set(hooks.page_files()) | made
+    assert set(listed) == set(hooks.page_files()) | compiled
 
 
 def test_the_page_of_python_has_every_public_name() -> None:
     import arm_emulator
 
-    shown = re.findall(r"^::: (?:\w+\.)*(\w+)$", page_of("python").read_text(), re.M)
-    assert set(arm_emulator.__all__) <= set(shown)
+    text = re.findall(r"^::: (?:\w+\.)*(\w+)$", page_of("python").read_text(), re.M)
+    assert set(arm_emulator.__all__) <= set(text)
 
 
 def test_generated_parts_of_pages_follow_from_the_code() -> None:
@@ -116,13 +118,13 @@ def test_files_named_in_text_exist(document: Path) -> None:
 @pytest.mark.parametrize("section", ["", "integrator", "payload"])
 def test_every_key_of_a_scene_is_listed(section: str) -> None:
     """Keys of parts are compared in test_parts.py."""
-    given = {"payload.mass": 1.0, f"{section}.no_key".lstrip("."): 1}
+    inputs = {"payload.mass": 1.0, f"{section}.no_key".lstrip("."): 1}
     with pytest.raises(Refusal) as refused:
-        load_scene("three_axis", given)
-    asked = set(str(refused.value.valid).split(", ")) - {"joints", "integrator"}
+        load_scene("three_axis", inputs)
+    requested = set(str(refused.value.valid).split(", ")) - {"joints", "integrator"}
     listed = {*scene_keys.MACHINE, *scene_keys.TIME}
-    paths = {f"{section}.{key}" if section else key for key in asked}
-    assert paths == {one for one in listed if one.rpartition(".")[0] == section}
+    paths = {f"{section}.{key}" if section else key for key in requested}
+    assert paths == {path for path in listed if path.rpartition(".")[0] == section}
 
 
 def test_every_topic_and_service_is_listed() -> None:
@@ -170,10 +172,10 @@ def test_tolerances_named_in_the_physics_are_those_of_the_core() -> None:
 
 def _constants(file: Path) -> dict[str, Any]:
     """Return the numbers that an example assigns to names in capitals."""
-    found = {}
+    result = {}
     for name, value in re.findall(r"^([A-Z_]+) = ([^#\n]*)", file.read_text(), re.M):
-        found[name] = eval(value, {"math": math, "np": np, **found})
-    return found
+        result[name] = eval(value, {"math": math, "np": np, **result})
+    return result
 
 
 def test_examples_have_the_numbers_of_the_scene() -> None:
@@ -207,7 +209,7 @@ def test_a_servo_has_the_data_sheet_of_its_scene(name: str) -> None:
     assert servo["joint_names"] == list(scene["joints"]), "joints"
     for joint, section in scene["joints"].items():
         drive, motor = servo["joints"][joint], section["motor"]
-        wanted = {
+        expected = {
             **{key: motor[key] for key in ("resistance", "torque_constant", "back_emf_constant",
                                            "rotor_inertia")},
             "inductance": motor.get("inductance", 0.0),
@@ -215,7 +217,7 @@ def test_a_servo_has_the_data_sheet_of_its_scene(name: str) -> None:
             "gear_ratio": section["gear"]["ratio"],
             "counts_per_turn": section["encoder"]["counts_per_turn"],
         }  # fmt: skip
-        for key, value in wanted.items():
+        for key, value in expected.items():
             assert drive.get(key, 0.0) == pytest.approx(value, rel=1e-9), f"{joint}: {key}"
         if "current_limit" in motor:
             assert drive["current_limit"] <= motor["current_limit"], f"{joint}: current_limit"
@@ -254,14 +256,16 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
     subprocess.run(command, check=True, cwd=tmp_path)
     words = subprocess.run(tmp_path / "reported", capture_output=True, text=True, check=True).stdout
     *rows, top, middle, supply = map(float, words.split())
-    channels = {name: one for adc in board["adc"].values() for name, one in adc["channels"].items()}
+    channels = {
+        name: item for adc in board["adc"].values() for name, item in adc["channels"].items()
+    }
     for joint, row in zip(scene["joints"], np.reshape(rows, (-1, 6)).tolist(), strict=True):
         pwm, channel = board["pwm"][joint], channels[joint]
-        wanted = [
+        expected = [
             *(board["encoders"][joint]["at"], channel["at"], pwm["compare"]),
             *(board["targets"]["joints"][joint], pwm["reload"], channel["counts_per_ampere"]),
         ]
-        assert row == wanted, f"{joint}: addresses, and counts per ampere"
+        assert row == expected, f"{joint}: addresses, and counts per ampere"
         assert (channel["offset"], 2 ** channel["bits"]) == (middle, 2 * middle), joint
     assert {supply} == {value["full_scale"] for value in board["pwm"].values()}, "full scale"
     assert float(board["clock"]) / top * scene["servo_period"] % 1.0 == 0.0, (
@@ -269,7 +273,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
     )
     first = (folder / "targets.csv").read_text().splitlines()[1].split(",")
     begins = [section["start"] for section in scene["joints"].values()]
-    assert [float(one) for one in first[1:]] == begins, "targets.csv begins where ur5 does"
+    assert [float(item) for item in first[1:]] == begins, "targets.csv begins where ur5 does"
 
 
 def test_one_command_makes_every_picture_and_measured_table() -> None:

@@ -62,14 +62,16 @@ def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
     # On a busy machine the second may speak before it finds the first; the servo knows better.
     user.machine = started(user, "emulator")
     first = nodes.process("emulator")
-    with node("emulator_node.node", *second) as other:
+    with node("emulator_node.node", *second) as second_process:
         user.wait("the silence", lambda: user.printed("emulator_2", SILENT))
         words = user.printed("emulator_2", SILENT)[0]
         assert f"node /emulator on host {os.uname().nodename}, process {first.pid}" in words
         assert user.value("emulator_2", "another emulator").endswith(f"process {first.pid}")
         user.wait("the first to know", lambda: user.value("emulator", "another emulator"))
         named = user.value("emulator", "another emulator")
-        assert named == f"node /emulator_2 on host {os.uname().nodename}, process {other.pid}"
+        assert (
+            named == f"node /emulator_2 on host {os.uname().nodename}, process {second_process.pid}"
+        )
         tick = user.tick
         user.wait("the run to go on", lambda: user.tick >= tick + TICKS)
         assert not user.printed("servo", "the emulator began anew"), user.words["servo"]
@@ -105,14 +107,14 @@ def test_two_servos_and_two_motion_controllers_are_named(
     kinds = {"servo": "servo", "motion_controller": "motion controller"}
     servo, motion = (str(find_config("three_axis", ".yaml", kind)) for kind in ("servo", "motion"))
     user, nodes = three_nodes
-    seen: dict[str, set[str]] = {name: set() for name in kinds}
+    observed: dict[str, set[str]] = {name: set() for name in kinds}
 
     def named() -> dict[str, set[str]]:
         """Collect the processes that the two nodes of each name have named so far."""
         for name, kind in kinds.items():
             if words := user.value(name, f"another {kind}"):
-                seen[name].add(words.rsplit(" ", 1)[1])
-        return seen
+                observed[name].add(words.rsplit(" ", 1)[1])
+        return observed
 
     with (
         node("servo_node.node", "--params-file", servo) as second_servo,
@@ -127,8 +129,8 @@ def test_two_servos_and_two_motion_controllers_are_named(
         }
         user.wait("both sides to name the other", lambda: named() == expected)
     for name, kind in kinds.items():
-        gone = f"another {kind}"
-        user.wait("it to be gone", lambda n=name, g=gone: not user.value(n, g))
+        travelled = f"another {kind}"
+        user.wait("it to be gone", lambda n=name, g=travelled: not user.value(n, g))
 
 
 def test_c_reads_commands_for_this_emulator_alone() -> None:
@@ -149,19 +151,19 @@ def test_c_reads_commands_for_this_emulator_alone() -> None:
 def test_a_command_for_another_emulator_is_not_taken() -> None:
     """Seeded identities; 0, of a servo that knows of one emulator only, is taken."""
     rng = random.Random(3)
-    with in_process() as one:
-        emulator = one.nodes["emulator"]
+    with in_process() as nodes:
+        emulator = nodes.nodes["emulator"]
         for count in range(1, 9):
             foreign = MotorCommand(
                 tick=0, joint_names=JOINTS, command=[0.0] * 3, machine=rng.getrandbits(64) or 1
             )
-            one.send("motor_commands", foreign)
+            nodes.send("motor_commands", foreign)
             counted = emulator._diagnostics.values["motor_commands for another emulator"]
             assert counted == count, "commands that are counted as others'"
         emulator._status.report()
-        status = one.newest("emulator/status")
-        assert status.tick == one.newest("motor_states").tick == 0, "the machine has moved"
+        status = nodes.newest("emulator/status")
+        assert status.tick == nodes.newest("motor_states").tick == 0, "the machine has moved"
         assert status.phase == EmulatorStatus.PHASE_WAITING, "for its own command"
-        assert status.commands_refused == one.refused("emulator") == 0, "they are no fault"
-        one.send("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, command=[0.0] * 3))
-        assert one.newest("motor_states").tick == 1, "a command for any emulator is taken"
+        assert status.commands_refused == nodes.refused("emulator") == 0, "they are no fault"
+        nodes.send("motor_commands", MotorCommand(tick=0, joint_names=JOINTS, command=[0.0] * 3))
+        assert nodes.newest("motor_states").tick == 1, "a command for any emulator is taken"

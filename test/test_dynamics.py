@@ -82,8 +82,8 @@ def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
     oracle.data = oracle.model.createData()
     q, v, tau = rng.normal(size=(3, 2))
     expected = oracle.aba(q, v, tau)
-    got = links_of(loaded).accelerations(q, v, tau)
-    assert got == pytest.approx(expected, rel=TOLERANCE), "accelerations with a payload"
+    actual = links_of(loaded).accelerations(q, v, tau)
+    assert actual == pytest.approx(expected, rel=TOLERANCE), "accelerations with a payload"
 
 
 @pytest.mark.parametrize("seed", some(range(4), 1))
@@ -117,8 +117,8 @@ def test_locked_joints_near_a_quarter_turn_stand_where_they_are_locked() -> None
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
         pitch = rng.choice([-1.0, 1.0]) * (0.5 * np.pi - 10.0 ** rng.uniform(-15.0, -1.0))
         yaw, roll = rng.uniform(-3.0, 3.0, 2)
-        wanted = Rotation.from_euler("ZYX", [yaw, pitch, roll])
-        rpy = (wanted * turn.inv()).as_euler("ZYX")[::-1]
+        expected = Rotation.from_euler("ZYX", [yaw, pitch, roll])
+        rpy = (expected * turn.inv()).as_euler("ZYX")[::-1]
         robot = ET.fromstring(
             f"""<robot name="one"><link name="base"/><link name="tool"/>
             <joint name="joint" type="continuous"><parent link="base"/><child link="tool"/>
@@ -127,9 +127,9 @@ def test_locked_joints_near_a_quarter_turn_stand_where_they_are_locked() -> None
         )
         lock_joints(robot, {"joint": angle}, "one.urdf")
         written = np.fromstring(robot.find("joint/origin").get("rpy"), sep=" ")
-        got = Rotation.from_euler("ZYX", written[::-1]).as_matrix()
+        actual = Rotation.from_euler("ZYX", written[::-1]).as_matrix()
         # A product of three turns, each rounded.
-        assert np.abs(got - wanted.as_matrix()).max() < 2e-15, f"pitch {pitch!r}"
+        assert np.abs(actual - expected.as_matrix()).max() < 2e-15, f"pitch {pitch!r}"
 
 
 def test_energy_equals_pinocchio(tmp_path: Path) -> None:

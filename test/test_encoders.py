@@ -29,11 +29,11 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write(tmp_path_factory.mktemp("sensed")))
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0], ids=["up", "down"])
-def test_index_pulses_come_where_a_turn_is_full(scene: Scene, way: float) -> None:
+@pytest.mark.parametrize("direction", [1.0, -1.0], ids=["up", "down"])
+def test_index_pulses_come_where_a_turn_is_full(scene: Scene, direction: float) -> None:
     """As often as the disc passes a multiple of a turn between ticks; the newest is latched."""
     plant = Plant(scene)
-    plant.reset(v=way * np.array([6.0, 6.0, 6.0]))
+    plant.reset(v=direction * np.array([6.0, 6.0, 6.0]))
     reported = motion(plant, np.random.default_rng(2), 400)
     for joint, per_turn, delay, names in (
         (0, 1000, 0, ("encoder_counts", "index_counts", "index_pulses")),
@@ -41,17 +41,19 @@ def test_index_pulses_come_where_a_turn_is_full(scene: Scene, way: float) -> Non
         (1, 100_000, 4, ("link_encoder_counts", "link_index_counts", "link_index_pulses")),
     ):
         counts, index, pulses = (rows(reported, name)[:, joint] for name in names)
-        turns = counts // per_turn
-        passed = np.abs(np.diff(turns)).cumsum()
+        revolutions = counts // per_turn
+        passed = np.abs(np.diff(revolutions)).cumsum()
         np.testing.assert_array_equal(pulses[1:], passed, f"pulses of {names[0]} {joint}")
-        up = np.diff(turns) > 0
-        newest = np.where(up, turns[1:], turns[:-1] + 0) * per_turn
-        newest = np.where(~up, (turns[1:] + 1) * per_turn, newest)
-        came = np.diff(turns) != 0
-        np.testing.assert_array_equal(index[1:][came], newest[came], f"{names[1]} at a pulse")
-        held = ~came
-        np.testing.assert_array_equal(index[1:][held], index[:-1][held], f"{names[1]} between")
-        assert delay or came.sum() > 4, f"{came.sum()} pulses"
+        up = np.diff(revolutions) > 0
+        newest = np.where(up, revolutions[1:], revolutions[:-1] + 0) * per_turn
+        newest = np.where(~up, (revolutions[1:] + 1) * per_turn, newest)
+        arrived = np.diff(revolutions) != 0
+        np.testing.assert_array_equal(index[1:][arrived], newest[arrived], f"{names[1]} at a pulse")
+        holding = ~arrived
+        np.testing.assert_array_equal(
+            index[1:][holding], index[:-1][holding], f"{names[1]} between"
+        )
+        assert delay or arrived.sum() > 4, f"{arrived.sum()} pulses"
 
 
 def test_a_word_has_as_many_bits_as_a_servo_computes_with() -> None:
@@ -144,15 +146,15 @@ def test_edges_are_missed_as_often_as_is_stated(scene: Scene) -> None:
         lag = disc - rows(reported, "encoder_counts")[:, :2]
         edges = disc[-1] - disc[0]
         assert (edges > 8_000).all(), f"{edges} edges"
-        expected, spread = missed * edges, np.sqrt(edges * missed * (1 - missed))
-        assert abs(lag[-1, 0] - expected[0]) < SIGMAS * spread[0], "missed and not made up for"
+        expected, sigma = missed * edges, np.sqrt(edges * missed * (1 - missed))
+        assert abs(lag[-1, 0] - expected[0]) < SIGMAS * sigma[0], "missed and not made up for"
         assert (np.diff(lag[:, 0]) >= 0).all(), "a counter that nobody sets right"
         index, pulses = rows(reported, "index_counts")[:, :2], rows(reported, "index_pulses")[:, :2]
-        came = np.diff(pulses, axis=0) > 0
+        arrived = np.diff(pulses, axis=0) > 0
         # The index reports by how much the counter lags.
-        latched = -index[1:, 0][came[:, 0]] % 1000
-        assert (latched >= lag[:-1, 0][came[:, 0]]).all() and (
-            latched <= lag[1:, 0][came[:, 0]]
+        latched = -index[1:, 0][arrived[:, 0]] % 1000
+        assert (latched >= lag[:-1, 0][arrived[:, 0]]).all() and (
+            latched <= lag[1:, 0][arrived[:, 0]]
         ).all()
         # Since the newest pulse about as many were missed as edges have passed.
         since = disc[1:, 1] % 1024
@@ -171,26 +173,26 @@ def test_a_word_that_does_not_come_is_the_one_before(scene: Scene) -> None:
         plant.exchange(np.array([30.0, 0.0, 0.0]))
         reported.append((plant.measured, plant.state))
     word = np.floor(truth(reported, "q")[:, 0] * 4096 / TURN) % 2**14
-    given = rows(reported, "link_encoder_counts")[:, 0]
+    inputs = rows(reported, "link_encoder_counts")[:, 0]
     moved = np.diff(word) != 0
-    repeated = given[1:] == given[:-1]
-    assert (repeated | (given[1:] == word[1:])).all(), "either the word or the one before"
-    share, spread = repeated[moved].mean(), math.sqrt(0.3 * 0.7 / moved.sum())
+    repeated = inputs[1:] == inputs[:-1]
+    assert (repeated | (inputs[1:] == word[1:])).all(), "either the word or the one before"
+    share, sigma = repeated[moved].mean(), math.sqrt(0.3 * 0.7 / moved.sum())
     assert moved.sum() > 500, "it shall turn"
-    assert share == pytest.approx(0.3, abs=SIGMAS * spread), "share of words that did not come"
+    assert share == pytest.approx(0.3, abs=SIGMAS * sigma), "share of words that did not come"
 
 
 def test_an_encoder_slips_while_the_machine_runs(scene: Scene) -> None:
-    plant, other = Plant(scene), Plant(scene)
-    for one in (plant, other):
-        motion(one, np.random.default_rng(1), 60)
+    plant, second = Plant(scene), Plant(scene)
+    for machine in (plant, second):
+        motion(machine, np.random.default_rng(1), 60)
     before = plant.measured
     plant.set_parameter("joints.turn.encoder.offset", TURN / 8.0)
     assert same(plant.measured, before), "what was measured at this tick stays"
-    for one in (plant, other):
-        one.exchange(np.ones(3))
-    np.testing.assert_array_equal(plant.state.q, other.state.q, "the motion is the same")
-    slipped = plant.measured.encoder_counts - other.measured.encoder_counts
+    for machine in (plant, second):
+        machine.exchange(np.ones(3))
+    np.testing.assert_array_equal(plant.state.q, second.state.q, "the motion is the same")
+    slipped = plant.measured.encoder_counts - second.measured.encoder_counts
     assert slipped.tolist() == [125, 0, 0], "an eighth of 1000 counts"
 
 

@@ -48,8 +48,8 @@ class Impact:
 def drawn(rng: np.random.Generator) -> tuple[dict[str, float], float, float]:
     """Stops, the side that is hit, and the speed."""
     K = float(10 ** rng.uniform(2.5, 4.5))
-    most = 2.0 * math.sqrt(K * LINK_INERTIA)
-    D = float(rng.choice([0.0, rng.uniform(0.02, 0.8) * most]))
+    largest = 2.0 * math.sqrt(K * LINK_INERTIA)
+    D = float(rng.choice([0.0, rng.uniform(0.02, 0.8) * largest]))
     stops = {"lower": float(rng.uniform(-1.0, -0.2)), "upper": float(rng.uniform(0.2, 1.0)),
              "stiffness": K, "damping": D}  # fmt: skip
     return stops, float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.5, 5.0))
@@ -120,15 +120,15 @@ def test_a_hit_at_full_speed_is_accounted_for(tmp_path: Path) -> None:
     left, fastest, deepest = [], 0.0, 0.0
     for steps in (5, 10, 20):
         scene = load_scene(file, {"integrator.dt": PERIOD / steps})
-        plant, flow, given = Plant(scene), 0.0, 0.0
+        plant, flow, inputs = Plant(scene), 0.0, 0.0
         before = plant.energy
         for k in range(600):
-            one = plant.advance_metered([48.0 if k // 150 % 2 == 0 else -48.0], steps)
-            flow += float((one.given - one.dissipated).sum())
-            given += float(np.abs(one.given).sum())
+            metered = plant.advance_metered([48.0 if k // 150 % 2 == 0 else -48.0], steps)
+            flow += float((metered.given - metered.dissipated).sum())
+            inputs += float(np.abs(metered.given).sum())
             fastest = max(fastest, abs(plant.state.v[0]))
             deepest = max(deepest, plant.state.q[0] - STOPS["upper"])
-        left.append(abs(plant.energy - before - flow) / given)
+        left.append(abs(plant.energy - before - flow) / inputs)
     assert fastest > 3.0 and deepest > 0.01, f"{fastest} rad/s, {deepest} rad deep"
     assert left[-1] < 2e-3 and left[-1] < left[0], left
     # At rest in the stop, pressed in by the motor: K u is what the gear gives, less the weight.

@@ -94,25 +94,25 @@ def test_a_target_that_is_mistyped_is_one_line(words: str) -> None:
 
 
 def test_a_motion_controller_of_ones_own_swings_the_waist(tmp_path: Path) -> None:
-    seen: dict[float, np.ndarray] = {}  # true joint angles at logical times
+    observed: dict[float, np.ndarray] = {}  # true joint angles at logical times
 
     def swung() -> bool:
         """Whether a swing was seen, of 2 s, and how the next one begins."""
         if user.truth is not None:
             t = nanoseconds_of(user.truth.header.stamp) / NANOSECONDS
-            seen[t] = np.array(user.truth.position)
-        return len(seen) > 0 and max(seen) - min(seen) > 2.5
+            observed[t] = np.array(user.truth.position)
+        return len(observed) > 0 and max(observed) - min(observed) > 2.5
 
     with (
         network(tmp_path, only=("emulator", "servo"), start="first_answer") as (user, _),
         example("my_motion_controller"),
     ):
         user.wait("the swing", swung)
-    t, q = np.array(list(seen)), np.array(list(seen.values()))
-    wanted = 0.2 * (1.0 - np.cos(np.pi * t))
+    t, q = np.array(list(observed)), np.array(list(observed.values()))
+    expected = 0.2 * (1.0 - np.cos(np.pi * t))
     # Targets are held for 50 ms, and the servo (position gain 30/s) is 33 ms behind, at up to
     # 0.63 rad/s; the first step finds it at rest.
-    assert np.abs(q[:, 0] - wanted).max() < 0.63 * 0.1
+    assert np.abs(q[:, 0] - expected).max() < 0.63 * 0.1
     assert q[:, 0].min() < 0.05 and q[:, 0].max() > 0.35
     # The others stand, but for the waist's centrifugal pull.
     assert np.abs(q[:, 1:] - load_scene("three_axis").start[1:]).max() < 1e-3

@@ -168,18 +168,18 @@ def test_work_of_wrenches_closes_the_energy_balance(tmp_path: Path, seed: int) -
     file = driven_arm(tmp_path)
     voltages = rng.uniform(-5.0, 5.0, (6, 3))
     pushes = [drawn_wrenches(rng, load_scene(file), 20.0) for _ in voltages]
-    left, given = [], 0.0
+    left, inputs = [], 0.0
     for steps in (20, 40, 80, 160):
         plant, flow, exchanged = with_steps(file, steps), 0.0, 0.0
         before = plant.energy
         for row, wrenches in zip(voltages, pushes, strict=True):
             push(plant, wrenches)
-            one = plant.advance_metered(row, steps)
-            flow += float(one.given.sum() - one.dissipated.sum())
-            exchanged += float(np.abs(one.given).sum() + one.dissipated.sum())
-            given += abs(one.given[2])  # of the joint without a motor
+            metered = plant.advance_metered(row, steps)
+            flow += float(metered.given.sum() - metered.dissipated.sum())
+            exchanged += float(np.abs(metered.given).sum() + metered.dissipated.sum())
+            inputs += abs(metered.given[2])  # of the joint without a motor
         left.append(abs(plant.energy - before - flow) / exchanged)
-    assert given > 0.01, "the wrenches do work"
+    assert inputs > 0.01, "the wrenches do work"
     # The order is at least 2; by chance a coefficient may be small.
     assert left[-1] < left[0] / 4.0**3 * 1.6, left
     assert left[-1] < 1e-5, left
@@ -198,7 +198,7 @@ def test_weights_of_all_bodies_are_gravity(
     integrator = {"scheme": scheme, "dt": PERIOD / 50, "exchange": exchange}
     falls = load_scene(file, {"integrator": integrator})
     pushed = load_scene(file, {"integrator": integrator, "gravity": None})
-    one, other = Plant(falls), Plant(pushed)
+    first, second = Plant(falls), Plant(pushed)
     for joint in pushed.chain.joints:
         body = joint.body
         if joint is pushed.chain.joints[-1]:  # the payload's mass is varied
@@ -206,12 +206,12 @@ def test_weights_of_all_bodies_are_gravity(
             body = pushed.load.bare + pushed.load.per_kg.scaled(MASS)
         com = joint.axes.T @ body.moment / body.mass
         weight = ExternalWrench(body.mass * np.array(GRAVITY), point=com, axes="world")
-        other.set_external_wrench(joint.link, weight)
+        second.set_external_wrench(joint.link, weight)
     voltages = np.random.default_rng(5).uniform(-20.0, 20.0, (20, 3))
-    moved = one.run(voltages, 50), other.run(voltages, 50)
+    moved = first.run(voltages, 50), second.run(voltages, 50)
     # Only rounding differs.
     np.testing.assert_allclose(*moved, rtol=1e-9, atol=1e-9, err_msg="q")
-    np.testing.assert_allclose(one.state.v, other.state.v, rtol=1e-8, atol=1e-8, err_msg="v")
+    np.testing.assert_allclose(first.state.v, second.state.v, rtol=1e-8, atol=1e-8, err_msg="v")
     assert np.ptp(moved[0], axis=0).min() > 0.01, "the arm has moved"
 
 
@@ -289,11 +289,11 @@ def test_a_scene_without_wrenches_has_nothing_of_them(tmp_path: Path) -> None:
     unit = scene_unit(scene)
     assert "external_wrench = false" in unit and "link_axes" not in unit
     plant = Plant(scene)
-    kept = plant.save()
+    saved = plant.save()
     link = scene.chain.joints[-1].link
     with pytest.raises(Refusal, match=r"three_axis\.yaml: external_wrench must be true"):
         plant.set_external_wrench(link, ExternalWrench([1.0, 0.0, 0.0]))
-    assert plant.external_wrenches == {} and plant.save() == kept
+    assert plant.external_wrenches == {} and plant.save() == saved
     for bad in ("yes please", 1, None, [True]):
         file = driven_arm(tmp_path)
         file.write_text(
@@ -308,7 +308,7 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
     scene = load_scene(driven_arm(tmp_path))
     plant = Plant(scene)
     push(plant, drawn_wrenches(rng, scene, 5.0))
-    kept, link = plant.save(), scene.chain.joints[1].link
+    saved, link = plant.save(), scene.chain.joints[1].link
     bad = [np.nan, np.inf, -np.inf, 1e300, -1e9, "one", None]
     cases = [
         ExternalWrench(**{name: rng.permutation(np.array([1.0, 2.0, value], object)).tolist()})
@@ -320,11 +320,11 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
         with pytest.raises(Refusal) as refusal:
             plant.set_external_wrench(link, wrench)
         assert "\n" not in str(refusal.value) and "must" in str(refusal.value)
-        assert plant.save() == kept, f"{wrench} was refused and has changed something"
+        assert plant.save() == saved, f"{wrench} was refused and has changed something"
     for name in ("base", "", "no such link", scene.joint_names[0]):
         with pytest.raises(Refusal, match="link must be one that moves"):
             plant.set_external_wrench(name, ExternalWrench([1.0, 0.0, 0.0]))
-        assert plant.save() == kept, name
+        assert plant.save() == saved, name
 
 
 def test_arms_of_a_fleet_are_pushed_in_one_call_each_as_alone() -> None:

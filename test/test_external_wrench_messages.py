@@ -46,8 +46,8 @@ def sound(draw: random.Random) -> tuple[str, WrenchStamped]:
     )
 
 
-def changes(one: InProcess) -> int:
-    return int(one.nodes["emulator"]._reports.changes)
+def changes(nodes: InProcess) -> int:
+    return int(nodes.nodes["emulator"]._reports.changes)
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -55,22 +55,22 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
     clock: str, pushed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     draw, printed = random.Random(1), 0
-    with in_process(clock, file=pushed) as one:
-        one.begin_record()
-        assert one.call("emulator/reset").success
+    with in_process(clock, file=pushed) as nodes:
+        nodes.begin_record()
+        assert nodes.call("emulator/reset").success
 
         def between() -> None:
             nonlocal printed
             if draw.random() < 0.02:
-                one.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
-                one.send(*sound(draw))
+                nodes.nodes["emulator"]._status.report()  # by which `check-bag` knows the clock
+                nodes.send(*sound(draw))
                 printed += 1
 
-        go_on(one, 300, between)
+        go_on(nodes, 300, between)
         while printed < 6:  # a busy machine looks less often between its ticks
-            go_on(one, 20, between)
-        assert one.refused("emulator") == 0, f"of {printed} stated"
-        one.write(tmp_path / "bag")
+            go_on(nodes, 20, between)
+        assert nodes.refused("emulator") == 0, f"of {printed} stated"
+        nodes.write(tmp_path / "bag")
     code, words = check_bag(tmp_path / "bag", scene=str(pushed)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     kinds = [event.kind for event in events_of(tmp_path / "bag")]
@@ -79,38 +79,40 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
 
 def test_a_wrench_acts_at_its_link_until_the_next_one(pushed: Path) -> None:
     draw = random.Random(2)
-    with in_process(file=pushed) as one:
-        go_on(one, 5)
+    with in_process(file=pushed) as nodes:
+        go_on(nodes, 5)
         for _ in range(20):
             topic, printed = sound(draw)
-            one.send(topic, printed)
+            nodes.send(topic, printed)
             joint = next(
-                j for j in session_of(one).scene.chain.joints if printed.header.frame_id in j.links
+                j
+                for j in session_of(nodes).scene.chain.joints
+                if printed.header.frame_id in j.links
             )
-            acts = session_of(one).plant.external_wrenches[joint.link]
+            acts = session_of(nodes).plant.external_wrenches[joint.link]
             assert acts.axes == TOPICS[topic], printed
-            given = printed.wrench.force
+            inputs = printed.wrench.force
             size = math.hypot(
                 printed.wrench.force.x, printed.wrench.force.y, printed.wrench.force.z
             )
             assert math.hypot(*acts.force) == pytest.approx(size, rel=1e-12), printed
             if acts.axes == "world":
-                assert acts.force == (given.x, given.y, given.z), printed
-            reported = changes(one)
-            one.send(topic, printed)
-            assert changes(one) == reported, "what acts already is no change"
-            go_on(one, 2)
-        assert one.call("emulator/reset").success
-        for wrench in session_of(one).plant.external_wrenches.values():
+                assert acts.force == (inputs.x, inputs.y, inputs.z), printed
+            reported = changes(nodes)
+            nodes.send(topic, printed)
+            assert changes(nodes) == reported, "what acts already is no change"
+            go_on(nodes, 2)
+        assert nodes.call("emulator/reset").success
+        for wrench in session_of(nodes).plant.external_wrenches.values():
             assert not any((*wrench.force, *wrench.moment)), "after a reset"
 
 
 def test_bad_messages_are_refused_counted_and_change_nothing(pushed: Path) -> None:
     draw = random.Random(3)
-    with in_process(file=pushed) as one:
-        go_on(one, 5)
-        one.send(*sound(draw))
-        kept = session_of(one).plant.save()
+    with in_process(file=pushed) as nodes:
+        go_on(nodes, 5)
+        nodes.send(*sound(draw))
+        saved = session_of(nodes).plant.save()
         for count in range(1, 40):
             topic, printed = sound(draw)
             if draw.random() < 0.5:
@@ -121,10 +123,12 @@ def test_bad_messages_are_refused_counted_and_change_nothing(pushed: Path) -> No
                 vector = draw.choice([printed.wrench.force, printed.wrench.torque])
                 bad = draw.choice([math.nan, math.inf, -math.inf, 1e300, -1e9])
                 setattr(vector, draw.choice("xyz"), bad)
-            one.send(topic, printed)
-            assert one.refused("emulator") == count, printed
-            assert session_of(one).plant.save() == kept, printed
-    with in_process() as one:  # a scene without
-        one.send(*sound(draw))
-        assert one.refused("emulator") == 1, "a scene without external_wrench"
-        assert "external_wrench must be true" in one.nodes["emulator"]._diagnostics._newest_refusal
+            nodes.send(topic, printed)
+            assert nodes.refused("emulator") == count, printed
+            assert session_of(nodes).plant.save() == saved, printed
+    with in_process() as nodes:  # a scene without
+        nodes.send(*sound(draw))
+        assert nodes.refused("emulator") == 1, "a scene without external_wrench"
+        assert (
+            "external_wrench must be true" in nodes.nodes["emulator"]._diagnostics._newest_refusal
+        )

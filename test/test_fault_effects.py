@@ -35,8 +35,8 @@ def run(plant: Plant, saved: bytes, fault: str, magnitude: float) -> Rows:
     return rows
 
 
-def joint_of(one: SceneFault, scene: Scene) -> int:
-    return scene.joint_names.index(one.name.split(".")[0])
+def joint_of(fault: SceneFault, scene: Scene) -> int:
+    return scene.joint_names.index(fault.name.split(".")[0])
 
 
 def share_is(count: int, of: int, p: float) -> bool:
@@ -44,51 +44,51 @@ def share_is(count: int, of: int, p: float) -> bool:
     return abs(count - p * of) <= 5.0 * np.sqrt(of * p * (1.0 - p)) + 1e-9
 
 
-def through(way: str, rows: list[Any], source: list[Any], m: float) -> bool:
+def through(delivery: str, rows: list[Any], source: list[Any], m: float) -> bool:
     """Whether received rows are those that a line makes of the sent ones.
 
     The first rows, which may be of before the fault, are left out.
     """
     n = len(rows)
-    if way == "late":
+    if delivery == "late":
         return all(rows[k] == source[k - int(m)] for k in range(int(m), n))
-    if way == "lost":
-        kept = [k for k in range(1, n) if rows[k] == rows[k - 1] != source[k]]
-        fresh = all(rows[k] == source[k] for k in range(1, n) if k not in kept)
-        return fresh and share_is(len(kept), n - 1, m)
-    if way == "repeated":
+    if delivery == "lost":
+        saved = [k for k in range(1, n) if rows[k] == rows[k - 1] != source[k]]
+        fresh = all(rows[k] == source[k] for k in range(1, n) if k not in saved)
+        return fresh and share_is(len(saved), n - 1, m)
+    if delivery == "repeated":
         again = [k for k in range(1, n) if rows[k] == source[k - 1] != source[k]]
         fresh = all(rows[k] == source[k] for k in range(1, n) if k not in again)
         return fresh and share_is(len(again), n - 1, m)
     # Overtaken: at tick k the one before comes last if it was; else k comes unless it is overtaken.
     before = {k for k in range(2, n) if rows[k] == source[k - 1] != source[k]}
-    held = {k for k in range(2, n) if rows[k] == rows[k - 1] != source[k]} - before
-    fresh = all(rows[k] == source[k] for k in set(range(2, n)) - before - held)
+    holding = {k for k in range(2, n) if rows[k] == rows[k - 1] != source[k]} - before
+    fresh = all(rows[k] == source[k] for k in set(range(2, n)) - before - holding)
     # A frame that is held at its tick comes at the next, behind that one's.
-    after = all(k + 1 in before for k in held if k + 1 < n)
+    after = all(k + 1 in before for k in holding if k + 1 < n)
     return fresh and after and share_is(len(before), n - 2, m)
 
 
-def line(way: str, field: str) -> Callable[..., None]:
-    def check(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-        j, m = joint_of(one, scene), one.varied.number.default
-        sound = run(plant, saved, one.varied.name, 0.0)
-        spoiled = run(plant, saved, one.varied.name, m)
+def line(delivery: str, field: str) -> Callable[..., None]:
+    def check(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+        j, m = joint_of(fault, scene), fault.varied.number.default
+        sound = run(plant, saved, fault.varied.name, 0.0)
+        spoiled = run(plant, saved, fault.varied.name, m)
         if field == "applied":
-            got = [float(row.applied[j]) for row in spoiled]
-            assert through(way, got, [float(sent(BEGIN + k)[j]) for k in range(TICKS)], m)
+            actual = [float(row.applied[j]) for row in spoiled]
+            assert through(delivery, actual, [float(sent(BEGIN + k)[j]) for k in range(TICKS)], m)
         else:
-            got = [(int(r.encoder_counts[j]), float(r.current[j])) for r in spoiled]
+            actual = [(int(r.encoder_counts[j]), float(r.current[j])) for r in spoiled]
             truth = [(int(r.encoder_counts[j]), float(r.current[j])) for r in sound]
             assert len(set(truth)) > 0.9 * TICKS, "it must be seen which one came"
-            assert through(way, got, truth, m)
+            assert through(delivery, actual, truth, m)
 
     return check
 
 
-def command_corrupted(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-    j, m = joint_of(one, scene), one.varied.number.default
-    rows = run(plant, saved, one.varied.name, m)
+def command_corrupted(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+    j, m = joint_of(fault, scene), fault.varied.number.default
+    rows = run(plant, saved, fault.varied.name, m)
     words = np.array([[row.applied[j], sent(BEGIN + k)[j]] for k, row in enumerate(rows)])
     differ = np.bitwise_xor(*words.T.copy().view(np.uint64))
     wrong = differ[differ != 0]
@@ -97,10 +97,10 @@ def command_corrupted(plant: Plant, saved: bytes, one: SceneFault, scene: Scene)
 
 
 def counts_with_wrong_bits(field: str, bits: range) -> Callable[..., None]:
-    def check(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-        j, m = joint_of(one, scene), one.varied.number.default
-        sound = run(plant, saved, one.varied.name, 0.0)
-        spoiled = run(plant, saved, one.varied.name, m)
+    def check(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+        j, m = joint_of(fault, scene), fault.varied.number.default
+        sound = run(plant, saved, fault.varied.name, 0.0)
+        spoiled = run(plant, saved, fault.varied.name, m)
         differ = [int(getattr(a, field)[j] ^ getattr(b, field)[j])
                   for a, b in zip(sound, spoiled, strict=True)]  # fmt: skip
         wrong = [word for word in differ if word]
@@ -110,25 +110,25 @@ def counts_with_wrong_bits(field: str, bits: range) -> Callable[..., None]:
     return check
 
 
-def frozen(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-    j = joint_of(one, scene)
+def frozen(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+    j = joint_of(fault, scene)
     plant.restore(saved)
     before = plant.commanded[0, j]
-    rows = run(plant, saved, one.varied.name, 1.0)
+    rows = run(plant, saved, fault.varied.name, 1.0)
     assert len({float(row.applied[j]) for row in rows}) == 1 and rows[0].applied[j] != 0.0, before
 
 
-def restarts(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-    j = joint_of(one, scene)
-    rows = run(plant, saved, one.varied.name, 1.0)
+def restarts(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+    j = joint_of(fault, scene)
+    rows = run(plant, saved, fault.varied.name, 1.0)
     assert all(row.applied[j] == 0.0 for row in rows)
     assert rows[-1].brake_closed[j] or scene.joints[j].brake is None
 
 
 def slips(field: str, turn: float) -> Callable[..., None]:
-    def check(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-        j, m = joint_of(one, scene), one.varied.number.default
-        rows = (run(plant, saved, one.varied.name, size) for size in (0.0, m))
+    def check(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+        j, m = joint_of(fault, scene), fault.varied.number.default
+        rows = (run(plant, saved, fault.varied.name, size) for size in (0.0, m))
         for a, b in zip(*rows, strict=True):
             moved = int(getattr(b, field)[j] - getattr(a, field)[j])
             assert abs(moved - m / (2.0 * np.pi) * turn) <= 1.0  # of a count
@@ -136,10 +136,10 @@ def slips(field: str, turn: float) -> Callable[..., None]:
     return check
 
 
-def swapped(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-    j = joint_of(one, scene)
-    sound = run(plant, saved, one.varied.name, 0.0)
-    spoiled = run(plant, saved, one.varied.name, 1.0)
+def swapped(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+    j = joint_of(fault, scene)
+    sound = run(plant, saved, fault.varied.name, 0.0)
+    spoiled = run(plant, saved, fault.varied.name, 1.0)
     for a, b in zip(sound, spoiled, strict=True):
         for field in ("encoder_counts", "link_encoder_counts", "index_pulses"):
             x, y = getattr(a, field), getattr(b, field)
@@ -149,20 +149,20 @@ def swapped(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
 def analog(effect: str) -> Callable[..., None]:
     """The sensor's reading beside that without the fault, which has the same noise."""
 
-    def check(plant: Plant, saved: bytes, one: SceneFault, scene: Scene) -> None:
-        section = one.changes[0].number.split(".")[-2]
+    def check(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
+        section = fault.changes[0].number.split(".")[-2]
         field = {"current_sensor": "current", "torque_sensor": "torque",
                  "accelerometer": "specific_force", "gyroscope": "angular_rate"}.get(
                      section, section)  # fmt: skip
-        number = one.varied.number
+        number = fault.varied.number
         rows = []
         for m in (0.0, number.default):
-            readings = run(plant, saved, one.varied.name, m)
+            readings = run(plant, saved, fault.varied.name, m)
             name = field if hasattr(readings[0], field) else OTHER[section]
-            at = 0 if one.kind.of == "imus" else joint_of(one, scene)
+            at = 0 if fault.kind.of == "imus" else joint_of(fault, scene)
             rows.append(np.array([np.ravel(getattr(r, name)[at]) for r in readings]))
         (y, z), m = rows, number.default
-        limit = RANGE.get(section, 1.0 if one.kind.of == "imus" else 4.0)
+        limit = RANGE.get(section, 1.0 if fault.kind.of == "imus" else 4.0)
         inside = (np.abs(y) < 0.99 * limit) & (np.abs(z) < 0.99 * limit)
         grid = 2e-3  # of the converter, twice
         t = scene.servo_period * np.arange(1, TICKS + 1)[:, None]
@@ -212,8 +212,8 @@ CHECKS: dict[str, Callable[..., None]] = {
 @pytest.mark.parametrize("kind", CHECKS)
 def test_effect(kind: str, begun: Begun, scene: Scene) -> None:
     plant, saved, _ = begun
-    one = next(fault for fault in scene.faults if fault.kind.name == kind)
-    CHECKS[kind](plant, saved, one, scene)
+    scene_fault = next(fault for fault in scene.faults if fault.kind.name == kind)
+    CHECKS[kind](plant, saved, scene_fault, scene)
 
 
 def test_all_faults_of_lines_have_a_check() -> None:

@@ -33,7 +33,7 @@ def every_kind_first(session: Session, rng: np.random.Generator) -> list[int]:
 
 def record(folder: Path, session: Session, rng: np.random.Generator) -> set[str]:
     """Write runs with two faults each, one of which ends; return the kinds of faults."""
-    names, seen = list(session.scene.joint_names), set()
+    names, observed = list(session.scene.joint_names), set()
     order = every_kind_first(session, rng)
     fresh = session.plant.save()
     with BagWriter(folder) as writer:
@@ -46,11 +46,11 @@ def record(folder: Path, session: Session, rng: np.random.Generator) -> set[str]
             bag.report(run + 1)
             number = 0
             for tick in range(TICKS):
-                for when, (one, size) in ((begins, (faults[0], 1.0)), (begins, (faults[1], 0.7)),
+                for when, (fault, size) in ((begins, (faults[0], 1.0)), (begins, (faults[1], 0.7)),
                                           (ends, (faults[0], 0.0))):  # fmt: skip
                     if tick == when:
-                        session.set_varied(one.varied.name, size * one.varied.number.default)
-                        seen.add(one.kind.name)
+                        session.set_varied(fault.varied.name, size * fault.varied.number.default)
+                        observed.add(fault.kind.name)
                         number += 1
                         bag.event(run + 1, number, MachineEvent.KIND_SET_VARIED)
                 command = (np.array([15.0, 10.0, 1.0]) * rng.uniform(-1.0, 1.0, 3)).tolist()
@@ -58,15 +58,15 @@ def record(folder: Path, session: Session, rng: np.random.Generator) -> set[str]
                 session.offer(tick, names, command)
                 session.advance()
                 bag.report(run + 1)
-    return seen
+    return observed
 
 
 def test_random_faults_are_repeated_to_equal_bits(tmp_path: Path) -> None:
     file = tmp_path / "scene"
     file.mkdir()
     session = Session(whole_scene(file), "lockstep", "first_answer")
-    seen = record(tmp_path / "bag", session, np.random.default_rng(5))
-    found = compare(tmp_path / "bag", str(file / "scene.yaml"))
-    assert found.difference is None, found.difference
-    assert found.tally.states == RUNS * (TICKS + 1) and found.tally.changes == 3 * RUNS
-    assert seen == {fault.kind.name for fault in session.scene.faults}, "every kind"
+    observed = record(tmp_path / "bag", session, np.random.default_rng(5))
+    result = compare(tmp_path / "bag", str(file / "scene.yaml"))
+    assert result.difference is None, result.difference
+    assert result.tally.states == RUNS * (TICKS + 1) and result.tally.changes == 3 * RUNS
+    assert observed == {fault.kind.name for fault in session.scene.faults}, "every kind"

@@ -47,15 +47,15 @@ def everything(folder: Path, **more: Any) -> Scene:
     sensors = {kind.section: {"noise": 0.01, "range": 4.0, "resolution": 1e-3} for kind in ANALOG}
     heat = Thermometer.section
     sensors[heat] |= {"range": 40.0}
-    analog = {name: one for name, one in sensors.items() if name != heat}
+    analog = {name: section for name, section in sensors.items() if name != heat}
     encoders = {
         "encoder": {"counts_per_turn": 1000, "index": "latch"},
         "link_encoder": {"kind": "absolute", "counts_per_turn": 65536, "bits": 20},
     }
     heated = {"winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0}}
-    drawn = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     around = {
-        kind.section.partition(".")[2]: kind.drawn(drawn) for kind in DECORATORS if kind.faults()
+        kind.section.partition(".")[2]: kind.drawn(rng) for kind in DECORATORS if kind.faults()
     }
     friction = {"viscous": 0.1, "coulomb": 0.3, "load": 0.02}
     shoulder = {
@@ -82,7 +82,7 @@ def everything(folder: Path, **more: Any) -> Scene:
         **encoders, **sensors,
     }  # fmt: skip
     further = {
-        kind.section: kind.drawn(drawn)
+        kind.section: kind.drawn(rng)
         for kind in EXTRAS
         if kind.faults() and kind.shaft == "link" and kind.section not in {**shoulder, **elbow}
     }
@@ -128,7 +128,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def drive(plant: Plant, ticks: range) -> list[bytes]:
     """Go on under commands that are a function of the tick, the power cut on the way."""
-    seen = []
+    observed = []
     for tick in ticks:
         plant.powered = tick % 40 < 25
         # As torques some V or A are a lot for the wrist.
@@ -136,12 +136,12 @@ def drive(plant: Plant, ticks: range) -> list[bytes]:
         measured = plant.measured
         rows = [getattr(measured, name) for name in KNOWN]
         rows += [plant.state.q, plant.state.v, plant.state.current, plant.winding_temperatures]
-        seen.append(b"".join(np.ascontiguousarray(row).tobytes() for row in rows))
-    return seen
+        observed.append(b"".join(np.ascontiguousarray(row).tobytes() for row in rows))
+    return observed
 
 
-def magnitude_of(one: SceneFault) -> float:
-    return float(one.varied.number.default)
+def magnitude_of(fault: SceneFault) -> float:
+    return float(fault.varied.number.default)
 
 
 @pytest.fixture(scope="module")
@@ -168,27 +168,27 @@ def test_a_fault_that_a_scene_cannot_have_is_refused(tmp_path: Path) -> None:
 
 def test_off_is_as_without_it(tmp_path: Path, scene: Scene, begun: Begun) -> None:
     """Against numbers that are constants: rounding alone differs."""
-    plant, other = Plant(everything(tmp_path, faults=[])), Plant(scene)
+    plant, second = Plant(everything(tmp_path, faults=[])), Plant(scene)
     for ticks in (range(BEGIN), range(BEGIN, END)):
-        drive(plant, ticks), drive(other, ticks)
-        np.testing.assert_allclose(plant.state.q, other.state.q, rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(plant.state.v, other.state.v, rtol=0.0, atol=1e-9)
-        np.testing.assert_array_equal(plant.measured.encoder_counts, other.measured.encoder_counts)
+        drive(plant, ticks), drive(second, ticks)
+        np.testing.assert_allclose(plant.state.q, second.state.q, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(plant.state.v, second.state.v, rtol=0.0, atol=1e-9)
+        np.testing.assert_array_equal(plant.measured.encoder_counts, second.measured.encoder_counts)
 
 
 def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Scene) -> None:
     plant, saved, without = begun
-    other, acting = Plant(scene), set()
+    second, acting = Plant(scene), set()
     for fault in scene.faults:
         plant.restore(saved)
         plant.set_parameter(fault.varied.name, magnitude_of(fault))
         middle = (BEGIN + END) // 2
-        seen = drive(plant, range(BEGIN, middle))
-        other.restore(plant.save())
-        assert other.parameters[fault.varied.name] == magnitude_of(fault), fault.name
+        observed = drive(plant, range(BEGIN, middle))
+        second.restore(plant.save())
+        assert second.parameters[fault.varied.name] == magnitude_of(fault), fault.name
         rest = drive(plant, range(middle, END))
-        assert drive(other, range(middle, END)) == rest, f"{fault.name}: restored in the middle"
-        if seen + rest != without:
+        assert drive(second, range(middle, END)) == rest, f"{fault.name}: restored in the middle"
+        if observed + rest != without:
             acting.add(fault.kind.name)
         plant.restore(saved)
         plant.set_parameter(fault.varied.name, magnitude_of(fault))
@@ -200,7 +200,7 @@ def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Sce
 def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene) -> None:
     """The same machine with these numbers set by hand."""
     plant, saved, _ = begun
-    numbers, compared = {one.name: one.number for one in scene.varied}, set()
+    numbers, compared = {number.name: number.number for number in scene.varied}, set()
     for fault in scene.faults:
         m, by_hand = magnitude_of(fault), {}
         for change in fault.changes:
@@ -226,24 +226,24 @@ def test_a_stuck_output_keeps_its_value(begun: Begun, scene: Scene) -> None:
     plant.restore(saved)
     before, stuck = plant.measured, [fault for fault in scene.faults if "_stuck" in fault.name]
     assert len(stuck) >= 3 * 4 + 2, "encoders and sensors of three joints, a unit"
-    for one in stuck:
-        plant.set_parameter(one.varied.name, 1.0)
+    for part in stuck:
+        plant.set_parameter(part.varied.name, 1.0)
     fields = [
         "encoder_counts", "link_encoder_counts", "current", "specific_force", "angular_rate",
-        *(one.outputs[0].name for one in ANALOG if one.outputs),
+        *(part.outputs[0].name for part in ANALOG if part.outputs),
     ]  # fmt: skip
     for tick in range(BEGIN, BEGIN + 20):
         drive(plant, range(tick, tick + 1))
         for name in fields:
-            held = getattr(plant.measured, name)
-            np.testing.assert_array_equal(held, getattr(before, name), err_msg=name)
-    for one in stuck:
-        plant.set_parameter(one.varied.name, 0.0)
-    other = Plant(scene)
-    other.restore(saved)
-    drive(other, range(BEGIN, BEGIN + 21)), drive(plant, range(BEGIN + 20, BEGIN + 21))
+            holding = getattr(plant.measured, name)
+            np.testing.assert_array_equal(holding, getattr(before, name), err_msg=name)
+    for part in stuck:
+        plant.set_parameter(part.varied.name, 0.0)
+    second = Plant(scene)
+    second.restore(saved)
+    drive(second, range(BEGIN, BEGIN + 21)), drive(plant, range(BEGIN + 20, BEGIN + 21))
     for name in fields:
-        caught_up, expected = getattr(plant.measured, name), getattr(other.measured, name)
+        caught_up, expected = getattr(plant.measured, name), getattr(second.measured, name)
         np.testing.assert_array_equal(caught_up, expected, err_msg=name)
     assert (plant.measured.encoder_counts != before.encoder_counts).all(), "it was moving"
 
@@ -253,18 +253,18 @@ def test_faults_in_a_fleet_are_those_of_machines_alone(scene: Scene) -> None:
     fleet, plant = Fleet(scene, len(scene.faults)), Plant(scene)
     for tick in range(END):
         if tick == BEGIN:
-            for arm, one in enumerate(scene.faults):
-                fleet.set_parameter(one.varied.name, magnitude_of(one), arms=[arm])
+            for arm, fault in enumerate(scene.faults):
+                fleet.set_parameter(fault.varied.name, magnitude_of(fault), arms=[arm])
         fleet.powered = tick % 40 < 25
         row = np.array([15.0, 10.0, 1.0]) * np.sin(0.3 * tick + np.arange(3.0))
         fleet.exchange(np.tile(row, (len(fleet), 1)), tick)
-    for arm, one in enumerate(scene.faults):
+    for arm, fault in enumerate(scene.faults):
         plant.reset()
         drive(plant, range(BEGIN))
-        plant.set_parameter(one.varied.name, magnitude_of(one))
+        plant.set_parameter(fault.varied.name, magnitude_of(fault))
         drive(plant, range(BEGIN, END))
-        plant.set_parameter(one.varied.name, 0.0)
-        np.testing.assert_array_equal(fleet[arm].state.q, plant.state.q, err_msg=one.name)
+        plant.set_parameter(fault.varied.name, 0.0)
+        np.testing.assert_array_equal(fleet[arm].state.q, plant.state.q, err_msg=fault.name)
 
 
 def test_the_table_of_the_page_has_all_kinds() -> None:

@@ -83,9 +83,13 @@ def test_gears_carry_what_the_links_take(seed: int) -> None:
     q, v, a, jerk = Motion(rng, 6).at(rng.uniform(0.0, 5.0))
     drive = arm.at(q, v, a, jerk)
     w, rate = drive.theta - q, drive.omega - v
-    for j, one in enumerate(drives):
-        carried = one.stiffness * w[j] + one.cubic_stiffness * w[j] ** 3 + one.damping * rate[j]
-        friction = one.viscous * v[j] + one.coulomb * np.sign(v[j])
+    for j, parameters in enumerate(drives):
+        carried = (
+            parameters.stiffness * w[j]
+            + parameters.cubic_stiffness * w[j] ** 3
+            + parameters.damping * rate[j]
+        )
+        friction = parameters.viscous * v[j] + parameters.coulomb * np.sign(v[j])
         if abs(v[j]) < 0.1:
             continue
         taken = links.at(q, v, a)[j] + friction
@@ -100,7 +104,7 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
     links = LinkTorques(urdf, ("joint",), (0.0, 0.0, 0.0))
     arm = ElasticArm(links, [DriveParameters(stiffness=K, damping=D)], np.array([np.inf]))
     period, slip = 0.01, math.atan2(D * rate, K)
-    wound = inertia * rate**2 * size / math.hypot(K, D * rate)  # of K w + D w' = I a
+    wind_up = inertia * rate**2 * size / math.hypot(K, D * rate)  # of K w + D w' = I a
 
     def motion(t: float) -> list[np.ndarray]:
         s, c = size * math.sin(rate * t), size * math.cos(rate * t)
@@ -108,11 +112,11 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
 
     for t in np.linspace(0.0, 1.0, 23):
         begins, ends = arm.at(*motion(t)), arm.at(*motion(t + period))
-        theta = size * math.sin(rate * t) - wound * math.sin(rate * t - slip)
-        omega = rate * (size * math.cos(rate * t) - wound * math.cos(rate * t - slip))
-        lag = (D * rate / K) ** 2 * wound  # what the law leaves out
+        theta = size * math.sin(rate * t) - wind_up * math.sin(rate * t - slip)
+        omega = rate * (size * math.cos(rate * t) - wind_up * math.cos(rate * t - slip))
+        lag = (D * rate / K) ** 2 * wind_up  # what the law leaves out
         assert begins.theta[0] == pytest.approx(theta, abs=2.0 * lag)
-        assert begins.omega[0] == pytest.approx(omega, abs=2.0 * rate * D * rate / K * wound)
+        assert begins.omega[0] == pytest.approx(omega, abs=2.0 * rate * D * rate / K * wind_up)
         mean = inertia * rate * size * (math.cos(rate * (t + period)) - math.cos(rate * t)) / period
         # The cubic over a period is off by (rate period)^4 / 720 of the torque.
         assert arm.over(begins, ends, period)[0] == pytest.approx(
@@ -134,25 +138,25 @@ def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
         list(known_drives(scene.joints).values()),
         kinematics.velocity_limit,
     )
-    for known in (5, 4, 3, 0):  # those at the end, too, all derivatives, no jerk, none
+    for derivatives in (5, 4, 3, 0):  # those at the end, too, all derivatives, no jerk, none
         feedforward = Feedforward(kinematics, config)
         end = q_before = None
         for k in range(60):
             q, q_end = motion.at(k * T)[0], motion.at((k + 1) * T)[0]
-            now = Reference(*motion.at(k * T)[:known]) if known else None
-            then = Reference(*motion.at((k + 1) * T)) if known == 5 else None
+            now = Reference(*motion.at(k * T)[:derivatives]) if derivatives else None
+            then = Reference(*motion.at((k + 1) * T)) if derivatives == 5 else None
             q = q if q_before is None else q_before
-            one = feedforward.complete(JointSetpoint(q, (q_end - q) / T, None, now, then))
-            assert one.v is not None
-            if known == 5:  # however the jerk changes within the period
-                np.testing.assert_allclose(one.q, arm.at(*motion.at(k * T)).theta, atol=1e-9)
+            setpoint = feedforward.complete(JointSetpoint(q, (q_end - q) / T, None, now, then))
+            assert setpoint.v is not None
+            if derivatives == 5:  # however the jerk changes within the period
+                np.testing.assert_allclose(setpoint.q, arm.at(*motion.at(k * T)).theta, atol=1e-9)
             if end is not None:
-                np.testing.assert_allclose(one.q, end, atol=1e-12)
-            end, q_before = one.q + T * one.v, q + T * ((q_end - q) / T)
-            if known >= 4 and k > 2:
-                wound = one.q - q
-                np.testing.assert_allclose(feedforward.links(one.q), q, atol=1e-15)
-                assert 0.0 < np.abs(wound).max() < 0.02
+                np.testing.assert_allclose(setpoint.q, end, atol=1e-12)
+            end, q_before = setpoint.q + T * setpoint.v, q + T * ((q_end - q) / T)
+            if derivatives >= 4 and k > 2:
+                wind_up = setpoint.q - q
+                np.testing.assert_allclose(feedforward.links(setpoint.q), q, atol=1e-15)
+                assert 0.0 < np.abs(wind_up).max() < 0.02
 
 
 class Weighed:
@@ -163,7 +167,9 @@ class Weighed:
 
     STIFFNESS, MASS, COM = 2e3, 5.0, 0.4  # N m/rad, kg, m
 
-    def __init__(self, heavier: float, softer: float, dry: float = 0.0, held: float = 0.0) -> None:
+    def __init__(
+        self, heavier: float, softer: float, dry: float = 0.0, holding: float = 0.0
+    ) -> None:
         self.assumed = softer * self.STIFFNESS
         drive = DriveParameters(stiffness=self.assumed, coulomb=dry)
         config = MotionConfig(
@@ -171,7 +177,7 @@ class Weighed:
         )
         urdf = one_link_urdf(self.MASS * heavier, self.COM, 0.05 * heavier)
         self.feedforward = Feedforward(Kinematics(urdf, ["joint"], "joint_link"), config)
-        self.held = held
+        self.held = holding
 
     def weight(self, q: float) -> float:
         return -self.MASS * 9.81 * self.COM * math.cos(q)
@@ -180,9 +186,9 @@ class Weighed:
         """Return by how much the motor is sent ahead, and the torque that is announced."""
         tau = np.array([self.weight(q) - self.held])
         self.feedforward.observe(tau, np.array([can]))
-        one = self.feedforward.complete(JointSetpoint(np.array([q]), np.array([v])))
-        assert one.tau is not None
-        return float(one.q[0] - q), float(one.tau[0])
+        setpoint = self.feedforward.complete(JointSetpoint(np.array([q]), np.array([v])))
+        assert setpoint.tau is not None
+        return float(setpoint.q[0] - q), float(setpoint.tau[0])
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -196,16 +202,16 @@ def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
     assert first[0] == pytest.approx(heavier * weight / arm.assumed, rel=1e-9)
     rest = [first, *(arm.period(q) for _ in range(400))]
     assert all(tau == first[1] for _, tau in rest), "integrals hold what was not announced"
-    wound = np.array([wind_up for wind_up, _ in rest])
-    steps = np.abs(np.diff(wound))
-    assert steps.max() <= 0.04 * abs(wound[-1] - wound[0]), "in 0.3 s, a period has 10 ms"
+    wind_ups = np.array([wind_up for wind_up, _ in rest])
+    steps = np.abs(np.diff(wind_ups))
+    assert steps.max() <= 0.04 * abs(wind_ups[-1] - wind_ups[0]), "in 0.3 s, a period has 10 ms"
     # Friction may hold either way, known as 1.5 times what is assumed; 10 urad nobody sees. A
     # weight of that size is no evidence: what it leaves is of second order. exp(-4 / 0.3) is left.
     unsure = 1.5 * of_dry * dry + 1e-5 * arm.assumed
     surplus = (1.0 - heavier) * weight - arm.held
     if abs(surplus) < unsure:
-        assert wound[-1] == wound[0], "the prediction may be right"
-    off = abs(wound[-1] * arm.assumed - weight)
+        assert wind_ups[-1] == wind_ups[0], "the prediction may be right"
+    off = abs(wind_ups[-1] * arm.assumed - weight)
     assert off <= abs(arm.held) + unsure + abs(surplus) * (unsure / (heavier * weight)) ** 2 + 1e-4
 
 
@@ -214,16 +220,16 @@ def test_the_load_at_rest_multiplies_torques_in_motion_without_a_jump() -> None:
     arm, q = Weighed(1.3, 1.0), 0.5
     at_rest = [arm.period(q) for _ in range(400)][-1][1]
     assert at_rest == pytest.approx(1.3 * arm.weight(0.5), rel=1e-12)
-    way = []
+    moving = []
     for k in range(40):
         v = 0.4 * math.sin(math.pi * (k + 0.5) / 40) ** 2
-        way.append(arm.period(q, v)[1])
+        moving.append(arm.period(q, v)[1])
         q += 0.01 * v
     end = [arm.period(q)[1] for _ in range(4)][-1]
     change = arm.weight(q) - arm.weight(0.5)
     # 10 urad of the gear are 0.02 N m of 17.
     assert end - at_rest == pytest.approx(change, rel=2e-3)
-    assert np.abs(np.diff([at_rest, *way, end])).max() < 1.0, "5 N m are held"
+    assert np.abs(np.diff([at_rest, *moving, end])).max() < 1.0, "5 N m are held"
     assert arm.period(q, can=False)[1] == pytest.approx(arm.weight(q), rel=2e-3)
 
 
@@ -268,7 +274,7 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
 
 
 @pytest.mark.parametrize(
-    ("known", "bound"),
+    ("knowledge", "bound"),
     [
         (Known("full"), 0.5e-3),
         # Claimed bounds for numbers that are 30 % off, to either side.
@@ -276,12 +282,12 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
         (Known("full", stiffness=1.3, friction=1.3, inertia=1.3), 2e-3),
     ],
 )
-def test_the_tool_follows_a_fast_line(known: Known, bound: float) -> None:
+def test_the_tool_follows_a_fast_line(knowledge: Known, bound: float) -> None:
     """300 mm at 1 m/s with ur5: the true tool beside its reference, through the whole machine."""
-    found = follow("ur5", known)
-    assert found.peak_speed == pytest.approx(1.0, rel=0.02)
-    assert found.off < bound
-    assert found.past < bound
+    result = follow("ur5", knowledge)
+    assert result.peak_speed == pytest.approx(1.0, rel=0.02)
+    assert result.off < bound
+    assert result.past < bound
 
 
 def test_known_numbers_reduce_the_error() -> None:
@@ -345,15 +351,15 @@ def test_targets_are_followed_along_their_curve() -> None:
         counts[k] = np.floor(0.5 * a * (k * PERIOD) ** 2 / ratio * 8192 / (2.0 * np.pi))
 
     def voltages(motion_period: float) -> list[np.ndarray]:
-        drives, found = drives_of(motion_period), []
+        drives, result = drives_of(motion_period), []
         every = round(motion_period / PERIOD)
         for k in range(len(counts)):
             drives.measure(k * 1_000_000, counts[k], np.zeros(6))
             if k % every == 0:
                 t = k * PERIOD
                 drives.aim(Target(0.5 * a * t**2, a * (t + 0.5 * motion_period)))
-            found.append(drives.command(True))
-        return found
+            result.append(drives.command(True))
+        return result
 
     coarse, fine = voltages(0.01), voltages(PERIOD)
     # The first period has no acceleration yet, and what it left fades.

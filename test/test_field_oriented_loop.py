@@ -75,8 +75,8 @@ def solved_joint(
         ask_d = Pd * (d - y[0]) + y[2] - F * p * wm * Lq * y[1]
         ask_q = P * (q - y[1]) + y[3] + F * p * wm * (Ld * y[0] + psi0)
         V_d = min(max(ask_d, -0.95 * AMPLITUDE), 0.95 * AMPLITUDE)
-        most = math.sqrt(AMPLITUDE**2 - V_d**2)
-        return ask_d, ask_q, V_d, min(max(ask_q, -most), most)
+        largest = math.sqrt(AMPLITUDE**2 - V_d**2)
+        return ask_d, ask_q, V_d, min(max(ask_q, -largest), largest)
 
     def rates(_: float, y: np.ndarray, d: float, q: float) -> list[float]:
         i_d, i_q, _, _, tm, wm, x, v, rise = y
@@ -141,8 +141,8 @@ def test_both_currents_are_of_first_order_at_any_speed(
             plant.exchange(q, command_d=d)
             for j in (0, 2):
                 rise = -np.expm1(-2.0 * np.pi * LOOPS[j]["bandwidth"] * PERIOD * k)
-                found = np.array([plant.measured.current_d[j], plant.state.current[j]])
-                worst = max(worst, float(np.abs(found - rise * np.array([d[j], q[j]])).max()))
+                result = np.array([plant.measured.current_d[j], plant.state.current[j]])
+                worst = max(worst, float(np.abs(result - rise * np.array([d[j], q[j]])).max()))
         errors.append(worst)
     assert errors[1] < {1: 0.6, 2: 0.3}[order] * errors[0], errors
     assert errors[1] < {1: 0.05, 2: 5e-3}[order], errors
@@ -193,8 +193,8 @@ def test_energy_is_what_the_inverter_gives_less_what_is_dissipated(
     for dt in (1e-4, 5e-5, 2.5e-5):
         plant = Plant(load_scene(file, {"integrator.dt": dt}))
         plant.exchange(u_q[0], command_d=[-4.0, 3.0, -2.0])  # held from here on
-        found = balance_of(plant, u_q, round(PERIOD / dt))
-        left.append(found.left / found.exchanged)
+        result = balance_of(plant, u_q, round(PERIOD / dt))
+        left.append(result.left / result.exchanged)
     # A quarter per halving, scattered by the kinks at the circle.
     assert left[-1] < 1e-4 and left[-1] < 0.15 * left[0], left
 
@@ -208,11 +208,11 @@ def test_arms_in_lanes_are_those_by_themselves(scheme: str, tmp_path: Path) -> N
     share = np.linspace(0.2, 1.0, arms)[:, None]
     for d, q in zip(u_d, u_q, strict=True):
         fleet.exchange(share * q, command_d=share * d)
-        for one, part in zip(alone, share, strict=True):
-            one.exchange(part * q, command_d=part * d)
+        for plant, part in zip(alone, share, strict=True):
+            plant.exchange(part * q, command_d=part * d)
     state = fleet.state
     for field in ("current", "omega_m", "q", "v"):
-        rows = np.array([getattr(one.state, field) for one in alone])
+        rows = np.array([getattr(plant.state, field) for plant in alone])
         # Lanes and a single arm differ in the order of sums alone.
         np.testing.assert_allclose(getattr(state, field), rows, rtol=1e-9, atol=1e-12)
 

@@ -24,10 +24,10 @@ def curves(axes):
 def test_both_panels_show_millimetres_over_instructions(deviations):
     above, below = fig4(deviations, title="three_axis").axes
     for axis in range(3):
-        shown = curves(above)[axis]
-        assert np.array_equal(shown.get_xdata(), np.arange(25))
+        text = curves(above)[axis]
+        assert np.array_equal(text.get_xdata(), np.arange(25))
         # Exact: one multiplication by 1000.
-        assert np.array_equal(shown.get_ydata(), deviations[:, axis] * 1e3)
+        assert np.array_equal(text.get_ydata(), deviations[:, axis] * 1e3)
         assert np.array_equal(curves(below)[axis].get_ydata(), np.abs(deviations[:, axis] * 1e3))
     assert below.get_yscale() == "log"
 
@@ -42,9 +42,9 @@ def test_zeros_leave_gaps_and_do_not_stretch_the_scale(deviations):
     deviations[3, 0] = 0.0
     deviations[4, 0] = 1e-19  # rounding noise
     _, below = fig4(deviations, title="").axes
-    shown = curves(below)[0].get_ydata()
-    assert np.isnan(shown[3:5]).all()
-    assert np.isfinite(shown[5:]).all()
+    text = curves(below)[0].get_ydata()
+    assert np.isnan(text[3:5]).all()
+    assert np.isfinite(text[5:]).all()
     assert below.get_ylim()[0] > 1e-6
 
 

@@ -75,9 +75,9 @@ def test_the_servo_needs_nothing_but_itself(kind: str, level: str, tmp_path: Pat
     words = ["-x", "c", "-std=c99", level, "-ffreestanding", "-nostdlib"]
     words += [*WARNINGS, *MORE_WARNINGS, "-c"]
     words += ["-DSERVO_FLOAT"] if kind == "float" else []
-    made = tmp_path / "servo.o"
-    run_c([*find_compiler(), *words, str(FOLDER / "servo.c"), "-o", str(made)])
-    lacks = subprocess.run(["nm", "-u", str(made)], capture_output=True, text=True, check=True)
+    compiled = tmp_path / "servo.o"
+    run_c([*find_compiler(), *words, str(FOLDER / "servo.c"), "-o", str(compiled)])
+    lacks = subprocess.run(["nm", "-u", str(compiled)], capture_output=True, text=True, check=True)
     assert lacks.stdout == "", "symbols that it lacks"
 
 
@@ -151,12 +151,12 @@ def test_library_node_and_runs_without_a_network_give_the_same_bits(
     of_library = TableRun(SCENE, table, Firmware(build()))
     reported = states_of(of_library, ticks)
     of_servo, _ = load_table_run("three_axis", tmp_path / "table.csv", None)
-    for name, other in (
+    for name, second in (
         ("our servo, no library", states_of(of_servo, ticks)),
         ("Python in every period", by_hand(rows, ticks)),
         ("nodes in lock-step", node_states(rows, ticks)),
     ):
-        wrong = [tick for tick in range(ticks + 1) if reported[tick] != other[tick]]
+        wrong = [tick for tick in range(ticks + 1) if reported[tick] != second[tick]]
         assert not wrong, f"{name}: first difference at tick {wrong[0]} of {ticks}"
     # Once more in one call, and the library begins anew.
     again = TableRun(SCENE, table, Firmware(build()))

@@ -68,21 +68,21 @@ BAD_LIBRARIES: dict[str, tuple[str | bytes | None, str]] = {
 }
 
 
-@pytest.mark.parametrize("what", BAD_LIBRARIES)
+@pytest.mark.parametrize("kind", BAD_LIBRARIES)
 def test_a_library_that_cannot_be_run_is_refused_in_a_line(
-    what: str,
+    kind: str,
     build: Callable[..., Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    made, words = BAD_LIBRARIES[what]
+    compiled, words = BAD_LIBRARIES[kind]
     library, table = tmp_path / "mine.so", tmp_path / "table.csv"
     table.write_text(NO_TABLE)
-    if isinstance(made, bytes):
-        library.write_bytes(made)
-    elif made is not None:
-        shutil.copy(build(made), library)
+    if isinstance(compiled, bytes):
+        library.write_bytes(compiled)
+    elif compiled is not None:
+        shutil.copy(build(compiled), library)
     arguments = ("run", "three_axis", "--servo", library, "--targets", table)
     exit_code, out, printed = command(monkeypatch, capfd, *arguments)
     assert (exit_code, out) == (2, ""), printed
@@ -160,10 +160,10 @@ def test_a_library_that_ends_the_process_is_reported_with_its_tick(
     for place, how, tick in cases:
         before, body = PLACES[place]
         text = '#include "firmware.h"\n' + HEADERS.replace("END", how) + before
-        made = code(body.replace("TICK", str(tick)), "go" if place == "start" else "0")
+        compiled = code(body.replace("TICK", str(tick)), "go" if place == "start" else "0")
         if place == "arm_firmware":
-            made = made.replace("  static const", "  end();\n  static const")
-        libraries.append(build(text + made, "-w", "-D_GNU_SOURCE"))
+            compiled = compiled.replace("  static const", "  end();\n  static const")
+        libraries.append(build(text + compiled, "-w", "-D_GNU_SOURCE"))
     words = [sys.executable, "-c", RUNS, tmp_path / "table.csv", *libraries]
     done = subprocess.run(
         list(map(str, words)),

@@ -89,7 +89,7 @@ def record(
             events += 1
             bag.event(1, events, kind)
 
-        build = [KeyValue(key=key, value=one) for key, one in build_facts(session.plant).items()]
+        build = [KeyValue(key=key, value=fact) for key, fact in build_facts(session.plant).items()]
         bag.send("/diagnostics", status=[DiagnosticStatus(name="emulator", values=build)])
         report()
         for tick in range(TICKS):
@@ -106,8 +106,10 @@ def record(
     return states
 
 
-def found(one: Path, other: Path, scene: Path) -> FirstDifference:
-    difference, _ = first_difference(*(RecordedMachine.of(bag, str(scene)) for bag in (one, other)))
+def found(first: Path, second: Path, scene: Path) -> FirstDifference:
+    difference, _ = first_difference(
+        *(RecordedMachine.of(bag, str(scene)) for bag in (first, second))
+    )
     assert difference is not None
     return difference
 
@@ -177,8 +179,8 @@ def test_a_bit_of_a_number(seed: int, scene: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(200 + seed)
     when, value = int(rng.integers(0, TICKS)), float(rng.uniform(0.4, 0.6))
     for name, number in (("one", value), ("other", np.nextafter(value, 1.0))):
-        given = {when: float(number)}
-        record(tmp_path / name, scene, number=given.get)
+        inputs = {when: float(number)}
+        record(tmp_path / name, scene, number=inputs.get)
     difference = found(tmp_path / "one", tmp_path / "other", scene)
     assert (difference.kind, difference.tick) == ("change by hand", when)
     assert (difference.quantity, difference.ulps) == (VARIED, 1)
@@ -199,15 +201,15 @@ def test_another_scene_is_found_where_the_record_is_still_equal(
     scene: Path, tmp_path: Path
 ) -> None:
     """Counts hide the first difference, the machines driven again do not."""
-    bag, other = tmp_path / "bag", tmp_path / "three_axis.yaml"
+    bag, second = tmp_path / "bag", tmp_path / "three_axis.yaml"
     record(bag, scene, truths=False)
     shutil.copytree(scene.parent / "urdf", tmp_path / "urdf")
     data = yaml.safe_load(scene.read_text())
     data["joints"]["elbow"]["friction"] = {"viscous": 0.5 + 1e-10}
-    other.write_text(yaml.safe_dump(data, sort_keys=False))
-    record(tmp_path / "other_bag", other, truths=False)
+    second.write_text(yaml.safe_dump(data, sort_keys=False))
+    record(tmp_path / "other_bag", second, truths=False)
     difference, equal = first_difference(
-        RecordedMachine.of(bag, str(scene)), RecordedMachine.of(tmp_path / "other_bag", str(other))
+        RecordedMachine.of(bag, str(scene)), RecordedMachine.of(tmp_path / "other_bag", str(second))
     )
     assert difference is not None and equal > 1
     # Nothing moves at tick 0, so that friction acts from the first step on.
@@ -220,16 +222,16 @@ PARTS = [  # code of parts, changed by rounding alone
 ]
 
 
-@pytest.mark.parametrize(("header", "code", "other"), some(PARTS, 1))
+@pytest.mark.parametrize(("header", "code", "second"), some(PARTS, 1))
 def test_code_of_a_part(
-    header: str, code: str, other: str, plain: tuple[Path, States], scene: Path, tmp_path: Path,
+    header: str, code: str, second: str, plain: tuple[Path, States], scene: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     shutil.copytree(compiler.CORE, tmp_path / "core")
     file = tmp_path / "core" / "parts" / header
     text = file.read_text()
     assert code in text
-    file.write_text(text.replace(code, other))
+    file.write_text(text.replace(code, second))
     monkeypatch.setattr(compiler, "CORE", tmp_path / "core")
     assert_found(plain, scene, "compiled from ")
 
@@ -239,8 +241,8 @@ def test_a_compiler_flag(
     flags: str, plain: tuple[Path, States], scene: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiler, "FLAGS", (*compiler.FLAGS, *flags.split()))
-    other = f"no further flag (record), {flags} (present)"
-    assert_found(plain, scene, f"compiled with {other}")
+    second = f"no further flag (record), {flags} (present)"
+    assert_found(plain, scene, f"compiled with {second}")
 
 
 @pytest.mark.skipif(not FULL or shutil.which("clang++") is None, reason="a second compiler")
@@ -253,16 +255,16 @@ def test_another_compiler_makes_no_difference(
 
 def assert_found(plain: tuple[Path, States], scene: Path, build: str) -> None:
     """The present machine differs first where its states do; its other build is named."""
-    found = compare(plain[0], str(scene))
-    (named,) = found.hints[-1:]
+    result = compare(plain[0], str(scene))
+    (named,) = result.hints[-1:]
     assert named.startswith(f"other builds: {build}")
-    one, other = plain[1], again(scene)
+    first, second = plain[1], again(scene)
     names = ("q", "v", "gear_torque", "current")
     ticks = [k for k in range(TICKS + 1) if any(
-        getattr(one[k], name).tobytes() != getattr(other[k], name).tobytes() for name in names
+        getattr(first[k], name).tobytes() != getattr(second[k], name).tobytes() for name in names
     )]  # fmt: skip
     assert ticks, "the change shows"
-    assert found.difference is not None and f"tick {ticks[0]}, " in found.difference
+    assert result.difference is not None and f"tick {ticks[0]}, " in result.difference
 
 
 def again(scene: Path) -> States:

@@ -19,8 +19,8 @@ def number(draw: random.Random, kind: str) -> Any:
         return draw.random() < 0.5
     if kind in ("double", "sequence<double>"):
         return draw.choice([0.0, -0.0, 1e308, 5e-324, float("inf"), draw.uniform(-9.0, 9.0)])
-    least, most = {"uint64": (0, 2**64 - 1)}.get(kind, (-(2**63), 2**63 - 1))
-    return draw.choice([least, most, draw.randint(least, most)])
+    smallest, largest = {"uint64": (0, 2**64 - 1)}.get(kind, (-(2**63), 2**63 - 1))
+    return draw.choice([smallest, largest, draw.randint(smallest, largest)])
 
 
 def renumber(draw: random.Random, message: Any) -> None:
@@ -30,8 +30,8 @@ def renumber(draw: random.Random, message: Any) -> None:
     for name, kind in message.get_fields_and_field_types().items():
         if kind.startswith("sequence<") and "string" not in kind:
             value = getattr(message, name)
-            drawn = [number(draw, kind) for _ in value]
-            setattr(message, name, array(value.typecode, drawn))
+            samples = [number(draw, kind) for _ in value]
+            setattr(message, name, array(value.typecode, samples))
         elif kind in ("boolean", "uint64"):
             setattr(message, name, number(draw, kind))
 
@@ -97,12 +97,12 @@ def test_other_names_and_lengths_are_not_taken(kind: type) -> None:
     some = [random_message(draw, kind) for _ in range(20)]
     for message in some:
         heard = FixedLayout(message)
-        for other in some:
-            data = serialize_message(other)
-            same = len(data) == len(heard.bytes) and names_of(other) == names_of(message)
+        for second in some:
+            data = serialize_message(second)
+            same = len(data) == len(heard.bytes) and names_of(second) == names_of(message)
             if heard.take(data):
                 assert same
-                assert_same(heard.message, other)
+                assert_same(heard.message, second)
         assert heard.take(serialize_message(message) + bytes(draw.randrange(8)))
         assert not heard.take(b"") and not heard.take(serialize_message(message)[: heard.size - 1])
 

@@ -21,14 +21,14 @@ from arm_emulator.motion.executor.goal_status import GoalStatus, Kind, State
 from arm_emulator.motion.trajectory.tolerances import Allowed, Tolerances
 
 
-def goal(**given: Any) -> Any:
+def goal(**inputs: Any) -> Any:
     """A goal of FollowJointTrajectory, as far as it states something."""
     empty = {
         "path_tolerance": [],
         "goal_tolerance": [],
         "goal_time_tolerance": Duration(),
     }
-    return SimpleNamespace(**{**empty, **given})
+    return SimpleNamespace(**{**empty, **inputs})
 
 
 def tolerance(name: str, position: float = 0.0, velocity: float = 0.0) -> Any:
@@ -38,7 +38,7 @@ def tolerance(name: str, position: float = 0.0, velocity: float = 0.0) -> Any:
 def test_a_goal_states_what_it_allows_beside_the_parameters() -> None:
     names = ("a", "b")
     default = Tolerances(Allowed.alike(2, 0.1), Allowed.alike(2, 0.2), 3.0)
-    one = tolerances_of(
+    tolerances = tolerances_of(
         goal(
             path_tolerance=[tolerance("b", 0.5, 2.0)],
             goal_tolerance=[tolerance("a", -1.0)],
@@ -47,9 +47,9 @@ def test_a_goal_states_what_it_allows_beside_the_parameters() -> None:
         names,
         default,
     )
-    assert one.path.q.tolist() == [0.1, 0.5] and one.path.v.tolist() == [0.0, 2.0]
-    assert one.goal.q.tolist() == [0.0, 0.2], "-1 allows anything"
-    assert one.goal_time == 1.5
+    assert tolerances.path.q.tolist() == [0.1, 0.5] and tolerances.path.v.tolist() == [0.0, 2.0]
+    assert tolerances.goal.q.tolist() == [0.0, 0.2], "-1 allows anything"
+    assert tolerances.goal_time == 1.5
     assert tolerances_of(goal(), names, default).goal_time == 3.0, "0 leaves it"
     erased = goal(goal_time_tolerance=Duration(sec=-1))
     assert tolerances_of(erased, names, default).goal_time == 0.0
@@ -85,10 +85,10 @@ def test_a_goal_without_points_is_refused() -> None:
     ],
 )
 def test_a_goal_ends_with_the_code_of_its_last_word(state: State, reason: str, code: int) -> None:
-    got, words = result_of(
+    actual, words = result_of(
         GoalStatus(state, reason, kind=Kind.JOINT_TRAJECTORY, number=1, stamp_ns=0)
     )
-    assert got == code and reason in words
+    assert actual == code and reason in words
 
 
 @pytest.mark.parametrize("waiting", [True, False])

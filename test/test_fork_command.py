@@ -81,30 +81,31 @@ def recorded(bag: Path, scene: Path) -> RecordedMachine:
     return machine
 
 
-@pytest.mark.parametrize("asked", ASKED)
+@pytest.mark.parametrize("requested", ASKED)
 def test_a_fork_is_the_run_that_would_have_been_changed_there(
-    asked: str, scene: Path, straight: Path, tmp_path: Path
+    requested: str, scene: Path, straight: Path, tmp_path: Path
 ) -> None:
-    words, order, kind = ASKED[asked]
-    at = random.Random(asked).randrange(20, 250)
+    words, order, kind = ASKED[requested]
+    at = random.Random(requested).randrange(20, 250)
     bag = tmp_path / "fork"
     assert fork(straight, bag, at=at * 1e-3, seconds=0.06, scene=str(scene), **words) == int(
         "displacement" in words  # the tool is still on its way
     )
-    found = compare(bag, str(scene))
-    assert found.difference is None and found.tally.states == at + 61
+    result = compare(bag, str(scene))
+    assert result.difference is None and result.tally.states == at + 61
     about = Bag(bag).about
     assert about[PARENT] == str(straight) and about[FORKED_AT] == str(at)
-    one = load_offline_run(str(scene))
-    MoveTool((0.0, 0.05, 0.0))(one)
-    one.advance(at)
-    order(one)
-    one.advance(60)
+    straight_run = load_offline_run(str(scene))
+    MoveTool((0.0, 0.05, 0.0))(straight_run)
+    straight_run.advance(at)
+    order(straight_run)
+    straight_run.advance(60)
     machine = recorded(bag, scene)
-    assert truth(machine.session) == truth(one.session), "to the last bit"
-    assert {tick: [int(one.kind) for one in made] for tick, made in machine.changes.items()} == (
-        {at: [kind]} if kind else {}
-    )
+    assert truth(machine.session) == truth(straight_run.session), "to the last bit"
+    assert {
+        tick: [int(straight_run.kind) for straight_run in compiled]
+        for tick, compiled in machine.changes.items()
+    } == ({at: [kind]} if kind else {})
 
 
 def test_forks_of_forks_have_all_orders_of_their_past(
@@ -114,17 +115,22 @@ def test_forks_of_forks_have_all_orders_of_their_past(
     assert fork(straight, first, at=0.2, gains=1.5, power="off", scene=str(scene)) == 0
     assert fork(first, second, at=0.25, power="on", seconds=0.1, scene=str(scene)) == 0
     assert fork(second, third, at=0.35, seconds=0.0, scene=str(scene)) == 0
-    assert [one["tick"] for one in json.loads(Bag(third).about[ORDERS])] == [0, 200, 200, 250]
-    one = load_offline_run(str(scene))
-    MoveTool((0.0, 0.05, 0.0))(one)
-    one.advance(200)
-    SwitchPower(on=False)(one)
-    ScaleGains(1.5)(one)
-    one.advance(50)
-    SwitchPower(on=True)(one)
-    one.advance(100)
+    assert [straight_run["tick"] for straight_run in json.loads(Bag(third).about[ORDERS])] == [
+        0,
+        200,
+        200,
+        250,
+    ]
+    straight_run = load_offline_run(str(scene))
+    MoveTool((0.0, 0.05, 0.0))(straight_run)
+    straight_run.advance(200)
+    SwitchPower(on=False)(straight_run)
+    ScaleGains(1.5)(straight_run)
+    straight_run.advance(50)
+    SwitchPower(on=True)(straight_run)
+    straight_run.advance(100)
     for bag in (second, third):
-        assert truth(recorded(bag, scene).session) == truth(one.session)
+        assert truth(recorded(bag, scene).session) == truth(straight_run.session)
 
 
 def spoiled(change: Callable[[Any], Any]) -> Callable[[Path], None]:
@@ -175,7 +181,7 @@ def test_impossible_requests_are_refused_and_write_nothing(
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.parametrize("asked", ASKED)
-def test_orders_are_the_same_after_a_file(asked: str) -> None:
-    order = ASKED[asked][1]
+@pytest.mark.parametrize("requested", ASKED)
+def test_orders_are_the_same_after_a_file(requested: str) -> None:
+    order = ASKED[requested][1]
     assert of_data("file", json.loads(json.dumps(as_data(order)))) == order

@@ -43,11 +43,11 @@ def panels_of(tree: Any) -> Iterator[str]:
 def named(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
     """Keys and texts of a JSON value."""
     if isinstance(value, dict):
-        for name, one in value.items():
-            yield from named(one, name)
+        for name, child in value.items():
+            yield from named(child, name)
     elif isinstance(value, list):
-        for one in value:
-            yield from named(one, key)
+        for child in value:
+            yield from named(child, key)
     elif isinstance(value, str):
         yield key, value
 
@@ -58,25 +58,27 @@ def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_pat
     file = tmp_path / "layout.json"
     assert foxglove(scene, file, namespace=namespace) == 0
     layout = json.loads(file.read_text())
-    panels, joints, known = layout["configById"], load_scene(scene).joint_names, types()
-    shown = list(panels_of(layout["layout"]))
-    shown += [one["layout"] for one in panels["Tab!signals"]["tabs"]]
-    assert sorted(shown) == sorted(panels), "each panel once"
+    panels, joints, topic_types = layout["configById"], load_scene(scene).joint_names, types()
+    printed = list(panels_of(layout["layout"]))
+    printed += [item["layout"] for item in panels["Tab!signals"]["tabs"]]
+    assert sorted(printed) == sorted(panels), "each panel once"
     topics = 0
     for key, text in named(panels):
         if key == "value":
-            found = PATH.match(text)
-            assert found is not None, text
-            topic, field, index = found.groups()
-            kind = known[topic.removeprefix(f"{namespace}/")]
+            result = PATH.match(text)
+            assert result is not None, text
+            topic, field, index = result.groups()
+            kind = topic_types[topic.removeprefix(f"{namespace}/")]
             have = {field.split()[1]: field.split()[0] for field in fields(definition_of(kind))}
             assert field in have, (text, have)
             assert ("[" in have[field]) == (index is not None), text
         elif text.startswith("/") and "/" in text:
-            assert text.removeprefix(f"{namespace}/") in known, text
+            assert text.removeprefix(f"{namespace}/") in topic_types, text
             topics += 1
     assert topics >= 4
-    plots = [one for name, one in panels.items() if name[:5] == "Plot!" and len(one["paths"]) > 1]
+    plots = [
+        item for name, item in panels.items() if name[:5] == "Plot!" and len(item["paths"]) > 1
+    ]
     assert len(plots) >= 6
     for plot in plots:
         assert [path["label"] for path in plot["paths"]] == list(joints)

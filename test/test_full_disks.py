@@ -77,8 +77,8 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     ],
 )
 def test_outputs_that_take_nothing(words: list[str], shell: str, code: int, line: str) -> None:
-    found, _, errors = ended(words, shell)
-    assert found == code, errors
+    result, _, errors = ended(words, shell)
+    assert result == code, errors
     assert errors.count("\n") == bool(line) and line in errors, errors
 
 

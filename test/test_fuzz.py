@@ -47,8 +47,8 @@ def test_a_scene_that_broke_something_is_taken_or_refused(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def at_the_doors() -> Iterator[Doors]:
-    with doors() as one:
-        yield one
+    with doors() as opened:
+        yield opened
 
 
 @given(rng=randoms, topic=topics, tick=st.integers(0, 10**6))

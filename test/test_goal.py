@@ -81,12 +81,12 @@ def test_tables_are_refused_exactly_where_they_leave_the_limits(tmp_path: Path) 
         fast = (np.abs(np.diff(q, axis=0)) > 1.05 * speed * np.diff(t)[:, None]).any()
         try:
             check_targets(scene, "table", [f"line {k}" for k in range(K)], t, q)
-            kept = True
+            saved = True
         except Refusal as refusal:
-            kept, text = False, str(refusal)
+            saved, text = False, str(refusal)
             assert ("limits, [" in text) == outside, text
-        assert kept != bool(outside or fast), (t, q)
-        refused += not kept
+        assert saved != bool(outside or fast), (t, q)
+        refused += not saved
     assert 50 < refused < 250, "the draws are one-sided"
 
 
@@ -98,8 +98,8 @@ def test_other_units_are_named(tmp_path: Path) -> None:
     for _ in range(20):
         K = int(rng.integers(12, 40))
         t = np.arange(K) * 0.01 * rng.integers(1, 5)
-        way = np.sin(np.linspace(0.0, rng.uniform(1.0, 6.0), K))
-        q = scene.start + np.outer(way, rng.uniform(0.1, 0.3, 3)) * min(1.0, t[-1])
+        profile = np.sin(np.linspace(0.0, rng.uniform(1.0, 6.0), K))
+        q = scene.start + np.outer(profile, rng.uniform(0.1, 0.3, 3)) * min(1.0, t[-1])
 
         def write(t: np.ndarray, q: np.ndarray) -> None:
             rows = [",".join(f"{x:.9g}" for x in row) for row in np.column_stack([t, q])]

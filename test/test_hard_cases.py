@@ -37,8 +37,8 @@ def growing() -> set[str]:
     J, steps = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.logspace(-1, 3, 100)
     return {
         name
-        for name, one in KNOWN.items()
-        if any(np.abs(np.linalg.eigvals(one.matrix(J, J, 0, h))).max() > 1.001 for h in steps)
+        for name, scheme in KNOWN.items()
+        if any(np.abs(np.linalg.eigvals(scheme.matrix(J, J, 0, h))).max() > 1.001 for h in steps)
     }
 
 
@@ -149,12 +149,12 @@ def test_a_divergence_that_stays_finite_is_detected() -> None:
     plant = Plant(paper(1.25e-3))
     with pytest.raises(Diverged) as fault:
         drive(plant, 300)
-    held = plant.state
-    assert held.t == fault.value.t < 1.0, "when it diverged, by the plant and by the fault"
+    holding = plant.state
+    assert holding.t == fault.value.t < 1.0, "when it diverged, by the plant and by the fault"
     for _ in range(3):  # and it stays there, whatever is asked for
         with pytest.raises(Diverged):
             plant.advance([0.0, 0.0, 0.0], 1)
-        same = plant.t == held.t and np.array_equal(plant.state.q, held.q)
+        same = plant.t == holding.t and np.array_equal(plant.state.q, holding.q)
         assert same, "a machine that has diverged has moved"
     plant.reset()
     plant.advance([0.0, 0.0, 0.0], 1000)
@@ -189,9 +189,9 @@ def test_the_text_states_which_joint_when_and_why() -> None:
     with pytest.raises(Diverged) as reported:
         drive(plant, 300)
     reported.value.hint = why(reported.value)
-    found = re.search(words, str(reported.value))
-    assert found, reported.value
-    assert 1e-3 < float(found[2]) < 1.25e-3, "the largest step that holds"
+    result = re.search(words, str(reported.value))
+    assert result, reported.value
+    assert 1e-3 < float(result[2]) < 1.25e-3, "the largest step that holds"
     drive(Plant(paper(1e-2 / 9)), 300)  # 1.11 ms does hold
 
 

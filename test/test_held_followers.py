@@ -30,7 +30,7 @@ def robot(seed: int) -> tuple[str, dict[str, tuple[str, float, float]]]:
     """
     rng = np.random.default_rng([seed, 15])
     text, parent = '<robot name="held"><link name="base"/>', "base"
-    laws = {}
+    friction_laws = {}
     for name in (*ARM, *GRIPPER):
         kind = "prismatic" if name in GRIPPER and rng.random() < 0.5 else "revolute"
         parent = f"{PARENTS[name]}_link" if name in PARENTS else parent
@@ -48,7 +48,7 @@ def robot(seed: int) -> tuple[str, dict[str, tuple[str, float, float]]]:
                 name, "grip"
             )
             factor, offset = rng.uniform(-2.0, 2.0, 2).round(3)
-            laws[name] = (of, float(factor), float(offset))
+            friction_laws[name] = (of, float(factor), float(offset))
             inner = f'<mimic joint="{of}" multiplier="{factor}" offset="{offset}"/>'
         element = ET.fromstring(f"<all>{link}</all>")
         joint = element.find("joint")
@@ -56,17 +56,17 @@ def robot(seed: int) -> tuple[str, dict[str, tuple[str, float, float]]]:
         for old in joint.findall("limit") if inner.startswith("<limit") else []:
             joint.remove(old)
         joint.extend(ET.fromstring(f"<more>{inner}</more>"))
-        text += "".join(ET.tostring(one, encoding="unicode") for one in element)
+        text += "".join(ET.tostring(child, encoding="unicode") for child in element)
         parent = f"{name}_link"
-    return text + "</robot>", laws
+    return text + "</robot>", friction_laws
 
 
-def positions(laws: dict[str, tuple[str, float, float]], grip: float) -> dict[str, float]:
+def positions(friction_laws: dict[str, tuple[str, float, float]], grip: float) -> dict[str, float]:
     """Return where the gripper's joints stand, one after the other."""
-    found = {"grip": grip}
-    for name, (of, factor, offset) in laws.items():
-        found[name] = factor * found[of] + offset
-    return found
+    result = {"grip": grip}
+    for name, (of, factor, offset) in friction_laws.items():
+        result[name] = factor * result[of] + offset
+    return result
 
 
 def placed(urdf: str, at: dict[str, float]) -> np.ndarray:
@@ -87,13 +87,13 @@ def without_laws(urdf: str) -> str:
 
 @pytest.mark.parametrize("seed", some(range(200), 20))
 def test_new_holds_those_that_follow_where_their_joint_takes_them(seed: int) -> None:
-    urdf, laws = robot(seed)
-    held = choose_joints(ET.fromstring(urdf), "robot", joints=ARM).held
+    urdf, friction_laws = robot(seed)
+    holding = choose_joints(ET.fromstring(urdf), "robot", joints=ARM).held
     low = float(ET.fromstring(urdf).findall("joint")[3].find("limit").get("lower"))  # type: ignore
-    expected = positions(laws, max(0.0, low))
+    expected = positions(friction_laws, max(0.0, low))
     # Sums of four products, in another order.
     for name in GRIPPER:
-        assert held[name].position == pytest.approx(expected[name], rel=1e-12, abs=1e-12), name
+        assert holding[name].position == pytest.approx(expected[name], rel=1e-12, abs=1e-12), name
 
 
 def scene_of(folder: Path, urdf: str, locked: dict[str, float]) -> Scene:
@@ -104,17 +104,17 @@ def scene_of(folder: Path, urdf: str, locked: dict[str, float]) -> Scene:
 @pytest.mark.parametrize("seed", some(range(200), 20))
 def test_a_refusal_names_the_position_of_the_law(seed: int, tmp_path: Path) -> None:
     """Followed to the letter, refusal by refusal, the links stand where Pinocchio has them."""
-    urdf, laws = robot(seed)
+    urdf, friction_laws = robot(seed)
     grip = float(np.random.default_rng([seed, 16]).uniform(0.1, 0.8))
     locked = {"grip": grip}
-    for _ in laws:
+    for _ in friction_laws:
         with pytest.raises(Refusal, match="must follow joints on the way") as refused:
             scene_of(tmp_path, urdf, locked)
         advice = re.search(r"locked: \{(\w+): (\S+)\}", str(refused.value.valid))
         assert advice, refused.value
         locked[advice[1]] = float(advice[2])
     scene = scene_of(tmp_path, urdf, locked)
-    expected = placed(without_laws(urdf), positions(laws, grip))
+    expected = placed(without_laws(urdf), positions(friction_laws, grip))
     np.testing.assert_allclose(placed(scene.urdf, {}), expected, rtol=0.0, atol=1e-12)
 
 

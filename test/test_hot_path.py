@@ -40,12 +40,12 @@ class Trouble:
         self._draw, self.now = random.Random(seed), 0.0
         self.held: dict[str, bytes] = {}
 
-    def between(self, one: InProcess) -> None:
-        draw, self._one = self._draw, one
+    def between(self, nodes: InProcess) -> None:
+        draw, self._one = self._draw, nodes
         self.now += 0.01
         for topic in ("motor_states", "motor_commands", "joint_targets"):
-            if topic in one.stated() and draw.random() < 0.02:
-                self.held[topic] = one.stated()[topic]
+            if topic in nodes.stated() and draw.random() < 0.02:
+                self.held[topic] = nodes.stated()[topic]
         if draw.random() < 0.05 and self.held:
             self._send(draw.choice(sorted(self.held)))
         if draw.random() < 0.02:
@@ -60,19 +60,19 @@ class Trouble:
         self._one.send_bytes(topic, bytes(data) + bytes(draw.choice([0, 0, 3, 40])))
 
     def _change(self) -> None:
-        draw, one = self._draw, self._one
+        draw, nodes = self._draw, self._one
         kind = draw.randrange(4)
         if kind == 0:
-            assert one.call("emulator/power", draw.random() < 0.5).success
+            assert nodes.call("emulator/power", draw.random() < 0.5).success
         elif kind == 1:
             request = SetState.Request(joint_names=[draw.choice(JOINTS)], velocity=[0.1])
-            assert one.call("emulator/set_state", request).success
+            assert nodes.call("emulator/set_state", request).success
         elif kind == 2:
-            assert one.call("emulator/pause", True).success
-            one.call("emulator/step")
-            assert one.call("emulator/pause", False).success
+            assert nodes.call("emulator/pause", True).success
+            nodes.call("emulator/step")
+            assert nodes.call("emulator/pause", False).success
         else:
-            one.timers()
+            nodes.timers()
 
 
 def run(
@@ -82,18 +82,18 @@ def run(
     trouble = Trouble(seed)
     for module in TIMED:
         patch.setattr(f"{module}.time", SimpleNamespace(monotonic=lambda: trouble.now))
-    with in_process() as one:
+    with in_process() as nodes:
         done: Counter[int] = Counter()
-        counts = [one.take_in_c(node) for node in hot]
-        one.begin_record()
-        assert one.call("emulator/reset").success
+        counts = [nodes.take_in_c(node) for node in hot]
+        nodes.begin_record()
+        assert nodes.call("emulator/reset").success
         for _ in range(12 * TICKS):
-            trouble.between(one)
-            if not one.deliver():
-                one.timers()  # states without an answer are repeated
+            trouble.between(nodes)
+            if not nodes.deliver():
+                nodes.timers()  # states without an answer are repeated
         for count in counts:
             done += count
-        return one.published(TOPICS), done
+        return nodes.published(TOPICS), done
 
 
 @pytest.mark.parametrize("seed", some(range(40), 2))
@@ -102,8 +102,8 @@ def test_c_publishes_what_python_does(seed: int, monkeypatch: pytest.MonkeyPatch
     fast, done = run(seed, ("emulator", "servo"), monkeypatch)
     assert done[0] >= 30, "C takes those of an undisturbed run; some troubles stop it early"
     assert done[1] >= 10, "and Python the others"
-    for at, (one, other) in enumerate(zip(slow, fast, strict=False)):
-        assert one == other, f"message {at} of {len(slow)}, on {one[0]} and {other[0]}"
+    for at, (first, second) in enumerate(zip(slow, fast, strict=False)):
+        assert first == second, f"message {at} of {len(slow)}, on {first[0]} and {second[0]}"
     assert len(slow) == len(fast)
 
 

@@ -58,8 +58,8 @@ def drawn(file: Path, seed: int, dt: float = 1e-4) -> tuple[Scene, Plant, np.nda
     rng = np.random.default_rng([seed, 11])
     scene = load_scene(file, {"integrator.dt": dt})
     plant = Plant(scene)
-    for one in scene.varied:
-        plant.set_parameter(one.name, one.value * float(rng.uniform(0.5, 2.0)))
+    for number in scene.varied:
+        plant.set_parameter(number.name, number.value * float(rng.uniform(0.5, 2.0)))
     plant.reset()
     return scene, plant, rng.uniform(-0.1, 0.1, (8, 3))
 

@@ -104,43 +104,43 @@ def test_impossible_inertias_are_refused_and_replaced(kind: str, tmp_path: Path)
     assert words in str(refusal.value) and "--replace-inertias" in str(refusal.value)
     assert not (tmp_path / "new").exists()
     written = made(tmp_path, text, replace_inertias=True)
-    assert [one.link for one in written.assumed] == ["l2"]
+    assert [assumed.link for assumed in written.assumed] == ["l2"]
     body = load_scene(written.file).chain.joints[1].body
-    kept = mass if 300.0 <= mass / SIZE.prod() <= 3000.0 else 1200.0 * SIZE.prod()
-    assert body.mass == pytest.approx(kept, rel=1e-5), "a mass in doubt goes, too"
+    saved = mass if 300.0 <= mass / SIZE.prod() <= 3000.0 else 1200.0 * SIZE.prod()
+    assert body.mass == pytest.approx(saved, rel=1e-5), "a mass in doubt goes, too"
     c = body.moment / body.mass
     about = body.inertia - body.mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
-    np.testing.assert_allclose(np.sort(np.linalg.eigvalsh(about)), np.sort(moments(kept)), 1e-4)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvalsh(about)), np.sort(moments(saved)), 1e-4)
 
 
 def test_a_negative_moment_is_assumed_as_a_missing_one_is(tmp_path: Path) -> None:
     written = made(tmp_path, arm([good(), (2.0, turned(np.array([-0.005, 0.02, 0.018]), 4))]))
-    assert [one.link for one in written.assumed] == ["l2"]
+    assert [body.link for body in written.assumed] == ["l2"]
 
 
 @pytest.mark.parametrize("kind", DOUBTFUL)
 def test_doubtful_inertias_are_warned_of(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[str] = []
-    monkeypatch.setattr(warning, "given", given)
+    inputs: list[str] = []
+    monkeypatch.setattr(warning, "given", inputs)
     mass, tensor, words = DOUBTFUL[kind]
     text = arm([good(), good(), (mass, tensor)])
     written = made(tmp_path, text)
-    assert sum("link l3: " in line and words in line for line in given) == 1, given
-    given.clear()
+    assert sum("link l3: " in line and words in line for line in inputs) == 1, inputs
+    inputs.clear()
     check_scene(str(written.file))
-    assert sum("link l3: " in line and words in line for line in given) == 1, given
-    given.clear()
+    assert sum("link l3: " in line and words in line for line in inputs) == 1, inputs
+    inputs.clear()
     check_scene(str(made(tmp_path, text, trust_inertias=True).file))
     check_scene(str(made(tmp_path, text, replace_inertias=True).file))
-    assert not any("link l" in line for line in given), given
+    assert not any("link l" in line for line in inputs), inputs
 
 
 def test_bodies_of_many_kinds_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Mixtures of points within the box have its bounds; a plate has equality in the triangle."""
-    given: list[str] = []
-    monkeypatch.setattr(warning, "given", given)
+    inputs: list[str] = []
+    monkeypatch.setattr(warning, "given", inputs)
     rng = np.random.default_rng(5)
     for _ in range(10):
         bodies = []
@@ -151,7 +151,7 @@ def test_bodies_of_many_kinds_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             tensor = (2.4 / 60) * sum(float(x @ x) * np.eye(3) - np.outer(x, x) for x in p)
             bodies.append((2.4, np.array([[float(f"{v:.3g}") for v in row] for row in tensor])))
         made(tmp_path, arm(bodies))
-    assert not any("link l" in line for line in given), given
+    assert not any("link l" in line for line in inputs), inputs
 
 
 def test_a_link_is_judged_with_all_that_is_fixed_to_it(tmp_path: Path) -> None:
@@ -185,8 +185,8 @@ def test_a_scene_with_an_impossible_link_is_refused_unless_it_trusts_it(tmp_path
 def test_shipped_scenes_say_which_inertias_are_not_of_bodies(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[str] = []
-    monkeypatch.setattr(warning, "given", given)
+    inputs: list[str] = []
+    monkeypatch.setattr(warning, "given", inputs)
     check_scene(name)
-    assert not any("link " in line and "kg" in line for line in given), given
+    assert not any("link " in line and "kg" in line for line in inputs), inputs
     assert math.isfinite(load_scene(name).servo_period)

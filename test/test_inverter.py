@@ -61,8 +61,8 @@ def test_the_power_of_motors_that_move_is_balanced(file: Path) -> None:
         plant = Plant(load_scene(file, {"integrator.dt": dt}))
         for name in GANTRY:
             plant.set_parameter(f"joints.{name}.friction.coulomb", 0.0)
-        found = balance_of(plant, rows, round(5e-3 / dt))
-        left.append(found.left / found.exchanged)
+        result = balance_of(plant, rows, round(5e-3 / dt))
+        left.append(result.left / result.exchanged)
     assert left[0] < 1e-4 and left[1] < 0.3 * left[0], f"{left}"
 
 

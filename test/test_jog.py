@@ -75,18 +75,18 @@ class Jogged:
 
 def test_a_twist_moves_the_tool_along_it() -> None:
     """0.1 m/s along y for a second: the true tool goes so fast, straight, and comes to rest."""
-    one = Jogged()
-    one.jog(1.0, one.twist(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))
-    one.jog(1.0, None)
-    way = one.tool() - one.tool()[0]
-    speed = np.diff(way[50:90], axis=0) / one.config.period
+    jogged = Jogged()
+    jogged.jog(1.0, jogged.twist(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))
+    jogged.jog(1.0, None)
+    path = jogged.tool() - jogged.tool()[0]
+    speed = np.diff(path[50:90], axis=0) / jogged.config.period
     np.testing.assert_allclose(speed.mean(axis=0), [0.0, 0.1, 0.0], atol=1e-3)
-    assert np.abs(way[:, [0, 2]]).max() < 1e-3  # off the line
+    assert np.abs(path[:, [0, 2]]).max() < 1e-3  # off the line
     # Held for the time-out after the last command, then at rest.
-    assert way[-1, 1] == pytest.approx(0.1 * (1.0 + 0.1), abs=0.01)
-    assert np.abs(np.diff(way[-50:], axis=0)).max() < 2e-6
-    assert one.run.instructor.reports.waiting[-1].state is State.REACHED
-    turned = [one.kinematics.forward(q)[0] for q in (one.q[0], one.q[-1])]
+    assert path[-1, 1] == pytest.approx(0.1 * (1.0 + 0.1), abs=0.01)
+    assert np.abs(np.diff(path[-50:], axis=0)).max() < 2e-6
+    assert jogged.run.instructor.reports.waiting[-1].state is State.REACHED
+    turned = [jogged.kinematics.forward(q)[0] for q in (jogged.q[0], jogged.q[-1])]
     assert np.abs(turned[0] - turned[1]).max() < 2e-3
 
 
@@ -95,20 +95,20 @@ def test_a_twist_moves_the_tool_along_it() -> None:
 def test_a_jog_keeps_to_its_line(period: float, direction: tuple[float, float, float]) -> None:
     """three_axis at 0.3 m/s: on the whole way within 5 mm of the line; up to 7.6 without one."""
     start = {"waist": 0.3, "shoulder": 0.2, "elbow": 1.4}
-    one = Jogged(start, "three_axis", period=period)
+    jogged = Jogged(start, "three_axis", period=period)
     along = np.array(direction) / np.linalg.norm(direction)
-    one.jog(0.8, one.twist(*(0.3 * along), 0.0, 0.0, 0.0))
-    way = one.tool() - one.tool()[0]
-    assert np.linalg.norm(way - np.outer(way @ along, along), axis=1).max() < 5e-3
-    assert way[-1] @ along > 0.15
+    jogged.jog(0.8, jogged.twist(*(0.3 * along), 0.0, 0.0, 0.0))
+    path = jogged.tool() - jogged.tool()[0]
+    assert np.linalg.norm(path - np.outer(path @ along, along), axis=1).max() < 5e-3
+    assert path[-1] @ along > 0.15
 
 
 @pytest.mark.parametrize("period", [0.01, 0.05])
 def test_a_jog_rests_before_the_stretched_pose(period: float) -> None:
     """three_axis upwards: the elbow stays on its side (it went through 0), and rests."""
-    one = Jogged(None, "three_axis", period=period)
-    one.jog(3.0, one.twist(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))
-    elbow = np.array(one.q)[:, 2]
+    jogged = Jogged(None, "three_axis", period=period)
+    jogged.jog(3.0, jogged.twist(0.0, 0.0, 0.2, 0.0, 0.0, 0.0))
+    elbow = np.array(jogged.q)[:, 2]
     assert elbow.min() > 0.1
     assert np.ptp(elbow[-round(0.3 / period) :]) < 2e-3
 
@@ -116,68 +116,70 @@ def test_a_jog_rests_before_the_stretched_pose(period: float) -> None:
 @pytest.mark.parametrize("link", ["tool0", "forearm_link", "wrist_1_link", "base_link", "world"])
 def test_a_twist_is_along_any_link(link: str) -> None:
     """As MoveIt Servo takes any frame: Pinocchio's placement of the link at the start."""
-    one = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
-    q, model = one.run.session.state.q, pin.buildModelFromXML(one.kinematics.urdf_xml)
+    jogged = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
+    q, model = jogged.run.session.state.q, pin.buildModelFromXML(jogged.kinematics.urdf_xml)
     data, at = model.createData(), np.zeros(model.nq)
-    at[[model.joints[model.getJointId(n)].idx_q for n in one.kinematics.joint_names]] = q
+    at[[model.joints[model.getJointId(n)].idx_q for n in jogged.kinematics.joint_names]] = q
     pin.framesForwardKinematics(model, data, at)
     R_WL = np.eye(3) if link == "world" else data.oMf[model.getFrameId(link)].rotation
-    one.jog(0.3, one.twist(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, link=link))
-    way = one.tool()[-1] - one.tool()[0]
-    np.testing.assert_allclose(way / np.linalg.norm(way), R_WL[:, 0], atol=0.08)
+    jogged.jog(0.3, jogged.twist(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, link=link))
+    path = jogged.tool()[-1] - jogged.tool()[0]
+    np.testing.assert_allclose(path / np.linalg.norm(path), R_WL[:, 0], atol=0.08)
     # A turn about another axis of the link keeps to the direction as well.
-    one = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
-    one.jog(0.3, one.twist(0.0, 0.0, 0.0, 0.0, 0.4, 0.0, link=link))
-    before, after = (one.kinematics.forward(one.q[k])[0] for k in (0, -1))
+    jogged = Jogged({"shoulder_pan_joint": 0.4, "elbow_joint": 1.2})
+    jogged.jog(0.3, jogged.twist(0.0, 0.0, 0.0, 0.0, 0.4, 0.0, link=link))
+    before, after = (jogged.kinematics.forward(jogged.q[k])[0] for k in (0, -1))
     turn = pin.log3(after @ before.T)
     np.testing.assert_allclose(turn / np.linalg.norm(turn), R_WL[:, 1], atol=0.08)
 
 
 def test_commands_time_out() -> None:
     """A gap shorter than the time-out changes nothing; a longer one stops the arm."""
-    one = Jogged()
-    command = one.twist(0.0, 0.1, 0.0, 0.0, 0.0, 0.0)
-    one.jog(1.0, command, every=9)
-    tool = one.tool()
+    jogged = Jogged()
+    command = jogged.twist(0.0, 0.1, 0.0, 0.0, 0.0, 0.0)
+    jogged.jog(1.0, command, every=9)
+    tool = jogged.tool()
     assert np.diff(tool[50:, 1]).min() > 0.9e-3
-    one.q.clear()
-    one.jog(1.5, command, every=50)
-    assert np.abs(np.diff(one.tool()[:, 1])).min() < 1e-5
+    jogged.q.clear()
+    jogged.jog(1.5, command, every=50)
+    assert np.abs(np.diff(jogged.tool()[:, 1])).min() < 1e-5
 
 
 @pytest.mark.parametrize("seed", some(range(30), 4))
 def test_limits_hold_whatever_the_lever_does(seed: int) -> None:
     """Drawn twists and joint speeds that change all the time: every limit of every joint holds."""
     rng = np.random.default_rng(seed)
-    one = Jogged(jog_scale_linear=2.0, jog_scale_rotational=4.0)
-    names = one.kinematics.joint_names
+    jogged = Jogged(jog_scale_linear=2.0, jog_scale_rotational=4.0)
+    names = jogged.kinematics.joint_names
     for _ in range(12):
         if rng.random() < 0.5:
-            command = one.twist(
+            command = jogged.twist(
                 *rng.normal(0.0, 1.0, 6), link=str(rng.choice(["", "tool0", "forearm_link"]))
             )
         else:
-            command = joint_command(0, names, rng.normal(0.0, 3.0, 6), one.kinematics, one.config)
-        one.jog(rng.uniform(0.1, 1.0), command)
-    asked, T = np.array(one.asked), one.config.period
-    margin = one.config.jog_joint_limit_margin
-    assert (asked > one.kinematics.lower + 0.9 * margin).all()
-    assert (asked < one.kinematics.upper - 0.9 * margin).all()
-    v = np.diff(asked, axis=0) / T
-    assert (np.abs(v) <= np.minimum(3.0, one.kinematics.velocity_limit) * (1.0 + 1e-9)).all()
+            command = joint_command(
+                0, names, rng.normal(0.0, 3.0, 6), jogged.kinematics, jogged.config
+            )
+        jogged.jog(rng.uniform(0.1, 1.0), command)
+    requested, T = np.array(jogged.asked), jogged.config.period
+    margin = jogged.config.jog_joint_limit_margin
+    assert (requested > jogged.kinematics.lower + 0.9 * margin).all()
+    assert (requested < jogged.kinematics.upper - 0.9 * margin).all()
+    v = np.diff(requested, axis=0) / T
+    assert (np.abs(v) <= np.minimum(3.0, jogged.kinematics.velocity_limit) * (1.0 + 1e-9)).all()
     # Of 10 rad/s2 the rest is for links that swing on their gears.
     assert np.abs(np.diff(v, axis=0)).max() / T <= 0.72 * 10.0 * (1.0 + 1e-6)
 
 
 def test_through_the_singular_pose_of_the_wrist() -> None:
     """A translation past q5 = 0: the tool goes on, at most slower, and not off its line."""
-    one = Jogged({"wrist_2_joint": -0.2})
-    towards = one.kinematics.jacobian(one.run.session.state.q) @ np.eye(6)[4]
-    one.jog(3.0, one.twist(0.0, 0.0, 0.0, *(0.3 * towards[3:] / np.linalg.norm(towards[3:]))))
-    wrist = np.array(one.q)[:, 4]
+    jogged = Jogged({"wrist_2_joint": -0.2})
+    towards = jogged.kinematics.jacobian(jogged.run.session.state.q) @ np.eye(6)[4]
+    jogged.jog(3.0, jogged.twist(0.0, 0.0, 0.0, *(0.3 * towards[3:] / np.linalg.norm(towards[3:]))))
+    wrist = np.array(jogged.q)[:, 4]
     assert wrist[0] < -0.1 and wrist[-1] > 0.3
     assert (np.diff(wrist) > -1e-4).all()
-    speeds = np.abs(np.diff(np.array(one.asked), axis=0)) / one.config.period
+    speeds = np.abs(np.diff(np.array(jogged.asked), axis=0)) / jogged.config.period
     assert speeds.max() < 3.0
 
 
@@ -187,21 +189,21 @@ def test_out_of_reach_and_back() -> None:
     Joints that brake lead 2.6 mm aside here; a part of the twist that is slowed more than the rest
     of it led 7.7 mm aside, and farther with time.
     """
-    one = Jogged({"shoulder_lift_joint": -0.5, "elbow_joint": 0.8, "wrist_1_joint": -1.87})
-    _, p_WT = one.kinematics.forward(one.run.session.state.q)
+    jogged = Jogged({"shoulder_lift_joint": -0.5, "elbow_joint": 0.8, "wrist_1_joint": -1.87})
+    _, p_WT = jogged.kinematics.forward(jogged.run.session.state.q)
     out = np.append(p_WT[:2] / np.linalg.norm(p_WT[:2]), 0.0)
-    one.jog(6.0, one.twist(*(0.2 * out), 0.0, 0.0, 0.0))
-    way = one.tool() - one.tool()[0]
-    assert np.linalg.norm(way - np.outer(way @ out[:3], out[:3]), axis=1).max() < 3e-3
-    assert JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY in one.statuses
-    halted = one.tool()[-50:]
+    jogged.jog(6.0, jogged.twist(*(0.2 * out), 0.0, 0.0, 0.0))
+    path = jogged.tool() - jogged.tool()[0]
+    assert np.linalg.norm(path - np.outer(path @ out[:3], out[:3]), axis=1).max() < 3e-3
+    assert JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY in jogged.statuses
+    halted = jogged.tool()[-50:]
     assert np.abs(np.diff(halted, axis=0)).max() < 5e-5
-    assert one.statuses[-1] in (
+    assert jogged.statuses[-1] in (
         JogStatus.HALT_FOR_SINGULARITY,
         JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY,
     )
-    one.jog(1.0, one.twist(*(-0.2 * out), 0.0, 0.0, 0.0))
-    back = float(out @ (one.tool()[-1] - halted[-1]))
+    jogged.jog(1.0, jogged.twist(*(-0.2 * out), 0.0, 0.0, 0.0))
+    back = float(out @ (jogged.tool()[-1] - halted[-1]))
     assert back < -0.15  # of 0.2 m in a second
 
 
@@ -209,9 +211,9 @@ def test_out_of_reach_and_back() -> None:
 def test_speeds_are_those_of_the_twist_away_from_singular_poses(seed: int) -> None:
     """Against the Jacobian itself; near singular poses no direction is turned round."""
     rng = np.random.default_rng(seed)
-    one = load_scene("ur5")
+    scene = load_scene("ur5")
     config = load_gains(find_scene("ur5")).motion
-    kinematics = Kinematics(one.urdf, one.joint_names, "tool0")
+    kinematics = Kinematics(scene.urdf, scene.joint_names, "tool0")
     q, twist = rng.uniform(-2.5, 2.5, 6), rng.normal(0.0, 0.1, 6)
     speeds = ToolDirections(kinematics, q).speeds(twist, config)
     singular = kinematics.singular_values(q)
@@ -237,10 +239,10 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
     moved = np.zeros(n)
     before = joints.now
     for _ in range(40):
-        wish = rng.normal(0.0, 3.0, n)
+        target = rng.normal(0.0, 3.0, n)
         for _ in range(rng.integers(1, 60)):
             now = joints.now
-            joints.go(wish * joints.allowed(now.q, wish), alone=seed % 2 == 0)
+            joints.go(target * joints.allowed(now.q, target), alone=seed % 2 == 0)
             now = joints.now
             moved = np.maximum(moved, np.abs(now.v))
             assert (np.abs(now.q - middle) <= limit + 1e-8).all()
@@ -262,19 +264,19 @@ def test_a_gripper_of_a_few_millimetres_is_jogged_from_end_to_end() -> None:
     assert short.sum() == 1
     joints = jerk_limited_velocity(arm, config, config.jog_joint_limit_margin)
     joints.begin(Reference.at_rest(np.where(short, 0.01, START)))
-    for wish, end in ((0.02, 0.0275), (-0.02, 0.0075)):
+    for velocity, end in ((0.02, 0.0275), (-0.02, 0.0075)):
         for _ in range(500):
-            joints.go(wish * joints.allowed(joints.now.q, wish * short) * short, alone=True)
+            joints.go(velocity * joints.allowed(joints.now.q, velocity * short) * short, alone=True)
         # It halts where little of the speed is left.
         assert joints.now.q[short] == pytest.approx(end, abs=1e-3) and not joints.moving
 
 
 def test_commands_are_refused() -> None:
     """Unknown joints, wrong lengths, numbers that are not finite, turns that no task rules."""
-    one = load_scene("ur5")
+    scene = load_scene("ur5")
     config = load_gains(find_scene("ur5")).motion
-    arm = Kinematics(one.urdf, one.joint_names, "tool0")
-    place = Kinematics(one.urdf, one.joint_names, "tool0", task="position")
+    arm = Kinematics(scene.urdf, scene.joint_names, "tool0")
+    place = Kinematics(scene.urdf, scene.joint_names, "tool0", task="position")
     with pytest.raises(Refusal, match=r"joint must be one of the arm, got elbow; valid"):
         joint_command(0, ["elbow"], [0.1], arm, config)
     with pytest.raises(Refusal, match="each once"):
@@ -291,8 +293,8 @@ def test_commands_are_refused() -> None:
     half = twist_command(0, [0.5, 0.0, 0.0, 0.0, 0.0, -1.0], "", arm, unitless)
     np.testing.assert_allclose(half.twist, [0.2, 0.0, 0.0, 0.0, 0.0, -0.8])
     fast = dataclasses.replace(config, jog_command_in_type="speed_units")
-    most = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], "", arm, fast)
-    np.testing.assert_allclose(most.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
+    largest = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], "", arm, fast)
+    np.testing.assert_allclose(largest.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
 
 
 def test_the_node_takes_twists_and_publishes_what_limits_them() -> None:
@@ -302,7 +304,7 @@ def test_the_node_takes_twists_and_publishes_what_limits_them() -> None:
         heard: list[MotionStatus] = []
         nodes.listen_alone("motion/status", MotionStatus, heard.append)
         codes: list[int] = []
-        nodes.listen_alone("~/status", Int8, lambda one: codes.append(one.data))
+        nodes.listen_alone("~/status", Int8, lambda message: codes.append(message.data))
         wrong = TwistStamped()
         wrong.header.frame_id = "elsewhere"
         nodes.send("~/delta_twist_cmds", wrong)
@@ -310,12 +312,12 @@ def test_the_node_takes_twists_and_publishes_what_limits_them() -> None:
         turn.twist.angular.z = 0.1
         nodes.send("~/delta_twist_cmds", turn)
         for tick in range(20, 620, 20):
-            one = TwistStamped()
-            one.twist.linear.z = 0.5  # of jog_scale_linear
-            nodes.send("~/delta_twist_cmds", one)
+            message = TwistStamped()
+            message.twist.linear.z = 0.5  # of jog_scale_linear
+            nodes.send("~/delta_twist_cmds", message)
             nodes.run_to(tick)
         nodes.run_to(1500)
-    states = [(one.state, one.reason) for one in heard if one.kind == Kind.JOG]
+    states = [(message.state, message.reason) for message in heard if message.kind == Kind.JOG]
     assert [state for state, _ in states[:2]] == [State.REFUSED, State.REFUSED]
     assert "frame_id" in states[0][1] and "twist.angular must be 0" in states[1][1]
     assert [state for state, _ in states[2:]] == [State.ACCEPTED, State.MOVING, State.REACHED]
@@ -365,7 +367,7 @@ def test_the_node_takes_joint_jogs(monkeypatch: pytest.MonkeyPatch) -> None:
         for tick in range(20, 1000, 20):
             nodes.send(topic, JointJog(["elbow"], array("d", [0.4])))  # of jog_scale_joint
             nodes.run_to(tick)
-    of_jog = [one.state for one in heard if one.kind == Kind.JOG]
+    of_jog = [status.state for status in heard if status.kind == Kind.JOG]
     assert of_jog == [State.REFUSED] * 6 + [State.ACCEPTED, State.MOVING]
     speed = np.array(states[-1].velocity)
     j = list(states[-1].name).index("elbow")

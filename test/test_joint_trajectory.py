@@ -82,13 +82,13 @@ def test_the_spline_and_its_derivatives_are_those_of_scipy(kind: str, seed: int)
     )
     for at in rng.uniform(0.0, t[-1], 30):
         time_ns = start + round(at * 1e9)
-        got, s = sample(motion, time_ns), (time_ns - start) * 1e-9
+        actual, s = sample(motion, time_ns), (time_ns - start) * 1e-9
         # Two ways to write one polynomial of degree 5: rounding, times the cube of 1/T <= 100/s
         # and 1/T for each derivative.
         for order, bound in enumerate((1e-9, 1e-7, 1e-5) if kind != "linear" else (1e-9, 1e-7)):
             want = expected(s, order) if order else expected(s)
             np.testing.assert_allclose(
-                got[order], want, atol=bound, err_msg=f"derivative {order} of the {kind} spline"
+                actual[order], want, atol=bound, err_msg=f"derivative {order} of the {kind} spline"
             )
 
 
@@ -114,8 +114,8 @@ def test_a_trajectory_takes_over_from_another_without_a_jump(seed: int) -> None:
     np.testing.assert_allclose(v[smooth], state[1][smooth], atol=1e-9, err_msg="speeds")
     for time, point in zip(second.times_ns, second.q, strict=True):
         if start + time > now:
-            got = sample(motion, start + time)[0][second.moved]
-            np.testing.assert_allclose(got, point, atol=1e-9, err_msg="a point that is to come")
+            actual = sample(motion, start + time)[0][second.moved]
+            np.testing.assert_allclose(actual, point, atol=1e-9, err_msg="a point that is to come")
     # Joints that are not named brake by 10 rad/s2 and stay there.
     rest = come_to_rest(now, *state[:2], limits().acceleration)
     for at in (now + 1, (now + rest.end_ns) // 2, rest.end_ns, motion.end_ns, motion.end_ns + 1):
@@ -131,13 +131,17 @@ def test_a_trajectory_takes_over_from_another_without_a_jump(seed: int) -> None:
 def test_coming_to_rest_keeps_the_acceleration_and_goes_straight(seed: int) -> None:
     rng = np.random.default_rng([seed, 3])
     q, v = rng.normal(size=(2, 3))
-    most = rng.uniform(0.5, 20.0, 3)
-    motion = come_to_rest(7, q, v, most)
+    largest = rng.uniform(0.5, 20.0, 3)
+    motion = come_to_rest(7, q, v, largest)
     _, v_start, a = sample(motion, 7)
     np.testing.assert_allclose(v_start, v, err_msg="the speed at the start")
-    assert (np.abs(a) <= most * (1.0 + 1e-9)).all() and np.isclose(np.abs(a / most).max(), 1.0)
-    way = sample(motion, motion.end_ns)[0] - q
-    np.testing.assert_allclose(np.cross(way, v), 0.0, atol=1e-9, err_msg="it stays on its line")
+    assert (np.abs(a) <= largest * (1.0 + 1e-9)).all() and np.isclose(
+        np.abs(a / largest).max(), 1.0
+    )
+    displacement = sample(motion, motion.end_ns)[0] - q
+    np.testing.assert_allclose(
+        np.cross(displacement, v), 0.0, atol=1e-9, err_msg="it stays on its line"
+    )
 
 
 def test_without_points_the_joints_come_to_rest() -> None:
@@ -168,11 +172,11 @@ def test_efforts_go_straight_between_points(seed: int) -> None:
     ]
     trajectory = JointTrajectory(NAMES, limits(), ("c", "a"), points)
     for at in rng.integers(0, times[-1] + SECOND, 10):
-        got = trajectory.effort(int(at) + 3, 3)
-        assert got is not None and got[1] == got[3] == 0.0, "joints not named get none"
+        actual = trajectory.effort(int(at) + 3, 3)
+        assert actual is not None and actual[1] == actual[3] == 0.0, "joints not named get none"
         for place, column in ((2, 0), (0, 1)):
             want = np.interp(at, times, tau[:, column])
-            assert got[place] == pytest.approx(want), f"the effort at {at} ns"
+            assert actual[place] == pytest.approx(want), f"the effort at {at} ns"
     none = [TrajectoryPoint(1, [0.0]), TrajectoryPoint(2, [0.0], effort=[1.0])]
     assert JointTrajectory(NAMES, limits(), ("a",), none).effort(1, 0) is None, (
         "none is given there"
@@ -250,9 +254,9 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
 
 @pytest.mark.parametrize(("words", "change"), WRONG, ids=[words for words, _ in WRONG])
 def test_malformed_trajectories_are_refused_in_one_line(words: str, change: dict[str, Any]) -> None:
-    given = {"names": ("a", "b"), "points": [point()], **change}
+    inputs = {"names": ("a", "b"), "points": [point()], **change}
     with pytest.raises(Refusal, match=f"^joint_trajectory: {words}") as refusal:
-        JointTrajectory(NAMES, limits(4, 2.0, 3.0), **given)
+        JointTrajectory(NAMES, limits(4, 2.0, 3.0), **inputs)
     assert "\n" not in str(refusal.value), "one line"
 
 
@@ -281,8 +285,8 @@ def test_random_numbers_are_refused_or_lead_to_finite_angles(seed: int) -> None:
         ]
         huge = limits(n, speed=np.inf, reach=np.inf)
         try:
-            one = JointTrajectory(NAMES[:n], huge, NAMES[:n], points, may_end_moving=True)
-            motion = one.begin(0, 0, *np.zeros((3, n)))
+            trajectory = JointTrajectory(NAMES[:n], huge, NAMES[:n], points, may_end_moving=True)
+            motion = trajectory.begin(0, 0, *np.zeros((3, n)))
         except Refusal:
             continue
         for at in rng.integers(0, motion.end_ns + 2, 5):

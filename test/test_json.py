@@ -130,12 +130,12 @@ def test_stdout_is_one_object_and_the_exit_code_that_of_text(
     name: str, words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    given = [word.format(folder) for word in words]
+    inputs = [word.format(folder) for word in words]
     with own_domain():
-        code, text, errors = run(name, "--json", *given)
+        code, text, errors = run(name, "--json", *inputs)
         check(name, words, code, text, errors)
         if "out" not in " ".join(words):  # where it would write a second time
-            again, lines, _ = run(name, *given)
+            again, lines, _ = run(name, *inputs)
             assert not lines.startswith("{")
             if name in OF_THE_MACHINE and code < 2:
                 is_bad, word = OF_THE_MACHINE[name]
@@ -215,7 +215,7 @@ def test_programs_read_json_where_people_read_lines(
     library.write_bytes(b"library")
     monkeypatch.setenv("ARM_EMULATOR_CACHE", str(folder))
     assert library.name in run("cache")[1]
-    [one] = json.loads(run("cache", "--json")[1])["folders"]
-    assert one["folder"] == str(folder) and not one["not_trusted"]
-    assert [entry["file"] for entry in one["libraries"]] == [str(library)]
-    assert one["libraries"][0]["size"] == 7
+    [folder_facts] = json.loads(run("cache", "--json")[1])["folders"]
+    assert folder_facts["folder"] == str(folder) and not folder_facts["not_trusted"]
+    assert [entry["file"] for entry in folder_facts["libraries"]] == [str(library)]
+    assert folder_facts["libraries"][0]["size"] == 7

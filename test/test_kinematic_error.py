@@ -22,9 +22,9 @@ VISCOUS = 0.2
 def drawn(rng: np.random.Generator, ratio: float) -> dict[str, Any]:
     """Waves of up to a third of the steepness that there may be."""
     waves: dict[str, list[list[float]]] = {"motor": [], "link": []}
-    for shaft, most, orders in (("motor", abs(ratio), [1, 2, 4]), ("link", 1.0, [1, 3, 8.5])):
+    for shaft, largest, orders in (("motor", abs(ratio), [1, 2, 4]), ("link", 1.0, [1, 3, 8.5])):
         for order in rng.choice(orders, int(rng.integers(1, 3)), replace=False):
-            amplitude = most / float(order) * float(rng.uniform(0.05, 0.15))
+            amplitude = largest / float(order) * float(rng.uniform(0.05, 0.15))
             waves[shaft].append([float(order), amplitude, float(rng.uniform(0.0, 6.0))])
     return waves
 

@@ -153,22 +153,22 @@ def test_limits_of_the_description_are_taken() -> None:
         urdf, expected = THREE_AXIS, []
         for name in NAMES:
             kind = str(rng.choice(["continuous", "revolute", "prismatic"]))
-            given = {
+            inputs = {
                 key: float(rng.choice([0.0, rng.uniform(0.1, 20.0)]))
                 for key in ("velocity", "acceleration")
                 if rng.random() < 0.7
             }
             if kind != "continuous" and rng.random() < 0.5:
-                given.update(lower=-1.5, upper=2.5)
-            words = " ".join(f'{key}="{value!r}"' for key, value in given.items())
+                inputs.update(lower=-1.5, upper=2.5)
+            words = " ".join(f'{key}="{value!r}"' for key, value in inputs.items())
             start = urdf.index(f'<joint name="{name}"')
             end = urdf.index("</joint>", start)
             urdf = f"{urdf[:end]}<limit effort='1' {words}/>{urdf[end:]}"
             urdf = urdf.replace(f'name="{name}" type="continuous"', f'name="{name}" type="{kind}"')
-            expected.append([given.get(key) or math.inf for key in ("velocity", "acceleration")])
+            expected.append([inputs.get(key) or math.inf for key in ("velocity", "acceleration")])
         kinematics = Kinematics(urdf, NAMES, "tool")
-        found = np.stack([kinematics.velocity_limit, kinematics.acceleration_limit], axis=1)
-        assert np.array_equal(found, expected), urdf
+        result = np.stack([kinematics.velocity_limit, kinematics.acceleration_limit], axis=1)
+        assert np.array_equal(result, expected), urdf
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "fast"])

@@ -15,28 +15,30 @@ from arm_emulator.cli.output import output
 @pytest.mark.parametrize("rate", [200.0, 3000.0])
 def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
     began = time.monotonic()
-    found = measure_wake_up_latency(load_scene("three_axis"), 1.0 / rate, 2.5)
+    result = measure_wake_up_latency(load_scene("three_axis"), 1.0 / rate, 2.5)
     wall = time.monotonic() - began
-    periods = len(found.late) + found.lost
+    periods = len(result.late) + result.lost
     # A busy machine may keep the thread from its last wake-ups.
     assert 2.0 * rate <= periods <= wall * rate, "those that begin and end within it"
-    assert (found.late >= 0.0).all() and (found.spent > 0.0).all()
-    assert found.quantiles == sorted(found.quantiles) and found.quantiles[-1] == found.late.max()
+    assert (result.late >= 0.0).all() and (result.spent > 0.0).all()
+    assert (
+        result.quantiles == sorted(result.quantiles) and result.quantiles[-1] == result.late.max()
+    )
     # A wake-up that is late by whole periods has lost them.
-    assert found.lost == int(np.sum(np.floor(found.late / round(1e9 / rate) * 1e9 + 1e-9)))
+    assert result.lost == int(np.sum(np.floor(result.late / round(1e9 / rate) * 1e9 + 1e-9)))
 
 
 def test_a_wake_up_is_waited_for_beyond_the_time_given() -> None:
     """A machine may be so busy that the thread does not run meanwhile."""
-    found = measure_wake_up_latency(load_scene("three_axis"), 0.02, 0.0)
-    assert len(found.late) > 0 and found.quantiles[0] >= 0.0
+    result = measure_wake_up_latency(load_scene("three_axis"), 0.02, 0.0)
+    assert len(result.late) > 0 and result.quantiles[0] >= 0.0
 
 
 def test_emulator_and_servo_run_at_another_rate() -> None:
-    answers = probe_latency("three_axis", 2e-3, 0.4)
-    assert 0.4 / 2e-3 <= answers.periods < 60.0 / 2e-3
-    assert 0 <= answers.old <= answers.periods and answers.lost >= 0
-    assert 0.0 < answers.p99_lateness and 0.0 < answers.worst_lateness
+    responses = probe_latency("three_axis", 2e-3, 0.4)
+    assert 0.4 / 2e-3 <= responses.periods < 60.0 / 2e-3
+    assert 0 <= responses.old <= responses.periods and responses.lost >= 0
+    assert 0.0 < responses.p99_lateness and 0.0 < responses.worst_lateness
 
 
 def test_rates_are_reported_drawn_and_refused(

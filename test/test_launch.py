@@ -118,10 +118,10 @@ def _heed_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def wait(condition: Callable[[], bool], what: str) -> None:
+def wait(condition: Callable[[], bool], expectation: str) -> None:
     deadline = time.monotonic() + PATIENCE
     while not condition():
-        assert time.monotonic() < deadline, f"waited {PATIENCE:g} s for {what}"
+        assert time.monotonic() < deadline, f"waited {PATIENCE:g} s for {expectation}"
         time.sleep(0.02)
 
 
@@ -208,8 +208,8 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
                 f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
             )
             # A command that ends by itself may be done, or in Python's own shutdown.
-            ends_itself = command[1:] and command[1] in ("demo", "advise", "compile")
-            finished = ends_itself and process.returncode in (0, -stop)
+            terminates = command[1:] and command[1] in ("demo", "advise", "compile")
+            finished = terminates and process.returncode in (0, -stop)
             assert process.returncode == codes[stop] or finished, reported
             for word in ("Traceback", "Exception", "Error"):
                 assert word not in printed + complaint, reported
@@ -220,16 +220,16 @@ def assert_nobody_left(session: int, reported: str) -> None:
     """Wait until no process of a session lives on."""
 
     def left() -> list[int]:
-        found = []
+        result = []
         for process in psutil.process_iter():
             with contextlib.suppress(psutil.Error, ProcessLookupError):
                 if os.getsid(process.pid) == session and process.status() != "zombie":
-                    found.append(process.pid)
-        return found
+                    result.append(process.pid)
+        return result
 
     deadline = time.monotonic() + PATIENCE
-    while found := left():
-        assert time.monotonic() < deadline, f"{reported}; left: {found}"
+    while result := left():
+        assert time.monotonic() < deadline, f"{reported}; left: {result}"
         time.sleep(0.05)
 
 

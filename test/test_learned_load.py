@@ -148,8 +148,8 @@ def test_heavier_links_are_followed_nearly_as_well(scene: str, wrong: float) -> 
 
     Without a factor ur5 leaves 0.57 and 0.69 mm beside that, panda 0.98 and 0.97 mm.
     """
-    found = follow(scene, Known("full", inertia=wrong))
-    assert found.off - found.unseen < {"ur5": 0.5e-3, "panda": 0.8e-3}[scene]
+    result = follow(scene, Known("full", inertia=wrong))
+    assert result.off - result.unseen < {"ur5": 0.5e-3, "panda": 0.8e-3}[scene]
 
 
 def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
@@ -158,7 +158,11 @@ def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
     up by 230 counts. An integral that had to notice an error first let it go 13 counts.
     """
     drives = ServoArm(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
-    machine, applied, seen = Drivetrain(JOINT, INERTIA, stiffness=1e5, load=-6.0), np.zeros(1), []
+    machine, applied, observed = (
+        Drivetrain(JOINT, INERTIA, stiffness=1e5, load=-6.0),
+        np.zeros(1),
+        [],
+    )
     announced = Target(np.zeros(1), np.zeros(1), np.array([4.0]))
     for k in range(6000):
         drives.measure(k * 1_000_000, [machine.counts], [machine.x[0]], applied)
@@ -173,8 +177,8 @@ def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
         applied = drives.command(True)
         machine.advance(applied[0])
         if k >= 2000:
-            seen.append(machine.counts)
-    assert np.ptp(seen) <= 2
+            observed.append(machine.counts)
+    assert np.ptp(observed) <= 2
     assert drives.servo.state["integral"][0] - rested == pytest.approx(of_factor, rel=0.1)
 
 
@@ -198,9 +202,9 @@ def test_friction_that_lets_go_of_what_it_held_at_rest_is_no_disturbance(
     With announced torques that do not know it the tool is up to 0.61 mm beside it (panda: 0.72).
     """
     side = tuple(np.random.default_rng(seed).normal(0.0, 0.03, 3).tolist())
-    one = drive(scene, "circle", 0.25, side)
-    assert one.end == "REACHED"
-    assert one.off.max() < 0.4e-3
+    outcome = drive(scene, "circle", 0.25, side)
+    assert outcome.end == "REACHED"
+    assert outcome.off.max() < 0.4e-3
 
 
 @pytest.mark.parametrize("kind", some(["line", "circle", "corners"], 1))
@@ -213,6 +217,6 @@ def test_friction_that_held_the_arm_at_rest_is_no_reason_for_a_factor(
     A factor learned from what the friction lets go of at the start took the true tool 0.32 to
     0.49 mm off its path.
     """
-    one = drive(scene, kind, 0.25)
-    assert one.end == "REACHED"
-    assert one.off.max() < 0.3e-3
+    outcome = drive(scene, kind, 0.25)
+    assert outcome.end == "REACHED"
+    assert outcome.off.max() < 0.3e-3

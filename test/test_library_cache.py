@@ -101,49 +101,49 @@ WAYS = [
 
 def change(rng: np.random.Generator, file: Path, sound: Sound) -> str:
     """Spoil a cached library in a random way; returns which."""
-    whole = sound.stored
-    way = str(rng.choice(WAYS + ["somebody's"] * ROOT))
+    full = sound.stored
+    damage = str(rng.choice(WAYS + ["somebody's"] * ROOT))
     file.unlink()
-    if way == "cut":
-        file.write_bytes(whole[: rng.integers(1, len(whole))])
-    elif way == "flipped":
-        bits = np.frombuffer(whole, dtype=np.uint8).copy()
-        for at in rng.integers(0, len(whole), rng.integers(1, 4)):
+    if damage == "cut":
+        file.write_bytes(full[: rng.integers(1, len(full))])
+    elif damage == "flipped":
+        bits = np.frombuffer(full, dtype=np.uint8).copy()
+        for at in rng.integers(0, len(full), rng.integers(1, 4)):
             bits[at] ^= 1 << rng.integers(0, 8)
-        if bits.tobytes() == whole:  # the same bit twice
+        if bits.tobytes() == full:  # the same bit twice
             bits[0] ^= 1
         file.write_bytes(bits.tobytes())
-    elif way == "text":
+    elif damage == "text":
         file.write_bytes(rng.integers(32, 127, rng.integers(1, 10_000), dtype=np.uint8).tobytes())
-    elif way == "empty":
+    elif damage == "empty":
         file.touch()
-    elif way == "another ELF":
+    elif damage == "another ELF":
         file.write_bytes(Path(sys.executable).read_bytes()[:1_000_000])
-    elif way == "under a wrong name":
+    elif damage == "under a wrong name":
         file.write_bytes(sound.body + library_cache._seal("another.so", sound.body))
-    elif way == "no seal":
+    elif damage == "no seal":
         file.write_bytes(sound.body)
-    elif way == "longer":
-        file.write_bytes(whole + bytes(rng.integers(1, 5000)))
-    elif way == "link":
+    elif damage == "longer":
+        file.write_bytes(full + bytes(rng.integers(1, 5000)))
+    elif damage == "link":
         file.symlink_to(sound.put(file.parent / "elsewhere"))
-    elif way == "loop":
+    elif damage == "loop":
         file.symlink_to(file)
-    elif way == "nowhere":
+    elif damage == "nowhere":
         file.symlink_to(file.parent / "nothing")
-    elif way == "pipe":
+    elif damage == "pipe":
         os.mkfifo(file)
-    elif way == "socket":
+    elif damage == "socket":
         os.mknod(file, stat.S_IFSOCK | 0o644)
-    elif way == "folder":
+    elif damage == "folder":
         file.mkdir()
     else:
-        file.write_bytes(whole)
-        if way == "writable":
+        file.write_bytes(full)
+        if damage == "writable":
             file.chmod(0o644 | int(rng.choice([0o002, 0o020, 0o022])))
         else:
             os.chown(file, SOMEBODY, 0)
-    return way
+    return damage
 
 
 def test_a_spoiled_library_is_never_loaded_but_made_anew(
@@ -151,24 +151,24 @@ def test_a_spoiled_library_is_never_loaded_but_made_anew(
 ) -> None:
     """Loading one that is cut short ends the process by SIGBUS."""
     rng = np.random.default_rng(1)
-    seen = set()
+    observed = set()
     for case in range(150):
         os.environ[CACHE_VARIABLE] = str(cache / str(case))
         cache.mkdir(exist_ok=True)
         file = sound.put(cache / str(case))
-        way = change(rng, file, sound)
-        seen.add(way)
-        assert library_of(sound.scene).arm_exchange, way
+        damage = change(rng, file, sound)
+        observed.add(damage)
+        assert library_of(sound.scene).arm_exchange, damage
         printed = capsys.readouterr().err.splitlines()
-        assert len(printed) == 2, (way, printed)
-        assert printed[0].startswith(f"arm_emulator: cached library {file} is not used: "), way
-        assert printed[1].startswith("compiling scene one_link (1 joints) with "), way
-        assert stat.S_ISREG(file.lstat().st_mode), way
-        assert file.read_bytes() == sound.stored, way
-        assert file.stat().st_uid == os.geteuid() and not file.stat().st_mode & 0o022, way
+        assert len(printed) == 2, (damage, printed)
+        assert printed[0].startswith(f"arm_emulator: cached library {file} is not used: "), damage
+        assert printed[1].startswith("compiling scene one_link (1 joints) with "), damage
+        assert stat.S_ISREG(file.lstat().st_mode), damage
+        assert file.read_bytes() == sound.stored, damage
+        assert file.stat().st_uid == os.geteuid() and not file.stat().st_mode & 0o022, damage
         left = {item.name for item in file.parent.iterdir()} - {"elsewhere"}
-        assert left == {file.name}, (way, left)
-    assert len(seen) >= 15, seen
+        assert left == {file.name}, (damage, left)
+    assert len(observed) >= 15, observed
 
 
 def test_a_folder_in_the_place_of_a_library_is_reported(cache: Path, sound: Sound) -> None:
@@ -183,22 +183,22 @@ def test_a_foreign_file_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: 
     """Once, a link in its place led to a file that was emptied."""
     precious = cache.parent / "precious"
     precious.write_text("precious")
-    for way in ("link", "nowhere", "pipe", "folder", *["somebody's"] * ROOT):
+    for kind in ("link", "nowhere", "pipe", "folder", *["somebody's"] * ROOT):
         cache.mkdir(exist_ok=True)
         lock = (cache / sound.name).with_suffix(".lock")
-        if way in ("link", "nowhere"):
-            lock.symlink_to(precious if way == "link" else cache / "nothing")
-        elif way == "pipe":
+        if kind in ("link", "nowhere"):
+            lock.symlink_to(precious if kind == "link" else cache / "nothing")
+        elif kind == "pipe":
             os.mkfifo(lock)
-        elif way == "folder":
+        elif kind == "folder":
             lock.mkdir()
         else:
             lock.touch(0o644)
             os.chown(lock, SOMEBODY, 0)
         (cache / sound.name).unlink(missing_ok=True)
-        assert library_of(sound.scene).arm_exchange, way
-        assert precious.read_text() == "precious", way
-        assert [item.name for item in cache.iterdir()] == [sound.name], way
+        assert library_of(sound.scene).arm_exchange, kind
+        assert precious.read_text() == "precious", kind
+        assert [item.name for item in cache.iterdir()] == [sound.name], kind
 
 
 def without_periods(file: Path) -> bytes:
@@ -257,10 +257,10 @@ def test_the_least_recently_used_go(
         folder.mkdir(parents=True)
         sizes = {}
         for age in rng.permutation(int(rng.integers(1, 12))):  # 0: used last
-            other = folder / f"scene_{age}-{rng.bytes(10).hex()}.so"
-            other.write_bytes(bytes(rng.integers(0, 200_000)))
-            os.utime(other, (0.0, time.time() - 10.0 - age))
-            sizes[int(age), other] = other.stat().st_size
+            second = folder / f"scene_{age}-{rng.bytes(10).hex()}.so"
+            second.write_bytes(bytes(rng.integers(0, 200_000)))
+            os.utime(second, (0.0, time.time() - 10.0 - age))
+            sizes[int(age), second] = second.stat().st_size
         busy = {file for _, file in sizes if rng.random() < 0.2}
         names = ("notes.txt", "my-library.so", "other.lock", f"{sound.name}.so", "a.building-x")
         strangers = [folder / name for name in names]
@@ -271,9 +271,9 @@ def test_the_least_recently_used_go(
         allowed = int(rng.integers(0, 1_000_000))
         monkeypatch.setenv(SIZE_VARIABLE, str(allowed / 1e6))
         monkeypatch.setenv(CACHE_VARIABLE, str(folder))
-        with contextlib.ExitStack() as held:
+        with contextlib.ExitStack() as holding:
             for file in busy:
-                held.enter_context(library_cache.locked(file))
+                holding.enter_context(library_cache.locked(file))
             library_of(sound.scene)
         size = len(sound.stored) + sum(sizes.values())
         stay = {file for _, file in sizes}
@@ -281,8 +281,8 @@ def test_the_least_recently_used_go(
             if size > allowed and file not in busy:
                 stay.remove(file)
                 size -= its
-        kept = {*stay, *strangers, folder / sound.name}
-        assert set(folder.iterdir()) == kept, (case, allowed, sizes, busy)
+        saved = {*stay, *strangers, folder / sound.name}
+        assert set(folder.iterdir()) == saved, (case, allowed, sizes, busy)
 
 
 def test_libraries_in_use_are_not_removed(cache: Path, sound: Sound) -> None:
@@ -290,8 +290,8 @@ def test_libraries_in_use_are_not_removed(cache: Path, sound: Sound) -> None:
     os.utime(file, (0.0, 0.0))
     library_of(sound.scene)
     (entry,) = library_cache.entries(cache)
-    found = (entry.file, entry.scene, entry.size)
-    assert found == (file, "one_link", len(sound.stored)), "file, scene, size"
+    result = (entry.file, entry.scene, entry.size)
+    assert result == (file, "one_link", len(sound.stored)), "file, scene, size"
     assert abs(entry.used - time.time()) < 60.0, "when it was used, and now [s]"
 
 
@@ -312,9 +312,9 @@ def arm_emulator(*words: str) -> subprocess.CompletedProcess[str]:
 def test_the_command_lists_and_clears(cache: Path, sound: Sound) -> None:
     file = sound.put(cache)
     (cache / "notes.txt").touch()
-    shown = arm_emulator("cache")
-    assert shown.returncode == 0, shown.stderr
-    lines = shown.stdout.splitlines()
+    text = arm_emulator("cache")
+    assert text.returncode == 0, text.stderr
+    lines = text.stdout.splitlines()
     assert lines[0] == f"{cache}: trusted", lines
     size = f"{len(sound.stored) / 1e6:.3f}"
     assert lines[1].split()[2:] == [size, "MB", "one_link", file.name], lines

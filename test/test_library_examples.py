@@ -37,17 +37,17 @@ def test_none_is_longer_than_a_page_and_all_are_shown_on_one(name: str) -> None:
 
 
 def test_computed_torque_follows(tmp_path: Path) -> None:
-    shown = run(tmp_path, sys.executable, EXAMPLES / "computed_torque.py")
-    found = re.search(r"largest error ([\d.]+) mrad", shown)
+    text = run(tmp_path, sys.executable, EXAMPLES / "computed_torque.py")
+    result = re.search(r"largest error ([\d.]+) mrad", text)
     # An encoder's count is 0.06 mrad of a link; the filtered speed is 5 periods late, at up to
     # 1.5 rad/s2 and Kd / Kp = 0.1 s: some 0.75 mrad.
-    assert found and float(found[1]) < 1.0
+    assert result and float(result[1]) < 1.0
     assert (tmp_path / "computed_torque.png").stat().st_size > 1000
 
 
 def test_a_sweep_finds_what_matters(tmp_path: Path) -> None:
-    shown = run(tmp_path, sys.executable, EXAMPLES / "sweep.py")
-    friction, mass = map(float, re.findall(r": (-[\d.]+)$", shown, re.M))
+    text = run(tmp_path, sys.executable, EXAMPLES / "sweep.py")
+    friction, mass = map(float, re.findall(r": (-[\d.]+)$", text, re.M))
     assert friction < -0.9 and -0.5 < mass < 0.0
 
 
@@ -61,28 +61,28 @@ def env(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_an_environment_keeps_the_rules_of_gymnasium(env: Any) -> None:
-    seen, _ = env.reset(seed=1)
+    observed, _ = env.reset(seed=1)
     again, _ = env.reset(seed=1)
-    assert np.array_equal(seen, again), "a seed decides"
+    assert np.array_equal(observed, again), "a seed decides"
     for name in ("observation", "action"):
         space, single = getattr(env, f"{name}_space"), getattr(env, f"single_{name}_space")
         assert space.shape == (16, *single.shape) and space.dtype == single.dtype
     env.action_space.seed(1)
-    seen, reward, fallen, over, _ = env.step(env.action_space.sample())
-    assert env.observation_space.contains(seen) and reward.shape == (16,)
+    observed, reward, fallen, over, _ = env.step(env.action_space.sample())
+    assert env.observation_space.contains(observed) and reward.shape == (16,)
     assert fallen.dtype == over.dtype == np.bool_ and env.metadata["autoreset_mode"]
 
 
 def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
-    seen, _ = env.reset(seed=1)
+    observed, _ = env.reset(seed=1)
     began = env.fleet.state.q
     for step in range(1, 42):
-        target = seen[:, 3:]
-        seen, reward, _, over, _ = env.step(4.0 * (target - seen[:, :3]))
+        target = observed[:, 3:]
+        observed, reward, _, over, _ = env.step(4.0 * (target - observed[:, :3]))
         assert (reward <= 0.0).all() and over[:8].all() == (step == 40) and not over[8:].any()
     # In the step after their last one these began anew: no reward, another target.
     assert (reward[:8] == 0.0).all() and (reward[8:] < 0.0).all()
-    assert (seen[:8, 3:] != target[:8]).all() and (seen[8:, 3:] == target[8:]).all()
+    assert (observed[:8, 3:] != target[:8]).all() and (observed[8:, 3:] == target[8:]).all()
     for friction in env.fleet.parameters.values():
         assert len(set(friction)) == 16, "each has friction of its own"
     t = env.fleet.state.t
@@ -92,8 +92,8 @@ def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
 
 def test_the_tests_of_a_user_pass(tmp_path: Path) -> None:
     words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--basetemp={tmp_path / 'all'}"]
-    shown = run(ROOT, sys.executable, *words, EXAMPLES / "my_tests.py")
-    assert "5 passed" in shown
+    text = run(ROOT, sys.executable, *words, EXAMPLES / "my_tests.py")
+    assert "5 passed" in text
 
 
 def test_a_repository_that_follows_the_layout_passes_its_tests(tmp_path: Path) -> None:
@@ -103,13 +103,13 @@ def test_a_repository_that_follows_the_layout_passes_its_tests(tmp_path: Path) -
     begin, image = re.findall(r"```sh\n(.*?)```", readme, re.S)
     run(tmp_path, "bash", "-ec", begin)
     assert "docker run --rm -v $PWD/out:/out my_servo" in image
-    made = tmp_path / "my_repository"
+    compiled = tmp_path / "my_repository"
     (tmp_path / "out").mkdir()  # as docker's -v does
-    docker = (made / "Dockerfile").read_text()
+    docker = (compiled / "Dockerfile").read_text()
     (tests,) = re.findall(r"pytest --basetemp=\S+", docker)
     words = tests.replace("/out", str(tmp_path / "out")).split()
-    shown = run(made, sys.executable, "-m", *words, "-q", "-p", "no:cacheprovider")
-    assert "1 passed" in shown
+    text = run(compiled, sys.executable, "-m", *words, "-q", "-p", "no:cacheprovider")
+    assert "1 passed" in text
 
 
 def test_a_servo_with_an_observer_brings_the_arm_to_its_targets(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_a_servo_with_an_observer_brings_the_arm_to_its_targets(tmp_path: Path) 
     run(tmp_path, *find_compiler(), *flags, "-shared", include, source, "-o", library)
     table = ROOT / "arm_emulator/servo/c/template/targets.csv"
     words = ["-m", "arm_emulator", "run", "three_axis", "--servo", library, "--targets", table]
-    shown = run(tmp_path, sys.executable, *words)
-    off = re.findall(r"[xyz] ([+-][\d.]+)", shown)
+    text = run(tmp_path, sys.executable, *words)
+    off = re.findall(r"[xyz] ([+-][\d.]+)", text)
     # Half a count at each motor is 0.03 mrad of a link, at 0.6 m.
-    assert len(off) == 3 and np.abs(np.array(off, float)).max() < 0.02, shown
+    assert len(off) == 3 and np.abs(np.array(off, float)).max() < 0.02, text

@@ -35,29 +35,29 @@ def config(**more: float) -> MotionConfig:
 
 
 def planned(
-    one: TargetPlanner,
+    planner: TargetPlanner,
     points: list[TrajectoryPoint],
     scaled: bool = True,
     now: Reference | None = None,
     **more: float,
 ) -> JointMotion | StretchedTrajectory:
-    names = one.kinematics.joint_names
-    limits = joint_limits(one.kinematics, config(**more))
+    names = planner.kinematics.joint_names
+    limits = joint_limits(planner.kinematics, config(**more))
     trajectory = JointTrajectory(names, limits, names, points)
-    return within_limits(one, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
+    return within_limits(planner, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
 
 
-def judge(one: TargetPlanner, motion: JointMotion | StretchedTrajectory) -> np.ndarray:
+def judge(planner: TargetPlanner, motion: JointMotion | StretchedTrajectory) -> np.ndarray:
     """Limits over all of the way; return its angles."""
     times = np.linspace(0, motion.end_ns, 4001).astype(np.int64)
-    seen = [motion.at(int(t)) for t in times]
-    q, v, a = (np.array([getattr(row, key) for row in seen]) for key in "qva")
-    assert (np.abs(v) <= one.limits.speed * (1 + 1e-6)).all(), "speed"
-    assert (np.abs(a) <= one.limits.acceleration * (1 + 1e-6)).all(), "acceleration"
+    observed = [motion.at(int(t)) for t in times]
+    q, v, a = (np.array([getattr(row, key) for row in observed]) for key in "qva")
+    assert (np.abs(v) <= planner.limits.speed * (1 + 1e-6)).all(), "speed"
+    assert (np.abs(a) <= planner.limits.acceleration * (1 + 1e-6)).all(), "acceleration"
     h = np.diff(times)[:, None] * 1e-9
     # By a mean of speeds; an acceleration that steps is off by h^2 a / 4 at most.
     off = np.abs(np.diff(q, axis=0) - 0.5 * h * (v[1:] + v[:-1]))
-    assert (off <= 0.25 * h**2 * 2.0 * one.limits.acceleration + 1e-12).all(), (
+    assert (off <= 0.25 * h**2 * 2.0 * planner.limits.acceleration + 1e-12).all(), (
         "speeds are those of q"
     )
     return q
@@ -78,7 +78,7 @@ def test_a_trajectory_within_the_limits_keeps_its_times() -> None:
 @pytest.mark.parametrize("kind", ["positions", "velocities", "accelerations"])
 def test_one_that_is_too_fast_takes_longer_along_the_same_angles(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    one = law()
+    planner = law()
     still = np.zeros(6)
     times = np.cumsum(rng.uniform(0.1, 0.4, 4))
     angles = START + rng.uniform(-0.3, 0.3, (4, 6))
@@ -93,25 +93,25 @@ def test_one_that_is_too_fast_takes_longer_along_the_same_angles(kind: str, seed
         )
         for t, at, speed in zip(times, angles, v, strict=True)
     ]
-    motion = planned(one, points)
+    motion = planned(planner, points)
     assert isinstance(motion, StretchedTrajectory) and motion.end_ns > points[-1].time_ns
-    assert "instead of" in motion.way and one.kinematics.joint_names[0][:4] in motion.way
-    q = judge(one, motion)
+    assert "instead of" in motion.way and planner.kinematics.joint_names[0][:4] in motion.way
+    q = judge(planner, motion)
     for at in angles:
         # At 3 rad/s a four-thousandth of the duration is a few mrad at most.
         assert np.abs(q - at).max(axis=1).min() < 5e-3, "through every point"
     np.testing.assert_allclose(q[-1], angles[-1], atol=1e-9)
     with pytest.raises(Refusal, match=r"^joint_trajectory: the points must keep the limits"):
-        planned(one, points, scaled=False)
+        planned(planner, points, scaled=False)
 
 
 def test_one_that_begins_in_motion_comes_to_rest_first_where_it_must_be_slower() -> None:
-    one = law()
+    planner = law()
     now = Reference(START, np.full(6, 0.5), np.zeros(6), np.zeros(6))
-    motion = planned(one, [TrajectoryPoint(SECOND // 5, START + 0.5)], now=now)
+    motion = planned(planner, [TrajectoryPoint(SECOND // 5, START + 0.5)], now=now)
     first = motion.at(0)
     np.testing.assert_allclose(first.v, now.v, atol=1e-9)
-    q = judge(one, motion)
+    q = judge(planner, motion)
     np.testing.assert_allclose(q[-1], START + 0.5, atol=1e-9)
 
 

@@ -82,15 +82,15 @@ def limited_truth(
         )
     )
     Ng, Kg, Dg = gear["ratio"], gear["stiffness"], gear["damping"]
-    i, tm, wm, q, v, one = np.eye(6)
+    i, tm, wm, q, v, constant = np.eye(6)
     twist, rate = Ng * tm - q, Ng * wm - v
     T = Kg * twist + Dg * rate
     x, out = np.array([0.0, 0, 0, 0, 0, 1.0]), []
     for volts in V:
-        surplus = volts * one - R * i - Kb * wm
-        rows = [wm, (Kt * i - Ng * T) / Mm, v, T / LINK_INERTIA, 0.0 * one]
-        free, held = np.array([surplus / L, *rows]), np.array([0.0 * one, *rows])
-        flows = {at_limit: (A, expm(A * PIECE)) for at_limit, A in ((False, free), (True, held))}
+        surplus = volts * constant - R * i - Kb * wm
+        rows = [wm, (Kt * i - Ng * T) / Mm, v, T / LINK_INERTIA, 0.0 * constant]
+        free, holding = np.array([surplus / L, *rows]), np.array([0.0 * constant, *rows])
+        flows = {at_limit: (A, expm(A * PIECE)) for at_limit, A in ((False, free), (True, holding))}
         left = period
         while left > 1e-15:
             side = np.sign(x[0]) if abs(x[0]) >= limit * (1 - 1e-12) else 0.0
@@ -170,5 +170,5 @@ def test_a_motor_that_reverses_within_a_step_is_followed(seed: int) -> None:
         for dt in (1e-3, 5e-5)
     )
     # Of the way that the arm goes in all; each reversal costs what the first step costs above.
-    way = np.abs(np.diff(fine, axis=0)).sum(axis=0).max()
-    assert np.abs(coarse - fine).max() < 0.05 * way, f"of a way of {way:.3g} rad"
+    travel = np.abs(np.diff(fine, axis=0)).sum(axis=0).max()
+    assert np.abs(coarse - fine).max() < 0.05 * travel, f"of a way of {travel:.3g} rad"

@@ -20,13 +20,13 @@ ARMS = "scara", "spherical_wrist", "tilted"
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Scene, Gains]]:
     """Arms from descriptions, whose drives are sized for their accelerations."""
-    found = {}
+    result = {}
     for name in some(ARMS, 1):
         folder = tmp_path_factory.mktemp(name)
         (folder / f"{name}.urdf").write_text(OWN[name](), encoding="utf-8")
         file = write_new(folder / f"{name}.urdf", folder / "new").file
-        found[name] = load_scene(file), load_gains(file)
-    return found
+        result[name] = load_scene(file), load_gains(file)
+    return result
 
 
 @pytest.mark.parametrize("period", some([0.01, 0.05, 0.005, 0.02, 0.1], 2))
@@ -43,7 +43,7 @@ def test_links_keep_their_accelerations(
     for _ in range(3):
         pair = reachable(kinematics, 0.3 * min(1.0, kinematics.reach / 0.8), rng)
         assert pair is not None
-        one = move(scene, dataclasses.replace(gains, servo=servo, motion=motion), "", *pair)
-        assert not one.words
-        assert one.peak_acceleration < 1.0
-        assert one.peak_speed < 1.0
+        outcome = move(scene, dataclasses.replace(gains, servo=servo, motion=motion), "", *pair)
+        assert not outcome.words
+        assert outcome.peak_acceleration < 1.0
+        assert outcome.peak_speed < 1.0

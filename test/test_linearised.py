@@ -91,11 +91,11 @@ def as_dc(scene: Scene) -> Scene:
     return dataclasses.replace(scene, joints=joints)
 
 
-def assert_same(got: Array, expected: Array, rounding: Array) -> None:
+def assert_same(actual: Array, expected: Array, rounding: Array) -> None:
     """Every entry, to what central differences and rounding of large torques leave in its row."""
-    off = np.abs(got - expected) - 1e-6 * np.abs(expected)
+    off = np.abs(actual - expected) - 1e-6 * np.abs(expected)
     worst = np.unravel_index(int(np.argmax(off - rounding)), off.shape)
-    assert (off <= rounding).all(), f"{worst}: {got[worst]} is not {expected[worst]}"
+    assert (off <= rounding).all(), f"{worst}: {actual[worst]} is not {expected[worst]}"
 
 
 def compare(machine: ReferenceMachine, scene: Scene, of: LinearMachine) -> None:
@@ -158,20 +158,20 @@ def inertia(scene: Scene, joint: int) -> float:
 def test_friction_of_rotors_enters_at_their_speeds_alone(name: str) -> None:
     bare = load_scene(name, overrides=SCENES[name])  # axes 1 to 3 have elastic gears
     more = {key: None for key in SCENES[name] if key not in list(ROTORS)[:3]}
-    whole = load_scene(name, overrides=more)
-    linear, other = (linearise(Plant(one), one.start) for one in (whole, bare))
-    expected, at = other.A.copy(), places(as_dc(bare))
-    for j, joint in enumerate(whole.joints):
+    full = load_scene(name, overrides=more)
+    linear, second = (linearise(Plant(variant), variant.start) for variant in (full, bare))
+    expected, at = second.A.copy(), places(as_dc(bare))
+    for j, joint in enumerate(full.joints):
         if joint.rotor_friction is not None and joint.motor is not None and j < 3:
             k = at.index((WM, j))
-            expected[k, k] -= joint.rotor_friction.viscous / inertia(whole, j)
+            expected[k, k] -= joint.rotor_friction.viscous / inertia(full, j)
     row = np.abs(expected).max(axis=1, keepdims=True)
     assert_same(linear.A, expected, 1e-10 * row)
-    assert not np.array_equal(linear.A, other.A)
+    assert not np.array_equal(linear.A, second.A)
 
 
 def test_a_counterbalance_is_a_spring_by_its_potential() -> None:
-    bare, whole = (
+    bare, full = (
         load_scene("kuka_kr300", overrides=SCENES["kuka_kr300"] | more)
         for more in ({}, {"joints.axis_2.counterbalance": RESTORED})
     )
@@ -179,16 +179,16 @@ def test_a_counterbalance_is_a_spring_by_its_potential() -> None:
     potential = []
     for place in (-1.0, 0.0, 1.0):
         at = q + place * h * np.eye(6)[1]
-        plants = Plant(whole), Plant(bare)
+        plants = Plant(full), Plant(bare)
         for plant in plants:
             plant.reset(at)
         potential.append(plants[0].energy - plants[1].energy)
     stiffness = (potential[0] - 2.0 * potential[1] + potential[2]) / h**2
-    linear, other = (linearise(Plant(one), q) for one in (whole, bare))
+    linear, second = (linearise(Plant(variant), q) for variant in (full, bare))
     M = Plant(bare).links.mass_matrix(q)
     for j in range(3, 6):  # rigid gears carry their rotors
         M[j, j] += inertia(bare, j) / bare.joints[j].gear.ratio ** 2
-    bent = M @ (linear.A - other.A)[linear.v, linear.q]
+    bent = M @ (linear.A - second.A)[linear.v, linear.q]
     # Wound-up gears are as they were: the motor holds less. Second differences of some kJ.
     assert bent[1, 1] == pytest.approx(-stiffness, rel=1e-4)
     bent[1, 1] = 0.0
@@ -213,14 +213,14 @@ def in_three_axis(**keys: Any) -> Plant:
 def test_a_gear_with_play_pulls_where_it_touches() -> None:
     plant, plain = in_three_axis(**LOOSE), in_three_axis()
     N = slice(-3, None)
-    linear, other = linearise(plant), linearise(plain)
+    linear, second = linearise(plant), linearise(plain)
     elbow = np.abs(linear.theta_m[2]).argmax()
-    size = np.abs(other.A[N]).max()
+    size = np.abs(second.A[N]).max()
     assert np.abs(linear.A[N, elbow]).max() < 1e-12 * size, "in the play nothing touches"
-    assert np.abs(other.A[N, elbow]).max() > 1e-3 * size
+    assert np.abs(second.A[N, elbow]).max() > 1e-3 * size
     plant.put("test", {"theta_m": plant.state.theta_m + np.array([0.0, 0.0, 0.2])})
     touching = linearise(plant).A[:, elbow : elbow + 2]  # the links' own pull at each other changes
-    assert_same(touching, other.A[:, elbow : elbow + 2], np.full((15, 2), 1e-9 * size))
+    assert_same(touching, second.A[:, elbow : elbow + 2], np.full((15, 2), 1e-9 * size))
     with pytest.raises(Refusal, match="the motors hold"):
         linearise(in_three_axis(gravity=[0, -9.81, 0], **LOOSE), [0.0, 0.5, 0.8])
 
@@ -248,11 +248,11 @@ def test_a_link_that_sticks_rests_and_one_that_slides_does_not() -> None:
 
 def test_an_end_stop_is_a_spring_where_it_is_pressed() -> None:
     plant, plain = in_three_axis(**LOOSE), in_three_axis()
-    for one in (plant, plain):
-        one.reset([0.52, 0.5, 0.8])
-    linear, other = linearise(plant), linearise(plain)
+    for machine in (plant, plain):
+        machine.reset([0.52, 0.5, 0.8])
+    linear, second = linearise(plant), linearise(plain)
     M = plain.links.mass_matrix([0.52, 0.5, 0.8])
-    pressed = M @ (linear.A - other.A)[linear.v]
+    pressed = M @ (linear.A - second.A)[linear.v]
     for first, expected in ((linear.q.start, -1e4), (linear.v.start, -20.0)):
         np.testing.assert_allclose(pressed[:, first], [expected, 0.0, 0.0], atol=1e-4)
     assert (M @ linear.rate[linear.v])[0] == pytest.approx(-1e4 * 0.02)

@@ -51,10 +51,10 @@ def planar(lower: float, upper: float, yaw: float) -> str:
 def test_reasons_of_a_planar_arm(case: str) -> None:
     lower, upper, yaw, reason = ELBOW[case]
     pairs = link_pairs(planar(lower, upper, yaw), ("shoulder", "elbow"), drawn=1000)
-    found = {pair[:2]: pair.reason for pair in pairs}
+    result = {pair[:2]: pair.reason for pair in pairs}
     # No shape stands between base and forearm.
-    assert found.pop(("base", "fore")) == found.pop(("fore", "tool")) == Reason.ADJACENT
-    assert found == ({} if reason is None else {("base", "tool"): reason})
+    assert result.pop(("base", "fore")) == result.pop(("fore", "tool")) == Reason.ADJACENT
+    assert result == ({} if reason is None else {("base", "tool"): reason})
 
 
 def test_the_pairs_of_the_panda_are_those_of_its_makers() -> None:
@@ -65,12 +65,12 @@ def test_the_pairs_of_the_panda_are_those_of_its_makers() -> None:
     assert folder is not None
     published = ET.parse(folder / "panda_description/srdf/panda.srdf").iter("disable_collisions")
     theirs = {
-        (min(pair), max(pair)): one.get("reason")
-        for one in published
-        if (pair := (one.get("link1", ""), one.get("link2", "")))
+        (min(pair), max(pair)): element.get("reason")
+        for element in published
+        if (pair := (element.get("link1", ""), element.get("link2", "")))
     }
-    other = {pair for pair in ours.keys() | theirs if ours.get(pair) != theirs.get(pair)}
-    assert other == {
+    second = {pair for pair in ours.keys() | theirs if ours.get(pair) != theirs.get(pair)}
+    assert second == {
         ("panda_leftfinger", "panda_rightfinger"),
         ("panda_link5", "panda_rightfinger"),
     }

@@ -78,17 +78,18 @@ def test_motors_need_what_the_efficiency_states_to_lift_and_to_lower(
     """Behind an elastic gear (1 + mu) and (1 - mu) times the weight; behind a rigid one the load is
     what the motor gives, and the weight over (1 - mu) and (1 + mu)."""
     for eta in (0.9, 0.75, 0.6):
-        most = WEIGHTS / eta
-        least = WEIGHTS * np.array([2.0 - 1.0 / eta, 1.0 / (2.0 - eta)])
+        lifting = WEIGHTS / eta
+        lowering = WEIGHTS * np.array([2.0 - 1.0 / eta, 1.0 / (2.0 - eta)])
         plant = hoists(tmp_path, (1.0 / eta - 1.0, 1.0 - eta), scheme, 1e-4)
-        for torque, way in (
-            (1.01 * most, -1.0), (0.99 * most, 0.0), (1.01 * least, 0.0), (0.99 * least, 1.0),
+        for torque, direction in (
+            (1.01 * lifting, -1.0), (0.99 * lifting, 0.0), (1.01 * lowering, 0.0),
+            (0.99 * lowering, 1.0),
         ):  # fmt: skip
             plant.reset()
             # The weight winds the gear up before the motor takes more or less of it.
             for part in np.linspace(0.0, 1.0, 200):
-                held = part * torque + (1.0 - part) * WEIGHTS
-                plant.advance([*(-10.0 * held), 0.0], 10)
+                holding = part * torque + (1.0 - part) * WEIGHTS
+                plant.advance([*(-10.0 * holding), 0.0], 10)
             before = plant.state.theta_m[:2]
             plant.advance([*(-10.0 * torque), 0.0], 10_000)
             moved = plant.state.theta_m[:2] - before
@@ -96,7 +97,9 @@ def test_motors_need_what_the_efficiency_states_to_lift_and_to_lower(
                 f"eta {eta}: elastic, rigid: {moved} rad under {torque / WEIGHTS} of the weights"
             )
             # A hundredth of the weight turns it by some rad; held, it yields as the link swings.
-            assert (np.abs(moved) < 0.05 if way == 0.0 else moved * way > 0.3).all(), reported
+            assert (np.abs(moved) < 0.05 if direction == 0.0 else moved * direction > 0.3).all(), (
+                reported
+            )
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.5])

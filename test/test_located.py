@@ -41,15 +41,15 @@ def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str
     q = plant.run(commands, steps)[:, 0]
     J, T = LINK_INERTIA + Mm / Ng**2, Kt * V / Ng
     up, down, back = (T - Dc) / J, (T + Dc) / J, (T - Dc) / J
-    turns = 3 * period  # where the torque changes its sign
-    rests = turns + up * turns / down
+    rotations = 3 * period  # where the torque changes its sign
+    rests = rotations + up * rotations / down
     t = period * np.arange(1, rows + 1)
     truth = np.where(
-        t <= turns,
+        t <= rotations,
         0.5 * up * t**2,
-        0.5 * up * turns * rests - 0.5 * np.where(t < rests, down, back) * (t - rests) ** 2,
+        0.5 * up * rotations * rests - 0.5 * np.where(t < rests, down, back) * (t - rests) ** 2,
     )
-    assert turns < rests < t[-1] and (rests * steps / period) % 1.0 > 0.1, "within a step"
+    assert rotations < rests < t[-1] and (rests * steps / period) % 1.0 > 0.1, "within a step"
     # Events are located to 1e-10 of a step.
     np.testing.assert_allclose(q, truth, rtol=0.0, atol=1e-9)
 
@@ -160,7 +160,7 @@ def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
         at_limit = i == 3.0
         assert at_limit == (volts == 30.0), f"{i} A at {volts} V"
         applied = 2.0 * i + 0.05 * wm if at_limit else volts
-        given = applied * i + (0.06 - 0.05) * wm * i
+        inputs = applied * i + (0.06 - 0.05) * wm * i
         lost = 2.0 * i**2 + 5.0 * (0.02 * wm - v) ** 2 + 0.5 * v**2 + 1.0 * abs(v)
-        assert power.given[0] == pytest.approx(given, rel=1e-12), "power given [W]"
+        assert power.given[0] == pytest.approx(inputs, rel=1e-12), "power given [W]"
         assert power.dissipated[0] == pytest.approx(lost, rel=1e-12), "power dissipated [W]"

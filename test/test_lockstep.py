@@ -120,16 +120,16 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
     assert in_order in gains
     turned.write_text(gains.replace(in_order, "joint_names: [elbow, waist, shoulder]"))
     target, expected = target_of("three_axis"), offline("three_axis")
-    with in_process(servo=turned) as one:
+    with in_process(servo=turned) as nodes:
         aim = PoseStamped()
         aim.header.stamp = stamp(round(TARGET_AT * NANOSECONDS))
         p, o = aim.pose.position, aim.pose.orientation
         p.x, p.y, p.z = map(float, target.p_WT)
         o.x, o.y, o.z, o.w = map(float, target.quaternion())
-        one.send("tool_target", aim)
-        one.run_to(300)
-        assert list(one.newest("joint_states").name) == ["elbow", "waist", "shoulder"]
-        assert_same_bits(one.states, expected, 300)
+        nodes.send("tool_target", aim)
+        nodes.run_to(300)
+        assert list(nodes.newest("joint_states").name) == ["elbow", "waist", "shoulder"]
+        assert_same_bits(nodes.states, expected, 300)
     scene, motion = load_scene("three_axis"), find_config("three_axis", ".yaml", "motion")
     run = OfflineRun(scene, load_servo_config(turned), load_motion_config(motion))
     run.instructor.add(round(TARGET_AT * 1e9), target)
@@ -164,41 +164,43 @@ def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
 
 def test_answers_that_come_late_are_counted_and_no_fault() -> None:
     """A question that was repeated is answered twice; one reset comes before an answer."""
-    with in_process() as one:
-        health, targets = one.nodes["servo"]._diagnostics, []
-        one.run_to(120)
+    with in_process() as nodes:
+        health, targets = nodes.nodes["servo"]._diagnostics, []
+        nodes.run_to(120)
 
         def sent_again(changed: float = 0.0) -> None:
-            targets[:] = [one.newest("joint_targets")]
+            targets[:] = [nodes.newest("joint_targets")]
             targets[0].position[0] += changed
 
         period = 50  # ticks
         for _ in range(3):
-            begin = -(-one.tick // period) * period
+            begin = -(-nodes.tick // period) * period
             sent_again()
-            while one.newest("joint_states").header.stamp == targets[0].header.stamp or (
-                one.tick < begin
+            while nodes.newest("joint_states").header.stamp == targets[0].header.stamp or (
+                nodes.tick < begin
             ):
-                assert one.deliver()
-            one.send("joint_targets", targets[0])  # the servo waits for the answer to the next ones
-            one.run_to(one.tick + 60)
+                assert nodes.deliver()
+            nodes.send(
+                "joint_targets", targets[0]
+            )  # the servo waits for the answer to the next ones
+            nodes.run_to(nodes.tick + 60)
         assert health.values["joint_targets repeated"] == 3 and health.refused == 0
         # Others with that stamp answer nothing.
-        begin = -(-one.tick // period) * period
+        begin = -(-nodes.tick // period) * period
         sent_again(changed=0.1)
-        while one.tick < begin:
-            assert one.deliver()
-        one.send("joint_targets", targets[0])
+        while nodes.tick < begin:
+            assert nodes.deliver()
+        nodes.send("joint_targets", targets[0])
         assert health.refused == 1 and "that of the joint states it answers" in str(
             health._newest_refusal
         )
         before = health.refused
-        one.run_to(one.tick + 60)
+        nodes.run_to(nodes.tick + 60)
         sent_again()
-        assert one.call("emulator/reset").success
-        while one.newest("joint_states").header.stamp.nanosec:
-            assert one.deliver()
-        one.send("joint_targets", targets[0])
+        assert nodes.call("emulator/reset").success
+        while nodes.newest("joint_states").header.stamp.nanosec:
+            assert nodes.deliver()
+        nodes.send("joint_targets", targets[0])
         assert health.values["joint_targets before the reset"] == 1 and health.refused == before
 
 

@@ -47,7 +47,7 @@ def springy(folder: Path) -> Scene:
 
 def drawn(scene: Scene, rng: np.random.Generator, count: int) -> dict[str, np.ndarray]:
     """Values for all that is varied, other ones for each arm."""
-    return {one.name: one.value * rng.uniform(0.7, 1.4, count) for one in scene.varied}
+    return {number.name: number.value * rng.uniform(0.7, 1.4, count) for number in scene.varied}
 
 
 def alone(
@@ -100,11 +100,11 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: 
         plant = alone(scene, values, arm, q, v)
         expected = plant.run(voltages[:, arm], STEPS)
         stuck += int((plant.state.v == 0.0).sum())
-        most = [
+        largest = [
             values.get(f"joints.{joint.name}.motor.current_limit", np.full(count, limit))[arm]
             for joint, limit in zip(scene.joints, limits, strict=True)
         ]
-        limited += int((np.abs(plant.state.current) >= np.array(most) * (1.0 - 1e-12)).sum())
+        limited += int((np.abs(plant.state.current) >= np.array(largest) * (1.0 - 1e-12)).sum())
         np.testing.assert_array_equal(moved[:, arm], expected, err_msg=f"{arm}")
         assert_state_of(fleet, arm, plant)
         furthest = max(furthest, float(np.abs(expected - q[arm]).max()))
@@ -112,13 +112,13 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: 
     assert stuck > 0 and limited > 0, f"at the end {stuck} joints stick, {limited} are limited"
 
 
-@pytest.mark.parametrize("way", some(["it turns too far in a step", "its gear is too stiff"], 1))
+@pytest.mark.parametrize("cause", some(["it turns too far in a step", "its gear is too stiff"], 1))
 def test_an_arm_that_diverges_is_reported_and_touches_no_neighbour(
-    way: str, tmp_path: Path
+    cause: str, tmp_path: Path
 ) -> None:
     """It stays at the last sound state, as alone; the bits of all others are as without it."""
     rng = np.random.default_rng(8)
-    stiff = "stiff" in way
+    stiff = "stiff" in cause
     scene = springy(tmp_path) if stiff else mixture(tmp_path, 16)
     count, N, wild = 19, len(scene.joints), [0, 9, 18]
     values = drawn(scene, rng, count)
@@ -140,10 +140,10 @@ def test_an_arm_that_diverges_is_reported_and_touches_no_neighbour(
     assert sorted(diverged) == wild, f"diverged: {sorted(diverged)}"
     for arm in wild:
         plant = alone(scene, values, arm, q, v)
-        with pytest.raises(Diverged) as found:
+        with pytest.raises(Diverged) as result:
             plant.run(voltages[:, arm], STEPS)
-        assert diverged[arm].joint == found.value.joint, f"joint of arm {arm}"
-        assert diverged[arm].t == found.value.t, f"time of arm {arm}"
+        assert diverged[arm].joint == result.value.joint, f"joint of arm {arm}"
+        assert diverged[arm].t == result.value.t, f"time of arm {arm}"
         assert np.array_equal(moved[-1, arm], plant.state.q), f"where arm {arm} is"
         # It stays there, and a reset sets it free.
         fleet.advance(voltages[0], STEPS)
@@ -162,18 +162,18 @@ def test_bits_depend_neither_on_pieces_nor_on_neighbours(tmp_path: Path) -> None
     values = drawn(scene, rng, count)
     q = rng.uniform(-1.0, 1.0, (count, N))
     voltages = rng.uniform(-20.0, 20.0, (100, count, N))
-    whole = Fleet(scene, count, varied=values, q=q, workers=1).run(voltages, STEPS)
+    full = Fleet(scene, count, varied=values, q=q, workers=1).run(voltages, STEPS)
     pieces = Fleet(scene, count, varied=values, q=q, workers=2)
     moved, at = [], 0
     while at < len(voltages):
         rows = int(rng.integers(1, 20))
         moved.append(pieces.run(voltages[at : at + rows], STEPS))
         at += rows
-    assert np.concatenate(moved).tobytes() == whole.tobytes(), "pieces change bits"
+    assert np.concatenate(moved).tobytes() == full.tobytes(), "pieces change bits"
     order = rng.permutation(count)[:5]
     some = {name: of_arms[order] for name, of_arms in values.items()}
     few = Fleet(scene, 5, varied=some, q=q[order]).run(voltages[:, order], STEPS)
-    assert few.tobytes() == whole[:, order].tobytes(), "neighbours change bits"
+    assert few.tobytes() == full[:, order].tobytes(), "neighbours change bits"
 
 
 def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
@@ -184,9 +184,11 @@ def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
     rows = rng.uniform(-20.0, 20.0, (20, len(scene.joints)))
     fleet.run(rows, STEPS)
     saved = fleet[3].save()
-    one = fleet.run(rows, STEPS)[:, 3]
+    third = fleet.run(rows, STEPS)[:, 3]
     fleet[8].restore(saved)
-    assert fleet.run(rows, STEPS)[:, 8].tobytes() == one.tobytes(), "a restored arm goes elsewhere"
+    assert fleet.run(rows, STEPS)[:, 8].tobytes() == third.tobytes(), (
+        "a restored arm goes elsewhere"
+    )
     name = scene.varied[0].name
     fleet.reset()
     fleet[4].set_parameter(name, 1.3 * scene.varied[0].value)
@@ -198,9 +200,9 @@ def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
     state = plant.state
     fleet[-1].state = state
     assert fleet.state.q[8].tobytes() == state.q.tobytes(), "the state was not set"
-    kept = fleet[2]
+    stored = fleet[2]
     del fleet
-    kept.advance(rows[0], STEPS)  # the fleet lives as long as one of its arms is held
+    stored.advance(rows[0], STEPS)  # the fleet lives as long as one of its arms is held
 
 
 @pytest.mark.parametrize("keys", some([TWO_THREADS, BACKLASH], 1))

@@ -68,8 +68,8 @@ def test_exchanges_under_power_and_without(seed: int, scene: Scene) -> None:
             on = rng.random(COUNT) < 0.5
             assert on.any() and not on.all()
             fleet.powered = on
-            for plant, one in zip(plants, on, strict=True):
-                plant.powered = bool(one)
+            for plant, has_power in zip(plants, on, strict=True):
+                plant.powered = bool(has_power)
         if tick == 20:
             fleet.powered = True
             for plant in plants:
@@ -128,15 +128,15 @@ def test_a_saved_fleet_goes_on_to_the_last_bit(scene: Scene) -> None:
     saved = fleet.save()
     assert saved == b"".join(arm.save() for arm in fleet)
     end = fleet.run(rows, 25)
-    other = Fleet(scene, COUNT)
-    other.restore(saved)
-    assert other.run(rows, 25).tobytes() == end.tobytes()
+    second = Fleet(scene, COUNT)
+    second.restore(saved)
+    assert second.run(rows, 25).tobytes() == end.tobytes()
     after = fleet.save()
     fleet.restore(saved, arms=[1, 2])
     size = len(saved) // COUNT
     for arm, plant in enumerate(fleet):
-        whole = saved if arm in (1, 2) else after
-        assert plant.save() == whole[arm * size : (arm + 1) * size]
+        full = saved if arm in (1, 2) else after
+        assert plant.save() == full[arm * size : (arm + 1) * size]
     spoiled = bytearray(saved)
     spoiled[-20] ^= 1  # of the last arm: none of those before may change
     before = fleet.save()
@@ -146,12 +146,12 @@ def test_a_saved_fleet_goes_on_to_the_last_bit(scene: Scene) -> None:
 
 
 def test_commands_by_names_of_joints(scene: Scene) -> None:
-    one, other = Fleet(scene, COUNT), Fleet(scene, COUNT)
+    first, second = Fleet(scene, COUNT), Fleet(scene, COUNT)
     rows = np.zeros((COUNT, 3))
     rows[:, 2], rows[:, 0] = np.arange(COUNT), 5.0
-    one.exchange({"elbow": np.arange(COUNT), "waist": 5, "shoulder": 0.0})
-    other.exchange(rows)
-    assert one.save() == other.save()
+    first.exchange({"elbow": np.arange(COUNT), "waist": 5, "shoulder": 0.0})
+    second.exchange(rows)
+    assert first.save() == second.save()
 
 
 @pytest.mark.skipif(not FULL, reason="two threads are compiled for it: make test-in-full")

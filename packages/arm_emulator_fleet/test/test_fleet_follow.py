@@ -55,7 +55,7 @@ def targets(scene: Scene, rng: np.random.Generator, periods: int) -> tuple[np.nd
 
 
 def coulomb(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    names = (one.name for one in scene.varied if one.name.endswith("coulomb"))
+    names = (number.name for number in scene.varied if number.name.endswith("coulomb"))
     return {name: rng.uniform(0.5, 4.0, COUNT) for name in names}
 
 
@@ -87,9 +87,9 @@ def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
         for tick in range(periods):
             if tick in (100, 160):
                 plant.powered = not (off[arm] and tick == 100)
-            seen = plant.measured
-            counts, now = seen.encoder_counts, round(tick * scene.servo_period * 1e9)
-            drives.measure(now, counts, seen.current, seen.applied, seen.brake_closed)
+            observed = plant.measured
+            counts, now = observed.encoder_counts, round(tick * scene.servo_period * 1e9)
+            drives.measure(now, counts, observed.current, observed.applied, observed.brake_closed)
             if tick % 2 == 0:
                 drives.aim(Target(q[tick, arm], v[tick, arm]))
             plant.exchange(drives.command(plant.powered))
@@ -113,8 +113,14 @@ def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> 
     for arm in (0, COUNT - 1):
         plant, drives = Plant(three_axis), ServoArm(servo)
         for tick in range(periods):
-            seen, now = plant.measured, round(tick * three_axis.servo_period * 1e9)
-            drives.measure(now, seen.encoder_counts, seen.current, seen.applied, seen.brake_closed)
+            observed, now = plant.measured, round(tick * three_axis.servo_period * 1e9)
+            drives.measure(
+                now,
+                observed.encoder_counts,
+                observed.current,
+                observed.applied,
+                observed.brake_closed,
+            )
             row = np.flatnonzero(since[arm] <= tick)[-1]
             drives.aim(Target(q[arm, row]))
             plant.exchange(drives.command(plant.powered))
@@ -128,7 +134,7 @@ def test_an_arm_moves_as_with_other_neighbours_and_pieces(scene: Scene) -> None:
     fleet = Fleet(scene, COUNT, workers=1)
     servos = ServoFleet(fleet, servo)
     servos.aim(q, v)
-    whole = fleet.follow(servos, 120).q.copy()
+    full = fleet.follow(servos, 120).q.copy()
     some_arms = np.arange(COUNT) % 2 == 0
     fleet.reset()
     servos.reset()
@@ -137,9 +143,9 @@ def test_an_arm_moves_as_with_other_neighbours_and_pieces(scene: Scene) -> None:
     servos.reset(some_arms)
     for _ in range(63):
         frame = fleet.follow(servos, 1)
-    assert np.array_equal(frame.q[~some_arms], whole[~some_arms])
+    assert np.array_equal(frame.q[~some_arms], full[~some_arms])
     fleet.follow(servos, 57, out=frame)
-    assert np.array_equal(frame.q[some_arms], whole[some_arms])
+    assert np.array_equal(frame.q[some_arms], full[some_arms])
 
 
 def test_neighbours_whose_joints_stick_change_no_bit(tmp_path: Path) -> None:
@@ -154,12 +160,12 @@ def test_neighbours_whose_joints_stick_change_no_bit(tmp_path: Path) -> None:
     scene, rng = load_scene(file, keys), np.random.default_rng(3)
     q, V = rng.uniform(-1.0, 1.0, (COUNT, 4)), rng.uniform(-12.0, 12.0, (60, COUNT, 4))
     order, rested = np.roll(np.arange(COUNT), 1), 0
-    fleet, other = Fleet(scene, COUNT, q=q, workers=1), Fleet(scene, COUNT, q=q[order], workers=1)
+    fleet, second = Fleet(scene, COUNT, q=q, workers=1), Fleet(scene, COUNT, q=q[order], workers=1)
     for row in V:
         fleet.exchange(row)
-        other.exchange(row[order])
+        second.exchange(row[order])
         v = fleet.state.v
-        assert np.array_equal(other.state.v, v[order])
+        assert np.array_equal(second.state.v, v[order])
         rested += int((v == 0.0).any(axis=1).sum())
     assert 0 < rested < len(V) * COUNT / 2, "some arms have a joint that sticks, others do not"
 
@@ -212,7 +218,7 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
     """It moves the arms as the same law does arm by arm, and in Python: gliding, cut, braked."""
     law = compiled(tmp_path, ROWS)
     fleets = [Fleet(three_axis, COUNT, workers=2) for _ in range(2)]
-    other = Fleet(three_axis, COUNT)
+    second = Fleet(three_axis, COUNT)
     keeps = np.array([len(three_axis.joints), -1, *[0] * 16], np.int32)
     in_rows = FleetControl(address(law.by_rows), keeps.ctypes.data, in_lanes=True)
     controls = in_rows, FleetControl(address(law.by_arm), keeps.ctypes.data)
@@ -227,10 +233,12 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
     assert np.array_equal(links[0], links[1])
     for period in range(90):
         on = ~off if 30 <= period < 60 else np.ones(COUNT, bool)
-        other.powered, seen = on, other.measured
-        asked = 0.3 - 0.01 * seen.encoder_counts - 0.05 * seen.current + 0.1 * seen.applied
-        other.exchange(np.where(on[:, None] & (seen.brake_closed == 0), asked, 0.0))
-        assert np.array_equal(other.state.q, links[0, period]), period
+        second.powered, observed = on, second.measured
+        requested = (
+            0.3 - 0.01 * observed.encoder_counts - 0.05 * observed.current + 0.1 * observed.applied
+        )
+        second.exchange(np.where(on[:, None] & (observed.brake_closed == 0), requested, 0.0))
+        assert np.array_equal(second.state.q, links[0, period]), period
     assert fleets[0].measured.applied.any(axis=1).all() and np.ptp(links[0], axis=0).max() > 1e-3
     assert not np.array_equal(links[0, -1, 0], links[0, -1, 1]), "an arm that was cut"
     assert (keeps[2 : 2 + COUNT] == 90).all() and (keeps[2 + COUNT :] == 0).all()

@@ -41,38 +41,38 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 def walk(fleet: Fleet, seed: int, calls: int) -> list[bytes]:
     """Call whatever a fleet can be asked; return its state and what it measures after some."""
     rng = np.random.default_rng(seed)
-    seen = []
-    kept = fleet.save()
+    observed = []
+    saved = fleet.save()
     for _ in range(calls):
         which = rng.random(COUNT) < 0.3
         arm = int(rng.integers(COUNT))
         rows = rng.uniform(-20.0, 20.0, (COUNT, 3))
-        what = int(rng.integers(12))
-        if what <= 2:
-            fleet.exchange(rows, tick=what)
-        elif what == 3:
+        action = int(rng.integers(12))
+        if action <= 2:
+            fleet.exchange(rows, tick=action)
+        elif action == 3:
             fleet.step(rows, int(rng.integers(1, 40)))
-        elif what == 4:
+        elif action == 4:
             fleet.advance(rows, int(rng.integers(40)))
-        elif what == 5:
+        elif action == 5:
             fleet.run(rng.uniform(-20.0, 20.0, (3, COUNT, 3)), int(rng.integers(1, 20)))
-        elif what == 6:
+        elif action == 6:
             fleet.reset(which, q=rng.uniform(-0.5, 0.5, (int(which.sum()), 3)))
-        elif what == 7:
+        elif action == 7:
             fleet.set_parameter(NUMBER, rng.uniform(1.0, 5.0, int(which.sum())), arms=which)
-        elif what == 8:
+        elif action == 8:
             fleet.powered = ~which
-        elif what == 9:
-            fleet.restore(kept, arms=which)
-        elif what == 10:
-            kept = fleet.save()
+        elif action == 9:
+            fleet.restore(saved, arms=which)
+        elif action == 10:
+            saved = fleet.save()
         else:
-            one = fleet[arm]
-            one.state = one.state
-            one.advance(rows[0], 3)
+            plant = fleet[arm]
+            plant.state = plant.state
+            plant.advance(rows[0], 3)
         if rng.random() < 0.3:
-            seen.append(everything(fleet))
-    return [*seen, everything(fleet)]
+            observed.append(everything(fleet))
+    return [*observed, everything(fleet)]
 
 
 def everything(fleet: Fleet) -> bytes:
@@ -86,33 +86,33 @@ def everything(fleet: Fleet) -> bytes:
 def test_a_fleet_whose_arms_are_looked_at_one_by_one_moves_as_one_that_is_not(
     seed: int, scene: Scene
 ) -> None:
-    alone, watched = Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT, workers=2)
-    arms = list(watched)  # as long as these are there, no arm stays in its lane
-    assert walk(alone, seed, 120) == walk(watched, seed, 120)
+    alone, monitored = Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT, workers=2)
+    arms = list(monitored)  # as long as these are there, no arm stays in its lane
+    assert walk(alone, seed, 120) == walk(monitored, seed, 120)
     assert len(arms) == COUNT
 
 
 def test_a_step_is_an_exchange_and_a_look(scene: Scene) -> None:
     rng = np.random.default_rng(3)
     fleet = Fleet(scene, COUNT, q=rng.uniform(-1.0, 1.0, (COUNT, 3)))
-    other = copy.copy(fleet)
+    second = copy.copy(fleet)
     frame = fleet.frame()
     for tick in range(40):
         if tick == 20:
-            fleet.powered = other.powered = np.arange(COUNT) % 2 == 0
+            fleet.powered = second.powered = np.arange(COUNT) % 2 == 0
         rows = rng.uniform(-20.0, 20.0, (COUNT, 3))
         periods = 1 + tick % 3
         assert fleet.step(rows, periods, out=frame) is frame
         for _ in range(periods):
-            other.exchange(rows)
-        state, measured = other.state, other.measured
+            second.exchange(rows)
+        state, measured = second.state, second.measured
         for name in ("t", "q", "v", "current", "theta_m", "omega_m"):
             assert np.array_equal(getattr(frame, name), getattr(state, name)), name
         for name in KNOWN:
             mine, its = getattr(frame.measured, name), getattr(measured, name)
             assert np.array_equal(mine, its), name
-        assert np.array_equal(frame.powered, other.powered)
-        assert np.array_equal(frame.faults, other.faults)
+        assert np.array_equal(frame.powered, second.powered)
+        assert np.array_equal(frame.faults, second.faults)
 
 
 def test_an_arm_goes_on_in_its_lane_when_nobody_holds_it_any_more(scene: Scene) -> None:

@@ -105,13 +105,15 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
     """With numbers, commands, power and starts of their own."""
     rng = np.random.default_rng(4)
     values = {
-        one.name: np.clip(
-            one.value * rng.uniform(0.8, 1.2, COUNT), one.number.least, one.number.most
+        part.name: np.clip(
+            part.value * rng.uniform(0.8, 1.2, COUNT), part.number.least, part.number.most
         )
-        for one in machine.varied
+        for part in machine.varied
     }
-    given = zip(JOINTS[machine.name], machine.joints, strict=True)
-    most = np.array([LARGEST[one.unit] if most is None else most for (_, most), one in given])
+    inputs = zip(JOINTS[machine.name], machine.joints, strict=True)
+    largest = np.array(
+        [LARGEST[part.unit] if largest is None else largest for (_, largest), part in inputs]
+    )
     q, v = 0.005 * rng.normal(size=(2, COUNT, 3))
     fleet, alone = Fleet(machine, COUNT, varied=values, q=q, v=v), []
     assert (fleet.lanes > 1) == (machine.name != "drives without usual modes"), "lanes"
@@ -124,7 +126,7 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
     stuck = np.zeros((COUNT, 3), int)
     dry = machine.joints[0].rotor_friction is not None
     for _ in range(ROUNDS):
-        rows = rng.uniform(-1.0, 1.0, (ROWS, COUNT, 3)) * most
+        rows = rng.uniform(-1.0, 1.0, (ROWS, COUNT, 3)) * largest
         for arm, plant in enumerate(alone):
             plant.powered = fleet[arm].powered = bool(rng.random() < 0.8)
         moved = fleet.run(rows, STEPS)
@@ -132,12 +134,14 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
             q_alone = plant.run(rows[:, arm], STEPS)
             # Of some 1e-16 in each of 480 steps, of which forces that change steeply make more.
             assert moved[:, arm] == pytest.approx(q_alone, rel=1e-9, abs=1e-12), f"q of arm {arm}"
-            one, lane = plant.state, fleet[arm].state
+            part, lane = plant.state, fleet[arm].state
             for name in ("v", "current", "theta_m", "omega_m"):
-                got, expected = getattr(lane, name), getattr(one, name)
-                assert got == pytest.approx(expected, rel=1e-9, abs=1e-10), f"{name} of arm {arm}"
-            assert ((lane.omega_m == 0.0) == (one.omega_m == 0.0)).all(), f"arm {arm} sticks"
-            stuck[arm] += one.omega_m == 0.0
+                actual, expected = getattr(lane, name), getattr(part, name)
+                assert actual == pytest.approx(expected, rel=1e-9, abs=1e-10), (
+                    f"{name} of arm {arm}"
+                )
+            assert ((lane.omega_m == 0.0) == (part.omega_m == 0.0)).all(), f"arm {arm} sticks"
+            stuck[arm] += part.omega_m == 0.0
             hot = plant.winding_temperatures
             reported = fleet[arm].winding_temperatures
             assert reported == pytest.approx(hot, rel=1e-9, nan_ok=True), f"heat of arm {arm}"
