@@ -199,9 +199,9 @@ def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine
 def test_a_gear_with_play_is_looked_at_loaded_and_within_its_play() -> None:
     """Loaded it is the gear without play; within, its rotor turns by itself."""
     servo = load_gains(find_config("three_axis", ".yaml")).servo
-    plain = load_scene("three_axis", {"gravity": [0.0, 0.0, -9.81]})
-    played = load_scene(
-        "three_axis", {"gravity": [0.0, 0.0, -9.81], "joints.*.gear.backlash": 1e-3}
+    common = {"gravity": [0.0, 0.0, -9.81], "varied": ["joints.*.gear.backlash"]}
+    plain, played = (
+        load_scene("three_axis", common | {"joints.*.gear.backlash": play}) for play in (0.0, 1e-3)
     )
     first, second = ServoLoops(plain, servo), ServoLoops(played, servo)
     for without, loaded in zip(first.loops, second.loops, strict=True):

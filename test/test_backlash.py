@@ -10,6 +10,7 @@ import pytest
 from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
+from test_located import STICKING
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
@@ -136,13 +137,11 @@ def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme:
 
 def test_a_gear_without_play_is_the_elastic_one() -> None:
     """Its damper pulls, too, and it cuts no step; links that stick keep their located events."""
-    rows = np.repeat(np.random.default_rng(0).uniform(-12.0, 12.0, (50, 3)), 8, axis=0)
-    common = {"joints.*.friction": {"viscous": 2.0, "coulomb": 1.0}, "energy_flow": True,
-              "gravity": [0.0, 0.0, -9.81], "integrator.events": "located",
-              "integrator.dt": 1e-4}  # fmt: skip
+    rows = np.random.default_rng(0).uniform(-12.0, 12.0, (40, 3))
     worn = {"joints.*.gear.backlash": 0.0, "faults": ["*.backlash_grows"]}
+    common = STICKING | {"integrator.dt": 1e-4}
     plants = [Plant(load_scene("three_axis", common | more)) for more in ({}, worn)]
-    elastic, without_play = (balance_of(plant, rows, 10) for plant in plants)
+    elastic, without_play = (balance_of(plant, rows, 100) for plant in plants)
     # Instants of events are known to 1e-10 of a step, and sticking amplifies rounding little.
     assert plants[1].state.q == pytest.approx(plants[0].state.q, abs=1e-9)
     assert plants[1].state.theta_m == pytest.approx(plants[0].state.theta_m, abs=1e-7)

@@ -28,7 +28,7 @@ def own_scene(folder: Path, name: str, places: dict[str, str]) -> Path:
     """Write three_axis as a scene of one's own; `places`: kind -> file, relative to the scene."""
     (folder / "urdf").mkdir(parents=True)
     shutil.copy(CONFIG / "urdf" / "three_axis.urdf", folder / "urdf")
-    text = (CONFIG / "three_axis.yaml").read_text().replace("name: three_axis", "name: own")
+    text = (CONFIG / "three_axis.yaml").read_text()  # with its name, and so with its library
     for kind, place in places.items():
         file = folder / place
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -130,12 +130,3 @@ def test_locked_joints_near_a_quarter_turn_stand_where_they_are_locked() -> None
         actual = Rotation.from_euler("ZYX", written[::-1]).as_matrix()
         # A product of three turns, each rounded.
         assert np.abs(actual - expected.as_matrix()).max() < 2e-15, f"pitch {pitch!r}"
-
-
-def test_energy_equals_pinocchio(tmp_path: Path) -> None:
-    scene = random_chain(tmp_path, 3, 5, gravity=GRAVITY)  # whose library is there
-    plant, oracle, rng = Plant(scene), Oracle(scene), np.random.default_rng(8)
-    q, v = rng.normal(size=(2, 5))
-    plant.reset(q, v)
-    # The same few hundred operations in another order.
-    assert plant.energy == pytest.approx(oracle.energy(q, v), rel=1e-12), "energy [J]"

@@ -16,7 +16,15 @@ from scipy.integrate import solve_ivp
 from test_fleet_calls import SENSED
 from test_fleet_step import LOCATED
 
-from arm_emulator import Diverged, ExternalWrench, Plant, Refusal, Scene, load_scene
+from arm_emulator import (
+    Diverged,
+    ExternalWrench,
+    Plant,
+    PlantState,
+    Refusal,
+    Scene,
+    load_scene,
+)
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.external_wrench import AXES
 from arm_emulator.machine.plant.scene_unit import scene_unit
@@ -277,11 +285,19 @@ def test_a_load_that_is_taken_up_comes_with_the_speed_of_the_tool(tmp_path: Path
         ]
         E = [
             pin.computeKineticEnergy(model, model.createData(), before.q, before.v)
+            - 0.5 * model.armature @ before.v**2  # of rotors, which are below
             + pin.computePotentialEnergy(model, model.createData(), before.q)
             for model in models
         ]
         # Potential energy is counted from the base link, in both.
         assert plant.energy - energy == pytest.approx(E[1] - E[0], abs=1e-9), "energy"
+        assert energy == pytest.approx(E[0] + energy_of_drives(before), rel=1e-9), "all of it"
+
+
+def energy_of_drives(x: PlantState) -> float:
+    """Kinetic energy of the rotors, energy of the windings, and of the elastic gear [J]."""
+    rotors = MOTOR["rotor_inertia"] * x.omega_m[:2] ** 2 + MOTOR["inductance"] * x.current[:2] ** 2
+    return float(0.5 * rotors.sum() + 0.5 * 2e3 * (0.02 * x.theta_m[0] - x.q[0]) ** 2)
 
 
 def test_a_scene_without_wrenches_has_nothing_of_them(tmp_path: Path) -> None:

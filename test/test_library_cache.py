@@ -61,14 +61,13 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     folder = tmp_path_factory.mktemp("one_link")
     at = write_scene(folder, one_link_urdf(), {"joint": {}}, name="one_link")
     scene = load_scene(at)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(CACHE_VARIABLE, str(folder / "cache"))
-        library_of(scene)
-        equations_library_of(scene)
-        real_time_library()
-    for name in ("one_link", "one_link-equations", "real_time"):
-        (file,) = (folder / "cache").glob(f"{name}-{'[0-9a-f]' * 20}.so")
-        (folder / name).write_bytes(file.read_bytes()[: -library_cache.SEAL_SIZE])
+    for name, library in (
+        ("one_link", library_of(scene)),
+        ("one_link-equations", equations_library_of(scene)),
+        ("real_time", real_time_library()),
+    ):
+        body = Path(library.file).read_bytes()[: -library_cache.SEAL_SIZE]
+        (folder / name).write_bytes(body)
     which = (
         'case "$(tail -n 1 "${out%.so}.cpp")" in *real_time*) name=real_time ;;'
         " *equations*) name=one_link-equations ;; *) name=one_link ;; esac"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
 from test_limits import drawn_joint, limited_truth
@@ -102,28 +103,25 @@ def test_schemes_that_cannot_locate_events_are_refused(
         load_scene("three_axis", overrides={**overrides, "integrator.events": "located"})
 
 
+# Links that stick and slip, and motors at their limits; also of test_backlash.py.
+STICKING: dict[str, Any] = {
+    "joints.*.friction": {"viscous": 0.5, "coulomb": 5.0, "breakaway": 8.0},
+    "joints.*.motor.current_limit": 3.0,
+    "gravity": [0.0, 0.0, -9.81],
+    "servo_period": 1e-2,
+    "integrator.events": "located",
+    "energy_flow": True,
+}
+
+
 def test_the_balance_of_energy_closes_with_the_order_of_the_scheme() -> None:
     """Given less dissipated is what energy changed, through sticking, slipping and limits."""
-    rng = np.random.default_rng(4)
-    rows = rng.uniform(-20.0, 20.0, size=(20, 3))
-    overrides = {
-        "joints.*.friction": {"viscous": 0.5, "coulomb": 5.0, "breakaway": 8.0},
-        "joints.*.motor.current_limit": 3.0,
-        "gravity": [0.0, 0.0, -9.81],
-        "servo_period": 1e-2,
-        "integrator.events": "located",
-        "energy_flow": True,
-    }
+    rows = np.random.default_rng(4).uniform(-20.0, 20.0, size=(20, 3))
     left = []
     for steps in (100, 1000, 10_000):
-        at = {**overrides, "integrator.dt": 1e-2 / steps}
-        plant = Plant(load_scene("three_axis", overrides=at))
-        change, exchanged = -plant.energy, 0.0
-        for V in rows:
-            flow = plant.advance_metered(V, steps)
-            change -= flow.given.sum() - flow.dissipated.sum()
-            exchanged += np.abs(flow.given).sum() + flow.dissipated.sum()
-        left.append(abs(change + plant.energy) / exchanged)
+        plant = Plant(load_scene("three_axis", STICKING | {"integrator.dt": 1e-2 / steps}))
+        balance = balance_of(plant, rows, steps)
+        left.append(balance.left / balance.exchanged)
     # In steps of 0.1 ms the fastest of these motions, of 1e3 1/s, are off by a tenth.
     assert np.log10(np.array(left[:-1]) / left[1:]) == pytest.approx(2.0, abs=0.2), left
     assert left[-1] < 1e-9, left
