@@ -452,7 +452,7 @@ MUTANTS = (
         "arm_emulator/runs/servo_step.c",
         "    one->closed[j] = joint->brake;\n",
         "",
-        "test_brake.py::test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does",
+        "test_brake.py::test_servos_in_c_and_python_handle_brakes_alike",
     ),
     Mutant(
         "emulator_node/c/answered_ticks.c",

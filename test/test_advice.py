@@ -146,7 +146,7 @@ def test_no_setting_is_advised_if_none_keeps_the_error() -> None:
     assert "motion demo: steps that are halved agree to" in result.why_none, result.why_none
 
 
-def test_a_reserve_grows_where_one_motion_stands_out() -> None:
+def test_a_reserve_grows_where_a_motion_stands_out() -> None:
     even = np.linspace(0.5, 1.0, 20)
     assert reserve(even) == 5.0, "the least"
     assert reserve(np.append(even, 10.0)) == 10.0, "the next one may stand out as much"
@@ -154,7 +154,7 @@ def test_a_reserve_grows_where_one_motion_stands_out() -> None:
     assert reserve(np.append(even, np.inf)) == np.inf, "one diverges"
 
 
-def test_divergence_is_no_error_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_divergence_is_an_infinite_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stiff undamped gears: `paper` diverges down to steps that nobody would choose."""
     try_only(monkeypatch, "paper", "rosenbrock")
     gear = {"joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
@@ -294,10 +294,9 @@ def test_advice_is_on_the_values_that_a_machine_has_of_varied_numbers(seed: int)
     assert "each step multiplies a small motion" in hint, hint
 
 
-def test_command_shows_what_errors_are_worth_and_writes(
+def test_command_shows_the_worth_of_errors_and_writes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On shorter motions than a user is shown."""
     file = scene_copy(tmp_path)
     add_demo(file)
     monkeypatch.setattr("arm_emulator.cli.commands.advise.SECONDS", 0.2)
@@ -323,7 +322,7 @@ def test_command_shows_what_errors_are_worth_and_writes(
     assert (integrator.scheme, f"{integrator.dt:.6g}") == (scheme, dt), "reported, and written"
 
 
-def test_a_motion_of_one_s_own_judges_alone(
+def test_a_motion_of_the_user_judges_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "mine.csv"

@@ -62,7 +62,6 @@ def test_a_trace_goes_through_its_poses() -> None:
 
 
 def _last_link(urdf: str) -> str:
-    """Return a link from which nothing hangs."""
     import xml.etree.ElementTree as ET
 
     robot = ET.fromstring(urdf.encode())

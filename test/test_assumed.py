@@ -101,7 +101,7 @@ def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
         assert row in PAGE, f"{row}: make the tables anew by python -m bench --only assumed"
 
 
-def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
+def test_a_gear_of_another_ratio_is_as_motors_of_scaled_constants() -> None:
     """A rotor turns 1/r times as fast: constants, dry friction grow by r0/r, the rest squared."""
     for figure in assumed_of(CONFIG / "ur5.yaml"):
         if figure.label == "gear.ratio":
@@ -112,7 +112,7 @@ def test_a_gear_of_another_ratio_is_as_motors_of_other_constants() -> None:
             assert len(values) == 3 * len(figure.joints), "constants, back EMF and inertia of each"
 
 
-def test_an_arm_with_other_numbers_makes_another_demo() -> None:
+def test_an_arm_with_changed_numbers_runs_another_demo() -> None:
     name = "three_axis"
     numbers = {number.name: number.value for number in load_scene(name, {"varied": VARIED}).varied}
     stiff = {

@@ -30,13 +30,12 @@ def shape(text: str, xyz: str = "0 0 0", rpy: str = "0 0 0", kind: str = "collis
 
 
 def arm(links: list[str], reach: str = "0.3 0.1 0.2") -> str:
-    """Joints in a row, each link with what is inside it."""
     joints = [JOINT.format(k + 1, k, "0 0 0" if k == 0 else reach, 900) for k in range(len(links))]
     bodies = [f'<link name="l{k}">{inside}</link>' for k, inside in enumerate(["", *links])]
     return f'<robot name="arm">{"".join(bodies + joints)}</robot>'
 
 
-def given(link: ET.Element) -> tuple[float, np.ndarray, np.ndarray]:
+def body_of(link: ET.Element) -> tuple[float, np.ndarray, np.ndarray]:
     """Mass, centre of mass and tensor about it, as the description has them."""
     mass, origin, tensor = (link.find(f"inertial/{tag}") for tag in ("mass", "origin", "inertia"))
     assert mass is not None and origin is not None and tensor is not None
@@ -89,20 +88,20 @@ def test_shapes_are_integrated(tmp_path: Path) -> None:
         xyz, rpy = draw.uniform(-1, 1, 3), draw.uniform(-3, 3, 3)
         words = " ".join(map(repr, xyz.tolist())), " ".join(map(repr, rpy.tolist()))
         at = frame_of(xyz, rpy)
-        actual = given(assumed(shape(text, *words), tmp_path))
+        actual = body_of(assumed(shape(text, *words), tmp_path))
         np.testing.assert_allclose(actual[0], mass, rtol=1e-5)
         np.testing.assert_allclose(actual[1], xyz, rtol=1e-5)
         np.testing.assert_allclose(actual[2], at.R @ tensor @ at.R.T, rtol=1e-4, atol=1e-6)
         full = full + Body.from_center(mass, np.zeros(3), tensor).seen_from(at)
         inside += shape(text, *words)
-    actual = given(assumed(inside, tmp_path))
+    actual = body_of(assumed(inside, tmp_path))
     np.testing.assert_allclose(actual[0], full.mass, rtol=1e-5)
     np.testing.assert_allclose(actual[1], full.moment / full.mass, rtol=1e-5)
     about = Body.from_center(*actual)
     np.testing.assert_allclose(about.inertia, full.inertia, rtol=1e-4)
 
 
-def test_a_mesh_is_its_convex_hull_and_is_found_in_its_package(tmp_path: Path) -> None:
+def test_a_mesh_in_a_package_is_its_convex_hull(tmp_path: Path) -> None:
     size, at = (0.2, 0.3, 0.5), np.array([0.1, -0.4, 0.2])
     (tmp_path / "my_arm" / "meshes").mkdir(parents=True)
     (tmp_path / "my_arm" / "urdf").mkdir()
@@ -110,7 +109,7 @@ def test_a_mesh_is_its_convex_hull_and_is_found_in_its_package(tmp_path: Path) -
     x, y, z = 2.0 * np.array(size)
     for name in ("package://my_arm/meshes/a b.stl", "../meshes/a b.stl"):
         text = f'<mesh filename="{name}" scale="2 2 2"/>'
-        mass, com, tensor = given(assumed(shape(text), tmp_path / "my_arm" / "urdf"))
+        mass, com, tensor = body_of(assumed(shape(text), tmp_path / "my_arm" / "urdf"))
         assert mass == pytest.approx(x * y * z * RHO, rel=1e-5)
         np.testing.assert_allclose(com, 2.0 * (at + 0.5 * np.array(size)), rtol=1e-5)
         expected = of_box(x, y, z, mass)
@@ -147,7 +146,7 @@ def test_a_mesh_is_in_the_unit_that_its_file_names(
     (tmp_path / "box.dae").write_text(DAE.format(unit=unit, corners=text))
     name = (tmp_path / "box.dae").as_uri()
     mesh = shape(f'<mesh filename="{name}" scale="0.5 0.5 0.5"/>')
-    mass, com, _ = given(assumed(mesh, tmp_path))
+    mass, com, _ = body_of(assumed(mesh, tmp_path))
     assert mass == pytest.approx(RHO * size.prod(), rel=1e-5), "single precision in the file"
     assert com == pytest.approx(at + 0.5 * size, abs=1e-6)
     shapes = CollisionShapes(arm([mesh]), ["j1"])
@@ -157,11 +156,11 @@ def test_a_mesh_is_in_the_unit_that_its_file_names(
     assert np.array(box.geometry.aabb_local.max_).ravel() == pytest.approx(at + size, abs=1e-6)
 
 
-def test_a_link_without_shape_is_a_rod_and_keeps_its_given_mass(tmp_path: Path) -> None:
+def test_a_link_without_shape_is_a_rod_and_keeps_its_mass(tmp_path: Path) -> None:
     end = np.array([0.3, 0.0, -0.4])
     lost = shape('<mesh filename="package://nowhere/a.stl"/>')
     for inside in ("", lost, shape('<box size="1 x 1"/>')):
-        mass, com, tensor = given(assumed(inside, tmp_path, tuple(end)))
+        mass, com, tensor = body_of(assumed(inside, tmp_path, tuple(end)))
         volume = math.pi * (SLENDER * 0.5) ** 2 * 0.5
         assert mass == pytest.approx(RHO * volume, rel=1e-5)
         np.testing.assert_allclose(com, end / 2, rtol=1e-5)
@@ -170,14 +169,14 @@ def test_a_link_without_shape_is_a_rod_and_keeps_its_given_mass(tmp_path: Path) 
     weighed = (
         '<inertial><mass value="7"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/>'
     )
-    mass, _, tensor = given(
+    mass, _, tensor = body_of(
         assumed(f"{weighed}</inertial>" + shape('<sphere radius="0.2"/>'), tmp_path)
     )
     assert mass == 7.0
     np.testing.assert_allclose(tensor, np.eye(3) * 0.4 * 7.0 * 0.04, rtol=1e-5, atol=1e-9)
 
 
-def test_an_arm_without_inertia_becomes_a_scene_that_names_what_is_assumed(
+def test_an_arm_without_inertia_becomes_a_scene_that_names_assumed_bodies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(new_scene, "tuned_servo", lambda _, servo: servo)

@@ -45,7 +45,7 @@ def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
 
 
 @pytest.mark.parametrize("events", some(["located", "step"], 1))
-def test_joints_that_break_away_together_do_so_as_one_problem(tmp_path: Path, events: str) -> None:
+def test_joints_that_break_away_together_are_solved_together(tmp_path: Path, events: str) -> None:
     """Against a trial of all ways in which three joints may rest and slide: one of them holds.
 
     With this chain, in 1 of 30 draws the joint that is the most overloaded would be driven back by

@@ -18,7 +18,7 @@ from arm_emulator.base.arrays import Array
 ROWS = 60
 
 
-def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], float]:
+def sample_joint(rng: np.random.Generator) -> tuple[dict[str, Any], float]:
     """A joint that nothing drives, and the speed of its rotor, seen at the link."""
     ratio = float(rng.uniform(0.01, 0.05))
     reflected = LINK_INERTIA * float(10 ** rng.uniform(-0.7, 0.7))
@@ -67,7 +67,7 @@ def truth(joint: dict[str, Any], speed: float, t: Array) -> tuple[Array, int, Ar
 
 
 def scene_of(folder: Path, period: float, steps: int, **integrator: Any) -> Scene:
-    joint, _ = drawn(np.random.default_rng(0))
+    joint, _ = sample_joint(np.random.default_rng(0))
     file = write_scene(
         folder,
         one_link_urdf(),
@@ -100,7 +100,7 @@ def span(joint: dict[str, Any], speed: float) -> float:
 def test_teeth_bounce_as_the_closed_form_states_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
-    joint, speed = drawn(np.random.default_rng([seed, 21]))
+    joint, speed = sample_joint(np.random.default_rng([seed, 21]))
     period = span(joint, speed)
     q, touched, _ = truth(joint, speed, period * np.arange(1, ROWS + 1))
     assert touched >= 2, "both teeth shall touch"
@@ -123,7 +123,7 @@ def test_teeth_bounce_as_the_closed_form_states_with_order_two(
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 1))
 def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme: str) -> None:
-    joint, speed = drawn(np.random.default_rng([3, 21]))
+    joint, speed = sample_joint(np.random.default_rng([3, 21]))
     period = span(joint, speed)
     q, _, _ = truth(joint, speed, period * np.arange(1, ROWS + 1))
     errors = []
@@ -135,7 +135,7 @@ def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme:
     assert errors[1] < 0.4 * errors[0], f"a tenth of the step, {errors}"
 
 
-def test_a_gear_without_play_is_the_elastic_one() -> None:
+def test_a_gear_without_play_is_elastic() -> None:
     """Its damper pulls, too, and it cuts no step; links that stick keep their located events."""
     rows = np.random.default_rng(0).uniform(-12.0, 12.0, (40, 3))
     worn = {"joints.*.gear.backlash": 0.0, "faults": ["*.backlash_grows"]}

@@ -34,14 +34,14 @@ def damaged(folder: Path) -> Path:
     return bag
 
 
-def other_topics(folder: Path) -> Path:
+def foreign_topics(folder: Path) -> Path:
     with BagWriter(folder) as writer:
         number = writer.add_topic(Topic("/talk", "std_msgs/msg/String"))
         writer.write(number, 1, 1, serialize_message(String(data="hello")))
     return folder
 
 
-def other_definition(folder: Path) -> Path:
+def changed_definition(folder: Path) -> Path:
     with BagWriter(folder) as writer:
         for topic, kind in TYPES.items():
             name = f"arm_emulator_msgs/msg/{kind.__name__}"
@@ -55,7 +55,7 @@ def empty_folder(folder: Path) -> Path:
     return folder
 
 
-def other_storage(folder: Path) -> Path:
+def sqlite_storage(folder: Path) -> Path:
     folder.mkdir()
     (folder / "bag_0.db3").write_bytes(b"SQLite format 3\0")
     return folder
@@ -72,12 +72,12 @@ def text_file(folder: Path) -> Path:
     [
         (lambda folder: folder, "the bag must exist"),
         (empty_folder, "the bag must hold *.mcap files"),
-        (other_storage, "the bag's storage must be mcap, got sqlite3 (*.db3)"),
-        (lambda folder: other_storage(folder) / "bag_0.db3", "must be mcap, got sqlite3"),
+        (sqlite_storage, "the bag's storage must be mcap, got sqlite3 (*.db3)"),
+        (lambda folder: sqlite_storage(folder) / "bag_0.db3", "must be mcap, got sqlite3"),
         (text_file, "the bag must be undamaged MCAP"),
         (damaged, "the bag must be undamaged MCAP"),
-        (other_topics, "the bag must have one topic motor_states, got /talk"),
-        (other_definition, "must be the arm_emulator_msgs/msg/MotorCommand of this version"),
+        (foreign_topics, "the bag must have one topic motor_states, got /talk"),
+        (changed_definition, "must be the arm_emulator_msgs/msg/MotorCommand of this version"),
     ],
 )
 def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path: Path) -> None:
@@ -96,19 +96,19 @@ def test_bad_bags_are_refused(make: Callable[[Path], Path], words: str, tmp_path
         (("record", "."), "record: folder . must be new"),
     ],
 )
-def test_refusals_are_one_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
+def test_refusals_are_a_line_and_exit_code_2(arguments: tuple[str, ...], words: str) -> None:
     code, printed = run(*arguments)
     assert code == 2
     assert printed.startswith(words) and printed.count("\n") == 1
 
 
 def test_a_topic_that_is_not_in_the_bag_is_refused(tmp_path: Path) -> None:
-    code, printed = run("replay", other_topics(tmp_path / "bag"), "--topics", "walk")
+    code, printed = run("replay", foreign_topics(tmp_path / "bag"), "--topics", "walk")
     assert code == 2
     assert "--topics must be in the bag, got /walk; valid: /talk" in printed
 
 
-def test_a_bag_whose_scene_is_not_known_is_refused_by_its_name(
+def test_a_bag_of_a_missing_scene_is_refused_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 2)
@@ -131,7 +131,7 @@ def test_unknown_message_types_are_refused() -> None:
             message_class(kind)
 
 
-def test_a_recorder_asks_for_what_all_publishers_offer() -> None:
+def test_a_recorder_requests_the_qos_that_all_publishers_offer() -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     hasty = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     assert request([latched]).durability == DurabilityPolicy.TRANSIENT_LOCAL

@@ -79,7 +79,7 @@ def await_line(process: subprocess.Popen[str], line: str) -> None:
     raise AssertionError(f"ended without stating {line}: {printed}")
 
 
-def begin_anew(user: User, bag: Path) -> None:
+def restart(user: User, bag: Path) -> None:
     """Reset a paused network until a recorder has tick 0 and its answer, and let it go.
 
     The emulator may find a new listener later than the listener finds the emulator.
@@ -115,7 +115,7 @@ def record_one(folder: Path) -> tuple[Path, str]:
     bag = folder / "bag"
     with network(folder / "log") as (user, _), command_line("record", bag) as recorder:
         await_until_all_are_recorded(recorder)
-        begin_anew(user, bag)
+        restart(user, bag)
         user.wait("the run", lambda: user.tick >= TICKS // 2)
         assert user.call("emulator/power", False).success
         at = user.tick
@@ -206,7 +206,9 @@ CHANGES: dict[str, tuple[Callable[[BagMessage], bytes | None], int, str]] = {
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_change_of_a_bag_is_found(recording: tuple[Path, str], tmp_path: Path, name: str) -> None:
+def test_a_change_of_a_bag_is_detected(
+    recording: tuple[Path, str], tmp_path: Path, name: str
+) -> None:
     change, exit_code, words = CHANGES[name]
     code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", change))
     assert code == exit_code and re.search(words, printed), printed
@@ -283,7 +285,7 @@ def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]
         assert client.description == load_scene("three_axis").urdf
 
 
-def test_a_killed_recorder_leaves_what_it_had_flushed(tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_its_flushed_messages(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     with user() as client, command_line("record", bag) as recorder:
         talk = client.node.create_publisher(String, "talk", 1000)

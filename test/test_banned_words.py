@@ -23,7 +23,7 @@ WORDS = {"tell": "report", "says": "states", "what there is": "its name", "is no
         ("this is\n    none", [(1, "is none")]),
     ],
 )
-def test_whole_words_are_found_with_their_line(text: str, result: list[tuple[int, str]]) -> None:
+def test_words_are_reported_with_their_line(text: str, result: list[tuple[int, str]]) -> None:
     assert [match[:2] for match in banned_words.found_in(text, WORDS)] == result
 
 

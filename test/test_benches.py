@@ -47,7 +47,7 @@ def test_a_section_measures_reports_and_draws_its_figures(name: str) -> None:
         inspect.signature(section.draw).bind({}, ROOT)
 
 
-def test_the_published_report_is_made_of_its_figures() -> None:
+def test_the_published_report_follows_from_its_figures() -> None:
     figures = json.loads((PUBLISHED / "figures.json").read_text())
     assert report.report_text(figures) == (PUBLISHED / "report.md").read_text()
 
@@ -74,7 +74,7 @@ class Section:
         return f"run {figures['runs']}, quick: {figures['quick']}"
 
 
-def test_one_section_of_a_published_report_is_measured_anew(
+def test_a_section_of_a_published_report_is_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sections = {"one": Section(), "two": Section()}

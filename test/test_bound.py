@@ -57,7 +57,7 @@ def servo_config(scene: str) -> ServoConfig:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_bound_takes_exactly_what_is_within(seed: int) -> None:
+def test_a_bound_takes_exactly_the_numbers_within(seed: int) -> None:
     rng = random.Random(seed)
     for _ in range(2000):
         N = rng.randint(1, 9)
@@ -161,7 +161,7 @@ def test_the_servo_stays_finite_within_the_bounds(scene: str) -> None:
         assert servo.update(*now).tobytes() == fresh.update(*now).tobytes(), f"tick {tick}"
 
 
-def test_a_servo_that_is_not_finite_begins_anew_by_itself() -> None:
+def test_a_servo_that_is_not_finite_restarts() -> None:
     """Each number of a joint's state is spoiled: commands stay finite, and the state is again.
 
     What was learned, or follows from measurements or targets, comes again by itself.
@@ -267,7 +267,7 @@ def test_the_motion_controller_refuses_extreme_numbers_and_stays_as_it_was(scene
 
 
 @pytest.mark.parametrize("size", [0.0, 5e-324, 1e-300, 1e-160, 1e155, 1e300, 1.7e308])
-def test_quaternions_of_any_other_length_are_refused(size: float) -> None:
+def test_quaternions_that_are_not_of_unit_length_are_refused(size: float) -> None:
     for seed in range(50):
         direction = np.random.default_rng(seed).normal(size=4)
         quaternion = (direction / np.abs(direction).max() * size).tolist()
@@ -289,7 +289,7 @@ def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str)
         POSITION.check("test", executor.instruct(controller, 0, np.array(q)).q)
 
 
-def test_an_instructor_that_is_not_finite_begins_anew_by_itself() -> None:
+def test_an_executor_that_is_not_finite_restarts() -> None:
     run = load_offline_run("three_axis")
     q, nowhere = run.session.scene.start, Pose(np.zeros(3), np.eye(3))
     object.__setattr__(nowhere, "p_WT", np.full(3, math.nan))

@@ -28,7 +28,7 @@ Piece = tuple[np.ndarray, int]  # voltages, and for how many steps
 
 
 @pytest.fixture(scope="module", params=MACHINES)
-def drawn(
+def sample_machine(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Scene, np.random.Generator]:
     """A random machine: any scheme, one or two threads, limits, friction, any gear."""
@@ -60,9 +60,9 @@ def at_once(plant: Plant, piece: Piece) -> None:
 
 
 def test_a_motion_has_the_same_bits_in_any_pieces(
-    drawn: tuple[Scene, np.random.Generator],
+    sample_machine: tuple[Scene, np.random.Generator],
 ) -> None:
-    scene, rng = drawn
+    scene, rng = sample_machine
     motion = random_motion(rng, len(scene.joints))
     reference = Plant(scene)
     reported = move(reference, motion, at_once)
@@ -87,9 +87,9 @@ def test_a_motion_has_the_same_bits_in_any_pieces(
 
 
 def test_a_restored_machine_goes_on_to_the_last_bit(
-    drawn: tuple[Scene, np.random.Generator],
+    sample_machine: tuple[Scene, np.random.Generator],
 ) -> None:
-    scene, rng = drawn
+    scene, rng = sample_machine
     before, after = (random_motion(rng, len(scene.joints)) for _ in range(2))
     first, second = Plant(scene), Plant(scene)
     move(first, before, at_once)
@@ -104,8 +104,10 @@ def test_a_restored_machine_goes_on_to_the_last_bit(
     assert first.save() == second.save(), "all that the machine is"
 
 
-def test_saved_machines_of_others_are_refused(drawn: tuple[Scene, np.random.Generator]) -> None:
-    scene, _ = drawn
+def test_saved_machines_of_others_are_refused(
+    sample_machine: tuple[Scene, np.random.Generator],
+) -> None:
+    scene, _ = sample_machine
     plant = Plant(scene)
     saved = plant.save()
     integrator = dataclasses.replace(scene.integrator, dt=scene.integrator.dt / 2)
@@ -121,9 +123,11 @@ def test_saved_machines_of_others_are_refused(drawn: tuple[Scene, np.random.Gene
         assert plant.save() == saved, "a refused state has changed something"
 
 
-def test_a_state_that_is_set_is_the_state(drawn: tuple[Scene, np.random.Generator]) -> None:
+def test_a_state_that_is_set_is_the_state(
+    sample_machine: tuple[Scene, np.random.Generator],
+) -> None:
     """Motors and links anywhere, where the drive leaves them free."""
-    scene, rng = drawn
+    scene, rng = sample_machine
     plant = Plant(scene)
     N = len(scene.joints)
     q, v = rng.normal(0, 1, N), rng.normal(0, 0.5, N)

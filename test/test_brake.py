@@ -70,7 +70,7 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     )  # fmt: skip
 
 
-def test_turning_joints_stop_within_the_way_of_the_closed_form(gantry: Scene) -> None:
+def test_turning_joints_stop_within_the_distance_of_the_closed_form(gantry: Scene) -> None:
     """They turn on until the brakes close, then slow down steadily: v^2 / (2 a) more."""
     rng, plant, dt = np.random.default_rng(1), Plant(gantry), DT
     # A stiff gear is no rigid one: its wind-up, 1e-8 m, is what differs.
@@ -122,7 +122,7 @@ def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
         assert (plant.measured.brake_closed == (not plant.powered)).all(), "as power is"
 
 
-def test_a_delay_of_whole_steps_is_so_many_steps_though_its_quotient_is_rounded(
+def test_a_delay_of_integer_steps_is_so_many_steps_though_its_quotient_is_rounded(
     gantry: Scene,
 ) -> None:
     """3e-4 / 1e-4 is a little less than 3 in binary numbers, 6e-4 / 1e-4 a little less than 6."""
@@ -220,7 +220,7 @@ def test_a_run_with_brakes_is_repeated_to_the_last_bit(
     assert re.search(r"\d+ changes by hand", words), words
 
 
-def test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does(scene: Scene) -> None:
+def test_servos_in_c_and_python_handle_brakes_alike(scene: Scene) -> None:
     """The bits are those of calls one by one, with power while the brakes are still closed, too."""
     servo = load_gains("three_axis").servo
     q = scene.start + np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.15]])
@@ -242,7 +242,6 @@ def test_a_servo_in_c_knows_of_brakes_what_a_servo_in_python_does(scene: Scene) 
 
 
 def test_an_open_brake_does_nothing() -> None:
-    """Whatever its torque, also where rotors reverse."""
     rows = np.random.default_rng(9).uniform(-10.0, 10.0, (60, 3))
     scenes = (load_scene("three_axis", quick_brake(torque, 1e-3)) for torque in (1e-3, 1e3))
     assert np.array_equal(*(Plant(scene).run(rows, 10) for scene in scenes))

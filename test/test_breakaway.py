@@ -27,7 +27,7 @@ NEAR = 0.02  # of the way from the middle of the interval to its end
 LARGEST = 1e4  # V, A, N m: nothing is at its limit
 
 
-def drawn_friction(rng: np.random.Generator, dry: float, alone: bool) -> dict[str, float]:
+def sample_friction(rng: np.random.Generator, dry: float, alone: bool) -> dict[str, float]:
     """A law, or two at once; `alone`: it may be the load, whose torque is 0 without a command."""
     law: dict[str, float] = {"load": float(rng.uniform(0.05, 0.4))} if rng.random() < 0.7 else {}
     if not alone or rng.random() < 0.7:
@@ -37,7 +37,7 @@ def drawn_friction(rng: np.random.Generator, dry: float, alone: bool) -> dict[st
     return law
 
 
-def drawn_motor(rng: np.random.Generator) -> dict[str, Any]:
+def sample_motor(rng: np.random.Generator) -> dict[str, Any]:
     """Motors that follow at once, and others that take far less, or more, than a step for it.
 
     (One that takes a tenth of a step swings beyond, by a fifth of the way: schemes of order 2 do.)
@@ -89,24 +89,24 @@ class Balance:
         at, still = self.oracle.configuration(q), np.zeros(len(q))
         G = pin.rnea(self.oracle.model, self.oracle.data, at, still, still)
 
-        def most(G: np.ndarray) -> np.ndarray:
+        def upper_end(G: np.ndarray) -> np.ndarray:
             return np.where(G + self.c >= 0.0, 1.0 / (1.0 - self.mu), 1.0 / (1.0 + self.mu)) * (
                 G + self.c
             )
 
-        return np.array([-most(-G), most(G)])
+        return np.array([-upper_end(-G), upper_end(G)])
 
 
-def drawn_scene(folder: Path, seed: int, scheme: str, events: str) -> Scene:
+def sample_scene(folder: Path, seed: int, scheme: str, events: str) -> Scene:
     rng = np.random.default_rng([seed, 77])
     urdf = random_chain_urdf(rng, int(rng.integers(1, 4)))
     joints = {}
     for name in moving_joints(urdf):
-        motor = drawn_motor(rng)
+        motor = sample_motor(rng)
         at_once = not (motor.get("inductance") or motor.get("bandwidth"))
-        link = drawn_friction(rng, float(10 ** rng.uniform(-1.0, 0.5)), at_once)
+        link = sample_friction(rng, float(10 ** rng.uniform(-1.0, 0.5)), at_once)
         ratio = float(rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-2.0, 0.0))
-        rotor = drawn_friction(rng, abs(ratio) * float(10 ** rng.uniform(-1.0, 0.5)), True)
+        rotor = sample_friction(rng, abs(ratio) * float(10 ** rng.uniform(-1.0, 0.5)), True)
         joints[name] = {"motor": {**motor, "friction": rotor}, "gear": {"ratio": ratio},
                         "friction": link}  # fmt: skip
     integrator = {"scheme": scheme, "events": events, "dt": PERIOD / STEPS}
@@ -117,7 +117,7 @@ def drawn_scene(folder: Path, seed: int, scheme: str, events: str) -> Scene:
     return load_scene(file)
 
 
-def drawn_pose(rng: np.random.Generator, balance: Balance) -> np.ndarray:
+def sample_pose(rng: np.random.Generator, balance: Balance) -> np.ndarray:
     """One in which nothing breaks away before its motor has a torque."""
     for _ in range(200):
         q: np.ndarray = rng.uniform(-2.0, 2.0, len(balance.c))
@@ -127,7 +127,7 @@ def drawn_pose(rng: np.random.Generator, balance: Balance) -> np.ndarray:
     pytest.skip("no pose holds itself")
 
 
-WAYS = [
+METHODS = [
     ("extrapolated", "step"), ("rosenbrock", "located"), ("rosenbrock", "step"),
     ("extrapolated", "located"), ("implicit", "step"), ("paper", "step"),
 ]  # fmt: skip
@@ -135,17 +135,17 @@ WAYS = [
 
 @pytest.mark.parametrize(
     ("seed", "scheme", "events"),
-    some([(seed, *WAYS[(seed + k) % 6]) for k in range(6) for seed in range(12)], 2),
+    some([(seed, *METHODS[(seed + k) % 6]) for k in range(6) for seed in range(12)], 2),
 )
 def test_a_joint_breaks_away_where_the_balance_states(
     tmp_path: Path, seed: int, scheme: str, events: str
 ) -> None:
     """Commands jump and creep within what holds, up to its ends, and then beyond one of them."""
-    scene = drawn_scene(tmp_path, seed, scheme, events)
+    scene = sample_scene(tmp_path, seed, scheme, events)
     plant, balance = Plant(scene), Balance(scene)
     rng = np.random.default_rng([seed, 78])
     for _ in range(POSES):
-        q = drawn_pose(rng, balance)
+        q = sample_pose(rng, balance)
         plant.reset(q)
         low, high = balance.interval(q)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)

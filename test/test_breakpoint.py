@@ -75,7 +75,7 @@ def test_a_condition_that_is_no_condition_is_refused() -> None:
         Breakpoint(plant, f"{deep} > q.waist")
 
 
-def test_two_breakpoints_of_a_plant_do_not_know_each_other() -> None:
+def test_two_breakpoints_of_a_plant_are_independent() -> None:
     plant = Plant("three_axis")
     early, late = Breakpoint(plant, "tick >= 3"), Breakpoint(plant, "tick >= 5")
     hits = []

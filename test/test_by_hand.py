@@ -74,7 +74,7 @@ def test_a_varied_number_is_set_and_bad_ones_are_refused(clock: str, varied: Pat
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_a_restored_machine_is_the_saved_one_and_ticks_go_on(clock: str) -> None:
+def test_a_restored_machine_is_as_it_was_saved_and_ticks_continue(clock: str) -> None:
     with in_process(clock) as nodes:
         go_on(nodes, 30)
         assert nodes.call("emulator/power", False).success
@@ -143,7 +143,6 @@ def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
 
 
 def bad_requests(draw: random.Random, saved: bytes) -> Iterator[tuple[str, Any]]:
-    """Requests of which each breaks a rule."""
     for _ in range(40):
         request = sound_set_state(draw)
         inputs = [name for name in QUANTITIES if getattr(request, name)]
@@ -216,7 +215,7 @@ def test_a_machine_of_another_scene_is_refused() -> None:
         assert not answer.success and "saved machine must" in answer.message, answer
 
 
-def test_names_are_kept_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_are_stored_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("emulator_node.services.MOST_SAVED", 3)
     with in_process() as nodes:
         for name in ("a", "b", "c", "a"):

@@ -95,11 +95,11 @@ def test_a_spoiled_event_is_named(
     def elsewhere(event: MachineEvent) -> None:
         event.tick = max(0, event.tick + draw.choice([-2, -1, 1, 2])) if event.tick else 3
 
-    def other_power(event: MachineEvent) -> None:
+    def switch_power(event: MachineEvent) -> None:
         event.powered = not event.powered
 
     for case in some(range(12), 6):
-        change = (flip, elsewhere, other_power)[case % 3]
+        change = (flip, elsewhere, switch_power)[case % 3]
         event = draw.choice(
             [e for e in events if change is not elsewhere or e.kind != e.KIND_RESET]
         )

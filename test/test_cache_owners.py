@@ -114,7 +114,7 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
     return folder, "" if setup in fine else setup
 
 
-def test_only_a_folder_that_nobody_else_can_change_is_searched(
+def test_only_a_private_folder_is_searched(
     planted: Planted,
     sound: Sound,
     tmp_path: Path,
@@ -174,7 +174,6 @@ def victim(shared: Path, **also: str) -> dict[str, str]:
 
 @contextlib.contextmanager
 def attacked(script: str) -> Iterator[None]:
-    """Within, another user's shell runs a script."""
     attacker = subprocess.Popen(
         ["sh", "-c", script], user=SOMEBODY, group=SOMEBODY, extra_groups=[], start_new_session=True
     )
@@ -186,7 +185,6 @@ def attacked(script: str) -> Iterator[None]:
 
 
 def become_victim(monkeypatch: pytest.MonkeyPatch, shared: Path, sound: Sound) -> None:
-    """Give this process the environment of a victim."""
     for name, value in victim(shared, CXX=sound.compiler).items():
         monkeypatch.setenv(name, value)
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)

@@ -60,7 +60,7 @@ def gains(name: str) -> str:
     return str(config_folder() / f"{name}/three_axis.yaml")
 
 
-def test_the_record_has_what_replays_into_the_nodes_need(bag: Path) -> None:
+def test_the_record_has_the_topics_that_replays_need(bag: Path) -> None:
     counts = {name: topic.count for name, topic in Bag(bag).topics.items()}
     for name in ("joint_targets", "joint_states", "servo_states"):
         assert counts[f"/{name}"] >= TICKS // 50, counts
@@ -80,7 +80,7 @@ def test_the_recorded_nodes_give_the_recorded_bits(bag: Path) -> None:
         assert facts["messages"] >= (TICKS if into == "servo" else TICKS // 50), facts
 
 
-def test_answers_recorded_long_before_the_first_question_do_not_matter(
+def test_commands_recorded_long_before_the_first_state_do_not_matter(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A recorder that finds the servo long before the emulator, which is reset afterwards."""
@@ -126,7 +126,7 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     assert facts["answers"] == facts["messages"] == facts["alike"] == last, facts
 
 
-def test_a_servo_with_another_gain_answers_each_state_with_the_same_bits(bag: Path) -> None:
+def test_a_servo_with_another_gain_responds_to_each_state_with_the_same_bits(bag: Path) -> None:
     second = [f"joints.{name}.position_gain:=21.0" for name in ("waist", "shoulder", "elbow")]
     words = [word for gain in second for word in ("-p", gain)]
     digests = set()
@@ -139,7 +139,7 @@ def test_a_servo_with_another_gain_answers_each_state_with_the_same_bits(bag: Pa
     assert len(digests) == 1, "the same bits"
 
 
-def test_answers_that_are_missing_are_reported(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_commands_are_reported(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(causal_replay, "PATIENCE", 0.5)
     renamed = config_folder() / "servo/three_axis.yaml"
     text = renamed.read_text().replace("elbow", "knee")

@@ -92,7 +92,7 @@ def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
     assert second.close() == "over"
 
 
-def test_processes_that_hang_are_killed_at_one_deadline(noisy: str) -> None:
+def test_processes_that_hang_are_killed_at_a_common_deadline(noisy: str) -> None:
     plant, task, patience = Plant("three_axis"), {"hangs": True}, 4.0
     every = [
         RowProcess(plant, noisy, task, "test", waits=False, patience=patience) for _ in range(3)

@@ -58,7 +58,7 @@ BAD: list[tuple[object, str]] = [
 
 
 @pytest.mark.parametrize(("waves", "words"), BAD, ids=lambda value: str(value)[:30])
-def test_bad_waves_are_refused_in_one_line(waves: object, words: str) -> None:
+def test_bad_waves_are_refused_in_a_line(waves: object, words: str) -> None:
     with pytest.raises(Refusal) as refusal:
         load_scene("three_axis", {"joints.elbow.motor.cogging": {"waves": waves}})
     printed = str(refusal.value)

@@ -80,7 +80,6 @@ def test_pairs_that_belong_together_are_left_out() -> None:
 @pytest.mark.parametrize("margin", [0.0, MARGIN, 5.0 * MARGIN])
 @pytest.mark.parametrize("name", ["panda", "ur5"])
 def test_no_pair_is_tested_that_touches_at_rest(name: str, margin: float) -> None:
-    """Those are left out, and no others in their place."""
     scene = load_scene(name)
     arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     rest = np.where((arm.lower > 0.0) | (arm.upper < 0.0), 0.5 * (arm.lower + arm.upper), 0.0)
@@ -96,7 +95,7 @@ PLATES = """<robot name="plates">
 {ball}</robot>"""
 
 
-def test_a_part_may_enter_a_hollow_one(tmp_path: File) -> None:
+def test_a_part_may_enter_a_hollow_part(tmp_path: File) -> None:
     """A ball between two plates of one mesh, whose convex hull fills the gap: closed form."""
     corners = np.array([(x, z) for x in (-0.5, 0.5) for z in (-0.5, 0.5)])
     text = "solid plates\n"
@@ -207,7 +206,7 @@ class Arm:
         return float(self.kinematics.forward(self.run.session.state.q)[1][2] - self.p_WT[2])
 
 
-def test_without_obstacles_the_same_move_is_made() -> None:
+def test_without_obstacles_the_same_move_is_executed() -> None:
     """The floor, not another obstacle, stops the arm."""
     arm = Arm(collisions="off")
     arm.run.instructor.add(0, Pose(arm.p_WT - np.array([0.0, 0.0, 0.4]), arm.R_WT))
@@ -239,7 +238,7 @@ def test_a_jog_halts_before_a_collision_and_leaves(seed: int) -> None:
     assert JogStatus.HALT_FOR_COLLISION in codes
 
 
-def test_a_way_is_looked_through_before_it_begins() -> None:
+def test_a_path_is_checked_before_it_begins() -> None:
     """The place of the first touch of a ball and a floor, within the pieces of the search."""
     config = MotionConfig(tool="tool", obstacles=(Obstacle("floor", 0.0),))
     kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
@@ -253,7 +252,7 @@ def test_a_way_is_looked_through_before_it_begins() -> None:
 
 
 @pytest.mark.parametrize("margin", [MARGIN, 2e-3, 0.0])
-def test_thin_plates_are_found_wherever_they_are(margin: float) -> None:
+def test_thin_plates_are_detected_wherever_they_are(margin: float) -> None:
     """Plates from 0.5 mm on, and balls of 4 mm on ways of any length, against 3000 looks.
 
     Looks every 5 cm pass by two thirds of them at a margin of 2 mm.
@@ -401,7 +400,6 @@ def test_parts_that_touch_already_do_not_hide_others() -> None:
 
 
 def test_obstacles_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Unknown keys, wrong lengths, numbers out of range."""
     for table, words in (
         ({"floor": {"hight": 0.0}}, r"obstacles\.floor\.hight must be a known key"),
         ({"floor": {"height": "low"}}, r"obstacles\.floor\.height must be a number"),

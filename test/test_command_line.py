@@ -35,7 +35,6 @@ def run(*words: str) -> tuple[int, str, str]:
 
 
 def options_of(page: str) -> list[str]:
-    """Names of the options on a help page."""
     return re.findall(r"^ (?:\*  |   )?(--\S+)", page, re.MULTILINE)
 
 
@@ -85,7 +84,7 @@ def test_every_argument_is_explained_and_every_command_has_a_page(command: Comma
     assert any(text in page.read_text() for page in DOCUMENTS), command.name
 
 
-def test_misspelled_words_are_refused_in_a_line_that_names_the_right_one() -> None:
+def test_misspelled_words_are_refused_in_a_line_with_the_right_word() -> None:
     draw = random.Random(1)
     for command in commands():
         names = options_of(arguments.page_of(command))
@@ -198,7 +197,7 @@ def test_bash_completes_a_command_and_an_option(tmp_path: Path) -> None:
         assert done.stdout.split() == expected.split(), done
 
 
-READER_GONE = """
+CLOSED_PIPE = """
 import os, runpy, sys
 import arm_emulator.cli.command_line  # which all of them import
 for words in sys.stdin.read().splitlines():
@@ -218,11 +217,11 @@ for words in sys.stdin.read().splitlines():
 """
 
 
-def test_help_and_version_end_quietly_where_nobody_reads_them() -> None:
+def test_help_and_version_end_quietly_without_a_reader() -> None:
     lines = ["", "--help", "--version", "completion bash"]
     lines += [f"{name} --help" for name in command_names()]
     ended = subprocess.run(
-        [sys.executable, "-c", READER_GONE], input="\n".join(lines), text=True,
+        [sys.executable, "-c", CLOSED_PIPE], input="\n".join(lines), text=True,
         stdout=subprocess.PIPE, check=True,
     ).stdout.splitlines()  # fmt: skip
     assert ended == [f"{words}|141|" for words in lines], "as by SIGPIPE, without a traceback"
@@ -230,5 +229,4 @@ def test_help_and_version_end_quietly_where_nobody_reads_them() -> None:
 
 @pytest.fixture(autouse=True)
 def no_signal() -> None:
-    """Of another test."""
     CtrlC.signal = 0

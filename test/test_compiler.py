@@ -153,7 +153,7 @@ def test_the_core_compiles_without_a_warning(
     assert (built.returncode, built.stderr) == (0, ""), "exit code and words of the compiler"
 
 
-def test_without_a_compiler_it_states_what_to_do(
+def test_without_a_compiler_the_remedy_is_printed(
     cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     no_compiler(monkeypatch, tmp_path)
@@ -201,7 +201,7 @@ MISCHIEF = {
 
 
 @pytest.mark.parametrize("does", MISCHIEF)
-def test_failures_of_a_compiler_end_in_one_line(
+def test_failures_of_a_compiler_end_in_a_line(
     does: str,
     cache: Path,
     tmp_path: Path,
@@ -283,7 +283,7 @@ main()
         assert compiled_in(cache) == [], "nothing half made stays"
 
 
-def test_two_processes_at_once_share_one_compilation(quick_compiler: None, cache: Path) -> None:
+def test_processes_at_the_same_time_share_a_compilation(quick_compiler: None, cache: Path) -> None:
     command = [sys.executable, "-c", READY]
     processes = [
         subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -27,7 +27,6 @@ def some_session(seed: int) -> Session:
 
 
 def values_of(session: Session) -> dict[str, float]:
-    """All signals, read from the session's own objects."""
     state, measured = session.state, session.measured
     values: dict[str, float] = {
         "t": state.t, "tick": float(session.tick), "energy": session.energy,

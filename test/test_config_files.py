@@ -50,7 +50,7 @@ def spellings(scene: Path, folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("seed", some([1, *range(2, 11), 0], 1))
-def test_gains_are_found_from_any_folder(
+def test_gains_are_located_from_any_folder(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Wherever scene, gains and working directory are, all commands find the same files."""

@@ -56,7 +56,7 @@ def test_a_library_that_remembers_elsewhere_has_no_timeline(build: Callable[...,
             Timeline(run)
 
 
-def test_only_what_the_same_run_has_saved_is_restored(tmp_path: Path) -> None:
+def test_only_states_that_the_same_run_has_saved_are_restored(tmp_path: Path) -> None:
     random_table(np.random.default_rng(3), tmp_path / "table.csv")
     first, second = (
         load_table_run("three_axis", tmp_path / "table.csv", None)[0] for _ in range(2)

@@ -17,10 +17,9 @@ from arm_emulator.page.control_server import ControlServer, MachineControls, _Pi
 
 
 @contextmanager
-def asked(
+def serve_requests(
     controls: MachineControls, ask: Callable[[_PipedControls], None]
 ) -> Iterator[ControlServer]:
-    """Yield a server that a thread asks for something."""
     near, far = Pipe()
     failed: list[BaseException] = []
 
@@ -59,7 +58,7 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
         for _ in range(ticks):
             plant.exchange(np.zeros(3))
 
-    with asked(controls, ask) as server:
+    with serve_requests(controls, ask) as server:
         while "going on" not in responses:
             server.drive(advance, 2000)
     assert responses == ["paused", "7 more", "power off", "going on"]
@@ -68,7 +67,7 @@ def test_requests_are_fulfilled_between_two_ticks() -> None:
     assert not plant.powered
 
 
-def test_a_desk_without_a_page_does_nothing() -> None:
+def test_a_server_without_a_page_does_nothing() -> None:
     server, done = ControlServer(MachineControls(Plant("three_axis"))), []
     assert server.poll()
     server.drive(done.append, 12345)
@@ -87,7 +86,7 @@ def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
         there.do("pause", False)
         over.set()
 
-    with asked(controls, ask) as server:
+    with serve_requests(controls, ask) as server:
         thread = threading.Thread(target=server.attend_always, args=[session])
         thread.start()
         while not over.is_set():
@@ -98,7 +97,7 @@ def test_a_thread_fulfils_where_a_session_is_advanced_by_others() -> None:
     assert not session.powered
 
 
-def test_a_scene_has_the_hands_that_it_can_bear() -> None:
+def test_a_scene_has_the_controls_that_it_supports() -> None:
     can = MachineControls(Plant("three_axis")).can()
     assert {"pause", "power"} <= can and not {"push", "set_varied", "step", "aim"} & can
 
@@ -123,7 +122,7 @@ def test_a_machine_goes_on_when_its_page_has_ended(
     assert server.poll() and not capfd.readouterr().err
 
 
-def test_a_desk_answers_anything_that_a_browser_sends() -> None:
+def test_a_server_handles_anything_that_a_browser_sends() -> None:
     plant = Plant("three_axis")
     controls = MachineControls(plant)
 
@@ -136,7 +135,7 @@ def test_a_desk_answers_anything_that_a_browser_sends() -> None:
                 there.ask(request, *inputs)
         assert there.do("power", False) == "power off"
 
-    with asked(controls, ask) as server:
+    with serve_requests(controls, ask) as server:
         while plant.powered:
             server.poll()
 

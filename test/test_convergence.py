@@ -14,7 +14,7 @@ from arm_emulator.servo.servo_arm import ServoArm, Target
 from oracles.convergence import convergence_factor, expected_errors
 
 SCENE = "three_axis"  # at its start the waist alone moves the tool along y
-WAY = 0.02  # m; a count of the encoder is 1e-3 of it
+DISTANCE = 0.02  # m; a count of the encoder is 1e-3 of it
 LONG = 1.0  # s until the servo is there
 INSTRUCTIONS = 40
 
@@ -25,7 +25,7 @@ def step_response(period: float) -> Array:
     scene, config = load_scene(file), load_gains(file).servo
     session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(config)
     target = scene.start.copy()
-    target[0] += WAY / 0.43
+    target[0] += DISTANCE / 0.43
     travelled = []
     for tick in range(round(LONG / scene.servo_period) + 1):
         measured = session.measured
@@ -50,12 +50,12 @@ def measured_factor(weight: float, period: float) -> float:
     run = OfflineRun(load_scene(file), servo, motion)
     kinematics, session = run.controller.kinematics, run.session
     R_WT, p_WT = kinematics.forward(session.scene.start)
-    target = Pose(p_WT + np.array([0.0, WAY, 0.0]), R_WT)
+    target = Pose(p_WT + np.array([0.0, DISTANCE, 0.0]), R_WT)
     run.instructor.add(0, target)
     errors = []
     for _ in range(INSTRUCTIONS):
         run.advance(run.motion_ticks)
-        errors.append(kinematics.tool_error(run.drives.servo.q_measured, target)[1] / WAY)
+        errors.append(kinematics.tool_error(run.drives.servo.q_measured, target)[1] / DISTANCE)
     return convergence_factor(errors)
 
 

@@ -39,16 +39,16 @@ def bits(plant: Plant) -> bytes:
     return plant.save()
 
 
-WAYS: dict[str, Callable[[Any], Any]] = {
+METHODS: dict[str, Callable[[Any], Any]] = {
     "copy": copy.copy,
     "deepcopy": copy.deepcopy,
     "pickle": lambda one: pickle.loads(pickle.dumps(one)),
 }
 
 
-@pytest.mark.parametrize("method", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_copy_goes_on_alike_and_alone(method: str, plant: Plant) -> None:
-    second = WAYS[method](plant)
+    second = METHODS[method](plant)
     assert bits(second) == bits(plant) and second.parameters == plant.parameters
     assert second.external_wrenches == plant.external_wrenches
     plant.advance(ROW, 20)
@@ -59,11 +59,11 @@ def test_a_copy_goes_on_alike_and_alone(method: str, plant: Plant) -> None:
     second.advance(ROW, 20)
 
 
-@pytest.mark.parametrize("method", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_copy_of_a_fleet_goes_on_alike_and_alone(method: str, scene: Scene) -> None:
     fleet = Fleet(scene, 5, varied={NAME: np.linspace(1.0, 5.0, 5)}, workers=2)
     fleet.exchange(ROW)
-    second = WAYS[method](fleet)
+    second = METHODS[method](fleet)
     assert second.save() == fleet.save() and len(second) == 5
     assert np.array_equal(second.parameters[NAME], np.linspace(1.0, 5.0, 5))
     before = fleet.save()
@@ -71,43 +71,43 @@ def test_a_copy_of_a_fleet_goes_on_alike_and_alone(method: str, scene: Scene) ->
     assert fleet.save() == before, "they share the machines"
 
 
-@pytest.mark.parametrize("method", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_an_arm_of_a_fleet_is_copied_out_of_it(method: str, scene: Scene) -> None:
     fleet = Fleet(scene, 3)
     fleet.advance(ROW, 30)
-    second, before = WAYS[method](fleet[1]), fleet[1].save()
+    second, before = METHODS[method](fleet[1]), fleet[1].save()
     assert second.save() == before
     second.advance(ROW, 5)
     assert fleet[1].save() == before, "the fleet moves with the copy"
 
 
-@pytest.mark.parametrize("method", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_frames_and_kinematics_are_copied(method: str, scene: Scene) -> None:
     fleet = Fleet(scene, 3)
     frame = fleet.step(ROW, 30)
-    second, q = WAYS[method](frame), frame.q.copy()
+    second, q = METHODS[method](frame), frame.q.copy()
     fleet.step(ROW, 30, out=frame)
     assert np.array_equal(second.q, q) and not np.array_equal(frame.q, q)
     assert second.measured != frame.measured, "they share their arrays"
     fleet.step(ROW, 30, out=second)
     assert second.t[0] > frame.t[0]
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
-    p = WAYS[method](JacobianController(kinematics)).kinematics.forward(scene.start)[1]
+    p = METHODS[method](JacobianController(kinematics)).kinematics.forward(scene.start)[1]
     assert np.array_equal(p, kinematics.forward(scene.start)[1])
 
 
-@pytest.mark.parametrize("method", WAYS)
-def test_reasons_are_handed_over_whole(method: str) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_reasons_are_copied_in_full(method: str) -> None:
     overrides = {"integrator.scheme": "paper", "integrator.dt": 1e-2, "servo_period": 1e-2}
     plant = Plant(load_scene("three_axis", overrides=overrides))
     with pytest.raises(Diverged) as diverged:
         plant.advance([20.0, -20.0, 10.0], 100_000)
     diverged.value.hint = "a hint"
-    actual = WAYS[method](diverged.value)
+    actual = METHODS[method](diverged.value)
     assert str(actual) == str(diverged.value) and actual.t == diverged.value.t
     with pytest.raises(Refusal) as refused:
         plant.advance([1.0], 1)
-    actual = WAYS[method](refused.value)
+    actual = METHODS[method](refused.value)
     assert str(actual) == str(refused.value) and actual.rule == refused.value.rule
 
 
@@ -134,7 +134,7 @@ def in_child(work: Callable[[], object]) -> str:
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 @pytest.mark.parametrize("threads", some([2, 1], 1))
-def test_a_forked_child_goes_on_for_itself(threads: int, tmp_path: Path) -> None:
+def test_a_forked_child_continues_independently(threads: int, tmp_path: Path) -> None:
     keys = {"threads": threads, "integrator.scheme": "paper"}  # those of `test_threads`
     scene = load_scene("three_axis", overrides=keys)
     plant, fleet = Plant(scene), Fleet(scene, 10, workers=2)
@@ -153,7 +153,7 @@ def test_a_forked_child_goes_on_for_itself(threads: int, tmp_path: Path) -> None
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
-def test_a_fork_waits_for_calls_of_other_threads(scene: Scene) -> None:
+def test_a_fork_waits_for_calls_of_further_threads(scene: Scene) -> None:
     """The child never finds a machine in the middle of a call, nor a turn that nobody ends."""
     plant = Plant(scene)
     with ThreadPoolExecutor(1) as pool:
@@ -178,17 +178,17 @@ def go_on(servo: Servo) -> bytes:
     return np.array(commands).tobytes()
 
 
-@pytest.mark.parametrize("method", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_copy_of_a_servo_goes_on_alike_and_alone(method: str) -> None:
     servo = a_servo()
-    second, still = WAYS[method](servo), WAYS[method](servo)
+    second, still = METHODS[method](servo), METHODS[method](servo)
     went = go_on(servo)
     assert go_on(second) == went, "it has forgotten something"
     assert go_on(still) == went, "they share what they remember"
     assert go_on(Servo(servo.config)) != went, "any servo would have passed"
 
 
-@pytest.mark.parametrize("method", WAYS)
+@pytest.mark.parametrize("method", METHODS)
 def test_a_copy_of_a_session_goes_on_alike_and_alone(method: str, scene: Scene) -> None:
     names = scene.joint_names
 
@@ -201,18 +201,18 @@ def test_a_copy_of_a_session_goes_on_alike_and_alone(method: str, scene: Scene) 
     session = Session(scene, "lockstep", "first_answer")
     run(session, 20)
     session.paused = True
-    second, still = WAYS[method](session), WAYS[method](session)
+    second, still = METHODS[method](session), METHODS[method](session)
     assert second.tick == 20 and second.paused and second.scene is second.plant.scene
     went = run(session, 10)
     assert run(second, 10) == went and still.tick == 20, "they share the machine"
     assert run(still, 10) == went and still.state.t == pytest.approx(0.03)
 
 
-@pytest.mark.parametrize("method", WAYS)
-def test_a_session_whose_time_passes_by_itself_is_not_copied(method: str, scene: Scene) -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_a_session_in_real_time_is_not_copied(method: str, scene: Scene) -> None:
     session = real_time_session(scene, "paused")
     with pytest.raises(Refusal, match="its clock must be advanced by its owner"):
-        WAYS[method](session)
+        METHODS[method](session)
     session.close()
 
 
@@ -237,8 +237,7 @@ def test_sessions_and_servos_of_a_forked_child(scene: Scene) -> None:
     loop.close()
 
 
-def test_calls_of_threads_on_one_servo_and_one_session_go_one_after_the_other(scene: Scene) -> None:
-    """No measurement and no tick is lost."""
+def test_calls_of_threads_on_servo_and_session_are_serialised(scene: Scene) -> None:
     servo, session = a_servo(), Session(scene, "lockstep", "free_run")
 
     def push(_: int) -> None:
@@ -255,7 +254,7 @@ def test_calls_of_threads_on_one_servo_and_one_session_go_one_after_the_other(sc
     assert go_on(servo) == go_on(expected)
 
 
-def test_workers_of_other_processes_take_and_give_plants(plant: Plant) -> None:
+def test_worker_processes_take_and_return_plants(plant: Plant) -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         moved = pool.map(advanced, [plant])[0]
     plant.advance(ROW, 50)
@@ -267,7 +266,7 @@ def advanced(plant: Plant) -> Plant:
     return plant
 
 
-def test_calls_of_threads_on_one_plant_go_one_after_the_other(scene: Scene) -> None:
+def test_calls_of_threads_on_a_plant_are_serialised(scene: Scene) -> None:
     """In any order of calls no step is lost, and every observed state is that of a step."""
     plant, expected = Plant(scene), Plant(scene)
     valid_states = {expected.save()}

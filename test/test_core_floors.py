@@ -14,7 +14,7 @@ def floor_of(file: Path) -> str:
     return file.relative_to(CORE).parts[0]
 
 
-def test_a_header_includes_what_is_on_its_floor_or_below() -> None:
+def test_a_header_includes_headers_of_its_floor_or_below() -> None:
     files = [file for file in CORE.rglob("*") if file.suffix in (".hpp", ".cpp", ".h", ".c")]
     assert {floor_of(file) for file in files} == set(FLOORS), "the floors"
     wrong, observed = [], 0

@@ -60,7 +60,6 @@ def drive(ratio: float) -> dict[str, Any]:
 
 
 def machine(folder: Path, parts: list[Part], shares: Shares, **more: Any) -> Scene:
-    """The scene, every shaft with its drive."""
     (folder / "arm.urdf").write_text(serial("arm", parts))
     shafts = shafts_of(parts, shares)
     draw = np.random.default_rng(5)
@@ -130,7 +129,7 @@ def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", some(list(ARMS), 1))
-def test_the_whole_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
+def test_the_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
     """Rotors, gears, friction of rotors and shafts, on the right side of the coupling: order 2."""
     parts, shares = ARMS[name]
     scene = machine(tmp_path, parts, shares)
@@ -163,7 +162,7 @@ def test_the_whole_machine_moves_as_its_equations(name: str, tmp_path: Path) -> 
     assert 3.2 < errors[0] / errors[1] < 4.8, f"order 2: {errors}"
 
 
-def test_mimic_joints_on_the_way_to_the_tool_move_along(tmp_path: Path) -> None:
+def test_mimic_joints_between_base_and_tool_move_along(tmp_path: Path) -> None:
     """Kinematics, limits, torques and dynamics of a telescope, by its description alone."""
     text = mimicking(serial("arm", BOOM), "j4", "j3", 0.5, 0.02)
     text = mimicking(text, "j5", "j4", -0.6, 0.1)  # a mimic of a mimic
@@ -377,7 +376,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
 
 @pytest.mark.skipif(not FULL, reason="fleets are compiled once more for it: make test-in-full")
 @pytest.mark.parametrize("name", ARMS)
-def test_lanes_of_a_fleet_move_as_one_machine(name: str, tmp_path: Path) -> None:
+def test_lanes_of_a_fleet_move_as_a_single_machine(name: str, tmp_path: Path) -> None:
     scene = machine(tmp_path, *ARMS[name], external_wrench=True, varied=["links.l4.mass"])
     fleet, plant = Fleet(scene, 9), Plant(scene)
     push = ExternalWrench((20.0, -30.0, 10.0), (1.0, 2.0, -3.0), (0.1, 0.0, 0.2), axes="world")

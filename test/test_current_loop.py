@@ -193,7 +193,7 @@ def by_its_equations(rows: np.ndarray) -> np.ndarray:
     return out
 
 
-def test_a_heated_winding_is_one_that_the_drive_does_not_know(tmp_path: Path) -> None:
+def test_a_drive_does_not_adapt_to_a_heated_winding(tmp_path: Path) -> None:
     rows = np.random.default_rng(8).uniform(-12.0, 12.0, (20, 3))  # beyond the limit, too
     truth, errors = by_its_equations(rows), []
     file = write(tmp_path, events="located", winding=WINDING)
@@ -208,9 +208,7 @@ def test_a_heated_winding_is_one_that_the_drive_does_not_know(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("last", some([{"winding": WINDING}, {}], 1), ids=repr)
-def test_energy_is_what_the_supply_gives_less_what_is_dissipated(
-    last: dict[str, Any], tmp_path: Path
-) -> None:
+def test_energy_is_supplied_less_dissipated_energy(last: dict[str, Any], tmp_path: Path) -> None:
     file, left = write(tmp_path, events="located", **last), []
     for dt in (1e-4, 5e-5, 2.5e-5):
         result = balance_of(Plant(load_scene(file, {"integrator.dt": dt})), commanded(), 20)

@@ -37,7 +37,6 @@ def formula(text: str) -> Callable[[float, float], float]:
 
 
 def faults_in(table: str) -> dict[str, Written]:
-    """Return the faults of the table by name."""
     result: dict[str, Written] = {}
     for block in table.split("\n\n")[1:]:
         lines = block.splitlines()

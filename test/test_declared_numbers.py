@@ -44,7 +44,6 @@ class Row(NamedTuple):
 
 
 def numbers_in(table: str) -> dict[str, dict[str, Row]]:
-    """Return the rows below each heading of the table."""
     result: dict[str, dict[str, Row]] = {}
     for block in table.split("\n\n"):
         lines = block.splitlines()
@@ -59,7 +58,6 @@ def numbers_in(table: str) -> dict[str, dict[str, Row]]:
 
 
 def row_of(line: str) -> tuple[str, Row]:
-    """Return name and numbers of a line of the table."""
     name, unit, default, words = re.split(r"  +", line)
     if default not in ("needed", "none") and not default.isalpha():
         default = str(float(default))
@@ -79,7 +77,6 @@ def row_of(line: str) -> tuple[str, Row]:
 
 
 def declared(number: Number) -> Row:
-    """Return a declaration as a row of the table."""
     followed = getattr(number, "follows", None)
     default = "needed" if number.default is REQUIRED else "none" if number.default is None else None
     return Row(

@@ -28,7 +28,7 @@ needs_robots = pytest.mark.skipif(
 )
 
 
-def given(scene_name: str) -> tuple[Scene, Gains, DemoPlan]:
+def load_demo(scene_name: str) -> tuple[Scene, Gains, DemoPlan]:
     file = find_scene(scene_name)
     gains = load_gains(file)
     return load_scene(file), gains, DemoPlan.load(file, round(gains.motion.period * 1e9))
@@ -67,7 +67,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     deviations = np.array(summary["deviations_m"])
 
     # Three processes state to the last bit what one process states.
-    predicted = predicted_rest(*given(scene))
+    predicted = predicted_rest(*load_demo(scene))
     assert np.array_equal(deviations, predicted.deviations)
     assert summary["predicted_mm"] == summary["residual_mm"] and summary["target"] == "reached"
 
@@ -107,7 +107,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
 
 def test_the_prediction_names_the_missed_target_or_place() -> None:
     """A place beside the predicted one, a target out of reach, one that is not reached yet."""
-    scene, gains, plan = given("three_axis")
+    scene, gains, plan = load_demo("three_axis")
     met = predicted_rest(scene, gains, plan)
     assert met.target == "reached" and met.missed_by(met.deviations, exact=True) == ""
     beside = met.deviations + 0.5 * NEAR * np.linalg.norm(met.deviations[0]) * np.eye(3)[0]

@@ -43,7 +43,6 @@ def imported(package: str) -> set[str]:
 
 
 def names_in(file: str) -> set[str]:
-    """Packages that a file of requirements asks for by itself."""
     lines = (ROOT / file).read_text().split("# --- what they bring along")[0].splitlines()
     return {line.partition("==")[0] for line in lines if re.match(r"\w", line)}
 

@@ -44,7 +44,7 @@ def test_a_message_whose_figures_change_waits_for_its_second(
     assert "for 0 s" in printed[0] and "for 0.999 s" in printed[1]
 
 
-def test_other_words_or_another_level_are_published_at_once(
+def test_changed_words_or_another_level_are_published_immediately(
     nodes: InProcess, printed: list[str]
 ) -> None:
     health = nodes.nodes["servo"]._diagnostics

@@ -19,7 +19,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.ros.ros_domain import own_domain
 
 
-def found(name: str) -> Finding:
+def finding_of(name: str) -> Finding:
     return next(finding for finding in findings() if finding.name == name)
 
 
@@ -50,21 +50,21 @@ def test_each_finding_is_a_line_and_a_row_of_json(
 def test_a_missing_tool_is_a_problem_with_a_remedy(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    assert found("compiler").level == "ok"
+    assert finding_of("compiler").level == "ok"
     old = tmp_path / "old_compiler"
     old.write_text("#!/bin/sh\necho 'error: unknown standard c++20' >&2\nexit 1\n")
     old.chmod(0o755)
     monkeypatch.setenv("CXX", str(old))
-    finding = found("compiler")
+    finding = finding_of("compiler")
     assert (
         finding.level == "problem"
         and "unknown standard" in finding.text
         and "g++ from 11" in finding.text
     )
     monkeypatch.setenv("CXX", "no_such_compiler")
-    assert found("compiler").level == "problem"
+    assert finding_of("compiler").level == "problem"
     monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
-    assert found("disk").level == "problem" and "make room" in found("disk").remedy
+    assert finding_of("disk").level == "problem" and "make room" in finding_of("disk").remedy
 
 
 def test_every_import_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_every_import_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 @pytest.mark.parametrize("words", [
     ["-m", "motion_controller_node.node"], ["-m", "arm_emulator", "run", "three_axis"],
 ])  # fmt: skip
-def test_a_program_without_a_package_ends_with_one_line(words: list[str], tmp_path: Path) -> None:
+def test_a_program_without_a_package_ends_with_a_line(words: list[str], tmp_path: Path) -> None:
     """A node that imports at its top does so, too: `up` prints its line and ends with its code."""
     (tmp_path / "coal.py").write_text("raise ModuleNotFoundError('none', name='coal')")
     path = os.pathsep.join([str(tmp_path), os.environ["PYTHONPATH"]])
@@ -116,17 +116,17 @@ def test_a_program_without_a_package_ends_with_one_line(words: list[str], tmp_pa
         ("-1", "LOCALHOST", "problem"),
     ],
 )
-def test_the_domain_is_one_and_stays_here(
+def test_the_domain_is_valid_and_local(
     domain: str, reach: str, level: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
-    assert found("ROS domain").level == level
+    assert finding_of("ROS domain").level == level
 
 
-def test_a_node_without_a_launcher_is_found_and_one_with_a_launcher_is_not() -> None:
+def test_nodes_without_a_launcher_are_reported_alone() -> None:
     def numbers() -> list[str]:
-        finding = found("processes")
+        finding = finding_of("processes")
         return finding.remedy.split()[1:] if finding.level == "problem" else []
 
     asleep = "import time; time.sleep(600)"
@@ -162,7 +162,7 @@ def test_shared_memory_of_the_dead_is_counted_and_stays(
     with open(tmp_path / f"fastrtps_{0:016x}_el") as alive:
         fcntl.flock(alive, fcntl.LOCK_EX)  # as its owner does
         monkeypatch.setattr(doctor, "left_over", lambda: shared_memory.left_over(tmp_path))
-        finding = found("shared memory")
+        finding = finding_of("shared memory")
         assert finding.level == "note" and finding.text.startswith("2 remains")
         assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"
 
@@ -205,7 +205,7 @@ def test_clocks_and_qos_of_a_running_network(
         try:
             network.stdout.readline()
             deadline = time.monotonic() + 120.0  # a busy machine discovers later
-            while words not in (finding := found("network")).text or finding.level != level:
+            while words not in (finding := finding_of("network")).text or finding.level != level:
                 assert time.monotonic() < deadline, finding
         finally:
             network.kill()
@@ -215,6 +215,6 @@ def test_clocks_and_qos_of_a_running_network(
 
 def test_a_middleware_that_was_not_tried_is_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
-    assert found("ROS 2").level == "note"
+    assert finding_of("ROS 2").level == "note"
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    assert found("ROS 2").level == "ok"
+    assert finding_of("ROS 2").level == "ok"

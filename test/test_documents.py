@@ -21,12 +21,12 @@ from arm_emulator.toolchain.compiler_command import find_compiler
 from bench import pages
 from docs import generated, hooks, scene_keys
 
-MADE = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
+GENERATED = ("build", "install", "log", "out")  # by commands; a clean checkout has none of them
 FOLDERS = "|".join(
     sorted(
         path.name
         for path in ROOT.iterdir()
-        if path.is_dir() and path.name[0] not in "._" and path.name not in MADE
+        if path.is_dir() and path.name[0] not in "._" and path.name not in GENERATED
     )
 )
 
@@ -69,7 +69,7 @@ def test_generated_parts_of_pages_follow_from_the_code() -> None:
     assert set(command_names()) <= set(titles)
 
 
-def test_a_generated_part_that_has_fallen_behind_is_written_anew() -> None:
+def test_a_generated_part_that_has_fallen_behind_is_written_again() -> None:
     page = page_of("brake").read_text()
     assert page.count("`brake.torque`") >= 1
     old = page.replace("`brake.torque`", "`brake.force`")
@@ -84,7 +84,7 @@ def test_a_generated_part_that_has_fallen_behind_is_written_anew() -> None:
         ("<!-- generated: parts x -->\n", "end generated"),
     ],
 )
-def test_a_generated_part_that_cannot_be_made_is_named(text: str, missing: str) -> None:
+def test_a_generated_part_that_cannot_be_generated_is_named(text: str, missing: str) -> None:
     with pytest.raises(hooks.Missing, match=missing):
         generated.fill(text)
 
@@ -138,7 +138,7 @@ def test_every_topic_and_service_is_listed() -> None:
             assert f"| `{node}/{service}` |" in text, service
 
 
-def test_no_page_neglects_what_has_a_page_of_its_own() -> None:
+def test_no_page_neglects_a_part_that_has_a_page() -> None:
     text = page_of("physics").read_text()
     neglected = text[text.index("## What is neglected") :].lower()
     for page in (DOCS / "reference" / "parts").glob("*.md"):
@@ -276,7 +276,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
     assert [float(item) for item in first[1:]] == begins, "targets.csv begins where ur5 does"
 
 
-def test_one_command_makes_every_picture_and_measured_table() -> None:
+def test_a_command_draws_every_picture_and_measured_table() -> None:
     assert {file.name for file in pages.PICTURES.iterdir()} == set(pages.DRAWN)
     for name, page in pages.tables().items():
         bench = importlib.import_module(f"bench.{name}")

@@ -48,7 +48,7 @@ def started(user: User, name: str) -> int:
 SILENT = "silent until it ends: another emulator was started before on /motor_states, "
 
 
-def test_a_second_emulator_is_named_and_silent_until_the_first_is_gone(
+def test_a_second_emulator_is_named_and_silent_until_the_first_has_ended(
     three_nodes: tuple[User, Bringup], log: Path
 ) -> None:
     """It comes at a random moment of a run, with another scene, and with another start."""

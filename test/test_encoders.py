@@ -164,7 +164,7 @@ def test_edges_are_missed_as_often_as_is_stated(scene: Scene) -> None:
         )
 
 
-def test_a_word_that_does_not_come_is_the_one_before(scene: Scene) -> None:
+def test_a_lost_word_repeats_the_word_before(scene: Scene) -> None:
     plant = Plant(scene)
     set_all(plant, {"joints.turn.link_encoder.missed": 0.3, "seed": 3.0})
     plant.reset(v=np.array([4.0, 0.0, 0.0]))
@@ -182,7 +182,7 @@ def test_a_word_that_does_not_come_is_the_one_before(scene: Scene) -> None:
     assert share == pytest.approx(0.3, abs=SIGMAS * sigma), "share of words that did not come"
 
 
-def test_an_encoder_slips_while_the_machine_runs(scene: Scene) -> None:
+def test_an_encoder_is_displaced_while_the_machine_runs(scene: Scene) -> None:
     plant, second = Plant(scene), Plant(scene)
     for machine in (plant, second):
         motion(machine, np.random.default_rng(1), 60)
@@ -196,7 +196,7 @@ def test_an_encoder_slips_while_the_machine_runs(scene: Scene) -> None:
     assert slipped.tolist() == [125, 0, 0], "an eighth of 1000 counts"
 
 
-def test_a_machine_put_elsewhere_is_measured_there_with_what_it_has_missed(scene: Scene) -> None:
+def test_a_machine_put_elsewhere_is_measured_there_with_its_missed_edges(scene: Scene) -> None:
     plant = Plant(scene)
     set_all(plant, {"joints.turn.encoder.missed": 0.05})
     plant.reset()

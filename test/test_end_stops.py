@@ -19,7 +19,7 @@ PERIOD = 1e-3  # s
 STOPS = {"lower": -0.4, "upper": 0.5, "stiffness": 5e3, "damping": 5.0}
 
 
-def one_link(folder: Path, events: str) -> Path:
+def free_link(folder: Path, events: str) -> Path:
     """A link without a motor between its stops, all numbers of which may be set."""
     return write_scene(
         folder, one_link_urdf(), {"joint": {"end_stops": STOPS}}, varied=["joints.*"],
@@ -45,8 +45,7 @@ class Impact:
         return self.v0 / self.W * math.exp(-self.d * t) * math.sin(self.W * t)
 
 
-def drawn(rng: np.random.Generator) -> tuple[dict[str, float], float, float]:
-    """Stops, the side that is hit, and the speed."""
+def sample_stops(rng: np.random.Generator) -> tuple[dict[str, float], float, float]:
     K = float(10 ** rng.uniform(2.5, 4.5))
     largest = 2.0 * math.sqrt(K * LINK_INERTIA)
     D = float(rng.choice([0.0, rng.uniform(0.02, 0.8) * largest]))
@@ -59,9 +58,9 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, float], float, float]:
 def test_a_link_rebounds_as_in_closed_form(tmp_path: Path, events: str, order: float) -> None:
     """Way and speed during and after the hit, and what the damper has taken."""
     rng = np.random.default_rng(1)
-    file = one_link(tmp_path, events)
+    file = free_link(tmp_path, events)
     for _ in range(6):
-        stops, side, v0 = drawn(rng)
+        stops, side, v0 = sample_stops(rng)
         hit = Impact(stops["stiffness"], stops["damping"], v0)
         end = stops["upper" if side > 0 else "lower"]
         before = float(rng.uniform(0.5, 1.5)) * hit.ends  # from the start to the hit
@@ -102,7 +101,6 @@ def with_step(scene: Scene, dt: float) -> Scene:
 
 
 def stopped_arm(folder: Path, **stops: Any) -> Path:
-    """A driven link between stops."""
     joint = {
         "motor": MOTOR | {"current_limit": 20.0},
         "gear": {"ratio": 0.02, "stiffness": 4e3, "damping": 4.0},

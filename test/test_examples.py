@@ -85,7 +85,7 @@ def test_a_servo_of_ones_own_goes_on_after_a_restart_within_a_motion_period(tmp_
 @pytest.mark.parametrize(
     "words", ["", "0.4 0.5", "0.4 0.5 0.6 0.7", "0.4 O.5 0.6", "0,4 0.5 0.6", "0.4 nan 0.6"]
 )
-def test_a_target_that_is_mistyped_is_one_line(words: str) -> None:
+def test_a_target_that_is_mistyped_is_a_line(words: str) -> None:
     command = [sys.executable, str(EXAMPLES / "move_tool.py"), *words.split()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr

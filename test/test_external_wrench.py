@@ -62,18 +62,18 @@ def with_steps(file: Path, steps: int) -> Plant:
     return Plant(load_scene(file, {"integrator.dt": PERIOD / steps}))
 
 
-def drawn(rng: np.random.Generator, size: float) -> ExternalWrench:
+def sample_wrench(rng: np.random.Generator, size: float) -> ExternalWrench:
     """A wrench of about `size` [N, N m] at any point of a link, in any axes."""
     force, moment = rng.normal(0.0, size, (2, 3)).tolist()
     return ExternalWrench(force, moment, rng.normal(0.0, 0.3, 3).tolist(), str(rng.choice(AXES)))
 
 
-def drawn_wrenches(
+def sample_wrenches(
     rng: np.random.Generator, scene: Scene, size: float
 ) -> dict[str, ExternalWrench]:
     """One for what each joint moves: its link, or a frame that is fixed to it."""
     links = [str(rng.choice(list(joint.links))) for joint in scene.chain.joints]
-    return {link: drawn(rng, size) for link in links}
+    return {link: sample_wrench(rng, size) for link in links}
 
 
 def push(plant: Plant, wrenches: dict[str, ExternalWrench]) -> None:
@@ -89,7 +89,6 @@ class PushedMachine(ReferenceMachine):
         self.wrenches: dict[str, ExternalWrench] = {}
 
     def torques(self, q: Array) -> Array:
-        """J^T w."""
         tau = np.zeros(self.N)
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
@@ -111,7 +110,6 @@ class PushedMachine(ReferenceMachine):
         return dx.ravel()
 
     def after(self, x: Array, V: Array) -> Array:
-        """The state a period later."""
         end = solve_ivp(
             self.rates, (0.0, PERIOD), x.ravel(), "DOP853", rtol=1e-12, atol=1e-13, args=(V,)
         )
@@ -127,7 +125,7 @@ def test_links_accelerate_as_in_pinocchio(tmp_path: Path) -> None:
     plant, machine = Plant(scene), PushedMachine(scene)
     machine.model.armature = np.zeros(3)
     for _ in range(100):
-        machine.wrenches = drawn_wrenches(rng, scene, 20.0)
+        machine.wrenches = sample_wrenches(rng, scene, 20.0)
         push(plant, machine.wrenches)
         q, v, tau = rng.normal(0.0, 1.0, (3, 3))
         a = plant.links.accelerations(q, v, tau)
@@ -147,7 +145,7 @@ def test_pushes_and_loads_that_change_keep_the_order(tmp_path: Path, scheme: str
     file, rows = driven_arm(tmp_path, scheme), 6
     scene = load_scene(file)
     voltages = rng.uniform(-20.0, 20.0, (rows, 3))
-    pushes = [drawn_wrenches(rng, scene, 20.0) for _ in range(rows)]
+    pushes = [sample_wrenches(rng, scene, 20.0) for _ in range(rows)]
     masses = rng.uniform(0.5, 3.0, rows).tolist()
     x, truth = PushedMachine(scene).at_rest(scene.start, None), []
     for row, wrenches, mass in zip(voltages, pushes, masses, strict=True):
@@ -175,7 +173,7 @@ def test_work_of_wrenches_closes_the_energy_balance(tmp_path: Path, seed: int) -
     rng = np.random.default_rng([seed, 3])
     file = driven_arm(tmp_path)
     voltages = rng.uniform(-5.0, 5.0, (6, 3))
-    pushes = [drawn_wrenches(rng, load_scene(file), 20.0) for _ in voltages]
+    pushes = [sample_wrenches(rng, load_scene(file), 20.0) for _ in voltages]
     left, inputs = [], 0.0
     for steps in (20, 40, 80, 160):
         plant, flow, exchanged = with_steps(file, steps), 0.0, 0.0
@@ -194,10 +192,10 @@ def test_work_of_wrenches_closes_the_energy_balance(tmp_path: Path, seed: int) -
 
 
 # Scheme and threads, and what two threads exchange.
-WAYS = [("extrapolated", 1, "predict"), ("extrapolated", 2, "predict"), ("paper", 2, "lag")]
+METHODS = [("extrapolated", 1, "predict"), ("extrapolated", 2, "predict"), ("paper", 2, "lag")]
 
 
-@pytest.mark.parametrize(("scheme", "threads", "exchange"), some(WAYS, 0))
+@pytest.mark.parametrize(("scheme", "threads", "exchange"), some(METHODS, 0))
 def test_weights_of_all_bodies_are_gravity(
     tmp_path: Path, scheme: str, threads: int, exchange: str
 ) -> None:
@@ -233,7 +231,7 @@ def test_hard_pushes_of_an_elastic_arm_are_no_divergence(tmp_path: Path) -> None
         try:
             for _ in range(40):
                 if rng.random() < 0.3:
-                    push(plant, drawn_wrenches(rng, plant.scene, float(10 ** rng.uniform(-1, 2))))
+                    push(plant, sample_wrenches(rng, plant.scene, float(10 ** rng.uniform(-1, 2))))
                 # The elastic joint swings, the others are held back.
                 plant.advance([0.0, 0.0, 0.0], steps)
         except Diverged as fault:
@@ -249,7 +247,7 @@ def test_pushed_arms_in_lanes_move_as_single_ones(tmp_path: Path) -> None:
     for _ in range(4):
         for arm, plant in enumerate(alone):
             if rng.random() < 0.7:
-                wrenches = drawn_wrenches(rng, scene, 20.0)
+                wrenches = sample_wrenches(rng, scene, 20.0)
                 push(plant, wrenches)
                 push(fleet[arm], wrenches)
         voltages = rng.uniform(-20.0, 20.0, (3, count, 3))
@@ -323,7 +321,7 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
     rng = np.random.default_rng(11)
     scene = load_scene(driven_arm(tmp_path))
     plant = Plant(scene)
-    push(plant, drawn_wrenches(rng, scene, 5.0))
+    push(plant, sample_wrenches(rng, scene, 5.0))
     saved, link = plant.save(), scene.chain.joints[1].link
     bad = [np.nan, np.inf, -np.inf, 1e300, -1e9, "one", None]
     cases = [
@@ -343,7 +341,7 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
         assert plant.save() == saved, name
 
 
-def test_arms_of_a_fleet_are_pushed_in_one_call_each_as_alone() -> None:
+def test_arms_of_a_fleet_are_pushed_together_as_alone() -> None:
     scene = load_scene("three_axis", overrides=LOCATED)
     link, count = scene.chain.joints[2].link, 5
     rng = np.random.default_rng(11)

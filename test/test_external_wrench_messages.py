@@ -23,7 +23,6 @@ VARIED = "payload: 1.0\nvaried: [payload.mass]\n"  # as in test_manners, which c
 
 @pytest.fixture(scope="module")
 def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The three-axis arm, on which wrenches may act."""
     folder = tmp_path_factory.mktemp("pushed")
     shutil.copytree(CONFIG / "urdf", folder / "urdf")
     text = (CONFIG / "three_axis.yaml").read_text()
@@ -77,7 +76,7 @@ def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
     assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == printed, "each is reported"
 
 
-def test_a_wrench_acts_at_its_link_until_the_next_one(pushed: Path) -> None:
+def test_a_wrench_acts_at_its_link_until_the_next_wrench(pushed: Path) -> None:
     draw = random.Random(2)
     with in_process(file=pushed) as nodes:
         go_on(nodes, 5)

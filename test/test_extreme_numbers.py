@@ -43,7 +43,6 @@ def aside(run: OfflineRun) -> Pose:
 
 
 def aim(nodes: InProcess) -> None:
-    """Give the tool target of the reference."""
     target, p_WT = PoseStamped(), aside(load_offline_run("three_axis")).p_WT
     p = target.pose.position
     p.x, p.y, p.z = map(float, p_WT)
@@ -87,7 +86,7 @@ def test_no_time_on_the_clock_ends_a_node_that_follows_it() -> None:
             servo._diagnostics.publish()
 
 
-def test_the_viewer_is_shown_no_target_beyond_the_bound(tmp_path: Path) -> None:
+def test_the_viewer_gets_no_target_beyond_the_bound(tmp_path: Path) -> None:
     rng, run = random.Random(4), load_offline_run("three_axis")
     scene = run.session.scene
     stream = RerunStream(scene.urdf, scene.joint_names, tool=scene.tool, file=tmp_path / "a.rrd")
@@ -103,7 +102,7 @@ def test_the_viewer_is_shown_no_target_beyond_the_bound(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["servo", "motion_controller"])
-def test_a_controller_that_is_not_finite_states_so_and_begins_anew(
+def test_a_controller_that_is_not_finite_reports_it_and_restarts(
     name: str, reference: dict[int, bytes]
 ) -> None:
     with in_process() as nodes:
@@ -124,7 +123,7 @@ def test_a_controller_that_is_not_finite_states_so_and_begins_anew(
         assert nodes.nodes[name]._diagnostics.values["began anew"] == 1
         assert "began anew" not in nodes.nodes[name]._diagnostics._message, "it works again"
         assert np.isfinite(nodes.nodes["emulator"]._session.measured.applied).all()
-        begin_anew(nodes)
+        restart(nodes)
         nodes.run_to(TICKS)
         assert_same_bits(nodes.states, reference, TICKS)
 
@@ -150,7 +149,7 @@ def test_after_any_messages_a_reset_gives_every_bit_of_a_run(
     rng = random.Random(seed)
     with in_process() as nodes:
         any_messages(nodes, rng, 2000)
-        begin_anew(nodes)
+        restart(nodes)
         nodes.run_to(TICKS)
         assert_same_bits(nodes.states, reference, TICKS)
 
@@ -158,7 +157,7 @@ def test_after_any_messages_a_reset_gives_every_bit_of_a_run(
 def test_after_any_messages_in_real_time_the_nodes_still_work() -> None:
     with in_process("realtime") as nodes:
         any_messages(nodes, random.Random(5), 2000 if FULL else 500)
-        begin_anew(nodes)
+        restart(nodes)
         deadline = time.monotonic() + PATIENCE
         drives = nodes.nodes["servo"]._drives
         sound = "targets and states come"
@@ -180,7 +179,7 @@ def any_messages(nodes: InProcess, rng: random.Random, count: int) -> None:
         assert nodes.refused(name) > 0, f"{name} took everything"
 
 
-def begin_anew(nodes: InProcess) -> None:
+def restart(nodes: InProcess) -> None:
     """Reset all three, and give them back their robot and the tool target of the reference."""
     assert nodes.call("emulator/pause", True).success
     while nodes.deliver():

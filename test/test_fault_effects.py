@@ -125,7 +125,7 @@ def restarts(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> Non
     assert rows[-1].brake_closed[j] or scene.joints[j].brake is None
 
 
-def slips(field: str, turn: float) -> Callable[..., None]:
+def displaced(field: str, turn: float) -> Callable[..., None]:
     def check(plant: Plant, saved: bytes, fault: SceneFault, scene: Scene) -> None:
         j, m = joint_of(fault, scene), fault.varied.number.default
         rows = (run(plant, saved, fault.varied.name, size) for size in (0.0, m))
@@ -200,8 +200,8 @@ CHECKS: dict[str, Callable[..., None]] = {
     "controller_frozen": frozen,
     "controller_restarts": restarts,
     "encoders_swapped": swapped,
-    "encoder_slips": slips("encoder_counts", 1000.0),
-    "link_encoder_slips": slips("link_encoder_counts", 65536.0),
+    "encoder_slips": displaced("encoder_counts", 1000.0),
+    "link_encoder_slips": displaced("link_encoder_counts", 65536.0),
     **{f"{sensor}_{effect}": analog(effect)
        for sensor in ("current_sensor", "torque_sensor", "tachometer", "thermometer",
                       "accelerometer", "gyroscope")

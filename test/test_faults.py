@@ -30,7 +30,6 @@ Begun = tuple[Plant, bytes, list[bytes]]
 
 
 def chain_urdf() -> str:
-    """Three joints about skewed axes."""
     text, parent = '<robot name="all"><link name="base"/>', "base"
     for name, axis in zip(NAMES, ("0 0 1", "0 1 0", "0 1 0"), strict=True):
         text += LINK.format(
@@ -198,7 +197,6 @@ def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Sce
 
 
 def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene) -> None:
-    """The same machine with these numbers set by hand."""
     plant, saved, _ = begun
     numbers, compared = {number.name: number.number for number in scene.varied}, set()
     for fault in scene.faults:
@@ -268,7 +266,6 @@ def test_faults_in_a_fleet_are_those_of_machines_alone(scene: Scene) -> None:
 
 
 def test_the_table_of_the_page_has_all_kinds() -> None:
-    """As people read them."""
     assert "<!-- generated: faults -->\n" in page_of("faults").read_text()
     table = runpy.run_path(str(DOCS / "tables.py"))["faults"]("")
     rows = {line.split("`")[1]: line for line in table.splitlines()[2:]}

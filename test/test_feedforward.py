@@ -29,7 +29,7 @@ GRAVITY = (0.0, 0.0, -9.81)
 NONE = np.full(6, np.inf)
 
 
-def drawn(rng: np.random.Generator, damping: float = 0.0) -> DriveParameters:
+def sample_drive(rng: np.random.Generator, damping: float = 0.0) -> DriveParameters:
     stiffness = 10.0 ** rng.uniform(3, 6)
     return DriveParameters(
         stiffness=stiffness,
@@ -60,7 +60,7 @@ def test_rates_are_those_of_finite_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = load_scene("ur5")
     links = LinkTorques(scene.urdf, scene.joint_names, GRAVITY)
-    arm = ElasticArm(links, [drawn(rng) for _ in range(6)], NONE)
+    arm = ElasticArm(links, [sample_drive(rng) for _ in range(6)], NONE)
     motion, t, h = Motion(rng, 6), rng.uniform(0.0, 5.0), 1e-5
     before, now, after = (arm.at(*motion.at(t + dt)) for dt in (-h, 0.0, h))
     # Central differences: of the second order in h, and rounding of 1e-16 / h.
@@ -73,11 +73,11 @@ def test_rates_are_those_of_finite_differences(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", some(range(40), 6))
-def test_gears_carry_what_the_links_take(seed: int) -> None:
+def test_gears_carry_the_torque_of_the_links(seed: int) -> None:
     """K w + K3 w^3 + D w' is the torque of the links and their friction."""
     rng = np.random.default_rng(seed)
     scene = load_scene("ur5")
-    drives = [drawn(rng, 4e-4) for _ in range(6)]
+    drives = [sample_drive(rng, 4e-4) for _ in range(6)]
     links = LinkTorques(scene.urdf, scene.joint_names, GRAVITY)
     arm = ElasticArm(links, drives, NONE)
     q, v, a, jerk = Motion(rng, 6).at(rng.uniform(0.0, 5.0))
@@ -124,7 +124,7 @@ def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
         )
 
 
-def test_motors_go_on_without_a_jump_whatever_is_known_of_the_motion() -> None:
+def test_motors_continue_without_a_jump_for_any_derivatives() -> None:
     """The motors' targets of one period end where those of the next begin."""
     rng = np.random.default_rng(3)
     scene = load_scene("ur5")
@@ -290,7 +290,7 @@ def test_the_tool_follows_a_fast_line(knowledge: Known, bound: float) -> None:
     assert result.past < bound
 
 
-def test_known_numbers_reduce_the_error() -> None:
+def test_better_numbers_reduce_the_error() -> None:
     """Each mode of feed-forward leaves less than the one before, and 50 % off is between."""
     modes = "none", "speed", "torque", "full"
     off = {mode: follow("ur5", Known(mode)).off for mode in modes}
@@ -309,7 +309,6 @@ def test_files_state_the_drives_of_their_scenes() -> None:
 
 
 def test_numbers_of_drives_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Unknown keys, joints and values, with the place."""
     for table, words in (
         (
             {"elbow_joint": {"stifness": 1.0}},

@@ -43,7 +43,7 @@ def write(folder: Path, scheme: str = "rosenbrock", last: dict[str, Any] | None 
     )  # fmt: skip
 
 
-def drawn(seed: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+def sample_currents(seed: int, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Currents along the flux and across it, (K, 3) each."""
     d, q = np.random.default_rng(seed).uniform(-size, size, (2, 16, 3))
     return d, q
@@ -152,7 +152,7 @@ def test_both_currents_are_of_first_order_at_any_speed(
 def test_it_saturates_and_recovers_as_an_independent_solution_does(
     heated: bool, tmp_path: Path
 ) -> None:
-    u_d, u_q = drawn(5, 25.0)
+    u_d, u_q = sample_currents(5, 25.0)
     truth, beyond = solved(u_d, u_q, heated=heated)
     assert 0.1 < beyond < 0.9, "commands beyond the circle, and some within"
     size = np.abs(truth).max(axis=0)
@@ -184,10 +184,8 @@ def test_order_two_holds_where_the_axis_along_the_flux_takes_all_of_its_voltage(
 
 
 @pytest.mark.parametrize("heated", some([False, True], 1))
-def test_energy_is_what_the_inverter_gives_less_what_is_dissipated(
-    heated: bool, tmp_path: Path
-) -> None:
-    _, u_q = drawn(6, 25.0)
+def test_energy_is_supplied_less_dissipated_energy(heated: bool, tmp_path: Path) -> None:
+    _, u_q = sample_currents(6, 25.0)
     file = write(tmp_path, last={"winding": WINDING} if heated else None)
     left = []
     for dt in (1e-4, 5e-5, 2.5e-5):
@@ -203,7 +201,7 @@ def test_energy_is_what_the_inverter_gives_less_what_is_dissipated(
 @pytest.mark.parametrize("scheme", ["rosenbrock", "extrapolated", "paper", "implicit"])
 def test_arms_in_lanes_are_those_by_themselves(scheme: str, tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path, scheme))
-    arms, (u_d, u_q) = 5, drawn(7, 25.0)
+    arms, (u_d, u_q) = 5, sample_currents(7, 25.0)
     fleet, alone = Fleet(scene, arms), [Plant(scene) for _ in range(arms)]
     share = np.linspace(0.2, 1.0, arms)[:, None]
     for d, q in zip(u_d, u_q, strict=True):

@@ -68,7 +68,7 @@ def states_of(run: TableRun, ticks: int) -> dict[int, bytes]:
 
 @pytest.mark.parametrize("level", some(["-O2", "-O0", "-Os", "-O3"], 2))
 @pytest.mark.parametrize("kind", ["double", "float"])
-def test_the_servo_needs_nothing_but_itself(kind: str, level: str, tmp_path: Path) -> None:
+def test_the_servo_needs_no_library(kind: str, level: str, tmp_path: Path) -> None:
     """No C library, no heap: nothing is asked for that the object does not have."""
     if shutil.which("nm") is None:
         pytest.skip("no nm")

@@ -106,7 +106,7 @@ def record(
     return states
 
 
-def found(first: Path, second: Path, scene: Path) -> FirstDifference:
+def difference_between(first: Path, second: Path, scene: Path) -> FirstDifference:
     difference, _ = first_difference(
         *(RecordedMachine.of(bag, str(scene)) for bag in (first, second))
     )
@@ -142,7 +142,7 @@ def test_a_bit_of_the_state(
             session.set_state(session.scene.joint_names, {quantity: row.tolist()})
 
     states = record(tmp_path / "bag", scene, unseen=flip)
-    difference = found(plain[0], tmp_path / "bag", scene)
+    difference = difference_between(plain[0], tmp_path / "bag", scene)
     shows = [k for k in range(TICKS + 1) if any(
         getattr(states[k], name).tobytes() != getattr(plain[1][k], name).tobytes()
         for name in ("q", "v", "gear_torque", "current"))]  # fmt: skip
@@ -169,7 +169,7 @@ def test_a_bit_of_a_command(
         return row
 
     record(tmp_path / "bag", scene, command=nudge)
-    difference = found(plain[0], tmp_path / "bag", scene)
+    difference = difference_between(plain[0], tmp_path / "bag", scene)
     assert (difference.kind, difference.tick, difference.ulps) == ("command", when, 1)
     assert difference.owner == ("waist", "shoulder", "elbow")[joint]
 
@@ -181,23 +181,23 @@ def test_a_bit_of_a_number(seed: int, scene: Path, tmp_path: Path) -> None:
     for name, number in (("one", value), ("other", np.nextafter(value, 1.0))):
         inputs = {when: float(number)}
         record(tmp_path / name, scene, number=inputs.get)
-    difference = found(tmp_path / "one", tmp_path / "other", scene)
+    difference = difference_between(tmp_path / "one", tmp_path / "other", scene)
     assert (difference.kind, difference.tick) == ("change by hand", when)
     assert (difference.quantity, difference.ulps) == (VARIED, 1)
 
 
-def test_power_and_a_change_that_only_one_has(
+def test_power_and_a_change_in_a_single_bag(
     plain: tuple[Path, States], scene: Path, tmp_path: Path
 ) -> None:
     record(tmp_path / "dark", scene, power=lambda tick: tick < 30)
-    dark = found(plain[0], tmp_path / "dark", scene)
+    dark = difference_between(plain[0], tmp_path / "dark", scene)
     assert (dark.kind, dark.tick, dark.values) == ("change by hand", 30, ("none", "power"))
     record(tmp_path / "number", scene, number={17: 0.5}.get)
-    number = found(plain[0], tmp_path / "number", scene)
+    number = difference_between(plain[0], tmp_path / "number", scene)
     assert (number.tick, number.values) == (17, ("none", "set_varied"))
 
 
-def test_another_scene_is_found_where_the_record_is_still_equal(
+def test_another_scene_is_detected_where_the_record_is_still_equal(
     scene: Path, tmp_path: Path
 ) -> None:
     """Counts hide the first difference, the machines driven again do not."""
@@ -233,7 +233,7 @@ def test_code_of_a_part(
     assert code in text
     file.write_text(text.replace(code, second))
     monkeypatch.setattr(compiler, "CORE", tmp_path / "core")
-    assert_found(plain, scene, "compiled from ")
+    assert_reported(plain, scene, "compiled from ")
 
 
 @pytest.mark.parametrize("flags", ["-fassociative-math -ffp-contract=fast"])
@@ -242,7 +242,7 @@ def test_a_compiler_flag(
 ) -> None:
     monkeypatch.setattr(compiler, "FLAGS", (*compiler.FLAGS, *flags.split()))
     second = f"no further flag (record), {flags} (present)"
-    assert_found(plain, scene, f"compiled with {second}")
+    assert_reported(plain, scene, f"compiled with {second}")
 
 
 @pytest.mark.skipif(not FULL or shutil.which("clang++") is None, reason="a second compiler")
@@ -253,7 +253,7 @@ def test_another_compiler_makes_no_difference(
     assert compare(plain[0], str(scene)).difference is None
 
 
-def assert_found(plain: tuple[Path, States], scene: Path, build: str) -> None:
+def assert_reported(plain: tuple[Path, States], scene: Path, build: str) -> None:
     """The present machine differs first where its states do; its other build is named."""
     result = compare(plain[0], str(scene))
     (named,) = result.hints[-1:]

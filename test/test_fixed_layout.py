@@ -24,7 +24,6 @@ def number(draw: random.Random, kind: str) -> Any:
 
 
 def renumber(draw: random.Random, message: Any) -> None:
-    """Draw all numbers of a message; names and lengths stay."""
     message.header.stamp.sec = draw.randint(-(2**31), 2**31 - 1)
     message.header.stamp.nanosec = draw.randint(0, 2**32 - 1)
     for name, kind in message.get_fields_and_field_types().items():
@@ -54,7 +53,6 @@ def random_message(draw: random.Random, kind: type) -> Any:
 
 
 def fill(fields: Any, message: Any) -> None:
-    """Set the numbers of a layout as a node does."""
     stamp = fields.header.stamp
     stamp.sec, stamp.nanosec = message.header.stamp.sec, message.header.stamp.nanosec
     for name, kind in message.get_fields_and_field_types().items():
@@ -92,7 +90,7 @@ def test_numbers_are_written_and_read_where_rclpy_has_them(kind: type) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_other_names_and_lengths_are_not_taken(kind: type) -> None:
+def test_changed_names_and_lengths_are_not_taken(kind: type) -> None:
     draw = random.Random(1)
     some = [random_message(draw, kind) for _ in range(20)]
     for message in some:

@@ -35,7 +35,7 @@ def tolerance(name: str, position: float = 0.0, velocity: float = 0.0) -> Any:
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=0.0)
 
 
-def test_a_goal_states_what_it_allows_beside_the_parameters() -> None:
+def test_tolerances_of_a_goal_override_the_parameters() -> None:
     names = ("a", "b")
     default = Tolerances(Allowed.alike(2, 0.1), Allowed.alike(2, 0.2), 3.0)
     tolerances = tolerances_of(

@@ -40,7 +40,7 @@ VISCOUS = "joints.elbow.friction.viscous"
 BREAKS = "faults.elbow.gear_breaks"
 LAST = 300  # ticks of 1 ms
 # Requests: words of the command, the order, and the kind of its event; 0: none.
-ASKED: dict[str, tuple[dict[str, Any], Order, int]] = {
+REQUESTS: dict[str, tuple[dict[str, Any], Order, int]] = {
     "move": ({"displacement": (0.0, -0.04, 0.01)}, MoveTool((0.0, -0.04, 0.01)), 0),
     "power": ({"power": "off"}, SwitchPower(on=False), MachineEvent.KIND_POWER),
     "gains": ({"gains": 2.0}, ScaleGains(2.0), 0),
@@ -75,17 +75,16 @@ def truth(session: Session) -> list[bytes]:
 
 
 def recorded(bag: Path, scene: Path) -> RecordedMachine:
-    """The machine of a bag at its end."""
     machine = RecordedMachine.of(bag, load_scene(scene))
     machine.advance(machine.last)
     return machine
 
 
-@pytest.mark.parametrize("requested", ASKED)
+@pytest.mark.parametrize("requested", REQUESTS)
 def test_a_fork_is_the_run_that_would_have_been_changed_there(
     requested: str, scene: Path, straight: Path, tmp_path: Path
 ) -> None:
-    words, order, kind = ASKED[requested]
+    words, order, kind = REQUESTS[requested]
     at = random.Random(requested).randrange(20, 250)
     bag = tmp_path / "fork"
     assert fork(straight, bag, at=at * 1e-3, seconds=0.06, scene=str(scene), **words) == int(
@@ -134,8 +133,6 @@ def test_forks_of_forks_have_all_orders_of_their_past(
 
 
 def spoiled(change: Callable[[Any], Any]) -> Callable[[Path], None]:
-    """Change the orders in the metadata of a bag."""
-
     def spoil(bag: Path) -> None:
         file = bag / "metadata.yaml"
         body = yaml.safe_load(file.read_text())
@@ -181,7 +178,7 @@ def test_impossible_requests_are_refused_and_write_nothing(
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.parametrize("requested", ASKED)
+@pytest.mark.parametrize("requested", REQUESTS)
 def test_orders_are_the_same_after_a_file(requested: str) -> None:
-    order = ASKED[requested][1]
+    order = REQUESTS[requested][1]
     assert of_data("file", json.loads(json.dumps(as_data(order)))) == order

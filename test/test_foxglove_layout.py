@@ -21,7 +21,6 @@ SCENES = ["three_axis", "ur5", "panda"]
 
 
 def types() -> dict[str, str]:
-    """Topics of a network by the table of the reference."""
     rows = re.findall(r"^\| (`[^|]+`) \| ([a-z_]+)/([A-Z]\w+) \|", TABLE.read_text(), re.M)
     return {
         topic: f"{package}/msg/{kind}"
@@ -31,7 +30,6 @@ def types() -> dict[str, str]:
 
 
 def panels_of(tree: Any) -> Iterator[str]:
-    """Panels in the tree of a layout."""
     if isinstance(tree, str):
         yield tree
     else:
@@ -41,7 +39,6 @@ def panels_of(tree: Any) -> Iterator[str]:
 
 
 def named(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Keys and texts of a JSON value."""
     if isinstance(value, dict):
         for name, child in value.items():
             yield from named(child, name)

@@ -45,7 +45,6 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of `ROOM` bytes."""
     if os.geteuid() or shutil.which("mount") is None:
         pytest.skip("a file system can be mounted by root alone")
     folder = tmp_path / "disk"

@@ -36,7 +36,7 @@ topics = st.sampled_from(TOPICS)
 
 
 @pytest.mark.parametrize("number", some(range(60), 20))
-def test_a_random_scene_is_taken_or_refused_in_one_line(number: int, tmp_path: Path) -> None:
+def test_a_random_scene_is_taken_or_refused_in_a_line(number: int, tmp_path: Path) -> None:
     scenes.case(0, number, tmp_path / "case")
 
 
@@ -87,7 +87,7 @@ def test_a_network_survives_random_messages(clock: str, tmp_path: Path) -> None:
 # The second one once broke something: no steps under rows of voltages, out of bounds already.
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "number", "largest"), some([(1, 1, 4), (0, 0, 2), (0, 1, 2)], 1))
-def test_a_random_machine_answers_or_refuses(
+def test_a_random_machine_responds_or_refuses(
     seed: int, number: int, largest: int, tmp_path: Path
 ) -> None:
     cores.case(seed, number, tmp_path / "case", largest)
@@ -122,7 +122,7 @@ def test_the_core_is_clean_under_its_sanitizers(tmp_path: Path) -> None:
     ],
     ids=["array", "last of a struct"],
 )
-def test_the_sanitizers_find_what_they_look_for(source: str, tmp_path: Path) -> None:
+def test_the_sanitizers_detect_accesses_out_of_bounds(source: str, tmp_path: Path) -> None:
     """The compiler that is used is one that would report, of an array within a struct, too."""
     unit, library = tmp_path / "unit.cpp", tmp_path / "unit.so"
     unit.write_text(source)

@@ -26,7 +26,6 @@ STEP = "t,waist,shoulder,elbow\n0,0,0.5,0.8\n0.5,3,0.5,0.8\n0.52,3,0.5,0.8\n"
 
 
 def limited(folder: Path) -> Scene:
-    """The three-axis arm with limits of position and speed."""
     file = own_three_axis(folder, "")
     urdf = folder / "urdf/three_axis.urdf"
     tree = ET.parse(urdf)
@@ -90,7 +89,7 @@ def test_tables_are_refused_exactly_where_they_leave_the_limits(tmp_path: Path) 
     assert 50 < refused < 250, "the draws are one-sided"
 
 
-def test_other_units_are_named(tmp_path: Path) -> None:
+def test_wrong_units_are_named(tmp_path: Path) -> None:
     """Motions of a degree and more, as people write them: whole rows, and a sine."""
     scene = limited(tmp_path / "arm")
     file, rng = tmp_path / "table.csv", np.random.default_rng(17)

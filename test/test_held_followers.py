@@ -80,8 +80,7 @@ def placed(urdf: str, at: dict[str, float]) -> np.ndarray:
     return np.array([data.oMf[model.getFrameId(f"{name}_link")].homogeneous for name in GRIPPER])
 
 
-def without_laws(urdf: str) -> str:
-    """Return a description whose joints all stand for themselves."""
+def without_mimics(urdf: str) -> str:
     return re.sub(r"<mimic[^>]*/>", "", urdf)
 
 
@@ -114,17 +113,17 @@ def test_a_refusal_names_the_position_of_the_law(seed: int, tmp_path: Path) -> N
         assert advice, refused.value
         locked[advice[1]] = float(advice[2])
     scene = scene_of(tmp_path, urdf, locked)
-    expected = placed(without_laws(urdf), positions(friction_laws, grip))
+    expected = placed(without_mimics(urdf), positions(friction_laws, grip))
     np.testing.assert_allclose(placed(scene.urdf, {}), expected, rtol=0.0, atol=1e-12)
 
 
-def test_a_joint_that_follows_a_moving_one_too_has_no_position_of_its_own(tmp_path: Path) -> None:
+def test_a_joint_that_follows_a_moving_joint_too_has_no_fixed_position(tmp_path: Path) -> None:
     urdf, _ = robot(0)
     couplings = {"finger_1": {"grip": 0.5, "j3": 1.0}}
     with pytest.raises(Refusal, match=r"follow joints on the way .*at a position of j3"):
         load_scene(
             write_scene(
-                tmp_path, without_laws(urdf), {name: {} for name in ARM}, tool="j3_link",
+                tmp_path, without_mimics(urdf), {name: {} for name in ARM}, tool="j3_link",
                 locked=dict.fromkeys(("grip", *GRIPPER[2:]), 0.1), couplings=couplings,
             )
         )  # fmt: skip

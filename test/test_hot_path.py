@@ -52,7 +52,6 @@ class Trouble:
             self._change()
 
     def _send(self, topic: str) -> None:
-        """Send an old or the newest message once more, perhaps spoiled."""
         draw = self._draw
         data = bytearray(draw.choice([self.held[topic], self._one.stated()[topic]]))
         for _ in range(draw.randrange(3)):
@@ -97,7 +96,7 @@ def run(
 
 
 @pytest.mark.parametrize("seed", some(range(40), 2))
-def test_c_publishes_what_python_does(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_c_and_python_publish_the_same(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     slow, _ = run(seed, (), monkeypatch)
     fast, done = run(seed, ("emulator", "servo"), monkeypatch)
     assert done[0] >= 30, "C takes those of an undisturbed run; some troubles stop it early"

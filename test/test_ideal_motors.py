@@ -53,7 +53,7 @@ def gantry(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return write(tmp_path_factory.mktemp("gantry"), request.param)
 
 
-def drawn(file: Path, seed: int, dt: float = 1e-4) -> tuple[Scene, Plant, np.ndarray]:
+def sample_gantry(file: Path, seed: int, dt: float = 1e-4) -> tuple[Scene, Plant, np.ndarray]:
     """The gantry with other numbers, and commands within the limits of its motors."""
     rng = np.random.default_rng([seed, 11])
     scene = load_scene(file, {"integrator.dt": dt})
@@ -118,7 +118,7 @@ def test_the_motion_is_a_matrix_exponential_to_second_order(gantry: Path) -> Non
     for seed in range(4):
         errors = []
         for dt in (1e-4, 5e-5):
-            scene, plant, commands = drawn(gantry, seed, dt)
+            scene, plant, commands = sample_gantry(gantry, seed, dt)
             truth = exact(scene, plant, commands)
             size = np.abs(truth).max(axis=0) + 1e-300
             errors.append(float((np.abs(motion(plant, commands) - truth) / size).max()))
@@ -142,7 +142,7 @@ def test_commands_are_clamped_to_the_motors_own_limits(tmp_path: Path) -> None:
 def test_a_motor_that_speeds_up_has_its_energy_from_the_supply(gantry: Path) -> None:
     """From rest, where it is given nothing, to speeds at which it is given much in each step."""
     for seed in range(3):
-        _, plant, _ = drawn(gantry, seed)
+        _, plant, _ = sample_gantry(gantry, seed)
         for name in plant.parameters:
             if name.endswith("resistance"):
                 plant.set_parameter(name, 0.0)  # nothing is given but to what moves
@@ -151,12 +151,12 @@ def test_a_motor_that_speeds_up_has_its_energy_from_the_supply(gantry: Path) -> 
         assert (plant.state.v > 0.3).all(), "speeds that were reached"
 
 
-def test_motors_that_set_out_from_rest_are_given_their_energy(gantry: Path) -> None:
+def test_motors_that_start_from_rest_receive_their_energy(gantry: Path) -> None:
     """Between any two looks at the energy: at rest these motors are given nothing."""
     for seed in range(100):
         rng = np.random.default_rng([seed, 12])
         dt = float(rng.choice([1e-3, 1e-4, 2e-5, 1e-6]))
-        _, plant, commands = drawn(gantry, seed, dt)
+        _, plant, commands = sample_gantry(gantry, seed, dt)
         plant.advance(np.zeros(3), int(rng.integers(0, 70)))  # to anywhere between two looks
         for command in commands:
             steps = int(rng.integers(1, 130))

@@ -16,7 +16,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write(tmp_path_factory.mktemp("sensed")))
 
 
-def test_an_imu_feels_what_the_equations_of_motion_state(scene: Scene) -> None:
+def test_an_imu_measures_the_acceleration_of_the_equations_of_motion(scene: Scene) -> None:
     """Against Pinocchio: classical acceleration of the unit's frame, less that of free fall."""
     rng = np.random.default_rng(3)
     oracle, plant = Oracle(scene), Plant(scene)
@@ -58,7 +58,6 @@ def test_an_imu_feels_what_the_equations_of_motion_state(scene: Scene) -> None:
 
 
 def test_an_imu_that_sticks_feels_gravity_alone(scene: Scene) -> None:
-    """At rest, held by friction, whatever the pose."""
     rng, oracle, plant = np.random.default_rng(4), Oracle(scene), Plant(scene)
     for _ in range(10):
         q = rng.normal(0.0, 1.0, 3)

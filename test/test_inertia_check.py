@@ -59,7 +59,6 @@ def arm(
 
 
 def good(mass: float = 2.4) -> tuple[float, np.ndarray]:
-    """Return a box of 1 000 kg/m3."""
     return mass, np.diag(moments(mass))
 
 
@@ -70,8 +69,7 @@ def turned(diagonal: np.ndarray, seed: int) -> np.ndarray:
     return 0.5 * (tensor + tensor.T)
 
 
-def made(folder: Path, text: str, **options: bool) -> NewScene:
-    """Return the scene of a description."""
+def scene_of(folder: Path, text: str, **options: bool) -> NewScene:
     folder.mkdir(exist_ok=True)
     file = folder / "boxes.urdf"
     file.write_text(text)
@@ -100,10 +98,10 @@ def test_impossible_inertias_are_refused_and_replaced(kind: str, tmp_path: Path)
     mass, tensor, words = IMPOSSIBLE[kind]
     text = arm([good(), (mass, tensor), good()])
     with pytest.raises(Refusal, match=r"inertia of link l2 must be a body's") as refusal:
-        made(tmp_path, text)
+        scene_of(tmp_path, text)
     assert words in str(refusal.value) and "--replace-inertias" in str(refusal.value)
     assert not (tmp_path / "new").exists()
-    written = made(tmp_path, text, replace_inertias=True)
+    written = scene_of(tmp_path, text, replace_inertias=True)
     assert [assumed.link for assumed in written.assumed] == ["l2"]
     body = load_scene(written.file).chain.joints[1].body
     saved = mass if 300.0 <= mass / SIZE.prod() <= 3000.0 else 1200.0 * SIZE.prod()
@@ -113,8 +111,8 @@ def test_impossible_inertias_are_refused_and_replaced(kind: str, tmp_path: Path)
     np.testing.assert_allclose(np.sort(np.linalg.eigvalsh(about)), np.sort(moments(saved)), 1e-4)
 
 
-def test_a_negative_moment_is_assumed_as_a_missing_one_is(tmp_path: Path) -> None:
-    written = made(tmp_path, arm([good(), (2.0, turned(np.array([-0.005, 0.02, 0.018]), 4))]))
+def test_a_negative_moment_is_replaced_as_a_missing_moment_is(tmp_path: Path) -> None:
+    written = scene_of(tmp_path, arm([good(), (2.0, turned(np.array([-0.005, 0.02, 0.018]), 4))]))
     assert [body.link for body in written.assumed] == ["l2"]
 
 
@@ -126,14 +124,14 @@ def test_doubtful_inertias_are_warned_of(
     monkeypatch.setattr(warning, "given", inputs)
     mass, tensor, words = DOUBTFUL[kind]
     text = arm([good(), good(), (mass, tensor)])
-    written = made(tmp_path, text)
+    written = scene_of(tmp_path, text)
     assert sum("link l3: " in line and words in line for line in inputs) == 1, inputs
     inputs.clear()
     check_scene(str(written.file))
     assert sum("link l3: " in line and words in line for line in inputs) == 1, inputs
     inputs.clear()
-    check_scene(str(made(tmp_path, text, trust_inertias=True).file))
-    check_scene(str(made(tmp_path, text, replace_inertias=True).file))
+    check_scene(str(scene_of(tmp_path, text, trust_inertias=True).file))
+    check_scene(str(scene_of(tmp_path, text, replace_inertias=True).file))
     assert not any("link l" in line for line in inputs), inputs
 
 
@@ -150,7 +148,7 @@ def test_bodies_of_many_kinds_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             p -= p.mean(axis=0)
             tensor = (2.4 / 60) * sum(float(x @ x) * np.eye(3) - np.outer(x, x) for x in p)
             bodies.append((2.4, np.array([[float(f"{v:.3g}") for v in row] for row in tensor])))
-        made(tmp_path, arm(bodies))
+        scene_of(tmp_path, arm(bodies))
     assert not any("link l" in line for line in inputs), inputs
 
 
@@ -163,12 +161,12 @@ def test_a_link_is_judged_with_all_that_is_fixed_to_it(tmp_path: Path) -> None:
     joint = ET.SubElement(robot, "joint", name="camera", type="fixed")
     ET.SubElement(joint, "parent", link="l2")
     ET.SubElement(joint, "child", link="camera")
-    assert made(tmp_path, ET.tostring(robot, encoding="unicode")).file.exists()
+    assert scene_of(tmp_path, ET.tostring(robot, encoding="unicode")).file.exists()
 
 
 def test_a_scene_with_an_impossible_link_is_refused_unless_it_trusts_it(tmp_path: Path) -> None:
     mass, tensor, _ = IMPOSSIBLE["triangle"]
-    written = made(tmp_path, arm([good(), (mass, tensor)]), trust_inertias=True)
+    written = scene_of(tmp_path, arm([good(), (mass, tensor)]), trust_inertias=True)
     assert load_scene(written.file).trusted_inertias == ("l2",)
     check_scene(str(written.file))
     text = written.file.read_text()
@@ -178,7 +176,7 @@ def test_a_scene_with_an_impossible_link_is_refused_unless_it_trusts_it(tmp_path
     with pytest.raises(Refusal, match=r"boxes.yaml: inertia of link l2 must be a body's"):
         check_scene(str(written.file))
     with pytest.raises(Refusal, match="without --replace-inertias"):
-        made(tmp_path, arm([good()]), trust_inertias=True, replace_inertias=True)
+        scene_of(tmp_path, arm([good()]), trust_inertias=True, replace_inertias=True)
 
 
 @pytest.mark.parametrize("name", ["three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300"])

@@ -40,7 +40,7 @@ def current_at(voltage: float, resistance: float) -> float:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_locked_rotor_has_the_current_of_what_is_left(file: Path, sign: float) -> None:
+def test_a_locked_rotor_has_the_current_of_the_remaining_voltage(file: Path, sign: float) -> None:
     plant = Plant(load_scene(file))
     plant.advance(sign * COMMAND, 10_000)  # 0.2 s, 40 time constants and more
     expected = [current_at(9.0, DC["resistance"]), current_at(7.0, PMSM["resistance"]), 3.0]

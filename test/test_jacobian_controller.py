@@ -13,9 +13,7 @@ from arm_emulator import JacobianController, Kinematics, Pose, Refusal
 
 
 @pytest.mark.parametrize(("controller", "q"), [(three_axis(), START), (arm(6), bent(6))])
-def test_one_instruction_halves_a_small_error(
-    controller: JacobianController, q: np.ndarray
-) -> None:
+def test_an_instruction_halves_a_small_error(controller: JacobianController, q: np.ndarray) -> None:
     """With w = 1/2, and joints that stand where they are asked to."""
     rng = np.random.default_rng(2)
     for _ in range(10):
@@ -48,7 +46,7 @@ def test_instructions_reach_a_far_pose(joints: int) -> None:
     assert np.abs(controller.kinematics.tool_error(q, target)).max() < 1e-11
 
 
-def test_seven_joints_take_the_step_of_least_norm() -> None:
+def test_seven_joints_take_the_step_of_minimum_norm() -> None:
     controller, q = arm(7), bent(7)
     twist = np.array([1e-3, -2e-3, 3e-3, -1e-2, 2e-2, 1e-2])
     J = controller.kinematics.jacobian(q)
@@ -60,7 +58,7 @@ def test_seven_joints_take_the_step_of_least_norm() -> None:
     assert np.allclose(step, 0.5 * np.linalg.pinv(J) @ twist, rtol=0, atol=1e-13)
 
 
-def test_far_rotation_takes_the_short_way() -> None:
+def test_far_rotation_takes_the_short_path() -> None:
     controller, q = arm(6), bent(6)
     target = moved(pose_at(controller, q), np.array([0, 0, 0, 0, 0, 1.75 * math.pi]))
     error = controller.kinematics.tool_error(q, target)
@@ -99,7 +97,7 @@ def test_damping_begins_continuously_and_is_bounded() -> None:
     assert np.abs(np.diff(gain)).max() < 1e-3 * gain.max()  # steps of 1e-5 e: no jump
 
 
-def test_other_directions_are_not_damped() -> None:
+def test_regular_directions_are_not_damped() -> None:
     """At a stretched arm only the motion along it is lost; across it, eq. (6) holds exactly."""
     controller = three_axis()
     q = np.array([0.0, 0.5, 1e-4])
@@ -112,7 +110,7 @@ def test_other_directions_are_not_damped() -> None:
     assert np.allclose(J @ (q_target - q), 0.5 * across, rtol=0, atol=1e-4 * 1e-4)
 
 
-def test_long_step_is_shortened_as_a_whole() -> None:
+def test_long_step_is_shortened_in_all_joints() -> None:
     free, limited = three_axis(step_limit=10.0), three_axis(step_limit=0.01)
     target = Pose(free.kinematics.forward(START)[1] + np.array([0.05, 0.05, -0.02]), np.eye(3))
     step = free.update(START, target).q - START

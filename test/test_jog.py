@@ -66,7 +66,6 @@ class Jogged:
             self.statuses.append(JogStatus.NO_WARNING if jog is None else jog.status)
 
     def tool(self) -> np.ndarray:
-        """Return the path of the true tool (K, 3)."""
         return np.array([self.kinematics.forward(q)[1] for q in self.q])
 
     def twist(self, *twist: float, link: str = "") -> JogCommand:
@@ -297,7 +296,7 @@ def test_commands_are_refused() -> None:
     np.testing.assert_allclose(largest.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
 
 
-def test_the_node_takes_twists_and_publishes_what_limits_them() -> None:
+def test_the_node_takes_twists_and_publishes_their_limits() -> None:
     """By its topics, in lock-step: the tool moves, the status goes to a code and back, refusals."""
     with in_process() as nodes:
         nodes.run_to(5)

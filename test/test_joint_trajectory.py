@@ -55,7 +55,6 @@ def draw(rng: np.random.Generator, kind: str, count: int, n: int) -> list[Trajec
 
 
 def truth(kind: str, t: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> Any:
-    """SciPy's spline through the same points."""
     if kind == "linear":
         return make_interp_spline(t, q, k=1)
     if kind == "cubic":
@@ -152,7 +151,7 @@ def test_without_points_the_joints_come_to_rest() -> None:
     np.testing.assert_allclose(sample(motion, SECOND)[0], 0.1 * v, atol=1e-9, err_msg="v T / 2")
 
 
-def test_a_continuous_joint_takes_the_short_way() -> None:
+def test_a_continuous_joint_takes_the_short_path() -> None:
     infinite, ten = np.full(1, np.inf), np.full(1, 10.0)
     turning = JointLimits(-infinite, infinite, ten, ten, np.ones(1, bool))
     points = [TrajectoryPoint(SECOND, [0.1]), TrajectoryPoint(2 * SECOND, [0.3])]
@@ -253,7 +252,7 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("words", "change"), WRONG, ids=[words for words, _ in WRONG])
-def test_malformed_trajectories_are_refused_in_one_line(words: str, change: dict[str, Any]) -> None:
+def test_malformed_trajectories_are_refused_in_a_line(words: str, change: dict[str, Any]) -> None:
     inputs = {"names": ("a", "b"), "points": [point()], **change}
     with pytest.raises(Refusal, match=f"^joint_trajectory: {words}") as refusal:
         JointTrajectory(NAMES, limits(4, 2.0, 3.0), **inputs)

@@ -101,7 +101,6 @@ def folder(tmp_path: Path) -> Path:
 
 
 def check(name: str, words: list[str], code: int, text: str, errors: str) -> None:
-    """Compare the object with the page, and with the exit code."""
     facts = json.loads(text)
     assert (code == 2) == ("refused" in facts), (name, words, errors)
     assert isinstance(facts.pop("warnings"), list)
@@ -126,7 +125,7 @@ def test_the_lists_name_commands_only() -> None:
     + some([(name, words) for name in COMPILING for words in ENDS[name]], 1),
     ids=lambda one: one if isinstance(one, str) else " ".join(one),
 )
-def test_stdout_is_one_object_and_the_exit_code_that_of_text(
+def test_stdout_is_an_object_and_the_exit_code_that_of_text(
     name: str, words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)

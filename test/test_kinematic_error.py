@@ -19,7 +19,7 @@ PERIOD = 1e-2  # s, over which a voltage is held
 VISCOUS = 0.2
 
 
-def drawn(rng: np.random.Generator, ratio: float) -> dict[str, Any]:
+def sample_waves(rng: np.random.Generator, ratio: float) -> dict[str, Any]:
     """Waves of up to a third of the steepness that there may be."""
     waves: dict[str, list[list[float]]] = {"motor": [], "link": []}
     for shaft, largest, orders in (("motor", abs(ratio), [1, 2, 4]), ("link", 1.0, [1, 3, 8.5])):
@@ -35,7 +35,7 @@ def machine(rng: np.random.Generator) -> dict[str, Any]:
         "ratio": ratio,
         "stiffness": float(10 ** rng.uniform(2.5, 3.5)),
         "damping": float(rng.uniform(0.5, 3.0)),
-        "kinematic_error": drawn(rng, ratio),
+        "kinematic_error": sample_waves(rng, ratio),
     }
     motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05,
              "rotor_inertia": float(10 ** rng.uniform(-4.0, -3.3))}  # fmt: skip
@@ -43,7 +43,6 @@ def machine(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def error_of(waves: list[list[float]], angle: float) -> tuple[float, float]:
-    """The error and its slope."""
     k, a, phi = np.array(waves).T
     return float(a @ np.sin(k * angle + phi)), float(k * a @ np.cos(k * angle + phi))
 
@@ -76,7 +75,7 @@ def truth(joint: dict[str, Any], voltages: Array) -> Array:
 
 
 @pytest.fixture(scope="module")
-def drawn_machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+def sample_machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     joint = machine(np.random.default_rng(51))
     file = write_scene(
         tmp_path_factory.mktemp("gear"), one_link_urdf(), {"joint": joint}, servo_period=PERIOD,
@@ -91,9 +90,9 @@ def with_steps(file: Path, steps: int, scheme: str = "rosenbrock") -> Plant:
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "extrapolated", "implicit"], 1))
 def test_every_scheme_keeps_its_order(
-    drawn_machine: tuple[Path, dict[str, Any]], scheme: str
+    sample_machine: tuple[Path, dict[str, Any]], scheme: str
 ) -> None:
-    file, joint = drawn_machine
+    file, joint = sample_machine
     voltages = np.random.default_rng(SCHEMES.index(scheme)).uniform(-15.0, 15.0, (12, 1))
     expected = truth(joint, voltages)
     errors = []
@@ -113,9 +112,9 @@ def test_every_scheme_keeps_its_order(
     assert end == pytest.approx(expected[-1], rel=0.02, abs=1e-3), "motor and link at the end"
 
 
-def test_a_slow_link_is_off_by_the_error(drawn_machine: tuple[Path, dict[str, Any]]) -> None:
+def test_a_slow_link_is_off_by_the_error(sample_machine: tuple[Path, dict[str, Any]]) -> None:
     """Without load the link is where ratio and error state, at any angle of the motor."""
-    file, joint = drawn_machine
+    file, joint = sample_machine
     plant = with_steps(file, 80)
     waves, Ng = joint["gear"]["kinematic_error"], joint["gear"]["ratio"]
     for q in np.random.default_rng(53).uniform(-3.0, 3.0, 20):
@@ -144,7 +143,7 @@ def test_a_slow_link_is_off_by_the_error(drawn_machine: tuple[Path, dict[str, An
         (3, "kinematic_error must be a section"),
     ],
 )  # fmt: skip
-def test_waves_that_make_no_sense_are_refused_in_one_line(waves: object, words: str) -> None:
+def test_waves_that_make_no_sense_are_refused_in_a_line(waves: object, words: str) -> None:
     with pytest.raises(Refusal) as refusal:
         load_scene("three_axis", {"joints.elbow.gear.kinematic_error": waves})
     assert words in str(refusal.value) and "\n" not in str(refusal.value), refusal.value

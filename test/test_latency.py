@@ -28,7 +28,7 @@ def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
     assert result.lost == int(np.sum(np.floor(result.late / round(1e9 / rate) * 1e9 + 1e-9)))
 
 
-def test_a_wake_up_is_waited_for_beyond_the_time_given() -> None:
+def test_a_wake_up_is_waited_for_beyond_the_requested_time() -> None:
     """A machine may be so busy that the thread does not run meanwhile."""
     result = measure_wake_up_latency(load_scene("three_axis"), 0.02, 0.0)
     assert len(result.late) > 0 and result.quantiles[0] >= 0.0
@@ -41,7 +41,7 @@ def test_emulator_and_servo_run_at_another_rate() -> None:
     assert 0.0 < responses.p99_lateness and 0.0 < responses.worst_lateness
 
 
-def test_rates_are_reported_drawn_and_refused(
+def test_rates_are_reported_plotted_and_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with output.printed(as_json=True):

@@ -104,7 +104,7 @@ def start(*command: str, ignores_ctrl_c: bool = False) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=_ignore_ctrl_c if ignores_ctrl_c else _heed_ctrl_c,  # noqa: PLW1509
+        preexec_fn=_ignore_ctrl_c if ignores_ctrl_c else _handle_ctrl_c,  # noqa: PLW1509
         start_new_session=True,
     )
 
@@ -113,7 +113,7 @@ def _ignore_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _heed_ctrl_c() -> None:
+def _handle_ctrl_c() -> None:
     """In the child: whoever runs the tests in the background of a shell ignores SIGINT."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -139,7 +139,7 @@ def test_nodes_refuse_wrong_arguments_in_these_words(monkeypatch: pytest.MonkeyP
             assert printed.startswith(words) and "\n" not in printed, printed
 
 
-def test_wrong_arguments_are_reported_in_one_line_with_exit_code_2() -> None:
+def test_wrong_arguments_are_reported_in_a_line_with_exit_code_2() -> None:
     file = find_config("three_axis", ".yaml", "servo")
     assert file.is_file(), f"{file} is what refusals name"
     nodes, ros, commands = some(REFUSED_NODES, 3), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS
@@ -213,12 +213,10 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
             assert process.returncode == codes[stop] or finished, reported
             for word in ("Traceback", "Exception", "Error"):
                 assert word not in printed + complaint, reported
-            assert_nobody_left(process.pid, reported)
+            assert_no_process_left(process.pid, reported)
 
 
-def assert_nobody_left(session: int, reported: str) -> None:
-    """Wait until no process of a session lives on."""
-
+def assert_no_process_left(session: int, reported: str) -> None:
     def left() -> list[int]:
         result = []
         for process in psutil.process_iter():
@@ -266,7 +264,7 @@ def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> Non
             launcher.send_signal(stop)
             launcher.wait(PATIENCE)
             try:
-                assert_nobody_left(launcher.pid, f"nodes {nodes} of a launcher ended by {stop}")
+                assert_no_process_left(launcher.pid, f"nodes {nodes} of a launcher ended by {stop}")
             finally:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(launcher.pid, signal.SIGKILL)
@@ -281,7 +279,7 @@ print("runs")
 """
 
 
-def test_a_launcher_that_has_ended_is_gone_before_anybody_waits_for_it() -> None:
+def test_a_launcher_that_has_ended_counts_as_ended_before_it_is_waited_for() -> None:
     launcher = subprocess.Popen([sys.executable, "-c", ""])
     os.waitid(os.P_PID, launcher.pid, os.WEXITED | os.WNOWAIT)
     for number, words in ((launcher.pid, ""), (os.getpid(), "runs\n")):
@@ -352,7 +350,7 @@ def test_a_middleware_that_locks_up_or_crashes_changes_no_exit_code(code: int, c
     assert done.stdout == "ended, but for the middleware\n", "what it states"
 
 
-def test_a_crash_after_the_middleware_has_ended_is_one() -> None:
+def test_a_crash_after_the_middleware_has_ended_is_a_crash() -> None:
     crash = SPOILED_END.format(seconds=60.0, code=0, call="getpid()") + "ctypes.memset(8, 0, 8)"
     done = subprocess.run([sys.executable, "-c", crash], timeout=PATIENCE, check=False)
     assert done.returncode == -signal.SIGSEGV

@@ -39,7 +39,7 @@ def swing(
     announced: float,
     load: float = 0.0,
     still: bool = False,
-    watched: float = 0.0,
+    judged_from: float = 0.0,
     late: float = 0.0,
     rests: float = 0.0,
     freed: bool = False,
@@ -78,7 +78,7 @@ def swing(
             tau = announced * INERTIA * 0.5 * (a + a_end) + 0.5 * (q_end - q) / T + weight
             drives.aim(Target(np.array([q]), np.array([(q_end - q) / T]), np.array([tau])))
             factors.append(1.0 + float(drives.servo.state["learned"]["excess"][0]))
-        if t > 1.5 + watched:
+        if t > 1.5 + judged_from:
             worst = max(worst, abs(float(machine.x[3]) - motion(t)[0]))
         if freed and t > 1.5:
             machine.x[6] = 0.0
@@ -95,11 +95,11 @@ def test_the_factor_is_that_of_the_announced_inertia(announced: float) -> None:
 
 
 @pytest.mark.parametrize("announced", [0.6, 1.7])
-def test_an_inertia_far_from_the_announced_one_is_followed_once_it_is_learned(
+def test_an_inertia_far_from_the_announced_inertia_is_followed_once_it_is_learned(
     announced: float,
 ) -> None:
     """From 0.6 s on it stays within twice the error of right torques; without a factor: 9 times."""
-    right, wrong = swing(1.0, watched=0.6).worst, swing(announced, watched=0.6).worst
+    right, wrong = swing(1.0, judged_from=0.6).worst, swing(announced, judged_from=0.6).worst
     assert wrong < 2.0 * right
 
 
@@ -127,14 +127,12 @@ def test_a_constant_load_is_no_reason_for_a_factor(load: float) -> None:
 
 @pytest.mark.parametrize("announced", [0.05, 20.0, -1.0])
 def test_torques_that_mean_nothing_change_the_factor_within_its_bounds(announced: float) -> None:
-    """Announced torques of another arm, or of the wrong sign."""
     worst, factors, _ = swing(announced)
     assert 0.5 <= min(factors) <= max(factors) <= 2.0
     assert math.isfinite(worst)
 
 
 def test_the_factor_is_forgotten_with_all_else() -> None:
-    """A reset servo begins with what is announced."""
     drives = ServoArm(ServoConfig(PERIOD, MOTION * PERIOD, 0.2, 2.0, 48.0, (JOINT,)))
     drives.servo.state["learned"]["excess"] = 0.7
     drives.reset()
@@ -183,7 +181,7 @@ def test_a_factor_that_fades_at_rest_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("stuck", [-8.0, -4.0, 4.0, 8.0])
-def test_friction_that_held_the_joint_is_no_reason_for_a_factor(stuck: float) -> None:
+def test_friction_of_a_joint_at_rest_is_no_reason_for_a_factor(stuck: float) -> None:
     """The load of the rest, of which nobody knew, is gone when the joint moves; the announced
     torques are right. The factor is off for less than 0.4 s; against a slow mean of the past, which
     remembers the rest, it was for 0.56 to 0.97 s.
@@ -194,9 +192,7 @@ def test_friction_that_held_the_joint_is_no_reason_for_a_factor(stuck: float) ->
 
 @pytest.mark.parametrize("seed", some(range(12), 2))
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
-def test_friction_that_lets_go_of_what_it_held_at_rest_is_no_disturbance(
-    scene: str, seed: int
-) -> None:
+def test_friction_that_releases_its_load_is_no_disturbance(scene: str, seed: int) -> None:
     """A circle whose start is reached from drawn sides: friction holds another part of the weight.
 
     With announced torques that do not know it the tool is up to 0.61 mm beside it (panda: 0.72).
@@ -209,9 +205,7 @@ def test_friction_that_lets_go_of_what_it_held_at_rest_is_no_disturbance(
 
 @pytest.mark.parametrize("kind", some(["line", "circle", "corners"], 1))
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
-def test_friction_that_held_the_arm_at_rest_is_no_reason_for_a_factor(
-    scene: str, kind: str
-) -> None:
+def test_friction_of_an_arm_at_rest_is_no_reason_for_a_factor(scene: str, kind: str) -> None:
     """All numbers are right, and the joints have been held by friction of any size before the path.
 
     A factor learned from what the friction lets go of at the start took the true tool 0.32 to

@@ -46,7 +46,6 @@ class Sound:
 
     @property
     def stored(self) -> bytes:
-        """The library as it lies in a cache."""
         return self.body + library_cache._seal(self.name, self.body)
 
     def put(self, folder: Path) -> Path:
@@ -81,7 +80,6 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 
 @pytest.fixture
 def cache(sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache, and the quick compiler."""
     library_cache.report_once.cache_clear()
     folder = tmp_path / "cache"
     monkeypatch.setenv(CACHE_VARIABLE, str(folder))
@@ -92,7 +90,7 @@ def cache(sound: Sound, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path
 # Content of the cache
 
 
-WAYS = [
+KINDS = [
     *("cut", "flipped", "text", "empty", "another ELF", "under a wrong name", "no seal", "longer"),
     *("link", "loop", "nowhere", "pipe", "socket", "folder", "writable"),
 ]
@@ -101,7 +99,7 @@ WAYS = [
 def change(rng: np.random.Generator, file: Path, sound: Sound) -> str:
     """Spoil a cached library in a random way; returns which."""
     full = sound.stored
-    damage = str(rng.choice(WAYS + ["somebody's"] * ROOT))
+    damage = str(rng.choice(KINDS + ["somebody's"] * ROOT))
     file.unlink()
     if damage == "cut":
         file.write_bytes(full[: rng.integers(1, len(full))])
@@ -145,7 +143,7 @@ def change(rng: np.random.Generator, file: Path, sound: Sound) -> str:
     return damage
 
 
-def test_a_spoiled_library_is_never_loaded_but_made_anew(
+def test_a_spoiled_library_is_never_loaded_but_compiled_again(
     cache: Path, sound: Sound, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Loading one that is cut short ends the process by SIGBUS."""
@@ -206,7 +204,7 @@ def without_periods(file: Path) -> bytes:
     return with_data(body, "arm_scene_periods", struct.pack("<ddq", -1.0, -1.0, -1))
 
 
-def test_a_library_compiled_into_a_folder_is_found_there(
+def test_a_library_compiled_into_a_folder_is_loaded_from_there(
     cache: Path,
     sound: Sound,
     tmp_path: Path,
@@ -246,7 +244,7 @@ def test_a_library_compiled_into_a_folder_is_found_there(
 # Size
 
 
-def test_the_least_recently_used_go(
+def test_the_longest_unused_libraries_are_removed(
     cache: Path, sound: Sound, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Random caches: the oldest go until the sum is allowed; nothing else is touched."""

@@ -30,7 +30,7 @@ def run(folder: Path, *command: str | Path) -> str:
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_none_is_longer_than_a_page_and_all_are_shown_on_one(name: str) -> None:
+def test_each_example_is_at_most_a_page_long_and_in_the_documents(name: str) -> None:
     assert len((EXAMPLES / name).read_text().splitlines()) <= 40
     page = (ROOT / "docs" / "how_to" / "programs.md").read_text()
     assert f"<!-- generated: file examples/{name} -->" in page
@@ -45,7 +45,7 @@ def test_computed_torque_follows(tmp_path: Path) -> None:
     assert (tmp_path / "computed_torque.png").stat().st_size > 1000
 
 
-def test_a_sweep_finds_what_matters(tmp_path: Path) -> None:
+def test_a_sweep_ranks_its_numbers(tmp_path: Path) -> None:
     text = run(tmp_path, sys.executable, EXAMPLES / "sweep.py")
     friction, mass = map(float, re.findall(r": (-[\d.]+)$", text, re.M))
     assert friction < -0.9 and -0.5 < mass < 0.0
@@ -73,7 +73,7 @@ def test_an_environment_keeps_the_rules_of_gymnasium(env: Any) -> None:
     assert fallen.dtype == over.dtype == np.bool_ and env.metadata["autoreset_mode"]
 
 
-def test_arms_of_an_environment_begin_anew_each_for_itself(env: Any) -> None:
+def test_arms_of_an_environment_restart_separately(env: Any) -> None:
     observed, _ = env.reset(seed=1)
     began = env.fleet.state.q
     for step in range(1, 42):

@@ -48,7 +48,6 @@ def planned(
 
 
 def judge(planner: TargetPlanner, motion: JointMotion | StretchedTrajectory) -> np.ndarray:
-    """Limits over all of the way; return its angles."""
     times = np.linspace(0, motion.end_ns, 4001).astype(np.int64)
     observed = [motion.at(int(t)) for t in times]
     q, v, a = (np.array([getattr(row, key) for row in observed]) for key in "qva")
@@ -76,7 +75,9 @@ def test_a_trajectory_within_the_limits_keeps_its_times() -> None:
 
 @pytest.mark.parametrize("seed", some(range(12), 4))
 @pytest.mark.parametrize("kind", ["positions", "velocities", "accelerations"])
-def test_one_that_is_too_fast_takes_longer_along_the_same_angles(kind: str, seed: int) -> None:
+def test_a_trajectory_that_is_too_fast_takes_longer_along_the_same_angles(
+    kind: str, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     planner = law()
     still = np.zeros(6)
@@ -105,7 +106,7 @@ def test_one_that_is_too_fast_takes_longer_along_the_same_angles(kind: str, seed
         planned(planner, points, scaled=False)
 
 
-def test_one_that_begins_in_motion_comes_to_rest_first_where_it_must_be_slower() -> None:
+def test_a_trajectory_from_motion_comes_to_rest_first_where_it_must_be_slower() -> None:
     planner = law()
     now = Reference(START, np.full(6, 0.5), np.zeros(6), np.zeros(6))
     motion = planned(planner, [TrajectoryPoint(SECOND // 5, START + 0.5)], now=now)

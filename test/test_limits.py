@@ -18,7 +18,7 @@ from arm_emulator.machine.schemes.known import SCHEMES
 from oracles.reference import reference
 
 
-def drawn_three_axis(
+def sample_three_axis(
     seed: int, scheme: str, dt: float, events: str = "step"
 ) -> tuple[Scene, Array]:
     """A three_axis arm without inductance, its light rotors at their limits, and its voltages."""
@@ -44,11 +44,11 @@ def drawn_three_axis(
 def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int) -> None:
     """Rotors that start within a step: near at 1 ms, of second order where steps resolve them."""
     period = 0.02
-    scene, voltages = drawn_three_axis(seed, "rosenbrock", 1e-3)
+    scene, voltages = sample_three_axis(seed, "rosenbrock", 1e-3)
     truth = reference(scene, voltages, period, 1e-10, method="LSODA")
     errors = []
     for dt in (1e-3, 1e-4, 1e-5):
-        scene, _ = drawn_three_axis(seed, "rosenbrock", dt)
+        scene, _ = sample_three_axis(seed, "rosenbrock", dt)
         q = Plant(scene).run(voltages, round(period / dt))
         errors.append(float(np.abs(q - truth).max()))
     moved = np.abs(truth - scene.start).max()
@@ -57,7 +57,7 @@ def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int
     assert errors[0] < 0.03 * moved and errors[1] < 0.01 * moved, errors
     # Second order, down to the reference's own error.
     assert errors[2] < 0.05 * errors[1] + 1e-9, errors
-    scene, _ = drawn_three_axis(seed, "rosenbrock", 1e-3, events="located")
+    scene, _ = sample_three_axis(seed, "rosenbrock", 1e-3, events="located")
     off = np.abs(Plant(scene).run(voltages, 20) - truth).max()
     assert off < 0.03 * moved, f"where steps are cut, {off} of {moved} rad"
 
@@ -117,7 +117,7 @@ def limited_truth(
     return np.array(out)
 
 
-def drawn_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
+def sample_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
     """An inductive motor whose current meets its limit, its gear, and voltages."""
     rng = np.random.default_rng(seed)
     motor = {
@@ -133,7 +133,7 @@ def drawn_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
 @pytest.mark.parametrize(("seed", "scheme"), some(enumerate(SCHEMES), 2))
 def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, scheme: str) -> None:
     """A current that meets and leaves its limit within steps costs no more than their size."""
-    motor, gear, V = drawn_joint(seed)
+    motor, gear, V = sample_joint(seed)
     truth = limited_truth(motor, gear, V, 0.01)[:, 3]
     file = write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": gear}})
     errors = []
@@ -166,7 +166,7 @@ def test_a_motor_that_reverses_within_a_step_is_followed(seed: int) -> None:
     """There may be no modes that hold for a whole step; the motion goes on, near the fine one."""
     voltages = np.repeat(np.random.default_rng(seed).uniform(-30.0, 30.0, size=(20, 3)), 5, axis=0)
     coarse, fine = (
-        Plant(drawn_three_axis(seed, "rosenbrock", dt)[0]).run(voltages, round(0.01 / dt))
+        Plant(sample_three_axis(seed, "rosenbrock", dt)[0]).run(voltages, round(0.01 / dt))
         for dt in (1e-3, 5e-5)
     )
     # Of the way that the arm goes in all; each reversal costs what the first step costs above.

@@ -18,7 +18,7 @@ ARMS = "scara", "spherical_wrist", "tilted"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Scene, Gains]]:
+def sized_arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Scene, Gains]]:
     """Arms from descriptions, whose drives are sized for their accelerations."""
     result = {}
     for name in some(ARMS, 1):
@@ -32,10 +32,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Scene, Gai
 @pytest.mark.parametrize("period", some([0.01, 0.05, 0.005, 0.02, 0.1], 2))
 @pytest.mark.parametrize("arm", some(ARMS, 1))
 def test_links_keep_their_accelerations(
-    made: dict[str, tuple[Scene, Gains]], arm: str, period: float
+    sized_arms: dict[str, tuple[Scene, Gains]], arm: str, period: float
 ) -> None:
     """The servo knows a changed acceleration a period late, and links swing on their gears."""
-    scene, gains = made[arm]
+    scene, gains = sized_arms[arm]
     motion = dataclasses.replace(gains.motion, period=period, collisions="off")
     servo = dataclasses.replace(gains.servo, motion_period=period)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)

@@ -46,7 +46,6 @@ def places(scene: Scene) -> list[tuple[int, int]]:
 
 
 def derivatives(machine: ReferenceMachine, scene: Scene, of: LinearMachine) -> tuple[Array, ...]:
-    """Return A, B and dx/dt of a reference at the same state."""
     N, at = machine.N, places(scene)
     x = np.zeros((6, N))
     for value, place in zip(of.x0, at, strict=True):
@@ -230,7 +229,7 @@ def test_a_current_at_its_limit_stays_there() -> None:
     assert np.abs(linear.B[:, 1]).max() == pytest.approx(1e3, rel=1e-9)  # 1/L
 
 
-def test_a_link_that_sticks_rests_and_one_that_slides_does_not() -> None:
+def test_a_link_that_sticks_rests_and_a_link_that_slides_does_not() -> None:
     plant = in_three_axis(**VARIED, **{"joints.waist.friction.coulomb": 5.0})
     linear = linearise(plant)
     assert linear.sticks.tolist() == [True, False, False]

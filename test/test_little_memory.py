@@ -13,7 +13,7 @@ SIZES = (400, 80, 60, 100, 160, 200, 240, 280, 320, 360, 450, 500)  # MB
 
 
 @pytest.mark.parametrize("size", some(SIZES, 3))
-def test_little_memory_is_one_line(size: int) -> None:
+def test_little_memory_is_a_line(size: int) -> None:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (size * 10**6,) * 2)
 

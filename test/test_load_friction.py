@@ -12,7 +12,7 @@ from draws import some
 from machines import GANTRY, MOVED, gantry_urdf, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import Towed, assert_order_two
-from stick_slip import drawn as drawn_stribeck
+from stick_slip import sample_friction as drawn_stribeck
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -22,7 +22,7 @@ HOISTED = 0.2  # kg, of the last link of their gantry
 WEIGHTS = 9.81 * NG * HOISTED / 2.0 * MOVED[:2]  # N m at their rotors
 
 
-def drawn(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
+def sample_friction(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
     """A tenth to a third of the spring's torque beside friction that may fall, too."""
     friction, towed = drawn_stribeck(rng)
     mu, Ds, old = float(rng.uniform(0.1, 0.33)), friction["breakaway"], towed.sliding
@@ -47,7 +47,7 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
 def test_sticking_and_slipping_is_of_order_two_where_located(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
-    friction, towed = drawn(np.random.default_rng([seed, 41]))
+    friction, towed = sample_friction(np.random.default_rng([seed, 41]))
     assert_order_two(tmp_path, towed, friction, scheme, stops=1)
 
 
@@ -72,7 +72,7 @@ def hoists(
 
 
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
-def test_motors_need_what_the_efficiency_states_to_lift_and_to_lower(
+def test_motors_need_the_torque_of_the_efficiency_to_lift_and_to_lower(
     tmp_path: Path, scheme: str
 ) -> None:
     """Behind an elastic gear (1 + mu) and (1 - mu) times the weight; behind a rigid one the load is

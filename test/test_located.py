@@ -10,7 +10,7 @@ import pytest
 from balance import balance_of
 from draws import some
 from machines import LINK_INERTIA, one_link_urdf, write_scene
-from test_limits import drawn_joint, limited_truth
+from test_limits import limited_truth, sample_joint
 
 from arm_emulator import Plant, Refusal, load_scene
 
@@ -60,7 +60,7 @@ def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str
 def test_currents_at_limits_follow_the_closed_form_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
-    motor, gear, V = drawn_joint(seed)
+    motor, gear, V = sample_joint(seed)
     truth = limited_truth(motor, gear, V, 0.01)[:, 3]
     errors = []
     for dt in (1e-5, 5e-6, 2.5e-6):

@@ -60,7 +60,6 @@ def without_motion_controller(tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 
 def target_of(scene_name: str) -> Pose:
-    """10 mm aside of where the tool starts."""
     run = load_offline_run(scene_name)
     R_WT, p_WT = run.controller.kinematics.forward(run.session.scene.start)
     # By way of the quaternion, as in a message: the rotation has the same rounding then.
@@ -77,7 +76,6 @@ def recorded(user: User, scene: str) -> dict[int, bytes]:
 
 
 def begin(user: User, target: Pose) -> None:
-    """Give the target to a paused network, then let it go."""
     user.await_start()
     before = int(user.value("motion_controller", "tool targets") or 0)
     x, y, z, w = map(float, target.quaternion())
@@ -146,12 +144,12 @@ def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
         second = nodes.process("servo")
         user.wait("the second", lambda: user.value("servo", "another servo"))
 
-        def second_answers() -> int:
+        def commands_of_second() -> int:
             counted = "motor_commands of another node of the same name"
             return int(user.value("emulator", counted) or 0)
 
-        before = second_answers()
-        user.wait("two answers", lambda: second_answers() >= before + 100)
+        before = commands_of_second()
+        user.wait("two answers", lambda: commands_of_second() >= before + 100)
         tick = user.tick
         user.wait("the run to go on", lambda: user.tick >= tick + 200)
         first.kill()
@@ -162,7 +160,7 @@ def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
         assert second.poll() is None
 
 
-def test_answers_that_come_late_are_counted_and_no_fault() -> None:
+def test_late_responses_are_counted_and_no_fault() -> None:
     """A question that was repeated is answered twice; one reset comes before an answer."""
     with in_process() as nodes:
         health, targets = nodes.nodes["servo"]._diagnostics, []
@@ -204,7 +202,7 @@ def test_answers_that_come_late_are_counted_and_no_fault() -> None:
         assert health.values["joint_targets before the reset"] == 1 and health.refused == before
 
 
-def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: SharedNetwork) -> None:
+def test_a_killed_servo_is_waited_for_and_the_next_continues(three_nodes: SharedNetwork) -> None:
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 120)
@@ -224,7 +222,7 @@ def test_a_killed_servo_is_waited_for_and_the_next_one_goes_on(three_nodes: Shar
         assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
 
 
-def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
+def test_a_killed_motion_controller_is_waited_for_and_the_next_continues(
     three_nodes: SharedNetwork,
 ) -> None:
     with three_nodes() as (user, nodes):
@@ -251,7 +249,7 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_one_goes_on(
         user.wait("the tool", lambda: user.printed("motion_controller", "moving the tool"))
 
 
-def test_a_new_emulator_begins_anew_with_the_old_partners(three_nodes: SharedNetwork) -> None:
+def test_a_new_emulator_restarts_with_the_old_partners(three_nodes: SharedNetwork) -> None:
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
         user.wait("the run", lambda: user.tick >= 120)

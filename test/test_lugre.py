@@ -24,7 +24,7 @@ SCHEME = {"link": "rosenbrock", "rotor": "extrapolated"}  # where one is enough
 sides = pytest.mark.parametrize("side", ["link", "rotor"])
 
 
-def drawn(rng: np.random.Generator, side: str) -> dict[str, float]:
+def sample_bristles(rng: np.random.Generator, side: str) -> dict[str, float]:
     """Bristles that bend by some 1e-3 rad at the link, and by as much of the rotor's way."""
     # Few bits, so that the breakaway torque is the same multiple exactly, which a library is of.
     Dc = int(rng.integers(128, 512)) / 256.0
@@ -92,7 +92,7 @@ def pushes(rng: np.random.Generator, lugre: dict[str, float], rows: int = 16) ->
 )  # fmt: skip
 def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) -> None:
     rng = np.random.default_rng([side == "link", SCHEMES.index(scheme), 61])
-    lugre = drawn(rng, side)
+    lugre = sample_bristles(rng, side)
     voltages = pushes(rng, lugre)
     expected = truth(lugre, side, voltages)
 
@@ -117,7 +117,7 @@ def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) ->
 def test_before_it_slides_a_shaft_yields_as_on_a_spring(tmp_path: Path, side: str) -> None:
     """Under a tenth of the breakaway torque by torque / s0, and a bit for what has slipped."""
     rng = np.random.default_rng([62, side == "link"])
-    lugre = drawn(rng, side)
+    lugre = sample_bristles(rng, side)
     plant = with_steps(tmp_path, lugre, side, 100)
     for share in (0.02, 0.05, 0.1):
         plant.reset()
@@ -137,7 +137,7 @@ def test_before_it_slides_a_shaft_yields_as_on_a_spring(tmp_path: Path, side: st
 def test_it_slides_at_the_speed_that_the_torque_is_that_of(tmp_path: Path) -> None:
     """Steadily, z = g / s0 and the torque is g(w) + Dv w."""
     rng = np.random.default_rng(63)
-    lugre = drawn(rng, "link")
+    lugre = sample_bristles(rng, "link")
     plant = with_steps(tmp_path, lugre, "link", 200)
     plant.set_parameter("joints.joint.friction.viscous", 1.0)
     for w in (0.6, -0.9):
@@ -153,7 +153,7 @@ def test_it_slides_at_the_speed_that_the_torque_is_that_of(tmp_path: Path) -> No
 def test_bristles_too_short_for_a_step_are_followed_or_diverge(tmp_path: Path) -> None:
     """Moved by more than twice their bend in a step they are not resolved: never in silence."""
     rng = np.random.default_rng(66)
-    lugre = drawn(rng, "link")
+    lugre = sample_bristles(rng, "link")
     outcomes = []
     for times in 10.0 ** np.arange(0.0, 4.0, 0.5):
         stiff = lugre | {"bristle_stiffness": lugre["bristle_stiffness"] * float(times)}

@@ -45,7 +45,7 @@ def springy(folder: Path) -> Scene:
     raise AssertionError("no such machine was drawn")
 
 
-def drawn(scene: Scene, rng: np.random.Generator, count: int) -> dict[str, np.ndarray]:
+def sample_numbers(scene: Scene, rng: np.random.Generator, count: int) -> dict[str, np.ndarray]:
     """Values for all that is varied, other ones for each arm."""
     return {number.name: number.value * rng.uniform(0.7, 1.4, count) for number in scene.varied}
 
@@ -87,7 +87,7 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: 
     rng = np.random.default_rng(seed)
     scene = mixture(tmp_path, seed, scheme, **{"integrator.events": events})
     count, N = 11, len(scene.joints)  # more than one group, and none that is full
-    values = drawn(scene, rng, count)
+    values = sample_numbers(scene, rng, count)
     q, v = rng.uniform(-1.0, 1.0, (count, N)), rng.uniform(-0.5, 0.5, (count, N))
     v[rng.random((count, N)) < 0.5] = 0.0  # many begin locked
     voltages = rng.uniform(-20.0, 20.0, (60, count, N))
@@ -121,7 +121,7 @@ def test_an_arm_that_diverges_is_reported_and_touches_no_neighbour(
     stiff = "stiff" in cause
     scene = springy(tmp_path) if stiff else mixture(tmp_path, 16)
     count, N, wild = 19, len(scene.joints), [0, 9, 18]
-    values = drawn(scene, rng, count)
+    values = sample_numbers(scene, rng, count)
     q, v = rng.uniform(-1.0, 1.0, (count, N)), np.zeros((count, N))
     voltages = rng.uniform(-20.0, 20.0, (40, count, N))
     tame = Fleet(scene, count, varied=values, q=q, v=v)
@@ -159,7 +159,7 @@ def test_bits_depend_neither_on_pieces_nor_on_neighbours(tmp_path: Path) -> None
     rng = np.random.default_rng(9)
     scene = mixture(tmp_path, 16)
     count, N = 13, len(scene.joints)
-    values = drawn(scene, rng, count)
+    values = sample_numbers(scene, rng, count)
     q = rng.uniform(-1.0, 1.0, (count, N))
     voltages = rng.uniform(-20.0, 20.0, (100, count, N))
     full = Fleet(scene, count, varied=values, q=q, workers=1).run(voltages, STEPS)
@@ -176,7 +176,7 @@ def test_bits_depend_neither_on_pieces_nor_on_neighbours(tmp_path: Path) -> None
     assert few.tobytes() == full[:, order].tobytes(), "neighbours change bits"
 
 
-def test_one_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
+def test_an_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
     """Saving, setting and restoring through it act on its lane."""
     rng = np.random.default_rng(10)
     scene = mixture(tmp_path, 16)
@@ -227,7 +227,10 @@ def test_processors_with_narrower_registers_have_fewer_lanes(
     """A joint that sticks and meets its limit, alone and in lanes, both compiled for the target."""
     rng = np.random.default_rng(12)
     scene = mixture(tmp_path, 34)
-    values, rows = drawn(scene, rng, 5), rng.uniform(-20.0, 20.0, (20, 5, len(scene.joints)))
+    values, rows = (
+        sample_numbers(scene, rng, 5),
+        rng.uniform(-20.0, 20.0, (20, 5, len(scene.joints))),
+    )
     q, v = rng.uniform(-1.0, 1.0, (5, len(scene.joints))), np.zeros((5, len(scene.joints)))
     cache = tmp_path / "cache"
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))

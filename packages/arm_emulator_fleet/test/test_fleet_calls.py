@@ -40,7 +40,6 @@ def alone(fleet: Fleet, arm: int, **began: Any) -> Plant:
 
 
 def assert_alike(fleet: Fleet, plants: list[Plant]) -> None:
-    """Return all measurements and the true state of each arm."""
     measured, state = fleet.measured, fleet.state
     for arm, plant in enumerate(plants):
         for name in KNOWN:

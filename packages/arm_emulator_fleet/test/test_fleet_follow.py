@@ -59,7 +59,7 @@ def coulomb(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
     return {name: rng.uniform(0.5, 4.0, COUNT) for name in names}
 
 
-def test_every_arm_does_what_machine_and_servo_do_alone(scene: Scene) -> None:
+def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene) -> None:
     rng = np.random.default_rng(7)
     periods = 240
     q, v = targets(scene, rng, periods)
@@ -127,7 +127,7 @@ def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> 
             np.testing.assert_array_equal(links[tick, arm], plant.state.q, f"{arm} {tick}")
 
 
-def test_an_arm_moves_as_with_other_neighbours_and_pieces(scene: Scene) -> None:
+def test_an_arm_moves_as_with_changed_neighbours_and_pieces(scene: Scene) -> None:
     """To the last bit: resets of some, periods in pieces, other arms beside it."""
     q, v = targets(scene, np.random.default_rng(8), 120)
     servo = load_gains(scene.where.removesuffix(".yaml")).servo

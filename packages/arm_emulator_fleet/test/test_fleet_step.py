@@ -83,7 +83,7 @@ def everything(fleet: Fleet) -> bytes:
 
 
 @pytest.mark.parametrize("seed", some(range(40), 4))
-def test_a_fleet_whose_arms_are_looked_at_one_by_one_moves_as_one_that_is_not(
+def test_a_fleet_with_references_to_its_arms_moves_as_a_fleet_without(
     seed: int, scene: Scene
 ) -> None:
     alone, monitored = Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT, workers=2)
@@ -115,8 +115,7 @@ def test_a_step_is_an_exchange_and_a_look(scene: Scene) -> None:
         assert np.array_equal(frame.faults, second.faults)
 
 
-def test_an_arm_goes_on_in_its_lane_when_nobody_holds_it_any_more(scene: Scene) -> None:
-    """The fleet continues from a state set by hand."""
+def test_an_arm_continues_in_its_lane_when_its_reference_ends(scene: Scene) -> None:
     fleet = Fleet(scene, COUNT)
     rows = np.full((COUNT, 3), 5.0)
     for _ in range(3):
