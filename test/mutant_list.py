@@ -293,7 +293,7 @@ MUTANTS = (
         f"{CORE_PARTS}/joint_effects/counterbalance.hpp",
         "return F0 * h / (h + compressing() * (l - l0));",
         "return F0 * h / (h + (l - l0));",
-        "test_counterbalance.py",
+        "test_independent_slides.py",
     ),
     Mutant(
         f"{CORE_PARTS}/motors/pmsm.hpp",
