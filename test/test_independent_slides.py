@@ -157,7 +157,7 @@ def test_a_spring_that_could_vanish_is_refused() -> None:
             load_scene("three_axis", {"joints.elbow.counterbalance": bad})
 
 
-# What any waves may be is in test_kinematic_error.py.
+# Cases of any waves are in test_kinematic_error.py.
 BAD: list[tuple[object, str]] = [
     ([[1.0]], "must list waves of [order, amplitude in N m]"),
     ([[6.0, 1001.0]], "must list waves whose amplitude is a number within +-1000 N m"),
