@@ -12,7 +12,7 @@ from draws import some
 from machines import GANTRY, MOVED, gantry_urdf, one_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import Towed, assert_order_two
-from stick_slip import sample_friction as drawn_stribeck
+from stick_slip import drawn as drawn_stribeck
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
