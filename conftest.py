@@ -46,7 +46,7 @@ copies arm_loops at_rest linearised sensors recorder search launch random_scenes
 load_friction spoiled_files brake hard_cases stability inputs motion_orders fuzz varied_axes
 varied current_loop fleet_follow splitting campaign_lanes lanes sensitivities doctor dynamics
 ideal_motors firmware_faults by_hand faults driven_machine progressive_gear negative_ratio
-fault_replay torque_terms command_line jog motors mounting efforts advice repair bound case_bag
+torque_terms command_line jog motors mounting efforts advice repair bound case_bag
 first_difference rotor_friction readings end_stops demo working_folder topic_based
 ethercat_mailbox lugre coupled_moves winding tune target_ways outputs documents standstill manutec
 loaded_libraries trees pmsm backlash boundary stribeck number

@@ -1,4 +1,4 @@
-"""Full disks and closed outputs end a command with one line and a true exit code.
+"""Full disks, closed outputs and little memory end a command with a line and a true exit code.
 
 A small file system of its own stands for a full disk, where the system lets us mount one;
 `/dev/full` takes nothing anywhere.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from draws import some
 from machines import own_three_axis
 
 ROOM = 400_000  # bytes of the full disk
@@ -121,3 +123,21 @@ def test_a_campaign_on_a_full_disk(disk: Path, tmp_path: Path) -> None:
     code, _, errors = ended(["campaign", "drop.yaml", "--into", "disk/out"], "", tmp_path)
     assert code == 2, errors
     assert "Traceback" not in errors and "No space left on device" in errors, errors
+
+
+SIZES = (400, 80, 60, 100, 160, 200, 240, 280, 320, 360, 450, 500)  # MB
+
+
+@pytest.mark.parametrize("size", some(SIZES, 3))
+def test_little_memory_is_a_line(size: int) -> None:
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (size * 10**6,) * 2)
+
+    done = subprocess.run(
+        [sys.executable, "-m", "arm_emulator", "check-scene", "three_axis"],
+        preexec_fn=limit, capture_output=True, text=True, timeout=120.0, check=False,
+    )  # fmt: skip
+    printed = done.stderr.splitlines()
+    assert done.returncode in (0, 1, 2) and len(printed) == bool(done.returncode), done.stderr
+    if done.returncode == 2:
+        assert printed[0].startswith("arm_emulator: memory must suffice, got "), printed
