@@ -15,7 +15,7 @@ from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from arm_emulator.toolchain.unit import compile_units
 from arm_emulator_fleet import Fleet
-from arm_emulator_fleet.unit import FOLDER, fleet_unit
+from arm_emulator_fleet.unit import fleet_unit
 from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
