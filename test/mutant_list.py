@@ -440,7 +440,7 @@ MUTANTS = (
         "packages/arm_emulator_fleet/arm_emulator_fleet/core/servo_fleet.cpp",
         "fleet.since[row + 1] <= tick",
         "fleet.since[row + 1] < tick",
-        "test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",
+        "../packages/arm_emulator_fleet/test/test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",
     ),
     Mutant(
         "arm_emulator/runs/target_table.py",
