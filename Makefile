@@ -96,18 +96,11 @@ export LOCAL_SETUP
 # By uv, which takes a tenth of pip's time, or by pip.
 INSTALL := .venv/bin/python tools/install.py
 
-# Python turns Ctrl-C into an exception, and prints it when it comes while Python itself starts. So our
-# commands and nodes leave it to the system until they take care of it.
-define QUIET_START
-import sys, _signal; sys.orig_argv[1:2] == ["-m"] and sys.orig_argv[2] in ("arm_emulator", "emulator_node.node", "servo_node.node", "motion_controller_node.node") and _signal.getsignal(2) is _signal.default_int_handler and _signal.signal(2, _signal.SIG_DFL)
-endef
-export QUIET_START
-
 .venv/.requirements: requirements.txt .venv/.home
 	@echo 'setup: Python packages, ROS 2 among them (1.8 GB on disk) ...'
 	@$(call quietly,requirements,$(INSTALL) $<)
 	@for folder in .venv/lib/python*/site-packages; do \
-	  echo "$$QUIET_START" > $$folder/a0_arm_emulator.pth; done
+	  cp arm_emulator/workarounds/quiet_start.pth $$folder/a0_arm_emulator.pth; done
 	@touch $@
 
 .venv/.robots: requirements-robots.txt .venv/.requirements

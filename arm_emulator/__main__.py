@@ -10,9 +10,9 @@ def main() -> None:
 
     open_standard_files()
     # Ctrl-C is kept back until it is known how this command ends: `end_at_once` lets it in.
-    from arm_emulator.ros.ctrl_c import keep_back
+    from arm_emulator.ros.process.ctrl_c import block_signals
 
-    keep_back()
+    block_signals()
     # Before NumPy is loaded: matrices here are small, and threads that share them wait for each
     # other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

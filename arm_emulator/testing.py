@@ -24,7 +24,7 @@ from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene, load_scene
 
 if TYPE_CHECKING:
-    from arm_emulator.ros.network_under_test import NetworkUnderTest
+    from arm_emulator.ros.node.network_under_test import NetworkUnderTest
 
 Law = Callable[[int, Measured], ArrayLike]
 
@@ -96,8 +96,8 @@ def network(
         Refusal: no such node, or a configuration file is missing.
         AssertionError: a node ended within the block, or abnormally at its end.
     """
-    from arm_emulator.ros.bringup import NODES, Bringup
-    from arm_emulator.ros.ros_domain import own_domain
+    from arm_emulator.ros.process.bringup import NODES, Bringup
+    from arm_emulator.ros.process.ros_domain import own_domain
 
     for name in (wrong for wrong in without if wrong not in NODES):
         raise Refusal("testing.network", "without", "name nodes", name, ", ".join(NODES))
@@ -146,7 +146,7 @@ def joined(
     """
     from rclpy import Context
 
-    from arm_emulator.ros.network_under_test import NetworkUnderTest
+    from arm_emulator.ros.node.network_under_test import NetworkUnderTest
 
     context = Context()
     context.init()

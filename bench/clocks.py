@@ -15,7 +15,7 @@ from arm_emulator import load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.cpu_load import load_processors
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
@@ -75,8 +75,8 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
     """Run the three nodes and return the emulator's status at the end."""
     import rclpy
 
-    from arm_emulator.ros.bringup import Bringup
-    from arm_emulator.ros.node_shell import STATE_SUB_QOS
+    from arm_emulator.ros.node.node_shell import STATE_SUB_QOS
+    from arm_emulator.ros.process.bringup import Bringup
     from arm_emulator_msgs.msg import EmulatorStatus
 
     clock = "realtime" if what == "real_time" else "lockstep"

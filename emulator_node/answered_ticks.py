@@ -7,7 +7,7 @@ import time
 from rclpy.subscription import Subscription
 
 from arm_emulator.ros.c import MIDDLEWARE
-from arm_emulator.ros.middleware import middleware
+from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator.toolchain.c_header import NULL, CData
 from arm_emulator.toolchain.unit import compiled_once
 from emulator_node.breakpoints import Breakpoints
@@ -15,7 +15,7 @@ from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
 from emulator_node.health import Health
-from emulator_node.log_of_c import log_room, record_log
+from emulator_node.log_of_c import compute_log_room, record_log
 from emulator_node.reports import Reports
 
 LOGGED = 200  # ticks of which the messages have room in the log: some 20 ms
@@ -51,7 +51,7 @@ class AnsweredTicks:
     ) -> None:
         self._breaks = breaks
         self._session, self._gate, self._view, self._outbox = (
-            own.session, own.gate, own.view, own.outbox,
+            own.session, own.gate, own.view, own.outgoing,
         )  # fmt: skip
         self._reports, self._health = reports, health
         self._pace = own.pace
@@ -67,7 +67,7 @@ class AnsweredTicks:
             joint=plant.command.joint,
             command=plant.command,
             truth=reports.truth,
-            publish=middleware().ros_publish,
+            publish=get_middleware().ros_publish,
             motor_state=reports.motor_state.struct,
             joint_state=reports.joint_state.struct,
             clock=reports.clock.struct,
@@ -85,9 +85,9 @@ class AnsweredTicks:
         ticks, session = self._struct, self._session
         ticks.last = self._begun = session.tick
         ticks.result = 0
-        if self._view.open or session.last_tick == session.tick or session.held[1:].any():
+        if self._view.is_open or session.last_tick == session.tick or session.held[1:].any():
             return
-        room = min(self._gate.room(), self._pace.room(session.tick))
+        room = min(self._gate.count_free_ticks(), self._pace.room(session.tick))
         ticks.last = min(session.last_tick, session.tick + room)
         self._reports.refresh()
         if self._outbox.record is not None:
@@ -99,7 +99,7 @@ class AnsweredTicks:
         if not passed and not self._struct.result:
             return
         self._session.take_note()
-        self._gate.count(passed)
+        self._gate.published += passed
         self._reports.published_at = self._reports.repeated_at = time.monotonic()
         if self._outbox.record is not None:
             record_log(self._outbox.record, self._log, self.outgoing, self._topic)
@@ -108,7 +108,7 @@ class AnsweredTicks:
 
     def _begin_log(self) -> None:
         """Let C keep the messages of some ticks."""
-        room = log_room(LOGGED, self.outgoing, self._commands.largest)
+        room = compute_log_room(LOGGED, self.outgoing, self._commands.largest)
         if self._log.room != room:
             self._logged = MIDDLEWARE.ffi.new("uint8_t[]", room)
             self._log.data, self._log.room = self._logged, room

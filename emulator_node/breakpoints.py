@@ -65,7 +65,7 @@ class Breakpoints:
         """Count a message that is refused, and report it."""
         with self._lock:
             self._diagnostics.refuse(topic, reason)
-            self._view.event(f"refused: {reason}", "WARN")
+            self._view.show_event(f"refused: {reason}", "WARN")
             if self._on_refusals:
                 self._pause(str(reason))
 

@@ -56,13 +56,13 @@ class Changes:
             change()
             saved = self._session.plant.save()
             self._watched.take()
-            self.reports.event(kind, saved)
+            self.reports.publish_event(kind, saved)
             self._breaks.changed()
 
     def put(self, kind: int, change: Callable[[], None]) -> None:
         """Change the machine, publish its new state, and continue from there, see `make`."""
         with self.between_ticks():
             self.make(kind, change)
-            self.reports.change()
+            self.reports.publish_change()
         if self._session.answered:
             self.pacer.go_on()

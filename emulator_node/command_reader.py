@@ -10,13 +10,13 @@ from rclpy.serialization import serialize_message
 from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.machine.plant.inputs import further_inputs
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.ros.duplicate_nodes import started
-from arm_emulator.ros.message_reader import MessageReader, Row
+from arm_emulator.ros.messages.message_reader import MessageReader, Row
+from arm_emulator.ros.node.duplicate_nodes import get_start_time
 from arm_emulator.toolchain.c_header import CData
 from arm_emulator_msgs.msg import MotorCommand
 from emulator_node.c import MOTOR_COMMANDS
 
-SPARE = 64  # bytes of a message, for its frame and padding
+SPARE_BYTES = 64  # bytes of a message, for its frame and padding
 
 
 class CommandReader:
@@ -34,15 +34,15 @@ class CommandReader:
     def __init__(self, scene: Scene, struct: CData, number: int) -> None:
         names, at = scene.joint_names, MOTOR_COMMANDS.ffi.addressof
         N = len(names)
-        came = np.zeros((1 + len(further_inputs(scene))) * N)
-        usual = MotorCommand(joint_names=names, command=array("d", came[:N]))
-        self.largest = len(serialize_message(usual)) + SPARE
+        commands = np.zeros((1 + len(further_inputs(scene))) * N)
+        example = MotorCommand(joint_names=names, command=array("d", commands[:N]))
+        self.largest = len(serialize_message(example)) + SPARE_BYTES
         self._reader = reader = MessageReader(
             "motor_commands",
             MotorCommand,
             names,
             "joint_names",
-            {"command": Row(came[:N], COMMAND)},
+            {"command": Row(commands[:N], COMMAND)},
             {"tick": at(struct, "tick"), "machine": at(struct, "machine")},
         )
         MOTOR_COMMANDS.fill(
@@ -51,7 +51,7 @@ class CommandReader:
             input_names=reader.field("input_names"),
             inputs=reader.field("inputs"),
             largest=self.largest,
-            came=came,
-            emulator=started(),
+            came=commands,
+            emulator=get_start_time(),
             number=number,
         )

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from arm_emulator.machine.session.pace import Pace
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.node_shell import Diagnostics
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_shell import Diagnostics
 from emulator_node.outgoing_messages import OutgoingMessages
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.view import View
@@ -23,7 +23,7 @@ class Context:
         session: the machine.
         diagnostics: of the node.
         gate: recorders that have to keep up.
-        outbox: outgoing messages.
+        outgoing: outgoing messages.
         view: display of ticks.
         pace: limit of how fast logical time passes in lock-step.
         lock: guards all of it: between the executor, which serves topics and services, and a thread
@@ -34,7 +34,7 @@ class Context:
     session: Session
     diagnostics: Diagnostics
     gate: RecorderGate
-    outbox: OutgoingMessages
+    outgoing: OutgoingMessages
     view: View
     pace: Pace
     lock: threading.RLock = field(default_factory=threading.RLock)

@@ -11,7 +11,7 @@ import numpy as np
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.node_shell import set_stamp
+from arm_emulator.ros.messages.time_stamp import set_stamp
 
 if TYPE_CHECKING:
     from arm_emulator.motion.model.link_motions import LinkMotions
@@ -28,7 +28,7 @@ class Entities:
     """
 
     def __init__(self, session: Session) -> None:
-        self._session, self._placed_at = session, -1
+        self._session = session
         self._robot = session.scene.name
 
     @cached_property
@@ -47,15 +47,15 @@ class Entities:
         """Return whether an entity is a link."""
         return name in self._links.names
 
-    def category(self, name: str) -> int:
+    def get_category(self, name: str) -> int:
         """Return the category of an entity."""
         return OBJECT if self.is_link(name) else ROBOT
 
-    def tags(self, name: str) -> list[str]:
+    def get_tags(self, name: str) -> list[str]:
         """Return the tags of an entity."""
         return ["link", self._robot] if self.is_link(name) else ["arm"]
 
-    def chosen(self, filters: Any) -> list[str]:
+    def filter_names(self, filters: Any) -> list[str]:
         """Return the names that EntityFilters let through.
 
         Raises:
@@ -73,8 +73,8 @@ class Entities:
             name
             for name in self.names
             if expression.search(name)
-            and (not categories or self.category(name) in categories)
-            and (not wanted or enough(self.tags(name)))
+            and (not categories or self.get_category(name) in categories)
+            and (not wanted or enough(self.get_tags(name)))
         ]
 
     def place(self) -> None:

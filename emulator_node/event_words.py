@@ -5,27 +5,28 @@ from __future__ import annotations
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus
 
 
-def _names(message: type, begin: str) -> dict[int, str]:
+def _name_constants(message: type, begin: str) -> dict[int, str]:
     """Return the constants of a message that begin so, in words, by their numbers."""
-    found = (name for name in dir(message) if name.startswith(begin))
+    constants = (name for name in dir(message) if name.startswith(begin))
     return {
-        getattr(message, name): name.removeprefix(begin).lower().replace("_", " ") for name in found
+        getattr(message, name): name.removeprefix(begin).lower().replace("_", " ")
+        for name in constants
     }
 
 
-_CHANGES = _names(MachineEvent, "KIND_")
-_STATES = _names(MotionStatus, "STATE_")
-_MOTIONS = _names(MotionStatus, "KIND_")
+_CHANGES = _name_constants(MachineEvent, "KIND_")
+_STATES = _name_constants(MotionStatus, "STATE_")
+_MOTIONS = _name_constants(MotionStatus, "KIND_")
 
 
-def change_words(kind: int, powered: bool) -> str:
+def describe_change(kind: int, powered: bool) -> str:
     """Return a change by hand, by its kind in `MachineEvent`."""
     if kind == MachineEvent.KIND_POWER:
         return f"power {'on' if powered else 'off'}"
     return _CHANGES.get(kind, str(kind))
 
 
-def words_of(status: MotionStatus) -> str:
+def describe_motion(status: MotionStatus) -> str:
     """Return the state of a target, trajectory or path."""
     what = f"{_MOTIONS.get(status.kind, status.kind)} {status.number}"
     reason = f": {status.reason}" if status.reason else ""

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.session import EndOfTime
-from arm_emulator.ros.node_shell import NANOSECONDS, STATE_PUB_QOS, stamp
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_stamp
+from arm_emulator.ros.node.node_shell import STATE_PUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus
 from emulator_node.context import Context
 from emulator_node.reports import Reports
@@ -24,7 +25,7 @@ class Health:
     """
 
     def __init__(self, own: Context, timeout: Callable[[], float], page: Callable[[], str]) -> None:
-        self._session, self._gate, self._outbox = own.session, own.gate, own.outbox
+        self._session, self._gate, self._outbox = own.session, own.gate, own.outgoing
         self._logger, self._diagnostics = own.node.get_logger(), own.diagnostics
         self._view = own.view
         self._timeout, self._page = timeout, page
@@ -40,7 +41,7 @@ class Health:
             explain(fault)
             self._diagnostics.error(str(fault))
             self._logger.error(str(fault))
-            self._view.event(str(fault), "ERROR")
+            self._view.show_event(str(fault), "ERROR")
 
     def report(self, waited: float) -> None:
         """Publish the machine's health; `waited`: since this tick was published [s]."""
@@ -49,33 +50,33 @@ class Health:
         if session.phase is Phase.STOPPED:
             diagnostics.error(str(session.fault))
         elif session.phase is Phase.PAUSED and page:
-            diagnostics.warn(
+            diagnostics.report_warning(
                 f"paused at tick {session.tick}, and the page is gone: {page}; "
                 "emulator/pause with data: false lets time go on"
             )
         elif session.phase is Phase.PAUSED:
-            diagnostics.ok(f"paused at tick {session.tick}")
+            diagnostics.report_ok(f"paused at tick {session.tick}")
         elif session.phase is Phase.FREE_RUNNING:
-            diagnostics.warn("no motor command yet, running free at 0 V")
+            diagnostics.report_warning("no motor command yet, running free at 0 V")
         elif session.phase is Phase.WAITING and late:
             # In whole seconds, so that the words change, and are published, once a second.
-            diagnostics.warn(
+            diagnostics.report_warning(
                 f"waiting for the motor command that answers tick {session.tick}, "
                 f"for {waited:.0f} s"
             )
         elif self._gate.waited_for and late:
-            diagnostics.warn(
+            diagnostics.report_warning(
                 f"waiting for recorder {self._gate.waited_for} to write what led to tick "
                 f"{session.tick}, for {waited:.0f} s"
             )
         elif record is not None and record.trouble:
-            diagnostics.warn(f"the record is not complete: {record.trouble}")
+            diagnostics.report_warning(f"the record is not complete: {record.trouble}")
         elif page:
-            diagnostics.warn(f"running without its page: {page}")
+            diagnostics.report_warning(f"running without its page: {page}")
         elif not session.powered:
-            diagnostics.warn("the drives' power is off, motors at 0 V")
+            diagnostics.report_warning("the drives' power is off, motors at 0 V")
         else:
-            diagnostics.ok("running")
+            diagnostics.report_ok("running")
 
 
 class Status:
@@ -87,7 +88,7 @@ class Status:
 
     def __init__(self, own: Context, reports: Reports) -> None:
         self._session, self._diagnostics, self._reports = own.session, own.diagnostics, reports
-        self._outbox, self._view = own.outbox, own.view
+        self._outbox, self._view = own.outgoing, own.view
         self.publisher = own.node.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
         self.begin()
 
@@ -127,5 +128,5 @@ class Status:
             real_time_priority=bool(figures.fifo),
             memory_locked=bool(figures.locked),
         )
-        status.header.stamp = stamp(session.logical_ns)
+        status.header.stamp = to_stamp(session.logical_ns)
         self._outbox.put(self.publisher, status)

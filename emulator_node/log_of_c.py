@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from arm_emulator.ros.c import MESSAGES, MIDDLEWARE
-from arm_emulator.ros.middleware import Outgoing
+from arm_emulator.ros.messages.middleware import Outgoing
 from arm_emulator.toolchain.c_header import CData
 
 if TYPE_CHECKING:
-    from arm_emulator.ros.run_record import RunRecord  # a stock machine may lack packages for bags
+    from arm_emulator.ros.recording.run_record import (
+        RunRecord,  # a stock machine may lack packages for bags
+    )
 
 HEAD = MESSAGES.constant("ROS_LOG_HEAD")
 
 
-def log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) -> int:
+def compute_log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) -> int:
     """Return the room that the messages of some ticks need [bytes].
 
     Args:

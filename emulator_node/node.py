@@ -11,7 +11,7 @@ if __name__ == "__main__":  # before slow imports
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
     from arm_emulator.base.required_package import refuse_missing_modules
-    from arm_emulator.ros.ctrl_c import end_at_once
+    from arm_emulator.ros.process.ctrl_c import end_at_once
 
     end_at_once(0)
     refuse_missing_modules("emulator")
@@ -34,30 +34,35 @@ from arm_emulator.machine.session.pace import LARGEST, Pace
 from arm_emulator.machine.session.real_time import real_time_session
 from arm_emulator.machine.session.session import CLOCKS, STARTS, Session
 from arm_emulator.page.page_process import PageProcess
-from arm_emulator.ros.duplicate_nodes import DuplicateNodes
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.node_parameters import (
+from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_parameters import (
     accept_changes,
     declare_parameters,
-    refuse_other_parameters,
-    replaced,
+    refuse_unknown_parameters,
+    replace_parameters,
 )
-from arm_emulator.ros.node_shell import Diagnostics, run_node, wall_timer
-from arm_emulator.ros.priority import raise_priority
+from arm_emulator.ros.node.node_shell import Diagnostics, create_wall_timer, run_node
+from arm_emulator.ros.process.priority import raise_priority
+from arm_emulator.ros.recording.recorder_presence import list_recorders
 from emulator_node.answered_ticks import AnsweredTicks
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.health import Health, Status
-from emulator_node.others import subscribe_to_others, take_rest
-from emulator_node.outgoing_messages import OutgoingMessages, own_record
+from emulator_node.outgoing_messages import (
+    OutgoingMessages,
+    create_record,
+    subscribe_to_others,
+    take_rest,
+)
 from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
-from emulator_node.real_time_ticks import READERS, HeldCommands
+from emulator_node.real_time_ticks import READERS, RealTimeCommands
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.reports import Reports
 from emulator_node.retransmitter import REPEAT_AFTER, Retransmitter
 from emulator_node.services import Services
-from emulator_node.simulation_services import SimulationServices, installed
+from emulator_node.simulation_services import SimulationServices, is_installed
 from emulator_node.stepper import Stepper
 from emulator_node.subscriptions import Subscriptions
 from emulator_node.time_control import TimeControl
@@ -114,10 +119,10 @@ class EmulatorNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("emulator")
         self._config = declare_parameters(self, EmulatorParameters)
-        refuse_other_parameters(self, self._config)
+        refuse_unknown_parameters(self, self._config)
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "machine")
-        self._doubles = DuplicateNodes(
+        self._duplicate_nodes = DuplicateNodes(
             self, self._diagnostics, "emulator", "motor_states", "the one started first rules"
         )
         self.start()
@@ -136,8 +141,8 @@ class EmulatorNode(ManagedNode):
         view = View(session, config.rerun_file, config.rerun_port)
         self.cleanup.callback(view.close)
         self.cleanup.callback(session.close)
-        topic = self.resolve_topic_name("motor_states")
-        gate = RecorderGate(self, session, diagnostics, topic)
+        recorders = partial(list_recorders, self.resolve_topic_name("motor_states"))
+        gate = RecorderGate(recorders, session.lockstep, self._report_recorder)
         pace = Pace(scene.servo_period)
         pace.factor = config.real_time_factor
         self._own = own = Context(self, session, diagnostics, gate, outbox, view, pace)
@@ -149,31 +154,31 @@ class EmulatorNode(ManagedNode):
         self._pacer: Pacer = loop or LockstepPacer(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
         changes = Changes(session, self._pacer, reports, watched, breaks)
-        intake = Subscriptions(own, self._pacer, changes, breaks)
+        subscriptions = Subscriptions(own, self._pacer, changes, breaks)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
-            self._begin_record(outbox, publishers, intake.commands.topic_name)
+            self._begin_record(outbox, publishers, subscriptions.commands.topic_name)
         self.hot = (
-            HeldCommands(own, loop.ticks, intake.commands)
+            RealTimeCommands(own, loop.ticks, subscriptions.commands)
             if loop
-            else AnsweredTicks(own, intake.commands, reports, health, breaks)
+            else AnsweredTicks(own, subscriptions.commands, reports, health, breaks)
         )
         control = TimeControl(own, changes, health, status)
         Services(own, control, changes, breaks)
-        if installed():
+        if is_installed():
             stepper = Stepper(own, control)
-            intake.answered = stepper.go_on
+            subscriptions.answered = stepper.go_on
             SimulationServices(self, own, changes, control, stepper)
             self.housekeeping = 0.02  # s, wall: bounds the delay of steps and actions
         self._repeater = Retransmitter(own, self._pacer, reports, health)
-        wall_timer(self, REPEAT_AFTER, self._on_repeat)
-        wall_timer(self, STATUS_PERIOD, self._on_status)
+        create_wall_timer(self, REPEAT_AFTER, self._on_repeat)
+        create_wall_timer(self, STATUS_PERIOD, self._on_status)
         self.get_logger().info(
             f"scene {scene.name}: {len(scene.joints)} joints, {scene.integrator.scheme} at "
             f"{scene.integrator.dt:g} s, servo period {scene.servo_period:g} s, "
             f"clock {config.clock}"
         )
-        diagnostics.ok("inactive: the machine stands")
+        diagnostics.report_ok("inactive: the machine stands")
 
     def _new_session(self) -> Session:
         """Return the machine under its clock, which stands."""
@@ -197,9 +202,9 @@ class EmulatorNode(ManagedNode):
     ) -> None:
         """Record what is published, commands, and messages between others, until the node ends."""
         folder, diagnostics = Path(self._config.record), self._diagnostics
-        self._others = subscribe_to_others(self, outbox.record_other)
+        self._others = subscribe_to_others(self, outbox.record_message_of_others)
         taken = [commands, *(one.topic_name for one in self._others)]
-        outbox.record = own_record(self, folder, publishers, taken, self._session.lockstep)
+        outbox.record = create_record(self, folder, publishers, taken, self._session.lockstep)
         diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
 
@@ -219,11 +224,11 @@ class EmulatorNode(ManagedNode):
 
     def activate(self) -> None:
         """Publish this tick, and let time pass."""
-        self._doubles.begin()
-        self._doubles.wait_until_first("emulator/status", alone=self._config.alone)
+        self._duplicate_nodes.begin()
+        self._duplicate_nodes.wait_until_first("emulator/status", alone=self._config.alone)
         with self._own.lock:
-            self._reports.description()
-            self._reports.tick()
+            self._reports.publish_description()
+            self._reports.publish_tick()
             self._session.standing = False
             self._pacer.start()
 
@@ -233,15 +238,15 @@ class EmulatorNode(ManagedNode):
             self._session.standing = True
             self._pacer.catch_up()
         self._pacer.close()
-        self._doubles.end()
-        self._diagnostics.ok("inactive: the machine stands")
+        self._duplicate_nodes.end()
+        self._diagnostics.report_ok("inactive: the machine stands")
 
     def _end_record(self) -> None:
         take_rest(self._others)  # of a busy machine's last periods
         self._diagnostics.send = self._diagnostics.publisher.publish
 
     def _changed(self, changes: Mapping[str, Any]) -> EmulatorParameters:
-        config = replaced(self, self._config, changes)
+        config = replace_parameters(self, self._config, changes)
         check_pace(config)
         return config
 
@@ -252,6 +257,10 @@ class EmulatorNode(ManagedNode):
                 self._own.pace.factor = config.real_time_factor
                 self._pacer.look()
 
+    def _report_recorder(self, event: str) -> None:
+        self.get_logger().warning(event)
+        self._diagnostics.values["newest of recorders"] = event
+
     def _on_repeat(self) -> None:
         with self._own.lock:
             self._repeater.look()
@@ -261,15 +270,15 @@ class EmulatorNode(ManagedNode):
             self._pacer.look()
             self._status.report()
             if time.monotonic() - self._reports.published_at >= STATUS_PERIOD:
-                self._reports.time_again()
+                self._reports.repeat_time()
 
 
 def check_pace(config: EmulatorParameters) -> None:
     """Refuse another pace than that of the wall clock in real time."""
     if config.clock == "realtime" and config.real_time_factor not in (0.0, 1.0):
         rule = "be 0 or 1 with clock realtime, which is never faster or slower"
-        got = config.real_time_factor
-        raise Refusal("emulator", "parameter real_time_factor", rule, got)
+        actual = config.real_time_factor
+        raise Refusal("emulator", "parameter real_time_factor", rule, actual)
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import time
 import rclpy
 
 from arm_emulator.machine.session.phase import Phase
-from arm_emulator.ros.node_shell import wall_timer
+from arm_emulator.ros.node.node_shell import create_wall_timer
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.context import Context
 from emulator_node.health import Health
@@ -51,8 +51,10 @@ class LockstepPacer(Pacer):
         self._session, self._gate = own.session, own.gate
         self._reports, self._health, self._lock = reports, health, own.lock
         self._pace = own.pace
-        self._free_run = wall_timer(own.node, own.session.scene.servo_period, self._on_free_run)
-        self._due = wall_timer(own.node, own.session.scene.servo_period, self._on_due)
+        self._free_run = create_wall_timer(
+            own.node, own.session.scene.servo_period, self._on_free_run
+        )
+        self._due = create_wall_timer(own.node, own.session.scene.servo_period, self._on_due)
         self._due.cancel()
 
     def start(self) -> None:
@@ -61,7 +63,7 @@ class LockstepPacer(Pacer):
 
     def go_on(self) -> None:
         """Leave this tick if permitted, due, and if every recorder has kept up."""
-        if not self._session.may_advance or self._gate.behind():
+        if not self._session.may_advance or self._gate.is_closed(self._session.tick == 0):
             return
         if (wait := self._pace.due(self._session.tick)) > 0.0:
             self._due.timer_period_ns = max(1, round(1e9 * wait))
@@ -69,7 +71,7 @@ class LockstepPacer(Pacer):
             return
         self._session.advance()
         if self._session.fault is None:
-            self._reports.tick()
+            self._reports.publish_tick()
         self._health.report_fault()
         self._breaks.look()
 
@@ -112,8 +114,8 @@ class LoopPacer(Pacer):
         self._topic = own.node.resolve_topic_name("motor_commands")
         self._closing = False
         self._thread: threading.Thread | None = None
-        own.outbox.before_record = self._record
-        wall_timer(own.node, LOOK, self._on_look)
+        own.outgoing.before_record = self._record
+        create_wall_timer(own.node, LOOK, self._on_look)
 
     def start(self) -> None:
         """Publish ticks from now on."""
@@ -125,12 +127,12 @@ class LoopPacer(Pacer):
     def look(self) -> None:
         """Take note of the newest tick."""
         session, before = self._session, self._session.tick
-        while session.take(newest=not self._own.view.open):
+        while session.take(newest=not self._own.view.is_open):
             if session.fault is None:  # otherwise it has not reached another tick
-                self._own.view.tick()
+                self._own.view.show_tick()
         if session.tick != before:
             self._reports.published_at = self._reports.repeated_at = time.monotonic()
-            self._gate.count(session.tick - before)
+            self._gate.published += session.tick - before
         self._record()
         self._health.report_fault()
         self._breaks.look()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -23,12 +24,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.controls import Controls, News, Vector
-from arm_emulator.ros.barrier import guard
-from arm_emulator.ros.node_parameters import SETTABLE
-from arm_emulator.ros.node_shell import EVENT_QOS, STATE_SUB_QOS
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.node.barrier import guard
+from arm_emulator.ros.node.node_parameters import SETTABLE
+from arm_emulator.ros.node.node_shell import EVENT_QOS, STATE_SUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetVaried
-from emulator_node.event_words import change_words, words_of
+from emulator_node.event_words import describe_change, describe_motion
 
 PATIENCE = 5.0  # s, wall: for an answer
 ASK_AGAIN = 1.0  # s, wall, after which a node that is to be met is asked once more
@@ -101,7 +103,7 @@ class RosControls(Controls):
             news, self._news = self._news, News()
         return news
 
-    def _happened(self, tick: int, text: str) -> None:
+    def _add_event(self, tick: int, text: str) -> None:
         with self._lock:
             self._news.events.append((tick, text))
 
@@ -113,16 +115,14 @@ class RosControls(Controls):
             self._news.powered = status.powered
         if status.phase != self._phase:
             if status.phase == EmulatorStatus.PHASE_STOPPED:
-                self._happened(status.tick, "stopped: the motion diverged")
+                self._add_event(status.tick, "stopped: the motion diverged")
             self._phase = status.phase
 
     def _on_event(self, event: MachineEvent) -> None:
-        self._happened(event.tick, change_words(event.kind, event.powered))
+        self._add_event(event.tick, describe_change(event.kind, event.powered))
 
     def _on_motion(self, status: MotionStatus) -> None:
-        now = status.header.stamp
-        tick = round((now.sec + 1e-9 * now.nanosec) / self._period)
-        self._happened(tick, words_of(status))
+        self._add_event(self._tick_at(status.header.stamp), describe_motion(status))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for one in message.status:
@@ -130,12 +130,14 @@ class RosControls(Controls):
                 if pair.key == "newest breakpoint" and self._refusals.get(pair.key) != pair.value:
                     self._refusals[pair.key] = pair.value
                     tick, _, why = pair.value.removeprefix("stopped at tick ").partition(": ")
-                    self._happened(int(tick), f"stopped: {why}")
+                    self._add_event(int(tick), f"stopped: {why}")
                 if pair.key == "newest refusal" and self._refusals.get(one.name) != pair.value:
                     self._refusals[one.name] = pair.value
-                    now = message.header.stamp
-                    tick = round((now.sec + 1e-9 * now.nanosec) / self._period)
-                    self._happened(tick, f"{one.name} refused: {pair.value}")
+                    tick = self._tick_at(message.header.stamp)
+                    self._add_event(tick, f"{one.name} refused: {pair.value}")
+
+    def _tick_at(self, stamp: Time) -> int:
+        return round(1e-9 * to_nanoseconds(stamp) / self._period)
 
     # Actions
 
@@ -147,7 +149,7 @@ class RosControls(Controls):
         """Let so many servo periods pass, each of which needs its command in lock-step."""
         answer = ""
         for _ in range(ticks):
-            answer = self._patiently(
+            answer = self._call_patiently(
                 lambda: self._call("emulator/step", Trigger, Trigger.Request())
             )
         return answer
@@ -161,7 +163,7 @@ class RosControls(Controls):
         """Begin anew at tick 0, servo and motion controller too."""
         answer = self._call("emulator/reset", Trigger, Trigger.Request())
         for name in ("servo/reset", "motion_controller/reset"):
-            if self._client(name, Trigger).service_is_ready():
+            if self._get_client(name, Trigger).service_is_ready():
                 self._call(name, Trigger, Trigger.Request())
         return answer
 
@@ -206,12 +208,14 @@ class RosControls(Controls):
     def gains(self) -> dict[str, float]:
         """Return the numbers of the servo's joints that can be changed."""
         request = ListParameters.Request(prefixes=["joints"])
-        listed = self._result("servo/list_parameters", ListParameters, request)
+        listed = self._call_service("servo/list_parameters", ListParameters, request)
         names = list(listed.result.names)
         request = GetParameters.Request(names=names)
-        values = self._result("servo/get_parameters", GetParameters, request).values
-        asked = DescribeParameters.Request(names=names)
-        about = self._result("servo/describe_parameters", DescribeParameters, asked).descriptors
+        values = self._call_service("servo/get_parameters", GetParameters, request).values
+        describe = DescribeParameters.Request(names=names)
+        about = self._call_service(
+            "servo/describe_parameters", DescribeParameters, describe
+        ).descriptors
         return {
             name: value.double_value
             for name, value, one in zip(names, values, about, strict=True)
@@ -240,17 +244,17 @@ class RosControls(Controls):
         one = Parameter(name=name, value=ParameterValue(type=kind, double_value=value))
         request = SetParametersAtomically.Request(parameters=[one])
         service = f"{node}/set_parameters_atomically"
-        result = self._result(service, SetParametersAtomically, request).result
+        result = self._call_service(service, SetParametersAtomically, request).result
         if not result.successful:
             raise Refusal("page", name, f"be taken by the {node}", value, result.reason)
 
-    def _client(self, name: str, kind: Any) -> Any:
+    def _get_client(self, name: str, kind: Any) -> Any:
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name)
         return self._clients[name]
 
-    def _meet(self, node: str) -> None:
-        """Wait until a node knows all clients made so far, see `NetworkClient.meet`."""
+    def _wait_for_discovery(self, node: str) -> None:
+        """Wait until a node knows all clients made so far: else it may lose its answers to them."""
         client = self._node.create_client(GetParameters, f"{node}/get_parameters")
         until, met = time.monotonic() + PATIENCE, threading.Event()
         while not met.is_set() and time.monotonic() < until:
@@ -259,17 +263,17 @@ class RosControls(Controls):
                 met.wait(ASK_AGAIN)
         self._node.destroy_client(client)
 
-    def _result(self, name: str, kind: Any, request: Any) -> Any:
+    def _call_service(self, name: str, kind: Any, request: Any) -> Any:
         """Return what a service answers.
 
         Raises:
             Refusal: it does not answer.
         """
-        client, done = self._client(name, kind), threading.Event()
+        client, done = self._get_client(name, kind), threading.Event()
         if not client.wait_for_service(timeout_sec=PATIENCE):
             raise Refusal("page", f"service {name}", "be there", "no answer")
         if name not in self._met:
-            self._meet(name.rpartition("/")[0])
+            self._wait_for_discovery(name.rpartition("/")[0])
             self._met.add(name)
         future = client.call_async(request)
         future.add_done_callback(lambda _: done.set())
@@ -283,12 +287,12 @@ class RosControls(Controls):
         Raises:
             Refusal: it has not.
         """
-        answer = self._result(name, kind, request)
+        answer = self._call_service(name, kind, request)
         if not answer.success:
             raise Refusal(name, "request", "be possible now", answer.message)
         return str(answer.message)
 
-    def _patiently(self, call: Callable[[], str]) -> str:
+    def _call_patiently(self, call: Callable[[], str]) -> str:
         """Call again while the command that answers the tick is under way."""
         for _ in range(100):
             try:

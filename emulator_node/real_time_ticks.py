@@ -13,13 +13,13 @@ from arm_emulator.machine.plant.compiler import real_time_library
 from arm_emulator.machine.plant.measured import MeasuredPlace
 from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.real_time import RealTimeLoop
-from arm_emulator.ros.middleware import Outgoing, middleware
+from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import CData
 from arm_emulator.toolchain.unit import compiled_once
 from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
-from emulator_node.log_of_c import log_room, record_log
+from emulator_node.log_of_c import compute_log_room, record_log
 from emulator_node.reports import TRUTH, Reports
 
 READERS, READER = 2, 1  # of the loop: the session is the first
@@ -50,9 +50,9 @@ class RealTimeTicks:
         truth = REAL_TIME_TICKS.ffi.addressof(self._snapshot, "truth")
         q, v, gear_torque = rows
         REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
-        self._messages = reports.filled_from(place.view(), rows)
+        self._messages = reports.create_messages(place.view(), rows)
         motor_state, joint_state, time = self._messages
-        self._joint, self._held = commands_of(scene), ExitStack()
+        self._joint, self._stack = commands_of(scene), ExitStack()
         self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)
         self._logs: list[CData] = []  # of C, and another one in exchange for it
         self.at = REAL_TIME_TICKS.new(
@@ -63,7 +63,7 @@ class RealTimeTicks:
             give=loop.arm_real_time_command,
             descriptor=clock.descriptor,
             reader=READER,
-            send=middleware().ros_send,
+            send=get_middleware().ros_send,
             snapshot=self._snapshot,
             motor_state=motor_state.struct,
             joint_state=joint_state.struct,
@@ -84,10 +84,10 @@ class RealTimeTicks:
     def begin(self) -> None:
         """Let `run` publish from now on."""
         for message in self._messages:
-            self._held.enter_context(message.bind())
+            self._stack.enter_context(message.bind())
         self.at.closing = 0
-        if self._own.outbox.record is not None and not self._logs:
-            room = log_room(LOGGED, self._messages, self._commands.largest)
+        if self._own.outgoing.record is not None and not self._logs:
+            room = compute_log_room(LOGGED, self._messages, self._commands.largest)
             ffi = REAL_TIME_TICKS.ffi
             self._logs = [ffi.new("uint8_t[]", room) for _ in range(2)]
             self.at.log.data, self.at.log.room = self._logs[0], room
@@ -104,7 +104,7 @@ class RealTimeTicks:
 
     def end(self) -> None:
         """Release the publishers; nothing may run any more."""
-        self._held.close()
+        self._stack.close()
 
     def catch_up(self) -> None:
         """Publish all that the loop has reached."""
@@ -119,7 +119,7 @@ class RealTimeTicks:
 
     def record(self, topic: str) -> None:
         """Write what C has published and taken into the record; `topic`: of the commands."""
-        record = self._own.outbox.record
+        record = self._own.outgoing.record
         if record is None or not self._logs:
             return
         log = self._log
@@ -128,7 +128,7 @@ class RealTimeTicks:
         record_log(record, log, self._messages, topic)
 
 
-class HeldCommands:
+class RealTimeCommands:
     """The hot path of the emulator in real time: commands without further inputs.
 
     Attributes:

@@ -1,70 +1,136 @@
-"""Recorders that have to keep up: in lock-step the machine waits for them beside its commands."""
+"""Recorders that have to keep up: in lock-step, time waits for them.
+
+No message to a recorder is lost as long as it is not further behind than the publishers' queues.
+The emulator therefore leaves tick 0 when every recorder has written it, and later stays within
+`AHEAD` messages of the slowest. It no longer waits for a recorder that makes no progress, and
+reports it.
+"""
 
 from __future__ import annotations
 
 import time
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from rclpy.node import Node
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.node.node_shell import QUEUE_DEPTH
+from arm_emulator.ros.recording.recorder_presence import RECORDER
 
-from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.node_shell import KEPT, Diagnostics
-from arm_emulator.ros.recorder_presence import recorders_of
-from arm_emulator.ros.recorders import Recorders
-from arm_emulator_msgs.msg import RecorderReport
+AHEAD = 100  # messages on motor_states: 0.1 s of logical time at a servo period of 1 ms
+FAR = 2**62  # ticks
+PATIENCE = 120.0  # s, wall: for a recorder that writes nothing, on a machine that is very busy
+
+
+@dataclass
+class _Recorder:
+    written: int = 0  # publication number of the newest message on motor_states that is written
+    local: bool = False  # it runs on this machine, and was seen there
+    behind_since: float | None = None  # wall time, since when the machine waits for it
+    let_go: bool = False
 
 
 class RecorderGate:
-    """Open while every recorder has kept up. In real time it is always open.
-
-    Attributes:
-        waited_for: the recorder that has to catch up before the machine advances, or empty.
+    """Compares the messages on `motor_states` with the progress of recorders.
 
     Args:
-        node: node of log and topics.
-        session: the machine.
-        diagnostics: of the node.
-        topic: of motor states, which recorders write.
+        present: names the recorders on this machine, see `recorder_presence`.
+        waits: whether time waits for recorders; in real time it does not.
+        report: gets events of recorders, as sentences.
+        now: clock [s].
+
+    Attributes:
+        published: messages on `motor_states` so far; the first one is number 1.
+        waited_for: the recorder that has to catch up before the machine advances, or empty.
     """
 
-    def __init__(self, node: Node, session: Session, diagnostics: Diagnostics, topic: str) -> None:
-        self.waited_for = ""
-        self._logger, self._session, self._diagnostics = node.get_logger(), session, diagnostics
-        self._recorders = Recorders(partial(recorders_of, topic))
+    def __init__(
+        self,
+        present: Callable[[], set[str]],
+        waits: bool,
+        report: Callable[[str], None],
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.published, self.waited_for = 0, ""
+        self._present, self._waits, self._report, self._now = present, waits, report, now
+        self._recorders: dict[str, _Recorder] = {}
+        self._begin = 1  # number of the first message of this run
 
     def begin(self) -> None:
-        """Begin anew at tick 0."""
-        self._recorders.begin()
+        """Count the next message as the first one of a run."""
+        self._begin = self.published + 1
 
-    def count(self, states: int) -> None:
-        """Count published motor states."""
-        self._recorders.published += states
+    @property
+    def names(self) -> list[str]:
+        """Recorders for which the machine waits when they are behind."""
+        return [name for name, one in self._recorders.items() if not one.let_go]
 
-    def room(self) -> int:
-        """Return how many ticks may be left before a recorder has to catch up."""
-        return self._recorders.room()
-
-    def behind(self) -> bool:
-        """Return whether a recorder has to catch up before the machine may leave this tick."""
-        session, recorders = self._session, self._recorders
-        self.waited_for = ""
-        if session.lockstep:
-            self.waited_for = recorders.behind(session.tick == 0, time.monotonic())
-        for sentence in recorders.news:
-            self._logger.warn(sentence)
-            self._diagnostics.values["newest of recorders"] = sentence
-        recorders.news.clear()
-        return bool(self.waited_for)
-
-    def without_room(self) -> str:
-        """Return the recorder that would lose one more motor state, or ""."""
-        return self._recorders.without_room(KEPT) if self._session.lockstep else ""
-
-    def on_report(self, report: RecorderReport) -> None:
-        """Take a recorder's report.
+    def take_report(self, name: str, written: int, leaving: bool) -> None:
+        """Take a recorder's report; a recorder with an impossible report is not waited for.
 
         Raises:
-            Refusal: see `Recorders.report`.
+            Refusal: it does not come from a recorder.
         """
-        self._recorders.report(report.recorder, report.written, report.leaving)
-        self._diagnostics.values["recorders"] = len(self._recorders.names)
+        if not RECORDER.fullmatch(name):
+            raise Refusal("emulator/recorders", "recorder", "be a recorder's name", name[:80])
+        if leaving or written > self.published:
+            self._recorders.pop(name, None)
+            return
+        if name not in self._recorders:
+            self._recorders[name] = _Recorder(local=name in self._present())
+        one = self._recorders[name]
+        if one.let_go:
+            self._report(f"recorder {name} is back; its bag has a gap")
+            one.let_go = False
+        if written > one.written:
+            one.written, one.behind_since = written, None
+
+    def is_closed(self, at_start: bool) -> bool:
+        """Return whether a recorder has to catch up before the machine may leave this tick.
+
+        Args:
+            at_start: it is tick 0.
+        """
+        self.waited_for = ""
+        if not self._waits:
+            return False
+        if at_start:
+            for name in self._present():
+                self._recorders.setdefault(name, _Recorder()).local = True
+        needed, now = self._begin if at_start else self.published - AHEAD, self._now()
+        for name, one in list(self._recorders.items()):
+            # A recorder that comes later cannot lose the start: it counts from its first message
+            # on.
+            late = one.written == 0 and not at_start
+            if one.let_go or late or one.written >= needed:
+                continue
+            if one.behind_since is None:
+                one.behind_since = now
+            if one.local and name not in self._present():
+                del self._recorders[name]
+                self._report(f"recorder {name} has ended; its bag may need `repair`")
+            elif now - one.behind_since > PATIENCE:
+                one.let_go = True
+                self._report(
+                    f"recorder {name} has written nothing for {PATIENCE:g} s; the machine does not "
+                    "wait for it any more"
+                )
+            else:
+                self.waited_for = name
+        return bool(self.waited_for)
+
+    def count_free_ticks(self) -> int:
+        """Return how many ticks behind tick 0 may be left before a recorder has to catch up."""
+        waited_for = [
+            value.written
+            for value in self._recorders.values()
+            if value.written and not value.let_go
+        ]
+        return max(0, min(waited_for) + AHEAD - self.published + 1) if waited_for else FAR
+
+    def find_full_recorder(self) -> str:
+        """Return the recorder that would lose one more motor state, or ""."""
+        for name, one in self._recorders.items():
+            is_full = one.written and self.published - one.written >= QUEUE_DEPTH
+            if self._waits and is_full and not one.let_go:
+                return name
+        return ""

@@ -14,12 +14,13 @@ from std_msgs.msg import String
 from arm_emulator.machine.plant.call_arguments import truth_at
 from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
-from arm_emulator.ros.duplicate_nodes import started
-from arm_emulator.ros.middleware import Numbers, Outgoing
-from arm_emulator.ros.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS, set_stamp, stamp
+from arm_emulator.ros.messages.middleware import Numbers, Outgoing
+from arm_emulator.ros.messages.time_stamp import set_stamp, to_stamp
+from arm_emulator.ros.node.duplicate_nodes import get_start_time
+from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from emulator_node.context import Context
-from emulator_node.event_words import change_words
+from emulator_node.event_words import describe_change
 
 TRUTH = ("position", "velocity", "effort")  # fields of emulator/joint_states
 
@@ -42,7 +43,7 @@ class Reports:
     """
 
     def __init__(self, own: Context, period: float) -> None:
-        self._session, self._outbox = own.session, own.outbox
+        self._session, self._outbox = own.session, own.outgoing
         self._gate, self._view = own.gate, own.view
         session = own.session
         self.ticks = max(1, round(period / session.scene.servo_period))
@@ -56,7 +57,7 @@ class Reports:
             create(JointState, "emulator/joint_states", STATE_PUB_QOS),
             create(Clock, "clock", STATE_PUB_QOS),
         )
-        self.outgoing = self.filled_from(session.plant.measured_place, rows)
+        self.outgoing = self.create_messages(session.plant.measured_place, rows)
         self.motor_state, self.joint_state, self.clock = self.outgoing
         self._descriptions = create(String, "robot_description", DESCRIPTION_QOS)
         self._events = create(MachineEvent, "emulator/events", EVENT_QOS)
@@ -65,7 +66,7 @@ class Reports:
         ]  # fmt: skip
         self.published_at = self.repeated_at = time.monotonic()
 
-    def filled_from(
+    def create_messages(
         self, measured: Measured, truth: Numbers
     ) -> tuple[Outgoing, Outgoing, Outgoing]:
         """Return the messages of each tick, filled by C from these places.
@@ -82,11 +83,11 @@ class Reports:
             Outgoing(clock, Clock(), 2),
         )
 
-    def description(self) -> None:
+    def publish_description(self) -> None:
         """Publish the robot's description."""
         self._outbox.put(self._descriptions, String(data=self._session.scene.urdf))
 
-    def tick(self) -> None:
+    def publish_tick(self) -> None:
         """Publish this tick's state."""
         self.published_at = self.repeated_at = time.monotonic()
         session = self._session
@@ -95,23 +96,23 @@ class Reports:
             self._put_truth()
             self._set_time()
             self._outbox.put(self.clock.publisher, self.clock.layout.data())
-        self._view.tick()
+        self._view.show_tick()
 
-    def change(self) -> None:
+    def publish_change(self) -> None:
         """Publish this tick's state again, as changed by hand."""
         self.repeated_at = time.monotonic()
         self._put_motor_state()
         self._put_truth()
-        self._view.tick()
+        self._view.show_tick()
 
-    def repeat(self) -> None:
+    def repeat_tick(self) -> None:
         """Publish an unanswered state again, for a partner that came late or lost it."""
         self.repeated_at = time.monotonic()
         self._put_motor_state()
         if self._session.tick == 0:
             self._put_truth()
 
-    def time_again(self) -> None:
+    def repeat_time(self) -> None:
         """Publish the newest time again.
 
         It is read with best effort: subscribers that lost it, or came later, get it now.
@@ -124,7 +125,7 @@ class Reports:
         self.motor_state.layout.message.powered = self._session.powered
         self.motor_state.layout.written()
 
-    def event(self, kind: int, saved: bytes) -> None:
+    def publish_event(self, kind: int, saved: bytes) -> None:
         """Publish a change by hand, with the resulting machine."""
         session = self._session
         self.changes += 1
@@ -134,11 +135,11 @@ class Reports:
             kind=kind,
             powered=session.powered,
             state=array("B", saved),
-            machine=started(),
+            machine=get_start_time(),
         )
-        event.header.stamp = stamp(session.logical_ns)
+        event.header.stamp = to_stamp(session.logical_ns)
         self._outbox.put(self._events, event)
-        self._view.event(change_words(kind, session.powered))
+        self._view.show_event(describe_change(kind, session.powered))
 
     def _set_time(self) -> None:
         session = self._session
@@ -164,7 +165,7 @@ class Reports:
         scene, measured = self._session.scene, self._session.measured
         message = MotorState(
             joint_names=list(scene.joint_names),
-            machine=started(),
+            machine=get_start_time(),
             imu_names=[one.name for one in scene.imus],
         )
         self._fields.begin(message, measured)
@@ -176,7 +177,7 @@ class Reports:
         message.tick = session.tick
         message.powered = session.powered
         self._fields.fill(message, session.measured)
-        self._gate.count(1)
+        self._gate.published += 1
         if self._outbox.record is not None:
             self._outbox.record.count(session.tick)
         self._outbox.put(self.motor_state.publisher, self.motor_state.layout.data())

@@ -28,12 +28,12 @@ class Retransmitter:
         unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.answered
         if session.lockstep and (gate.waited_for or session.tick == 0):
             # A recorder may have ended meanwhile, or have joined a paused machine.
-            if gate.behind():
+            if gate.is_closed(session.tick == 0):
                 unanswered = unanswered or session.tick == 0  # the recorder may lack this state
             elif session.answered:
                 self._pacer.go_on()
         late = now - self._reports.repeated_at >= REPEAT_AFTER
-        if unanswered and late and not gate.without_room():
-            self._reports.repeat()
+        if unanswered and late and not gate.find_full_recorder():
+            self._reports.repeat_tick()
         self._health.report(waited=now - self._reports.published_at)
         self._pacer.look()

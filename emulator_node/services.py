@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
@@ -16,11 +17,14 @@ from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.time_control import TimeControl
 
-MOST_SAVED = 1000  # states that are kept by name
+SAVED_LIMIT = 1000  # states that are kept by name
 
 
 class Services:
-    """Time and power; saving, restoring and setting the machine by hand; breakpoints."""
+    """Time and power; saving, restoring and setting the machine by hand; breakpoints.
+
+    Each handler returns why the request failed, or "". A Refusal is answered by the node's barrier.
+    """
 
     def __init__(
         self, own: Context, control: TimeControl, changes: Changes, breaks: Breakpoints
@@ -28,80 +32,69 @@ class Services:
         self._session, self._gate, self._lock = own.session, own.gate, own.lock
         self._control, self._changes, self._breaks = control, changes, breaks
         self._saved: dict[str, bytes] = {}  # machines by name
-        node = own.node
-        node.create_service(SetBool, "~/pause", self._on_pause)
-        node.create_service(Trigger, "~/step", self._on_step)
-        node.create_service(Trigger, "~/reset", self._on_reset)
-        node.create_service(SetBool, "~/power", self._on_power)
-        node.create_service(SaveState, "~/save_state", self._on_save_state)
-        node.create_service(RestoreState, "~/restore_state", self._on_restore_state)
-        node.create_service(SetState, "~/set_state", self._on_set_state)
-        node.create_service(SetVaried, "~/set_varied", self._on_set_varied)
-        node.create_service(BreakWhen, "~/break_when", self._on_break_when)
+        for kind, name, handle in (
+            (SetBool, "pause", self._pause),
+            (Trigger, "step", lambda request, response: control.step()),
+            (Trigger, "reset", self._reset),
+            (SetBool, "power", self._switch_power),
+            (SaveState, "save_state", self._save_state),
+            (RestoreState, "restore_state", self._restore_state),
+            (SetState, "set_state", self._set_state),
+            (SetVaried, "set_varied", self._set_varied),
+            (BreakWhen, "break_when", self._set_breakpoint),
+        ):
+            own.node.create_service(kind, f"~/{name}", partial(self._answer, handle))
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _answer(self, handle: Callable[[Any, Any], str], request: Any, response: Any) -> Any:
         with self._lock:
-            self._control.pause(request.data)
-            response.success = True
-            done = "paused" if request.data else "going on"
-            response.message = f"{done} at tick {self._session.tick}"
-            return response
-
-    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        with self._lock:
-            trouble = self._control.step()
+            trouble = handle(request, response)
             response.success = not trouble
-            response.message = trouble or f"at tick {self._session.tick}"
-            return response
+            response.message = trouble or response.message or f"at tick {self._session.tick}"
+        return response
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        with self._lock:
-            self._control.reset()
-            response.success, response.message = True, "at tick 0"
-            return response
+    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> str:
+        self._control.pause(request.data)
+        done = "paused" if request.data else "going on"
+        response.message = f"{done} at tick {self._session.tick}"
+        return ""
 
-    def _on_power(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        with self._lock:
-            self._control.power(request.data)
-        response.success = True
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> str:
+        self._control.reset()
+        response.message = "at tick 0"  # it may go on at once
+        return ""
+
+    def _switch_power(self, request: SetBool.Request, response: SetBool.Response) -> str:
+        self._control.power(request.data)
         response.message = (
             "power on" if request.data else "power off: motors at 0 V, windings shorted"
         )
-        return response
+        return ""
 
-    def _on_save_state(
-        self, request: SaveState.Request, response: SaveState.Response
-    ) -> SaveState.Response:
-        with self._lock, self._changes.between_ticks():
-            if len(self._saved) >= MOST_SAVED and request.name not in {"", *self._saved}:
-                rule = f"be one of the {MOST_SAVED} that are kept already"
-                response.message = str(Refusal("save_state", "name", rule, request.name))
-                return response
+    def _save_state(self, request: SaveState.Request, response: SaveState.Response) -> str:
+        with self._changes.between_ticks():
+            if len(self._saved) >= SAVED_LIMIT and request.name not in {"", *self._saved}:
+                rule = f"be one of the {SAVED_LIMIT} that are kept already"
+                raise Refusal("save_state", "name", rule, request.name)
             saved = self._session.plant.save()
             if request.name:
                 self._saved[request.name] = saved
-            response.success, response.state = True, array("B", saved)
+            response.state = array("B", saved)
             response.message = f"at tick {self._session.tick}"
-            return response
+            return ""
 
-    def _on_restore_state(
-        self, request: RestoreState.Request, response: RestoreState.Response
-    ) -> RestoreState.Response:
+    def _restore_state(self, request: RestoreState.Request, response: RestoreState.Response) -> str:
         def restore() -> None:
             if bool(request.name) == bool(request.state):
-                got = "both" if request.name else "neither"
-                raise Refusal("restore_state", "what is restored", "be a name or a state", got)
+                actual = "both" if request.name else "neither"
+                raise Refusal("restore_state", "what is restored", "be a name or a state", actual)
             if request.name and request.name not in self._saved:
-                known = ", ".join(self._saved) or "none"
-                raise Refusal("restore_state", "name", "be a saved one", request.name, known)
+                valid = ", ".join(self._saved) or "none"
+                raise Refusal("restore_state", "name", "be a saved one", request.name, valid)
             self._session.restore(self._saved.get(request.name, bytes(request.state)))
 
-        self._put(MachineEvent.KIND_RESTORE, restore, response)
-        return response
+        return self._change_machine(MachineEvent.KIND_RESTORE, restore)
 
-    def _on_set_state(
-        self, request: SetState.Request, response: SetState.Response
-    ) -> SetState.Response:
+    def _set_state(self, request: SetState.Request, response: SetState.Response) -> str:
         given = {
             "current": request.current,
             "theta_m": request.motor_position,
@@ -110,43 +103,20 @@ class Services:
             "v": request.velocity,
         }
         change = partial(self._session.set_state, request.joint_names, given)
-        self._put(MachineEvent.KIND_SET_STATE, change, response)
-        return response
+        return self._change_machine(MachineEvent.KIND_SET_STATE, change)
 
-    def _on_set_varied(
-        self, request: SetVaried.Request, response: SetVaried.Response
-    ) -> SetVaried.Response:
+    def _set_varied(self, request: SetVaried.Request, response: SetVaried.Response) -> str:
         change = partial(self._session.set_varied, request.name, request.value)
-        self._put(MachineEvent.KIND_SET_VARIED, change, response)
-        return response
+        return self._change_machine(MachineEvent.KIND_SET_VARIED, change)
 
-    def _put(
-        self,
-        kind: int,
-        change: Callable[[], None],
-        response: RestoreState.Response | SetState.Response | SetVaried.Response,
-    ) -> None:
+    def _change_machine(self, kind: int, change: Callable[[], None]) -> str:
         """Change the machine, publish its new state, and continue from there."""
-        with self._lock:
-            behind = self._gate.without_room()
-            if behind:
-                response.message = f"recorder {behind} has to catch up first, ask again then"
-                return
-            try:
-                self._changes.put(kind, change)
-            except Refusal as reason:
-                response.message = str(reason)
-                return
-            response.success, response.message = True, f"at tick {self._session.tick}"
+        if behind := self._gate.find_full_recorder():
+            return f"recorder {behind} has to catch up first, ask again then"
+        self._changes.put(kind, change)
+        return ""
 
-    def _on_break_when(
-        self, request: BreakWhen.Request, response: BreakWhen.Response
-    ) -> BreakWhen.Response:
-        with self._lock, self._changes.between_ticks():
-            try:
-                self._breaks.set(request)
-            except Refusal as reason:
-                response.message = str(reason)
-                return response
-            response.success, response.message = True, f"at tick {self._session.tick}"
-            return response
+    def _set_breakpoint(self, request: BreakWhen.Request, response: BreakWhen.Response) -> str:
+        with self._changes.between_ticks():
+            self._breaks.set(request)
+        return ""

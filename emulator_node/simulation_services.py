@@ -11,9 +11,9 @@ from rclpy.task import Future
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.phase import Phase
-from arm_emulator.ros.barrier import guard_later
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.node_shell import wall_timer
+from arm_emulator.ros.node.barrier import guard_later
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_shell import create_wall_timer
 from arm_emulator_msgs.msg import MachineEvent
 from emulator_node.changes import Changes
 from emulator_node.context import Context
@@ -47,7 +47,7 @@ TIME, STATE, SPAWNED, ALL = 1, 2, 4, 255  # scopes of ResetSimulation
 QUIT_AFTER = 0.2  # s, wall: for the answer to leave
 
 
-def installed() -> bool:
+def is_installed() -> bool:
     """Return whether simulation_interfaces is installed."""
     return srv is not None
 
@@ -122,7 +122,7 @@ class SimulationServices:
                 return _refuse(response, "the simulation is in this state", ALREADY)
             if wanted == state.STATE_QUITTING:
                 self._node.get_logger().info("a client lets the simulation quit")
-                wall_timer(self._node, QUIT_AFTER, _quit)
+                create_wall_timer(self._node, QUIT_AFTER, _quit)
             elif wanted == state.STATE_STOPPED:
                 self._stepper.end("the simulation was stopped")
                 self._waits_at_start = False
@@ -138,8 +138,8 @@ class SimulationServices:
                 self._waits_at_start = False
                 self._control.pause(False)
             else:
-                rule, got = "be STOPPED, PLAYING, PAUSED or QUITTING", wanted
-                reason = str(Refusal("set_simulation_state", "state", rule, got))
+                rule, actual = "be STOPPED, PLAYING, PAUSED or QUITTING", wanted
+                reason = str(Refusal("set_simulation_state", "state", rule, actual))
                 return _refuse(response, reason, INCORRECT)
             return _done(response)
 
@@ -195,7 +195,7 @@ class SimulationServices:
                 self._stepper.end("the simulation was reset")
                 self._control.reset(paused=stopped)
             elif parts == STATE:
-                if behind := self._gate.without_room():
+                if behind := self._gate.find_full_recorder():
                     reason = f"recorder {behind} has to catch up first, ask again then"
                     return _refuse(response, reason, msg.Result.RESULT_OPERATION_FAILED)
                 self._changes.put(
@@ -215,7 +215,7 @@ class SimulationServices:
             return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
         with self._lock:
             try:
-                response.entities = self._entities.chosen(request.filters)
+                response.entities = self._entities.filter_names(request.filters)
             except Refusal as reason:
                 return _refuse(response, str(reason), msg.Result.RESULT_OPERATION_FAILED)
             if hasattr(response, "states"):
@@ -227,7 +227,7 @@ class SimulationServices:
         return _done(response)
 
     def _on_get_entity_state(self, request: Any, response: Any) -> Any:
-        if not self._knows(request.entity, response):
+        if not self._is_known_entity(request.entity, response):
             return response
         with self._lock:
             self._entities.place()
@@ -235,22 +235,22 @@ class SimulationServices:
         return _done(response)
 
     def _on_set_entity_state(self, request: Any, response: Any) -> Any:
-        if not self._knows(request.entity, response):
+        if not self._is_known_entity(request.entity, response):
             return response
         reason = "links move with their joints: set those with ~/set_state"
         return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
 
     def _on_get_entity_info(self, request: Any, response: Any) -> Any:
         name, entities = request.entity, self._entities
-        if not self._knows(name, response):
+        if not self._is_known_entity(name, response):
             return response
-        response.info.category.category = entities.category(name)
+        response.info.category.category = entities.get_category(name)
         of, scene = self._session.scene.name, f"arm of {len(self._session.scene.joints)} joints"
         response.info.description = f"link of {of}" if entities.is_link(name) else scene
-        response.info.tags = entities.tags(name)
+        response.info.tags = entities.get_tags(name)
         return _done(response)
 
-    def _knows(self, name: str, response: Any) -> bool:
+    def _is_known_entity(self, name: str, response: Any) -> bool:
         known = self._entities.names
         if name not in known:
             reason = str(Refusal("simulation", "entity", "be known", name, ", ".join(known)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from arm_emulator.ros.node_shell import wall_timer
+from arm_emulator.ros.node.node_shell import create_wall_timer
 from emulator_node.context import Context
 from emulator_node.time_control import TimeControl
 
@@ -24,7 +24,7 @@ class Stepper:
         self.left = 0
         self._stepped: Callable[[int], None] | None = None
         self._ended: Callable[[str], None] | None = None
-        self._timer = wall_timer(own.node, LOOK_AGAIN, self.go_on)
+        self._timer = create_wall_timer(own.node, LOOK_AGAIN, self.go_on)
         self._timer.cancel()
 
     def begin(

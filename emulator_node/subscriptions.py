@@ -13,9 +13,9 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.plant.inputs import named_inputs
 from arm_emulator.machine.session.command_buffer import DuplicateCommand
-from arm_emulator.ros.duplicate_nodes import started
-from arm_emulator.ros.message_reader import no_message
-from arm_emulator.ros.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
+from arm_emulator.ros.messages.message_reader import refuse_bytes
+from arm_emulator.ros.node.duplicate_nodes import get_start_time
+from arm_emulator.ros.node.node_shell import ANSWER_SUB_QOS, COMMAND_SUB_QOS, EVENT_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, MotorCommand, RecorderReport
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.changes import Changes
@@ -38,77 +38,72 @@ class Subscriptions:
         self._breaks = breaks
         self._session, self._pacer, self._changes = own.session, pacer, changes
         self.answered: Callable[[], None] = lambda: None
-        self._gate, self._outbox, self._lock = own.gate, own.outbox, own.lock
-        self._diagnostics, node = own.diagnostics, own.node
-        subscribe, qos = node.create_subscription, COMMAND_SUB_QOS
+        self._gate, self._outbox, self._lock = own.gate, own.outgoing, own.lock
+        self._diagnostics = own.diagnostics
+        subscribe, qos = own.node.create_subscription, COMMAND_SUB_QOS
         self.commands = subscribe(
             MotorCommand,
             "motor_commands",
-            self._on_command,
+            partial(self._take, "motor_commands", self._take_command),
             ANSWER_SUB_QOS,
             only_from="servo",
             raw=True,
         )
-        subscribe(PoseStamped, "tool_target", own.view.target, qos)
-        if own.view.open:
-            subscribe(MotionStatus, "motion/status", own.view.motion, EVENT_QOS)
+        subscribe(PoseStamped, "tool_target", own.view.show_target, qos)
+        if own.view.is_open:
+            subscribe(MotionStatus, "motion/status", own.view.show_motion, EVENT_QOS)
         for topic, axes in EXTERNAL_WRENCHES.items():
-            subscribe(WrenchStamped, topic, partial(self._on_wrench, topic, axes), qos)
-        subscribe(RecorderReport, "emulator/recorders", self._on_recorder, qos)
+            take = partial(self._take, topic, partial(self._take_wrench, topic, axes))
+            subscribe(WrenchStamped, topic, take, qos)
+        topic = "emulator/recorders"
+        subscribe(RecorderReport, topic, partial(self._take, topic, self._take_report), qos)
 
-    def _on_command(self, data: bytes) -> None:
+    def _take(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+        """Take a message of a topic, or report why it is refused."""
         with self._lock:
-            if self._session.is_self_clocked:
-                self._pacer.look()  # it has gone on since
             try:
-                command: Any = deserialize_message(data, MotorCommand)
-            except (RuntimeError, ValueError):
-                self._breaks.refused(
-                    "motor_commands", no_message("motor_commands", MotorCommand, data)
-                )
-                return
-            if command.machine not in (0, started()):
-                self._diagnostics.count("motor_commands for another emulator")
-                return
-            try:
-                names = command.joint_names
-                given = (command.input_names, command.inputs)
-                further = named_inputs("motor_commands", *given, len(names))
-                self._session.offer(command.tick, names, command.command, further)
-            except DuplicateCommand as reason:
-                self._diagnostics.count(f"motor_commands {reason.kind}")
-                return
+                take(message)
             except Refusal as reason:
-                self._breaks.refused("motor_commands", reason)
-                return
-            if self._outbox.record is not None:
-                self._outbox.record.put(self.commands.topic_name, data)
+                self._breaks.refused(topic, reason)
+
+    def _take_command(self, data: bytes) -> None:
+        if self._session.is_self_clocked:
+            self._pacer.look()  # it has gone on since
+        try:
+            command: Any = deserialize_message(data, MotorCommand)
+        except (RuntimeError, ValueError):
+            raise refuse_bytes("motor_commands", MotorCommand, data) from None
+        if command.machine not in (0, get_start_time()):
+            self._diagnostics.count("motor_commands for another emulator")
+            return
+        try:
+            names = command.joint_names
+            given = (command.input_names, command.inputs)
+            further = named_inputs("motor_commands", *given, len(names))
+            self._session.offer(command.tick, names, command.command, further)
+        except DuplicateCommand as reason:
+            self._diagnostics.count(f"motor_commands {reason.kind}")
+            return
+        if self._outbox.record is not None:
+            self._outbox.record.put(self.commands.topic_name, data)
+        self._pacer.go_on()
+        self.answered()
+
+    def _take_report(self, report: RecorderReport) -> None:
+        self._gate.take_report(report.recorder, report.written, report.leaving)
+        self._diagnostics.values["recorders"] = len(self._gate.names)
+        if self._gate.waited_for and self._session.answered:
             self._pacer.go_on()
-            self.answered()
 
-    def _on_recorder(self, report: RecorderReport) -> None:
-        with self._lock:
-            try:
-                self._gate.on_report(report)
-            except Refusal as reason:
-                self._breaks.refused("emulator/recorders", reason)
-                return
-            if self._gate.waited_for and self._session.answered:
-                self._pacer.go_on()
-
-    def _on_wrench(self, topic: str, axes: str, message: WrenchStamped) -> None:
+    def _take_wrench(self, topic: str, axes: str, message: WrenchStamped) -> None:
         """Apply a wrench from this tick on, at the origin of the link that it names."""
         f, n = message.wrench.force, message.wrench.torque
         wrench = ExternalWrench((f.x, f.y, f.z), (n.x, n.y, n.z), axes=axes)
-        with self._lock:
-            session, link = self._session, message.header.frame_id
-            try:
-                if session.acts_already(link, wrench):
-                    return
-                if behind := self._gate.without_room():
-                    rule = f"come when recorder {behind} has caught up"
-                    raise Refusal(topic, "message", rule, f"at tick {session.tick}")
-                push = partial(session.set_external_wrench, link, wrench)
-                self._changes.make(MachineEvent.KIND_EXTERNAL_WRENCH, push)
-            except Refusal as reason:
-                self._breaks.refused(topic, reason)
+        session, link = self._session, message.header.frame_id
+        if session.acts_already(link, wrench):
+            return
+        if behind := self._gate.find_full_recorder():
+            rule = f"come when recorder {behind} has caught up"
+            raise Refusal(topic, "message", rule, f"at tick {session.tick}")
+        push = partial(session.set_external_wrench, link, wrench)
+        self._changes.make(MachineEvent.KIND_EXTERNAL_WRENCH, push)

@@ -30,14 +30,14 @@ class TimeControl:
         """Leave one tick of a paused machine; return why not, or ""."""
         trouble = self._step()
         if not trouble:
-            self._reports.tick()
+            self._reports.publish_tick()
         self._health.report_fault()
         return trouble
 
     def _step(self) -> str:
         if self._session.paused:
-            at_start = self._session.tick == 0 and self._gate.behind()
-            behind = self._gate.waited_for if at_start else self._gate.without_room()
+            at_start = self._session.tick == 0 and self._gate.is_closed(at_start=True)
+            behind = self._gate.waited_for if at_start else self._gate.find_full_recorder()
             if behind:
                 return f"recorder {behind} has to catch up first, step again then"
         return self._session.step()
@@ -54,8 +54,8 @@ class TimeControl:
             self._changes.make(MachineEvent.KIND_RESET, reset)
             self._gate.begin()
             self._status.begin()
-            self._diagnostics.ok("reset")
-            self._reports.tick()
+            self._diagnostics.report_ok("reset")
+            self._reports.publish_tick()
 
     def power(self, on: bool) -> None:
         """Switch the drives' power."""

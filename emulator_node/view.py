@@ -5,11 +5,11 @@ from __future__ import annotations
 from geometry_msgs.msg import PoseStamped
 
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.node_shell import nanoseconds_of
-from arm_emulator.runs.view_of import view_of
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.runs.view_of import get_view
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import MotionStatus
-from emulator_node.event_words import words_of
+from emulator_node.event_words import describe_motion
 
 
 class View:
@@ -26,7 +26,7 @@ class View:
 
     def __init__(self, session: Session, file: str, port: int) -> None:
         self._session = session
-        view = view_of(session.scene)
+        view = get_view(session.scene)
         self._further = list(view["further"])
         self._stream = RerunStream(**view, file=file or None, port=port or None)
 
@@ -36,13 +36,13 @@ class View:
         return self._stream.dropped
 
     @property
-    def open(self) -> bool:
+    def is_open(self) -> bool:
         """Whether ticks are shown."""
         return self._stream.open
 
-    def tick(self) -> None:
+    def show_tick(self) -> None:
         """Show this tick."""
-        if not self.open:
+        if not self.is_open:
             return
         session, state = self._session, self._session.state
         self._stream.offer(
@@ -56,17 +56,17 @@ class View:
             [getattr(session.measured, name) for name in self._further],
         )
 
-    def target(self, target: PoseStamped) -> None:
+    def show_target(self, target: PoseStamped) -> None:
         """Show a target beside the arm; the machine does not use it."""
         p = target.pose.position
-        self._stream.offer_target(nanoseconds_of(target.header.stamp), (p.x, p.y, p.z))
+        self._stream.offer_target(to_nanoseconds(target.header.stamp), (p.x, p.y, p.z))
 
-    def motion(self, status: MotionStatus) -> None:
+    def show_motion(self, status: MotionStatus) -> None:
         """Show the state of a motion as an event."""
-        text, stamp = words_of(status), status.header.stamp
-        self._stream.offer_text(nanoseconds_of(stamp), text)
+        text, stamp = describe_motion(status), status.header.stamp
+        self._stream.offer_text(to_nanoseconds(stamp), text)
 
-    def event(self, text: str, level: str = "INFO") -> None:
+    def show_event(self, text: str, level: str = "INFO") -> None:
         """Show an event at this tick."""
         self._stream.offer_text(self._session.logical_ns, text, level)
 

@@ -14,7 +14,7 @@ from launch_testing.actions import ReadyToTest
 from launch_testing.asserts import assertExitCodes
 
 from arm_emulator import testing
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 
 # Held until this process ends: no other network of this computer has the domain.
 ExitStack().enter_context(own_domain())

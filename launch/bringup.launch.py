@@ -19,7 +19,7 @@ from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.pace import factor_of
-from arm_emulator.ros.end_with_parent import parent_environment
+from arm_emulator.ros.process.end_with_parent import get_parent_environment
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -144,7 +144,7 @@ def nodes_of(context: LaunchContext) -> list[Node]:
             # Nodes on simulated time listen to /clock; the emulator publishes it in its namespace.
             remappings=[("/clock", "clock")],
             # `ros2 launch` leaves its nodes alone when it is ended by SIGTERM, or killed.
-            additional_env=parent_environment(),
+            additional_env=get_parent_environment(),
             output="screen",
             on_exit=ends,
         )

@@ -16,8 +16,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.executor.follow_joint_trajectory import result_of
 from arm_emulator.motion.executor.goal_status import GoalStatus, Kind
 from arm_emulator.motion.model.joint_reference import JointSetpoint
-from arm_emulator.ros.barrier import guard
-from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.node.barrier import guard
+from arm_emulator.ros.node.managed_node import ManagedNode
 
 try:
     from control_msgs.action import FollowJointTrajectory

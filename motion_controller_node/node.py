@@ -11,7 +11,7 @@ if __name__ == "__main__":  # before slow imports
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
     from arm_emulator.base.required_package import refuse_missing_modules
-    from arm_emulator.ros.ctrl_c import end_at_once
+    from arm_emulator.ros.process.ctrl_c import end_at_once
 
     end_at_once(0)
     refuse_missing_modules("motion_controller")
@@ -39,26 +39,23 @@ from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import SECTIONS, MotionConfig
 from arm_emulator.motion.model.kinematics import moving_joints
 from arm_emulator.motion.planner.tool_controller import Controller, controller_for
-from arm_emulator.ros.duplicate_nodes import DuplicateNodes
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.node_parameters import (
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, check_time, to_nanoseconds, to_stamp
+from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_parameters import (
     accept_changes,
     declare_parameters,
-    refuse_other_parameters,
-    replaced,
+    refuse_unknown_parameters,
+    replace_parameters,
 )
-from arm_emulator.ros.node_shell import (
+from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
     DESCRIPTION_QOS,
     EVENT_QOS,
-    NANOSECONDS,
     NO_DESCRIPTION,
     STATE_SUB_QOS,
     Diagnostics,
-    nanoseconds_of,
     run_node,
-    stamp,
-    time_of,
 )
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, ServoState
 from motion_controller_node.follow_action import FollowAction, installed
@@ -78,7 +75,7 @@ class MotionControllerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("motion_controller")
         config = declare_parameters(self, MotionConfig)
-        refuse_other_parameters(self, config, SECTIONS)
+        refuse_unknown_parameters(self, config, SECTIONS)
         self._config = self._with_sections(config, {})
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "motion controller")
@@ -152,15 +149,15 @@ class MotionControllerNode(ManagedNode):
         """Answer joint states."""
         self._doubles.begin()
         if self._controller is None:
-            self._diagnostics.warn(NO_DESCRIPTION)
+            self._diagnostics.report_warning(NO_DESCRIPTION)
         else:
-            self._diagnostics.ok("waiting for joint_states")
+            self._diagnostics.report_ok("waiting for joint_states")
 
     def deactivate(self) -> None:
         """Drop all targets, trajectories and paths."""
         self._start_over("the motion controller was deactivated")
         self._doubles.end()
-        self._diagnostics.ok("inactive: no joint targets")
+        self._diagnostics.report_ok("inactive: no joint targets")
 
     def _end_action(self) -> None:
         if self._action is not None:
@@ -180,7 +177,7 @@ class MotionControllerNode(ManagedNode):
     def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
         own = {name: value for name, value in changes.items() if name in vars(self._config)}
         others = {name: value for name, value in changes.items() if name not in own}
-        return self._with_sections(replaced(self, self._config, own), others)
+        return self._with_sections(replace_parameters(self, self._config, own), others)
 
     def _take_parameters(self, config: MotionConfig) -> None:
         """Work with other parameters from the next motion period on."""
@@ -233,7 +230,7 @@ class MotionControllerNode(ManagedNode):
         if self._action is None and installed():  # clients may begin when the server exists
             self._action = FollowAction(self, self._on_goal, self._on_cancel)
         if self.active:
-            self._diagnostics.ok("waiting for joint_states")
+            self._diagnostics.report_ok("waiting for joint_states")
 
     def _on_goal(self, goal: Any) -> int:
         """Accept a goal of the action; return its number among the trajectories.
@@ -316,7 +313,7 @@ class MotionControllerNode(ManagedNode):
         if controller is None:
             return
         try:
-            now = time_of("joint_states", message.header.stamp)
+            now = check_time("joint_states", message.header.stamp)
             if now % self._period_ns != 0:
                 return
             q = self._order.arrange(message.name, message.position, POSITION)
@@ -325,7 +322,7 @@ class MotionControllerNode(ManagedNode):
         except Refusal as reason:
             self._diagnostics.refuse("joint_states", reason)
             return
-        if self._answer is not None and now <= nanoseconds_of(self._answer.header.stamp):
+        if self._answer is not None and now <= to_nanoseconds(self._answer.header.stamp):
             if message.header.stamp == self._answer.header.stamp:
                 self._targets.publish(self._answer)  # a partner came late or lost it
                 return
@@ -338,7 +335,7 @@ class MotionControllerNode(ManagedNode):
             self._unanswered = message
             return
         if self._answer is None:
-            self._diagnostics.log.outcome("begun", "joint states arrive, targets are taken")
+            self._diagnostics.log.log_info("begun", "joint states arrive, targets are taken")
         self._now_ns = now
         instruction = self._instructor.instruct(controller, now, q, v, movable, tau)
         self._report()
@@ -362,7 +359,7 @@ class MotionControllerNode(ManagedNode):
         """Leave joint states of an earlier time unanswered, until the emulator announces them."""
         assert self._answer is not None
         self._early = message
-        answered = nanoseconds_of(self._answer.header.stamp) / NANOSECONDS
+        answered = to_nanoseconds(self._answer.header.stamp) / NANOSECONDS
         if self._servo_reports:  # ours repeats what was not answered
             self._diagnostics.count("joint_states repeated late, or before their reset")
         elif time_ns == 0:
@@ -396,17 +393,17 @@ class MotionControllerNode(ManagedNode):
             message = MotionStatus(
                 kind=int(one.kind),
                 number=one.number,
-                stamp=stamp(one.stamp_ns),
+                stamp=to_stamp(one.stamp_ns),
                 state=int(one.state),
                 reason=one.reason,
                 distance=one.distance,
                 angle=one.angle,
             )
-            message.header.stamp = stamp(self._now_ns)
+            message.header.stamp = to_stamp(self._now_ns)
             self._status.publish(message)
             if one.state.final and one.state is not State.REFUSED:  # `Diagnostics` logs refusals
                 log, regular = self._diagnostics.log, (State.REACHED, State.REPLACED)
-                (log.outcome if one.state in regular else log.trouble)(one.state.name, str(one))
+                (log.log_info if one.state in regular else log.trouble)(one.state.name, str(one))
 
     def _report(self) -> None:
         restarts = self._instructor.restarts
@@ -417,23 +414,25 @@ class MotionControllerNode(ManagedNode):
         if self._instructor.torques_unknown:
             self._diagnostics.values["no torques"] = self._instructor.torques_unknown
         if self._instructor.waits_for:
-            self._diagnostics.warn(self._instructor.waits_for)
+            self._diagnostics.report_warning(self._instructor.waits_for)
             return
         if self._instructor.holding:
-            self._diagnostics.ok("holding, no tool target yet")
+            self._diagnostics.report_ok("holding, no tool target yet")
             return
         jog = self._instructor.jogging
         if jog is not None:
-            (self._diagnostics.warn if jog.status else self._diagnostics.ok)(f"jog: {jog.words}")
+            (self._diagnostics.report_warning if jog.status else self._diagnostics.report_ok)(
+                f"jog: {jog.words}"
+            )
             return
         law = self._instructor.leading
         if law is None:
-            self._diagnostics.ok("following a joint trajectory, or holding its end")
+            self._diagnostics.report_ok("following a joint trajectory, or holding its end")
             return
         if law.notices:
-            self._diagnostics.warn("; ".join(law.notices))
+            self._diagnostics.report_warning("; ".join(law.notices))
         else:
-            self._diagnostics.ok("moving the tool to its target")
+            self._diagnostics.report_ok("moving the tool to its target")
         self._diagnostics.values["tool error [m]"] = f"{np.linalg.norm(law.error[:3]):.2e}"
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -446,7 +445,7 @@ class MotionControllerNode(ManagedNode):
 def _stamp_or_0(header: Header) -> int:
     """Return the logical time of a header [ns], 0 for an invalid one."""
     try:
-        return time_of("header", header.stamp)
+        return check_time("header", header.stamp)
     except Refusal:
         return 0
 

@@ -27,7 +27,8 @@ from arm_emulator.motion.planner.tool_controller import Controller
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint, check_number_of_points
 from arm_emulator.motion.trajectory.tolerances import Tolerances
 from arm_emulator.motion.trajectory.tool_path import check_number_of_poses
-from arm_emulator.ros.node_shell import COMMAND_SUB_QOS, EVENT_QOS, NANOSECONDS, time_of
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, check_time
+from arm_emulator.ros.node.node_shell import COMMAND_SUB_QOS, EVENT_QOS
 
 try:
     from control_msgs.msg import JointJog
@@ -83,7 +84,7 @@ class OrderTopics:
             Refusal: it cannot be followed.
         """
         check_number_of_points(len(message.points))
-        stamp_ns = time_of("joint_trajectory", message.header.stamp)
+        stamp_ns = check_time("joint_trajectory", message.header.stamp)
         points = [_trajectory_point(i, point) for i, point in enumerate(message.points)]
         names, controller = list(message.joint_names), self._now()[0]
         self._instructor.add_trajectory(controller, names, points, stamp_ns, tolerances)
@@ -99,7 +100,7 @@ class OrderTopics:
     def _on_tool_target(self, message: PoseStamped) -> None:
         def take() -> None:
             self._check_frame("tool_target", message.header)
-            time_ns = time_of("tool_target", message.header.stamp)
+            time_ns = check_time("tool_target", message.header.stamp)
             self._instructor.add(time_ns, _pose(message.pose, "tool_target"))
 
         self._take(Kind.TOOL_TARGET, message.header, take)
@@ -112,8 +113,8 @@ class OrderTopics:
             check_number_of_poses(len(message.poses))
             for header in (message.header, *(pose.header for pose in message.poses)):
                 self._check_frame("tool_path", header)
-            stamp_ns = time_of("tool_path", message.header.stamp)
-            times = [time_of("tool_path", pose.header.stamp) for pose in message.poses]
+            stamp_ns = check_time("tool_path", message.header.stamp)
+            times = [check_time("tool_path", pose.header.stamp) for pose in message.poses]
             # Planners put one stamp on all poses, or none: such stamps carry no times.
             given = times if len(set(times)) > 1 else None
             poses = [_pose(pose.pose, "tool_path") for pose in message.poses]
@@ -148,7 +149,7 @@ class OrderTopics:
         controller, config, now = self._now()
         if controller is None:
             raise Refusal(topic, "the message", "come after the robot description", "none so far")
-        stamped, timeout = time_of(topic, header.stamp), config.jog_incoming_command_timeout
+        stamped, timeout = check_time(topic, header.stamp), config.jog_incoming_command_timeout
         if stamped and abs((now - stamped) * _SECONDS) > timeout:
             rule = f"be 0 for now, or within {timeout:g} s of logical time {now * _SECONDS:g} s"
             raise Refusal(topic, "header.stamp", rule, f"{stamped * _SECONDS:.10g} s")

@@ -13,8 +13,8 @@ from arm_emulator.base.validation.bound import (
     POSITION,
     VELOCITY,
 )
-from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
-from arm_emulator.ros.middleware import Outgoing, middleware
+from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, Row
+from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.toolchain.unit import compiled_once
@@ -62,7 +62,7 @@ class AnsweredStates:
             "answered_states",
             lockstep=lockstep,
             arm=servo.arm,
-            publish=middleware().ros_publish,
+            publish=get_middleware().ros_publish,
             counts=counts,
             brake=brake,
             movable=self.movable,

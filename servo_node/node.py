@@ -11,7 +11,7 @@ if __name__ == "__main__":  # before slow imports
         sys.path[:] = [folder for folder in sys.path[1:] if folder != sys.path[0]]
 
     from arm_emulator.base.required_package import refuse_missing_modules
-    from arm_emulator.ros.ctrl_c import end_at_once
+    from arm_emulator.ros.process.ctrl_c import end_at_once
 
     end_at_once(0)
     refuse_missing_modules("servo")
@@ -28,21 +28,26 @@ from std_srvs.srv import Trigger
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.parameters import ROS_PARAMETERS, parameter
-from arm_emulator.ros.duplicate_nodes import DuplicateNodes
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.middleware import Outgoing
-from arm_emulator.ros.node_parameters import accept_changes, declare_parameters, describe, replaced
-from arm_emulator.ros.node_shell import (
+from arm_emulator.ros.messages.middleware import Outgoing
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS
+from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_parameters import (
+    accept_changes,
+    declare_parameters,
+    describe,
+    replace_parameters,
+)
+from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
     COMMAND_SUB_QOS,
-    NANOSECONDS,
     STATE_PUB_QOS,
     STATE_SUB_QOS,
     Diagnostics,
+    create_wall_timer,
     run_node,
-    wall_timer,
 )
-from arm_emulator.ros.priority import raise_priority
+from arm_emulator.ros.process.priority import raise_priority
 from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
@@ -177,22 +182,22 @@ class ServoNode(ManagedNode):
         )
         self.hot = self
         self.create_service(Trigger, "~/reset", self._on_reset)
-        wall_timer(self, SILENCE_CHECK, self._on_silence_check)
-        self._diagnostics.ok("inactive: no commands")
+        create_wall_timer(self, SILENCE_CHECK, self._on_silence_check)
+        self._diagnostics.report_ok("inactive: no commands")
 
     def activate(self) -> None:
         """Answer motor states. In lock-step time has stood, and the servo goes on."""
         self._doubles.begin()
         if not self._lockstep:
             self._start_over()
-        self._diagnostics.ok("active")
+        self._diagnostics.report_ok("active")
 
     def deactivate(self) -> None:
         """Answer no more; in real time the power is cut at last, since the arm goes on moving."""
         if not self._lockstep and self._at.tick >= 0:
             self._cut()
         self._doubles.end()
-        self._diagnostics.ok("inactive: no commands")
+        self._diagnostics.report_ok("inactive: no commands")
 
     def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the servo's parameters, with some changed."""
@@ -208,7 +213,7 @@ class ServoNode(ManagedNode):
         own = {name: value for name, value in changes.items() if name in vars(self._own)}
         config = ServoConfig.from_mapping(self._servo_parameters(changes), PARAMETERS)
         Servo(config)  # refuses invalid parameters
-        return replaced(self, self._own, own), config
+        return replace_parameters(self, self._own, own), config
 
     def _take_parameters(self, both: tuple[ServoNodeParameters, ServoConfig]) -> None:
         self._own, config = both
@@ -251,10 +256,12 @@ class ServoNode(ManagedNode):
         if verdict == REPEATED:  # a partner came late, or lost a message
             calls.answered_states_repeat(at)
             if at.waiting:
-                diagnostics.warn(f"waiting for the joint targets that answer t = {_s(at.cycle)}")
+                diagnostics.report_warning(
+                    f"waiting for the joint targets that answer t = {_s(at.cycle)}"
+                )
             return
         if verdict == ANEW:
-            diagnostics.ok("the emulator began anew")
+            diagnostics.report_ok("the emulator began anew")
             self._start_over()
         if self._next_config is not None:
             self._config, self._next_config = self._next_config, None
@@ -296,9 +303,9 @@ class ServoNode(ManagedNode):
             diagnostics.values["began anew"] = restarts
             diagnostics.error("the servo's state was no longer finite and began anew")
         elif drives.state is WatchdogState.OK:
-            diagnostics.ok("following")
+            diagnostics.report_ok("following")
         elif drives.state is WatchdogState.HOLD:
-            diagnostics.warn(f"holding: {drives.reason}")
+            diagnostics.report_warning(f"holding: {drives.reason}")
         else:
             diagnostics.error(drives.reason)
 
@@ -310,7 +317,7 @@ class ServoNode(ManagedNode):
         silence = (now_ns() - self._at.heard) / NANOSECONDS
         if self._at.tick < 0 or silence < self._config.cut_after:
             return
-        self._diagnostics.warn(f"no motor state for {silence:.0f} s")
+        self._diagnostics.report_warning(f"no motor state for {silence:.0f} s")
         if not self._lockstep and not self._at.silent:
             self._at.silent = 1
             self._cut()

@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 
 from arm_emulator import load_scene
 from arm_emulator.machine.varied import Varied
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 from arm_emulator_msgs.msg import MachineEvent
 from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 

@@ -18,11 +18,11 @@ from std_msgs.msg import String
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.config_files import find_config
 from arm_emulator.motion.executor.goal_status import Reports
-from arm_emulator.ros.fixed_layout import FixedLayout
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.message_reader import MessageReader
-from arm_emulator.ros.node_shell import Diagnostics
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.fixed_layout import FixedLayout
+from arm_emulator.ros.messages.message_reader import MessageReader
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_shell import Diagnostics
+from arm_emulator.ros.process.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
 from servo_node.node import ServoNode

@@ -19,12 +19,12 @@ from network import bits_of, question
 from rclpy.serialization import deserialize_message, serialize_message
 
 from arm_emulator.base.config_files import find_config
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter
 from arm_emulator.ros.c import MIDDLEWARE
-from arm_emulator.ros.message_types import definition_of
-from arm_emulator.ros.middleware import middleware
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.message_types import read_definition
+from arm_emulator.ros.messages.middleware import get_middleware
+from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.ros.recording.bag_metadata import Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_msgs.msg import MotorState
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
@@ -62,7 +62,7 @@ class Wires:
         return 0
 
     def _publish(self, message: Any, time: int, tick: int, log: Any) -> int:
-        middleware().ros_fill(message, time, tick, log)
+        get_middleware().ros_fill(message, time, tick, log)
         return self._send(message)
 
     def join(self, kind: type) -> Any:
@@ -282,7 +282,9 @@ class InProcess:
             for at, (topic, kind, data) in enumerate(self._wires.record or []):
                 if topic not in numbers:
                     name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
-                    numbers[topic] = writer.add_topic(Topic(f"/{topic}", name, definition_of(name)))
+                    numbers[topic] = writer.add_topic(
+                        Topic(f"/{topic}", name, read_definition(name))
+                    )
                 writer.write(numbers[topic], at, at, data)
         return bag
 

@@ -13,10 +13,10 @@ from std_msgs.msg import Header
 
 from arm_emulator import Session, load_scene
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.message_types import definition_of
-from arm_emulator.ros.node_shell import stamp
+from arm_emulator.ros.messages.message_types import read_definition
+from arm_emulator.ros.messages.time_stamp import to_stamp
+from arm_emulator.ros.recording.bag_metadata import Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 TYPES = {"/motor_states": MotorState, "/motor_commands": MotorCommand}
@@ -38,13 +38,13 @@ class EmulatorBag:
         self._numbers = {}
         for topic, kind in kinds.items():
             name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
-            self._numbers[topic] = writer.add_topic(Topic(topic, name, definition_of(name)))
+            self._numbers[topic] = writer.add_topic(Topic(topic, name, read_definition(name)))
         self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
 
     def send(self, topic: str, **fields: Any) -> None:
         self._clock += 1000
         if topic != "/motor_commands":
-            fields["header"] = Header(stamp=stamp(self._session.logical_ns))
+            fields["header"] = Header(stamp=to_stamp(self._session.logical_ns))
         message = self._kinds[topic](**fields)
         if topic == "/motor_states":
             self._measured.begin(message, self._session.measured)

@@ -15,6 +15,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -24,10 +25,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.network_client import NetworkClient
-from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of, stamp
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.node.network_client import NetworkClient
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand, MotorState
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetState, SetVaried
@@ -190,7 +191,7 @@ class User:
     ) -> None:
         """Publish a tool target [m] that holds from logical time `at` [s]."""
         message = PoseStamped()
-        message.header.stamp = stamp(round(at * NANOSECONDS))
+        message.header.stamp = to_stamp(round(at * NANOSECONDS))
         message.header.frame_id = frame
         p, o = message.pose.position, message.pose.orientation
         p.x, p.y, p.z = position
@@ -228,7 +229,7 @@ class User:
 
     def meet(self, node: str) -> None:
         """Wait until a node knows all publishers and clients that this user has made so far."""
-        assert self.node.meet(node, PATIENCE), f"{node} does not answer"
+        assert wait_until_met(self.node, node, PATIENCE), f"{node} does not answer"
 
     def await_start(self) -> None:
         """Wait until a paused network has met, and this user hears the machine's states.
@@ -320,7 +321,7 @@ class User:
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            self.stamps[status.name] = nanoseconds_of(array.header.stamp)
+            self.stamps[status.name] = to_nanoseconds(array.header.stamp)
             self.diagnostics[status.name] = status
             printed = self.words.setdefault(status.name, [])
             if not printed or printed[-1] != status.message:
@@ -401,6 +402,20 @@ def network(
             assert code is None, f"{name} ended by itself with {code}: {logs(log)}"
         codes = nodes.stop()
         assert set(codes.values()) == {0}, f"exit codes {codes}: {logs(log)}"
+
+
+def wait_until_met(client: NetworkClient, node: str, patience: float) -> bool:
+    """Wait until a node knows what a client has made so far; False: not within this time [s].
+
+    Before that it may lose a message to a best-effort subscription, and answers to a client. The
+    middleware reports publishers and clients in the order in which they were made, so a node that
+    answers a new client knows all earlier ones.
+    """
+    asked = client.create_client(GetParameters, f"{node}/get_parameters")
+    try:
+        return client.ask(asked, GetParameters.Request(), patience) is not None
+    finally:
+        client.destroy_client(asked)
 
 
 class SharedNetwork:

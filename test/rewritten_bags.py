@@ -10,9 +10,9 @@ import numpy as np
 from made_bags import TYPES
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arm_emulator.ros.bag import Bag, BagMessage
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.recording.bag import Bag, BagMessage
+from arm_emulator.ros.recording.bag_metadata import Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter
 
 
 def rewrite(

@@ -19,10 +19,10 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.cli.commands.explain import explain
 from arm_emulator.cli.commands.replay import offer
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.recorder import request
+from arm_emulator.ros.messages.message_types import get_message_class
+from arm_emulator.ros.recording.bag_metadata import Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter
+from arm_emulator.ros.recording.recorder import choose_qos
 
 
 def damaged(folder: Path) -> Path:
@@ -128,15 +128,15 @@ def test_unknown_message_types_are_refused() -> None:
         "",
     ):
         with pytest.raises(Refusal, match="be installed"):
-            message_class(kind)
+            get_message_class(kind)
 
 
 def test_a_recorder_requests_the_qos_that_all_publishers_offer() -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     hasty = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    assert request([latched]).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert request([latched, hasty]).durability == DurabilityPolicy.VOLATILE
-    assert request([latched, hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
+    assert choose_qos([latched]).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert choose_qos([latched, hasty]).durability == DurabilityPolicy.VOLATILE
+    assert choose_qos([latched, hasty]).reliability == ReliabilityPolicy.BEST_EFFORT
     # And a replay offers what serves the listeners of each.
     assert offer([latched, hasty]).durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert offer([latched, hasty]).reliability == ReliabilityPolicy.RELIABLE

@@ -33,8 +33,8 @@ from std_msgs.msg import String
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.bag import Bag, BagMessage
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.ros.recording.bag import Bag, BagMessage
 from arm_emulator.toolchain.flags import ARITHMETIC
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 

@@ -216,7 +216,7 @@ def test_a_machine_of_another_scene_is_refused() -> None:
 
 
 def test_names_are_stored_up_to_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("emulator_node.services.MOST_SAVED", 3)
+    monkeypatch.setattr("emulator_node.services.SAVED_LIMIT", 3)
     with in_process() as nodes:
         for name in ("a", "b", "c", "a"):
             assert nodes.call("emulator/save_state", SaveState.Request(name=name)).success

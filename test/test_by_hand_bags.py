@@ -20,7 +20,7 @@ from test_recording import begun, end, network_of, recorder
 
 from arm_emulator import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.ros.bag import Bag, BagMessage
+from arm_emulator.ros.recording.bag import Bag, BagMessage
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 
 __all__ = ["varied"]  # a fixture

@@ -15,11 +15,11 @@ from rewritten_bags import rewrite
 from test_command_line import run
 
 from arm_emulator.base.config_files import config_folder
-from arm_emulator.ros import causal_replay
-from arm_emulator.ros.bag import Bag, BagMessage
-from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.node_shell import nanoseconds_of, stamp
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.message_types import get_message_class
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds, to_stamp
+from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.ros.recording import causal_replay
+from arm_emulator.ros.recording.bag import Bag, BagMessage
 from arm_emulator_msgs.msg import MotorCommand
 
 TICKS = 600  # 12 motion periods
@@ -40,7 +40,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with network(folder / "log", start="paused", record=bag) as (user, _):
         user.await_start()
         target = PoseStamped()
-        target.header.stamp = stamp(100_000_000)
+        target.header.stamp = to_stamp(100_000_000)
         p, o = target.pose.position, target.pose.orientation
         (p.x, p.y, p.z), o.w = (0.6, 0.1, 0.3), 1.0  # reached or not, the arm moves
         user.publish(user.tool_targets, target)
@@ -110,11 +110,11 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     """The bag has a motion period's first states and answers, and not the targets for them."""
     monkeypatch.setattr(causal_replay, "PATIENCE", 10.0)
     last = 500  # a motion period begins
-    kinds = {name: message_class(topic.type) for name, topic in Bag(bag).topics.items()}
+    kinds = {name: get_message_class(topic.type) for name, topic in Bag(bag).topics.items()}
 
     def recorded(message: BagMessage) -> bytes | None:
         header = getattr(deserialize_message(message.data, kinds[message.topic]), "header", None)
-        at = None if header is None else nanoseconds_of(header.stamp)
+        at = None if header is None else to_nanoseconds(header.stamp)
         after = at is not None and at > (last + 3) * 1_000_000
         lost = message.topic == "/joint_targets" and at == last * 1_000_000
         return None if after or lost else message.data

@@ -127,12 +127,12 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
     monkeypatch.setattr(recorder, "PROCESS", noisy)
     for module in (page_process, recorder):
         monkeypatch.setattr(module, "PATIENCE", 60.0)
-    began = row_process._begin
+    began = row_process._start_process
 
     def begin(module: str, task: dict[str, Any], files: tuple[int, ...]) -> Any:
         return began(module, task | {"hangs": False, "meets": (str(tmp_path), 2)}, files)
 
-    monkeypatch.setattr(row_process, "_begin", begin)
+    monkeypatch.setattr(row_process, "_start_process", begin)
     plant = Plant("three_axis")
     with (
         pytest.raises(Refusal, match="over"),  # what this recorder calls its trouble

@@ -16,7 +16,7 @@ from documents import DOCUMENTS, ROOT
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli import arguments, command_line
 from arm_emulator.cli.command import Command, command_names, load_command
-from arm_emulator.ros.ctrl_c import CtrlC
+from arm_emulator.ros.process.ctrl_c import CtrlC
 
 HEAVY = ("numpy", "scipy", "rclpy", "pinocchio", "matplotlib", "rosbags", "yaml", "rich",
          "cyclopts")  # fmt: skip

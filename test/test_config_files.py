@@ -18,7 +18,7 @@ from arm_emulator.base.config_files import BESIDE, find_beside, find_scene
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"

@@ -12,7 +12,7 @@ from in_process import InProcess, in_process
 import servo_node.node
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.executor.goal_status import GoalStatus, Kind, State
-from arm_emulator.ros.node_shell import NodeLog
+from arm_emulator.ros.node.node_shell import NodeLog
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,9 @@ def test_a_message_whose_figures_change_waits_for_its_second(
 ) -> None:
     health = nodes.nodes["servo"]._diagnostics
     for tick in range(1000):  # what a servo that holds reports at each tick
-        health.warn(f"holding: no joint target for {1e-3 * tick:.3g} s, more than hold_after")
+        health.report_warning(
+            f"holding: no joint target for {1e-3 * tick:.3g} s, more than hold_after"
+        )
     health.publish()  # as once in a second
     assert len(printed) == 2, "the first at once, and the newest when its second has come"
     assert "for 0 s" in printed[0] and "for 0.999 s" in printed[1]
@@ -48,10 +50,10 @@ def test_changed_words_or_another_level_are_published_immediately(
     nodes: InProcess, printed: list[str]
 ) -> None:
     health = nodes.nodes["servo"]._diagnostics
-    health.ok("following")
-    health.warn("following")
-    health.warn("holding: 1e-5 rad")
-    health.warn("holding: -2.5e+3 rad")
+    health.report_ok("following")
+    health.report_warning("following")
+    health.report_warning("holding: 1e-5 rad")
+    health.report_warning("holding: -2.5e+3 rad")
     health.error("holding: 7 rad")
     assert printed == ["following", "following", "holding: 1e-5 rad", "holding: 7 rad"]
 
@@ -69,7 +71,7 @@ def test_refusals_are_logged_once_in_a_while_and_those_between_are_counted() -> 
         at = 0.01 * k
         log.trouble("motor_commands", f"refused: {k}")
         if k == 300:
-            log.outcome("REACHED", "tool target 1 reached")
+            log.log_info("REACHED", "tool target 1 reached")
     assert lines == ["refused: 0", "tool target 1 reached", "refused: 500 (and 499 more before)"]
 
 
@@ -105,7 +107,7 @@ def test_a_servo_reports_a_silence_from_its_time_to_cut_on(
 ) -> None:
     nodes.run_to(5)
     servo, warned = nodes.nodes["servo"], list[str]()
-    monkeypatch.setattr(servo._diagnostics, "warn", warned.append)
+    monkeypatch.setattr(servo._diagnostics, "report_warning", warned.append)
     times = servo._config.hold_after, servo._config.cut_after
     assert times == (0.2, 2.0)
     for silence, count in ((0.3, 0), (1.9, 0), (2.1, 1)):

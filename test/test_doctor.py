@@ -16,7 +16,7 @@ from test_dependencies import OF_ROS, imported
 from arm_emulator.cli.commands import doctor
 from arm_emulator.cli.commands.doctor import Finding, findings
 from arm_emulator.cli.output import output
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 
 
 def finding_of(name: str) -> Finding:
@@ -152,7 +152,7 @@ def test_nodes_without_a_launcher_are_reported_alone() -> None:
 def test_shared_memory_of_the_dead_is_counted_and_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from arm_emulator.ros import shared_memory
+    from arm_emulator.workarounds import fastdds_shared_memory
 
     for number in range(3):
         lock = tmp_path / f"fastrtps_{number:016x}_el"
@@ -161,7 +161,9 @@ def test_shared_memory_of_the_dead_is_counted_and_stays(
         (tmp_path / f"fastrtps_{number:016x}").write_text("segment")
     with open(tmp_path / f"fastrtps_{0:016x}_el") as alive:
         fcntl.flock(alive, fcntl.LOCK_EX)  # as its owner does
-        monkeypatch.setattr(doctor, "left_over", lambda: shared_memory.left_over(tmp_path))
+        monkeypatch.setattr(
+            doctor, "find_left_over", lambda: fastdds_shared_memory.find_left_over(tmp_path)
+        )
         finding = finding_of("shared memory")
         assert finding.level == "note" and finding.text.startswith("2 remains")
         assert len(list(tmp_path.iterdir())) == 6, "doctor removes nothing"

@@ -16,7 +16,12 @@ from documents import DOCS, DOCUMENTS, ROOT, page_of
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.command import command_names
-from arm_emulator.ros.node_shell import COMMAND_QOS, COMMAND_SUB_QOS, STATE_PUB_QOS, STATE_SUB_QOS
+from arm_emulator.ros.node.node_shell import (
+    COMMAND_QOS,
+    COMMAND_SUB_QOS,
+    STATE_PUB_QOS,
+    STATE_SUB_QOS,
+)
 from arm_emulator.toolchain.compiler_command import find_compiler
 from bench import pages
 from docs import generated, hooks, scene_keys

@@ -16,8 +16,8 @@ from test_network import go, pause_at
 
 from arm_emulator import load_scene
 from arm_emulator.base.config_files import find_config
-from arm_emulator.ros import duplicate_nodes
-from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.node import duplicate_nodes
+from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator.toolchain.unit import Unit, compiled_once
@@ -140,7 +140,7 @@ def test_c_reads_commands_for_this_emulator_alone() -> None:
     unit = Unit("commands_alone", source, C_FLAGS, FOLDERS, (MOTOR_COMMANDS,), "test", "", "m.c")
     code, struct = compiled_once(lambda: unit)(), MOTOR_COMMANDS.new("motor_commands")
     reader = CommandReader(load_scene("three_axis"), struct, 0)
-    own = duplicate_nodes.started()
+    own = duplicate_nodes.get_start_time()
     for machine, read in ((own, 7), (0, 7), (own + 1, -1), (1, -1)):
         command = MotorCommand(tick=7, joint_names=JOINTS, command=[0.0] * 3, machine=machine)
         data = serialize_message(command)

@@ -16,7 +16,7 @@ from network import PATIENCE, network
 from arm_emulator import load_scene, load_servo_config
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import controller_for
-from arm_emulator.ros.node_shell import NANOSECONDS, nanoseconds_of
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
 from oracles.predicted_residual import predicted_residual
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,7 +62,7 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
             if (np.abs(target - controller.kinematics.forward(q)[1]) > bound).any():
                 inside.clear()
                 return False
-            inside.append(nanoseconds_of(user.truth.header.stamp))
+            inside.append(to_nanoseconds(user.truth.header.stamp))
             return inside[-1] - inside[0] > NANOSECONDS // 2
 
         words = [repr(float(x)) for x in target]
@@ -99,7 +99,7 @@ def test_a_motion_controller_of_ones_own_swings_the_waist(tmp_path: Path) -> Non
     def swung() -> bool:
         """Whether a swing was seen, of 2 s, and how the next one begins."""
         if user.truth is not None:
-            t = nanoseconds_of(user.truth.header.stamp) / NANOSECONDS
+            t = to_nanoseconds(user.truth.header.stamp) / NANOSECONDS
             observed[t] = np.array(user.truth.position)
         return len(observed) > 0 and max(observed) - min(observed) > 2.5
 

@@ -23,7 +23,7 @@ from arm_emulator.machine.parts.measuring.thermometer import Thermometer
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.scene.fault_catalogue import variable_numbers
-from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_fleet import Fleet
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, MotorState
 from oracles.random_chain import LINK

@@ -204,7 +204,7 @@ def test_a_library_that_does_not_return_is_reported_and_ends_with_ctrl_c(
 
     monkeypatch.setattr(guarded, "print", printing, raising=False)
     with pytest.raises(KeyboardInterrupt):
-        guarded.guarded("mine.so", work)
+        guarded.run_guarded("mine.so", work)
     printed = capfd.readouterr().err
     assert printed == (
         "mine.so, tick 12: step has not returned for 0.1 s; Ctrl-C ends it\n"

@@ -17,12 +17,12 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator import PlantState, Session
 from arm_emulator.bags.comparison import compare
-from arm_emulator.bags.first_difference import FirstDifference, first_difference
+from arm_emulator.bags.first_difference import FirstDifference, find_first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant import compiler
 from arm_emulator.machine.plant.build_facts import build_facts
-from arm_emulator.ros.bag_writer import BagWriter
+from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -107,7 +107,7 @@ def record(
 
 
 def difference_between(first: Path, second: Path, scene: Path) -> FirstDifference:
-    difference, _ = first_difference(
+    difference, _ = find_first_difference(
         *(RecordedMachine.of(bag, str(scene)) for bag in (first, second))
     )
     assert difference is not None
@@ -123,7 +123,7 @@ def plain(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 def test_equal_runs_are_equal(plain: tuple[Path, States], scene: Path, tmp_path: Path) -> None:
     record(tmp_path / "again", scene)
     sides = (RecordedMachine.of(bag, str(scene), 1) for bag in (plain[0], tmp_path / "again"))
-    assert first_difference(*sides) == (None, TICKS + 1)
+    assert find_first_difference(*sides) == (None, TICKS + 1)
 
 
 @pytest.mark.parametrize("seed", some(range(20), 5))
@@ -208,7 +208,7 @@ def test_another_scene_is_detected_where_the_record_is_still_equal(
     data["joints"]["elbow"]["friction"] = {"viscous": 0.5 + 1e-10}
     second.write_text(yaml.safe_dump(data, sort_keys=False))
     record(tmp_path / "other_bag", second, truths=False)
-    difference, equal = first_difference(
+    difference, equal = find_first_difference(
         RecordedMachine.of(bag, str(scene)), RecordedMachine.of(tmp_path / "other_bag", str(second))
     )
     assert difference is not None and equal > 1

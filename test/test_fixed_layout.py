@@ -8,7 +8,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
-from arm_emulator.ros.fixed_layout import FixedLayout
+from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 KINDS = (MotorState, MotorCommand)

@@ -21,8 +21,8 @@ from arm_emulator.bags.timeline_bag import ORDERS
 from arm_emulator.cli.commands.fork import fork
 from arm_emulator.cli.commands.run import run
 from arm_emulator.machine.plant.plant_state import SET
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.order import (
     MoveTool,

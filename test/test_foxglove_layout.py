@@ -13,7 +13,7 @@ from draws import some
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.commands.foxglove import foxglove
-from arm_emulator.ros.message_types import definition_of, fields
+from arm_emulator.ros.messages.message_types import list_fields, read_definition
 
 TABLE = Path(__file__).resolve().parents[1] / "docs/reference/topics.md"
 PATH = re.compile(r"(/[a-z_/0-9]+)\.([a-z_]+)(?:\[(\d+)\])?$")
@@ -66,7 +66,9 @@ def test_topics_and_fields_of_a_layout_exist(scene: str, namespace: str, tmp_pat
             assert result is not None, text
             topic, field, index = result.groups()
             kind = topic_types[topic.removeprefix(f"{namespace}/")]
-            have = {field.split()[1]: field.split()[0] for field in fields(definition_of(kind))}
+            have = {
+                field.split()[1]: field.split()[0] for field in list_fields(read_definition(kind))
+            }
             assert field in have, (text, have)
             assert ("[" in have[field]) == (index is not None), text
         elif text.startswith("/") and "/" in text:

@@ -13,7 +13,7 @@ from draws import some
 from in_process import InProcess, in_process
 from network import JOINTS
 
-from arm_emulator.ros.c import FOLDER
+from arm_emulator.ros.c import FOLDER, WORKAROUNDS
 from arm_emulator_msgs.srv import SetState
 
 TOPICS = (
@@ -155,6 +155,6 @@ def test_rcl_is_called_as_its_headers_declare(tmp_path: Path) -> None:
     source = tmp_path / "check.c"
     source.write_text("\n".join(lines) + "\n")
     headers = Path(get_package_prefix("rcl")) / "include"
-    folders = [FOLDER, *(file for file in headers.iterdir() if file.is_dir())]
+    folders = [FOLDER, WORKAROUNDS, *(file for file in headers.iterdir() if file.is_dir())]
     command = ["cc", "-std=c11", "-Werror", "-fsyntax-only", str(source)]
     subprocess.run([*command, *(f"-I{folder}" for folder in folders)], check=True)

@@ -18,7 +18,7 @@ from made_bags import synthetic
 from test_command_line import no_signal, run  # noqa: F401
 
 from arm_emulator.cli.command import command_names, load_command
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 
 PATIENCE = 120.0  # s
 ARM = "three_axis"

@@ -20,8 +20,8 @@ from network import PATIENCE
 
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.end_with_parent import VARIABLE
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.end_with_parent import VARIABLE
+from arm_emulator.ros.process.ros_domain import own_domain
 from emulator_node.node import EmulatorNode
 from motion_controller_node.node import MotionControllerNode
 from servo_node.node import ServoNode
@@ -233,11 +233,11 @@ def assert_no_process_left(session: int, reported: str) -> None:
 
 LAUNCHER = """
 import os, subprocess, sys, time
-from arm_emulator.ros.end_with_parent import parent_environment
+from arm_emulator.ros.process.end_with_parent import get_parent_environment
 
 for node in ("emulator_node.node", "motion_controller_node.node"):
     started = subprocess.Popen(
-        [sys.executable, "-m", node], env={**os.environ, **parent_environment()}
+        [sys.executable, "-m", node], env={**os.environ, **get_parent_environment()}
     )
     print(started.pid, flush=True)
 time.sleep(1000)
@@ -272,7 +272,7 @@ def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> Non
 
 
 NODE = """
-from arm_emulator.ros.end_with_parent import end_with_parent
+from arm_emulator.ros.process.end_with_parent import end_with_parent
 
 end_with_parent()
 print("runs")
@@ -293,8 +293,8 @@ def test_a_launcher_that_has_ended_counts_as_ended_before_it_is_waited_for() -> 
 
 INTERRUPTED = """
 import atexit, os, signal
-from arm_emulator.ros import node_shell
-from arm_emulator.ros.managed_node import ManagedNode
+from arm_emulator.ros.node import node_shell
+from arm_emulator.ros.node.managed_node import ManagedNode
 
 def ctrl_c():
     os.kill(os.getpid(), signal.SIGINT)
@@ -333,7 +333,7 @@ def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(
 
 SPOILED_END = """
 import ctypes
-from arm_emulator.ros.exit_watchdog import start_exit_watchdog
+from arm_emulator.workarounds.exit_watchdog import start_exit_watchdog
 
 print("ended, but for the middleware")
 with start_exit_watchdog({seconds}, {code}):

@@ -32,7 +32,7 @@ from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.cli.commands.run import run as run_command
 from arm_emulator.machine.scene.urdf_file import example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
-from arm_emulator.ros.node_shell import NANOSECONDS, stamp
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_stamp
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 
@@ -120,7 +120,7 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
     target, expected = target_of("three_axis"), offline("three_axis")
     with in_process(servo=turned) as nodes:
         aim = PoseStamped()
-        aim.header.stamp = stamp(round(TARGET_AT * NANOSECONDS))
+        aim.header.stamp = to_stamp(round(TARGET_AT * NANOSECONDS))
         p, o = aim.pose.position, aim.pose.orientation
         p.x, p.y, p.z = map(float, target.p_WT)
         o.x, o.y, o.z, o.w = map(float, target.quaternion())
@@ -288,7 +288,7 @@ def test_a_reset_while_the_servo_waits_for_targets(
 
         def answer(time: float) -> None:
             message = JointState(name=JOINTS, position=[0.0, 0.5, 0.8])
-            message.header.stamp = stamp(round(time * NANOSECONDS))
+            message.header.stamp = to_stamp(round(time * NANOSECONDS))
             user.publish(user.targets, message)
 
         waiting = "waiting for the joint targets that answer t = "

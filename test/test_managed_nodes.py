@@ -17,9 +17,9 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from test_network import go, pause_at
 
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.managed_node import ManagedNode
-from arm_emulator.ros.ros_domain import occupied, own_domain
+from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import is_occupied, own_domain
 from arm_emulator.runs.offline import load_offline_run
 
 NODES = ("motion_controller", "servo", "emulator")
@@ -75,9 +75,9 @@ def test_a_node_that_is_destroyed_has_left_the_network() -> None:
         rclpy.init()
         try:
             node = ManagedNode("one")
-            assert occupied(domain)
+            assert is_occupied(domain)
             node.destroy_node()
-            assert not occupied(domain), node
+            assert not is_occupied(domain), node
         finally:
             rclpy.shutdown()
 

@@ -19,8 +19,8 @@ from trajectory_msgs.msg import JointTrajectory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import Number
 from arm_emulator.ros.c import MESSAGE_READER
-from arm_emulator.ros.message_reader import STAMP, MessageReader, Row
-from arm_emulator.ros.middleware import middleware
+from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, Row
+from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState
 
 # Between them fields of every kind: numbers of each width, flags, strings, arrays, messages.
@@ -109,7 +109,7 @@ def number() -> Any:
 
 def read(reader: MessageReader, data: bytes) -> Refusal | None:
     """Read a message as C does; return why it is refused, None: it is not."""
-    calls = middleware()
+    calls = get_middleware()
     if calls.message_open(reader.struct, data, len(data)):
         calls.message_rows(reader.struct)
     return reader.refusal(data)

@@ -10,8 +10,8 @@ from nav_msgs.msg import Path as ToolPath
 
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.messages.message_types import read_definition
+from arm_emulator.ros.recording.bag import Bag
 
 
 def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
@@ -34,5 +34,5 @@ def test_a_bag_with_trajectories_paths_and_their_status_is_complete_and_checks(
         nodes.write(bag)
     assert Bag(bag).topics["/motion/status"].definition, "the definition of its type is in the bag"
     for kind in ("nav_msgs/msg/Path", "trajectory_msgs/msg/JointTrajectory"):
-        assert definition_of(kind), f"{kind} can be recorded"
+        assert read_definition(kind), f"{kind} can be recorded"
     assert check_bag(bag, scene="three_axis") == 0, "the run is repeated to the last bit"

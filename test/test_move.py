@@ -14,7 +14,7 @@ from test_command_line import run
 
 from arm_emulator.cli.commands import move, status
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.offline import load_offline_run
 
 

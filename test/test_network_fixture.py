@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped
+from network import wait_until_met
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -16,10 +17,10 @@ from std_msgs.msg import Int64
 
 from arm_emulator import Refusal, testing
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.ros.network_client import NetworkClient
-from arm_emulator.ros.network_under_test import NetworkUnderTest
-from arm_emulator.ros.node_shell import COMMAND_QOS, EVENT_QOS
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.node.network_client import NetworkClient
+from arm_emulator.ros.node.network_under_test import NetworkUnderTest
+from arm_emulator.ros.node.node_shell import COMMAND_QOS, EVENT_QOS
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator_msgs.msg import MotionStatus
 
 LONGEST = 120.0  # s, wall, for nodes of one process to find each other
@@ -133,11 +134,11 @@ def test_a_node_that_was_met_gets_what_is_published_once() -> None:
                 assert sender.spin_until(
                     lambda publisher=publisher: publisher.get_subscription_count(), LONGEST
                 )
-                assert sender.meet("acting", LONGEST)
+                assert wait_until_met(sender, "acting", LONGEST)
                 publisher.publish(Int64(data=k))
                 assert sender.spin_until(lambda k=k: len(heard) > k, LONGEST), f"number {k}"
             assert [message.data for message in heard] == list(range(20))
-            assert not sender.meet("nobody", 0.5)
+            assert not wait_until_met(sender, "nobody", 0.5)
         finally:
             executor.shutdown()
             thread.join()

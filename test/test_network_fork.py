@@ -20,7 +20,7 @@ from arm_emulator.bags.timeline_bag import ORDERS, TARGETS
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.fork import fork
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 from arm_emulator_msgs.srv import SetState, SetVaried
 
 VISCOUS = "joints.elbow.friction.viscous"
@@ -125,7 +125,7 @@ def test_a_bag_that_cannot_be_made_again_is_refused(
     gains.write_text(gains.read_text().replace("position_gain: 30.0", "position_gain: 29.0"))
     with pytest.raises(Refusal, match="lead to the recorded commands"):
         fork(moved, tmp_path / "new", at=0.01, scene=str(soft))
-    monkeypatch.setattr(RecordedTopics, "in_real_time", True)
+    monkeypatch.setattr(RecordedTopics, "is_real_time", True)
     with pytest.raises(Refusal, match="be of lock-step"):
         fork(moved, tmp_path / "new", at=0.01, scene=str(scene))
     assert not (tmp_path / "new").exists()

@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 from arm_emulator.base.process import runs
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
 
 PATIENCE = 60.0  # s, wall: for what takes some ms on an idle machine
 
 USER = """
 import signal, sys
-from arm_emulator.ros.bringup import NODES, Bringup
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.bringup import NODES, Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
 with own_domain(), Bringup("three_axis", forked=True) as nodes:
     print(*[nodes.process(name).pid for name in NODES], flush=True)
     signal.pause()

@@ -63,7 +63,7 @@ def state_of(plant: Plant) -> np.ndarray:
 
 
 def solved(scene: Scene, ud: np.ndarray, uq: np.ndarray) -> np.ndarray:
-    """States (K, 6, 3) as `state_of` after each command, by DOP853 from the motor's equations."""
+    """States (K, 6, 3) as `get_state` after each command, by DOP853 from the motor's equations."""
     motors = [joint.motor for joint in scene.joints]
     assert all(isinstance(motor, Pmsm) for motor in motors)
     names = "resistance", "inductance_d", "inductance_q", "flux", "pole_pairs", "rotor_inertia"

@@ -27,9 +27,10 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.node_shell import EVENT_QOS, NANOSECONDS, nanoseconds_of
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
+from arm_emulator.ros.node.node_shell import EVENT_QOS
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus, ServoState
 from emulator_node.page_controls import RosControls
 
@@ -259,8 +260,8 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
             assert "would touch" in end.reason, end
         assert end.state == MotionStatus.STATE_REACHED, end
         # The truth received so far may be older than the report: its own stamp counts.
-        later = nanoseconds_of(end.header.stamp) + NANOSECONDS // 2
-        user.wait("a newer state", lambda: nanoseconds_of(user.truth.header.stamp) > later)
+        later = to_nanoseconds(end.header.stamp) + NANOSECONDS // 2
+        user.wait("a newer state", lambda: to_nanoseconds(user.truth.header.stamp) > later)
         at = dict(zip(user.truth.name, user.truth.position, strict=True))
         off = np.subtract([at[name] for name in names], goal.points[0].positions)
         assert np.abs(off).max() < 0.02, f"{off} rad, more than gears wind up: {reports[heard:]}"

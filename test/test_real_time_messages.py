@@ -10,7 +10,7 @@ from draws import some
 from in_process import InProcess, in_process
 
 from arm_emulator.base.validation.bound import COMMAND
-from arm_emulator.ros.duplicate_nodes import started
+from arm_emulator.ros.node.duplicate_nodes import get_start_time
 from arm_emulator_msgs.msg import MotorCommand
 
 JOINTS = ["waist", "shoulder", "elbow"]
@@ -29,14 +29,18 @@ def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
         numbers[draw.randrange(3)] = bad[spoil]
     ticks = {"stale": max(0, answered - 1), "same": max(0, answered), "future": newest + 10**6}
     tick = ticks.get(spoil, draw.randint(answered + 1, newest))
-    machine_number = started() + 1 if spoil == "machine" else draw.choice([0, started()])
+    machine_number = (
+        get_start_time() + 1 if spoil == "machine" else draw.choice([0, get_start_time()])
+    )
     names = draw.sample(JOINTS, 3) if draw.random() < 0.1 else JOINTS
     return MotorCommand(joint_names=names, command=numbers, tick=tick, machine=machine_number)
 
 
 def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
     within = all(abs(voltage) <= COMMAND.most for voltage in command.command)  # false of a NaN
-    return within and answered <= command.tick <= newest and command.machine in (0, started())
+    return (
+        within and answered <= command.tick <= newest and command.machine in (0, get_start_time())
+    )
 
 
 @pytest.mark.parametrize("seed", some(range(8), 2))
@@ -65,6 +69,6 @@ def test_only_commands_that_are_due_are_held(seed: int) -> None:
                 assert session.held[0].tolist() == command_before
                 assert session.submit_command == answered
                 assert done[0] == in_c
-                elsewhere = command.machine not in (0, started())
+                elsewhere = command.machine not in (0, get_start_time())
                 assert nodes.refused("emulator") == refused + (not elsewhere)
     assert taken_in_c > 2, "C takes those in the form of the ones before"

@@ -15,7 +15,7 @@ from arm_emulator import Refusal, Timeline, load_scene
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.cli.command_line import main
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 
 POWERS = [True] * 30 + [False] * 9 + [True] * 60
 

@@ -30,7 +30,7 @@ from arm_emulator.machine.plant.outputs import outputs_of, units_of
 from arm_emulator.machine.plant.plant_state import ROWS
 from arm_emulator.machine.session.real_time import real_time_session
 from arm_emulator.machine.session.record_row import RecordRow, columns_of
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator_fieldbus.commands.canopen import load_segment

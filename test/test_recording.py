@@ -23,17 +23,17 @@ from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.ros import run_record
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter, repair
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.recorder import Numbered
-from arm_emulator.ros.recorder_presence import RecorderPresence, recorders_of
-from arm_emulator.ros.recorders import Recorders
-from arm_emulator.ros.ros_domain import own_domain
-from arm_emulator.ros.run_record import RunRecord
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.ros.recording import run_record
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter, repair
+from arm_emulator.ros.recording.recorder import Numbered
+from arm_emulator.ros.recording.recorder_presence import RecorderPresence, list_recorders
+from arm_emulator.ros.recording.run_record import RunRecord
 from arm_emulator_msgs.msg import MotorState, RecorderReport
+from emulator_node.recorder_gate import RecorderGate
 
 USUAL = ("-m", "arm_emulator")
 # A recorder that keeps little, and writes nothing between SIGUSR1 and SIGUSR2. Only its writing
@@ -46,7 +46,7 @@ import signal
 signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR2})
 signal.signal(signal.SIGUSR1, lambda *_: signal.sigwait({signal.SIGUSR2}))
 from arm_emulator.__main__ import main
-from arm_emulator.ros import recorder
+from arm_emulator.ros.recording import recorder
 recorder.DEPTH = 200
 main()
 """,
@@ -305,7 +305,7 @@ def test_losses_are_counted_by_number_of_each_publisher(seed: int) -> None:
         single.take(b"a", number)
     assert single.lost == 6, f"beside {lost} that are forgotten"
     for more in (0, 2):  # the middleware reports what was forgotten late, and more at once
-        single.on_lost(SimpleNamespace(total_count=lost + 6 + more))
+        single.take_lost_event(SimpleNamespace(total_count=lost + 6 + more))
         assert single.lost == 6 + more
 
     several, lost = Numbered(), 0
@@ -330,7 +330,8 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
     draw = random.Random(seed)
     names = [f"{k}.{draw.randrange(16**8):08x}" for k in range(3)]
     here, written, now = set(names), dict.fromkeys(names, 0), 0.0
-    recorders = Recorders(lambda: set(here))
+    news: list[str] = []
+    recorders = RecorderGate(lambda: set(here), True, news.append, lambda: now)
     recorders.begin()
     recorders.published, tick = 1, 0
     ended, silent_name = names[0], names[1]
@@ -345,8 +346,8 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
             )
             if not silent and draw.random() < 0.3:
                 written[name] = min(recorders.published, written[name] + draw.randrange(40))
-                recorders.report(name, written[name], False)
-        if not recorders.behind(tick == 0, now):
+                recorders.take_report(name, written[name], False)
+        if not recorders.is_closed(tick == 0):
             if tick == 0:
                 assert min(written.values()) >= 1, "tick 0 was left before all had written it"
             tick += 1
@@ -354,19 +355,19 @@ def test_no_recorder_is_ever_further_behind_than_it_may_be(seed: int) -> None:
         positions = [w for name, w in written.items() if name in recorders.names]
         assert recorders.published - min(positions, default=recorders.published) <= 100 + 1
     assert recorders.names == [names[2]], "who is gone, or writes nothing, is let go"
-    printed = " ".join(recorders.news)
+    printed = " ".join(news)
     assert f"recorder {ended} has ended" in printed
     assert f"recorder {silent_name} has written nothing for 120 s" in printed
     assert tick > 1000, "the machine went on"
 
 
 def test_reports_that_no_recorder_wrote_stop_nothing() -> None:
-    recorders = Recorders(set)
+    recorders = RecorderGate(set, True, print)
     recorders.published = 10
     for name in ("", "x" * 300, "1.xyz", "1.00000000\n"):
         with pytest.raises(Refusal, match="be a recorder's name"):
-            recorders.report(name, 5, False)
-    recorders.report("1.00000000", 2**63, False)
+            recorders.take_report(name, 5, False)
+    recorders.take_report("1.00000000", 2**63, False)
     assert recorders.names == []
 
 
@@ -375,11 +376,11 @@ def test_recorders_are_known_before_the_network_reports_of_them() -> None:
     with own_domain():
         with RecorderPresence(None) as every, RecorderPresence(topics) as limited:
             with RecorderPresence(["clock"]):
-                assert recorders_of("/cell1/motor_states") == {every.recorder, limited.recorder}
-            assert recorders_of("/motor_states") == {every.recorder}
+                assert list_recorders("/cell1/motor_states") == {every.recorder, limited.recorder}
+            assert list_recorders("/motor_states") == {every.recorder}
             with own_domain():  # another one
-                assert recorders_of("/motor_states") == set()
-        assert recorders_of("/cell1/motor_states") == set()
+                assert list_recorders("/motor_states") == set()
+        assert list_recorders("/cell1/motor_states") == set()
 
 
 @pytest.mark.parametrize("waits", [True, False])

@@ -28,10 +28,10 @@ from std_msgs.msg import String
 from arm_emulator.base.io.atomic_write import write_all
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command_line import main
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT, Topic
-from arm_emulator.ros.bag_writer import BagWriter, repair
-from arm_emulator.ros.message_types import definition_of
+from arm_emulator.ros.messages.message_types import read_definition
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT, Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter, repair
 
 CUTS = 60 if FULL else 20
 FACTS = {PARENT: "other", FORKED_AT: "7"}
@@ -46,7 +46,7 @@ def talk(folder: Path, words: int, seed: int = 0) -> None:
         for k in range(words):
             if k in (0, words // 3):
                 kind = "std_msgs/msg/String"
-                topic = Topic(f"/talk{len(numbers)}", kind, definition_of(kind), (latched,))
+                topic = Topic(f"/talk{len(numbers)}", kind, read_definition(kind), (latched,))
                 numbers.append(writer.add_topic(topic))
             word = "".join(draw.choices("abcdefgh", k=draw.randrange(300)))
             data = serialize_message(String(data=f"{k} {word}"))
@@ -176,7 +176,7 @@ def record_until_full(
     kind = "std_msgs/msg/String"
     try:
         with bag:
-            number = bag.add_topic(Topic("/talk", kind, definition_of(kind)))
+            number = bag.add_topic(Topic("/talk", kind, read_definition(kind)))
             for k in range(100_000):
                 words.append(f"{k} {draw.randbytes(draw.randrange(1500)).hex()}")
                 try:
@@ -234,7 +234,7 @@ def test_no_row_is_written_after_the_first_failure(
         writes = _Writes(draw, number, draw.randrange(200, size), heals)
         bag = tmp_path / f"{case}"
         with monkeypatch.context() as patch:
-            patch.setattr("arm_emulator.ros.bag_writer.write_all", writes)
+            patch.setattr("arm_emulator.ros.recording.bag_writer.write_all", writes)
             patch.setattr("arm_emulator.base.io.atomic_write.write_all", writes)
             if number is None:
                 talk(bag, 100, case)

@@ -250,7 +250,7 @@ def test_layout_names_and_meshes_are_in_the_stream(tmp_path):
 
 def test_the_viewers_command_is_one_that_a_shell_finds(monkeypatch, tmp_path):
     """In a shell of the project by its name, in any other one by its path."""
-    from arm_emulator.runs.recorder import viewer_command
+    from arm_emulator.runs.recorder import get_viewer_command
 
     viewer = tmp_path / "bin" / "rerun"
     viewer.parent.mkdir()
@@ -258,11 +258,11 @@ def test_the_viewers_command_is_one_that_a_shell_finds(monkeypatch, tmp_path):
     monkeypatch.setattr("sys.executable", str(viewer.with_name("python")))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", str(viewer.parent))
-    assert viewer_command("my run.rrd") == "rerun 'my run.rrd'"
+    assert get_viewer_command("my run.rrd") == "rerun 'my run.rrd'"
     stream = "rerun+http://127.0.0.1:9876/proxy"  # of the port that rerun itself would listen at
-    assert viewer_command(stream) == f"rerun --connect {stream}"
+    assert get_viewer_command(stream) == f"rerun --connect {stream}"
     monkeypatch.setenv("PATH", "/nowhere")
-    assert viewer_command(tmp_path / "a.rrd") == f"bin/rerun {tmp_path}/a.rrd"
+    assert get_viewer_command(tmp_path / "a.rrd") == f"bin/rerun {tmp_path}/a.rrd"
 
 
 # Isolation of the control path

@@ -12,11 +12,17 @@ from contextlib import ExitStack
 import pytest
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.ros_domain import DOMAINS, PORTS, claimed, occupied, own_domain
+from arm_emulator.ros.process.ros_domain import (
+    DOMAINS,
+    PORTS,
+    claim_domain,
+    is_occupied,
+    own_domain,
+)
 
 CLAIM_SOME = """
 import sys
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 with own_domain() as domain:
     print(domain, flush=True)
     sys.stdin.read()
@@ -38,7 +44,9 @@ def test_processes_that_choose_at_once_choose_differently() -> None:
             int(process.stdout.readline()) for process in others if process.stdout is not None
         ]
         assert len(set(chosen)) == count, f"of {count} processes, the domains {sorted(chosen)}"
-        assert all(claimed(domain) is None for domain in chosen), "a claimed domain was given away"
+        assert all(claim_domain(domain) is None for domain in chosen), (
+            "a claimed domain was given away"
+        )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -46,11 +54,11 @@ def test_a_domain_that_somebody_is_in_is_not_chosen(seed: int) -> None:
     """The first participant may have left, and a later one still be there."""
     rng = random.Random(seed)
     with own_domain() as domain:
-        assert not occupied(domain), f"domain {domain} was chosen though somebody is in it"
+        assert not is_occupied(domain), f"domain {domain} was chosen though somebody is in it"
         port = 7400 + PORTS * domain + 10 + 2 * rng.randrange(100) + rng.randrange(2)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
             participant.bind(("127.0.0.1" if rng.random() < 0.5 else "0.0.0.0", port))
-            assert occupied(domain), f"port {port} is taken, and domain {domain} counts as free"
+            assert is_occupied(domain), f"port {port} is taken, and domain {domain} counts as free"
 
 
 def test_the_environment_is_as_before_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:

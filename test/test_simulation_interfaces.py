@@ -14,7 +14,7 @@ from test_managed_nodes import Client
 
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.link_motions import LinkMotions
-from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 
 pytest.importorskip("simulation_interfaces", reason="simulation_interfaces is not installed")

@@ -10,13 +10,13 @@ import pytest
 
 from arm_emulator import OfflineRun, Pose, Refusal, Session, Timeline
 from arm_emulator.bags.comparison import compare
-from arm_emulator.bags.first_difference import first_difference
+from arm_emulator.bags.first_difference import find_first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant.plant_state import SET
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import load_offline_run
 
 
@@ -82,7 +82,7 @@ def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     # The parts before a fork are the same; from there on they differ.
     for name, parent in parents.items():
         sides = (RecordedMachine.of(tmp_path / one) for one in (parent, name))
-        difference, equal = first_difference(*sides)
+        difference, equal = find_first_difference(*sides)
         assert difference is not None and lines[name].begins < equal + 1
     monkeypatch.setattr("sys.argv", ["arm_emulator", "check-bag", str(tmp_path / "second")])
     with pytest.raises(SystemExit) as end:

@@ -17,7 +17,7 @@ from network import PATIENCE, User
 from node_parameters import Parameters
 from test_launch import start, wait
 
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 
 
 @contextmanager

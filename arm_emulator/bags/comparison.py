@@ -12,7 +12,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.build_facts import build_facts, other_builds
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 
 COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator/events")
 
@@ -57,7 +57,7 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
     bag = Bag(path)
     topics = RecordedTopics(bag)
     scene = load_scene(scene_name or topics.scene)
-    lockstep = not topics.in_real_time
+    lockstep = not topics.is_real_time
     session = Session(scene, "lockstep", "first_answer")
     repetition = Repetition(session, bag, lockstep)
     tally = repetition.tally
@@ -68,11 +68,11 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
     except Difference as found:
         difference = str(found)
     if not tally.runs:
-        rule, got = "hold a run from tick 0 on", f"{tally.before} states of later ticks"
-        raise Refusal(str(path), "the bag", rule, got, "record, then call emulator/reset")
+        rule, actual = "hold a run from tick 0 on", f"{tally.before} states of later ticks"
+        raise Refusal(str(path), "the bag", rule, actual, "record, then call emulator/reset")
     if difference is None and not tally.periods:
-        rule, got = "hold a servo period of a run", f"{tally.states} states of tick 0"
-        raise Refusal(str(path), "the bag", rule, got, "record while the machine runs")
+        rule, actual = "hold a servo period of a run", f"{tally.states} states of tick 0"
+        raise Refusal(str(path), "the bag", rule, actual, "record while the machine runs")
     taken = {topics.names[name] for name in COMPARED if name in topics.names}
     return Comparison(
         scene=scene.name,
@@ -82,12 +82,14 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
         left_out=[*tally.left_out, *topics.missing],
         others=sorted(set(bag.topics) - taken),
         difference=difference,
-        hints=[] if difference is None else [*topics.hints(scene), *_builds(topics, session)],
+        hints=[]
+        if difference is None
+        else [*topics.hints(scene), *_compare_builds(topics, session)],
         about=bag.about,
     )
 
 
-def _builds(topics: RecordedTopics, session: Session) -> list[str]:
+def _compare_builds(topics: RecordedTopics, session: Session) -> list[str]:
     """Return how the build of the record and the present one differ, a sentence each."""
     builds = topics.build, build_facts(session.plant)
     return [f"other builds: {one}" for one in other_builds(("record", "present"), *builds)]

@@ -63,11 +63,11 @@ def explain_moment(machine: RecordedMachine) -> Explanation:
     acts = np.zeros(len(scene.joints)) if applied is None else applied
     terms = TorqueTerms(scene).of(session.plant.save(), acts)
     ends = following.published if following is not None else here.published + 1
-    commanded, q_target, orders = _newest(machine.topics, scene, tick, here.published, ends)
+    commanded, q_target, orders = _find_newest(machine.topics, scene, tick, here.published, ends)
     active = [
-        *_changes(machine, tick),
-        *_limits(scene, session.plant, session.measured, acts, commanded),
-        *_modes(scene, session.state, terms),
+        *_list_changes(machine, tick),
+        *_list_limits(scene, session.plant, session.measured, acts, commanded),
+        *_list_modes(scene, session.state, terms),
     ]
     return Explanation(
         tick=tick,
@@ -88,7 +88,7 @@ def explain_moment(machine: RecordedMachine) -> Explanation:
     )
 
 
-def _newest(
+def _find_newest(
     topics: RecordedTopics, scene: Scene, tick: int, published: int, ends: int
 ) -> tuple[Array | None, Array | None, str]:
     """Return the command of a tick, and the newest targets and report before its end."""
@@ -96,20 +96,20 @@ def _newest(
     commanded: Array | None = None
     q_target: Array | None = None
     orders = ""
-    wanted = "motor_commands", "joint_targets", "motion/status"
-    for name, message, at in topics.read_with_time(*wanted):
+    topics_read = "motor_commands", "joint_targets", "motion/status"
+    for name, message, at in topics.read_with_time(*topics_read):
         if at > ends:
             break
         if name == "joint_targets":
-            q_target = _arranged(message.name, message.position, names, q_target)
+            q_target = _arrange(message.name, message.position, names, q_target)
         elif name == "motion/status":
-            orders = _report(message)
+            orders = _describe_report(message)
         elif message.tick == tick and at >= published:
-            commanded = _arranged(message.joint_names, message.command, names, commanded)
+            commanded = _arrange(message.joint_names, message.command, names, commanded)
     return commanded, q_target, orders
 
 
-def _arranged(
+def _arrange(
     given: list[str], values: Any, names: tuple[str, ...], before: Array | None
 ) -> Array | None:
     """Return values in the scene's order of joints; what was before if joints are missing."""
@@ -118,7 +118,7 @@ def _arranged(
     return np.array([values[list(given).index(name)] for name in names], np.float64)
 
 
-def _report(message: Any) -> str:
+def _describe_report(message: Any) -> str:
     try:
         what = f"{Kind(message.kind).name} {message.number} {State(message.state).name}"
     except ValueError:
@@ -127,7 +127,7 @@ def _report(message: Any) -> str:
     return f"{text}: {message.reason}" if message.reason else text
 
 
-def _changes(machine: RecordedMachine, tick: int) -> Iterator[str]:
+def _list_changes(machine: RecordedMachine, tick: int) -> Iterator[str]:
     """Yield the changes by hand here, and the last one before."""
     for one in machine.changes.get(tick, ()):
         yield f"changed by hand at this tick: {KINDS.get(one.kind, one.kind)}"
@@ -138,7 +138,7 @@ def _changes(machine: RecordedMachine, tick: int) -> Iterator[str]:
         yield f"changed by hand last at tick {before} ({t:g} s): {KINDS.get(kind, kind)}"
 
 
-def _limits(
+def _list_limits(
     scene: Scene, plant: Plant, measured: Measured, applied: Array, commanded: Array | None
 ) -> Iterator[str]:
     """Yield the limits that act on the motors now."""
@@ -163,7 +163,7 @@ def _limits(
             yield f"fault {fault.varied.name.removeprefix('faults.')}: {value:g}"
 
 
-def _modes(scene: Scene, state: PlantState, terms: TermsNow) -> Iterator[str]:
+def _list_modes(scene: Scene, state: PlantState, terms: TermsNow) -> Iterator[str]:
     """Yield joints that stick, and those in their end stops."""
     dry = terms.link.get("dry friction")
     stops = terms.link.get("end stops")

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.bags.recorded_ticks import Change, RecordedTick, Values
+from arm_emulator.bags.recorded_ticks import Change, RecordedTick, find_first_difference_of_bits
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.diverged import Diverged
@@ -44,7 +44,7 @@ class FirstDifference(NamedTuple):
         return abs(int(places[0] - places[1]))
 
 
-def first_difference(
+def find_first_difference(
     one: RecordedMachine, other: RecordedMachine
 ) -> tuple[FirstDifference | None, int]:
     """Return the first difference of two runs, and the number of ticks that are equal.
@@ -57,29 +57,31 @@ def first_difference(
         Refusal: a message cannot be read.
     """
     last = count = 0
-    for a, b in itertools.zip_longest(one.records(), other.records()):
+    for a, b in itertools.zip_longest(one.read_records(), other.read_records()):
         if a is None or b is None:
             return FirstDifference(last, "end", "record", "", (a is None, b is None)), count
         found = (
-            _of_changes(one.scene, a.tick, a.before, b.before)
-            or _of_values(one.scene, a, b)
-            or _of_changes(one.scene, a.tick, a.changes, b.changes)
+            _compare_changes(one.scene, a.tick, a.before, b.before)
+            or _compare_values(one.scene, a, b)
+            or _compare_changes(one.scene, a.tick, a.changes, b.changes)
         )
         if found is not None and found.kind == "state":
-            return _of_true_states(one, other, a.tick) or found, count
+            return _compare_true_states(one, other, a.tick) or found, count
         if found is not None:
             return found, count
         last, count = a.tick, count + 1
     return None, count
 
 
-def _of_true_states(
+def _compare_true_states(
     one: RecordedMachine, other: RecordedMachine, tick: int
 ) -> FirstDifference | None:
     with contextlib.suppress(Diverged, Refusal):  # the end of a record
         while one.tick <= tick:
             for name in SET:
-                found = _first(getattr(one.session.state, name), getattr(other.session.state, name))
+                found = find_first_difference_of_bits(
+                    getattr(one.session.state, name), getattr(other.session.state, name)
+                )
                 if found is not None:
                     owner = one.scene.joint_names[found[0]]
                     return FirstDifference(one.tick, "state", name, owner, found[1])
@@ -88,7 +90,7 @@ def _of_true_states(
     return None
 
 
-def _of_changes(
+def _compare_changes(
     scene: Scene, tick: int, one: list[Change], other: list[Change]
 ) -> FirstDifference | None:
     kinds = [[str(KINDS.get(change.kind)) for change in side] for side in (one, other)]
@@ -97,12 +99,12 @@ def _of_changes(
         return FirstDifference(tick, "change by hand", "changes", "", texts)
     for a, b in zip(one, other, strict=True):
         if a.saved != b.saved:
-            quantity, values = _of_machines(scene, a.saved, b.saved)
+            quantity, values = _compare_machines(scene, a.saved, b.saved)
             return FirstDifference(tick, "change by hand", quantity, "", values)
     return None
 
 
-def _of_machines(scene: Scene, saved: bytes, other: bytes) -> tuple[str, tuple[Any, Any]]:
+def _compare_machines(scene: Scene, saved: bytes, other: bytes) -> tuple[str, tuple[Any, Any]]:
     """Return the first number or state that differs in two saved machines, and both values."""
     sides = list[dict[str, Any]]()
     for one in (saved, other):
@@ -117,7 +119,7 @@ def _of_machines(scene: Scene, saved: bytes, other: bytes) -> tuple[str, tuple[A
     return "what else is saved of the machine", ("one", "another")
 
 
-def _of_values(scene: Scene, a: RecordedTick, b: RecordedTick) -> FirstDifference | None:
+def _compare_values(scene: Scene, a: RecordedTick, b: RecordedTick) -> FirstDifference | None:
     for name, row in a.values.items():
         theirs = b.values.get(name, row)
         kind = {"powered": "power", "applied": "command"}.get(name, "state")
@@ -126,25 +128,14 @@ def _of_values(scene: Scene, a: RecordedTick, b: RecordedTick) -> FirstDifferenc
         if len(row) != len(theirs):
             lengths = len(row), len(theirs)
             return FirstDifference(tick, kind, f"number of values of {name}", "", lengths)
-        found = _first(row, theirs)
+        found = find_first_difference_of_bits(row, theirs)
         if found is not None:
-            owner = _owner(scene, found[0], len(row))
+            owner = _find_owner(scene, found[0], len(row))
             return FirstDifference(tick, kind, name, owner, found[1])
     return None
 
 
-def _owner(scene: Scene, place: int, count: int) -> str:
+def _find_owner(scene: Scene, place: int, count: int) -> str:
     if count == len(scene.joint_names):
         return scene.joint_names[place]
     return scene.imus[place // 3].name if scene.imus and count == 3 * len(scene.imus) else ""
-
-
-def _first(a: Values, b: Values) -> tuple[int, tuple[Any, Any]] | None:
-    """Return the first place that differs, by bits, and its values."""
-    if a.tobytes() == b.tobytes():
-        return None
-    # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
-    for place, (one, other) in enumerate(zip(a, b.astype(a.dtype), strict=True)):
-        if one.tobytes() != other.tobytes():
-            return place, (one.item(), other.item())
-    return None

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.bags.recorded_ticks import Change, RecordedTick, recorded_ticks
+from arm_emulator.bags.recorded_ticks import Change, RecordedTick, read_ticks
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count
@@ -17,7 +17,7 @@ from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.plant.measured import rows_of
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 
 
 class Tick(NamedTuple):
@@ -55,9 +55,9 @@ class RecordedMachine:
         self._where = str(topics.bag.path)
         self.ticks: list[Tick] = []
         self.changes: dict[int, list[Change]] = {}
-        self._read()
+        self._read_ticks()
         self.session = Session(scene, "lockstep", "first_answer")
-        self._change()
+        self._apply_changes()
 
     @classmethod
     def of(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> RecordedMachine:
@@ -76,9 +76,9 @@ class RecordedMachine:
         """The last tick of the record."""
         return len(self.ticks) - 1
 
-    def records(self) -> Iterator[RecordedTick]:
+    def read_records(self) -> Iterator[RecordedTick]:
         """Yield what is recorded of each tick."""
-        every = recorded_ticks(self.topics, self.scene.joint_names)
+        every = read_ticks(self.topics, self.scene.joint_names)
         return (one for one in every if one.run == self._run)
 
     def advance(self, ticks: int) -> None:
@@ -94,7 +94,7 @@ class RecordedMachine:
             session.advance_under(tick.applied, came=True)
             if session.fault is not None:
                 raise session.fault
-            self._change()
+            self._apply_changes()
 
     def save(self) -> Any:
         """Return the session as it is now."""
@@ -104,23 +104,23 @@ class RecordedMachine:
         """Go on from a result of `save`."""
         self.session.return_to(saved.session)
 
-    def _change(self) -> None:
-        made = self.changes.get(self.session.tick)
-        if made:
-            self.session.restore(made[-1].saved)
+    def _apply_changes(self) -> None:
+        changes = self.changes.get(self.session.tick)
+        if changes:
+            self.session.restore(changes[-1].saved)
 
-    def _read(self) -> None:
+    def _read_ticks(self) -> None:
         """Read ticks and changes of the run."""
         count, names = 0, ("applied", *rows_of(self.scene)[FURTHER])
-        for tick in recorded_ticks(self.topics, self.scene.joint_names, names):
+        for tick in read_ticks(self.topics, self.scene.joint_names, names):
             count = tick.run
             if self._run not in (-1, tick.run):
                 continue
             if tick.tick == 0:
                 self.ticks, self.changes = [], {}
             if tick.tick != len(self.ticks):
-                rule, got = f"report tick {len(self.ticks)}", f"tick {tick.tick} next"
-                raise Refusal(self._where, "motor_states", rule, got, "a bag without gaps")
+                rule, actual = f"report tick {len(self.ticks)}", f"tick {tick.tick} next"
+                raise Refusal(self._where, "motor_states", rule, actual, "a bag without gaps")
             at, period = tick.stamp * 1e-9, self.scene.servo_period
             if abs(at - tick.tick * period) > 0.5 * period:
                 rule = f"be {period:g} s apart, the scene's servo period"
@@ -128,8 +128,8 @@ class RecordedMachine:
             powered = bool(tick.values["powered"][0])
             applied = np.array([tick.values[name] for name in names if name in tick.values])
             self.ticks.append(Tick(applied, powered, tick.published))
-            if made := [*tick.before, *tick.changes]:
-                self.changes[tick.tick] = made
+            if changes := [*tick.before, *tick.changes]:
+                self.changes[tick.tick] = changes
         if not count:
             rule = "hold a run from tick 0 on"
             raise Refusal(self._where, "the bag", rule, "none", "record, then call emulator/reset")

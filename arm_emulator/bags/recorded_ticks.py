@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
 
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.outputs import KNOWN
-from arm_emulator.ros.node_shell import nanoseconds_of
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 
 Values = NDArray[Any]
@@ -52,7 +53,7 @@ class RecordedTick(NamedTuple):
     """Changes by hand after it was reported."""
 
 
-def recorded_ticks(
+def read_ticks(
     topics: RecordedTopics, joints: tuple[str, ...], only: Collection[str] | None = None
 ) -> Iterator[RecordedTick]:
     """Yield the ticks of all runs of a bag; a run begins at tick 0.
@@ -68,10 +69,10 @@ def recorded_ticks(
     where, run = str(topics.bag.path), 0
     waiting: list[Change] = []
     now: RecordedTick | None = None
-    wanted = ["motor_states", "emulator/events"]
-    wanted += ["emulator/joint_states"] if only is None else []
-    orders = _Orders(joints, where)
-    for name, message, published in topics.read_in_place(*wanted):
+    topics_read = ["motor_states", "emulator/events"]
+    topics_read += ["emulator/joint_states"] if only is None else []
+    places = JointPlaces(joints, where)
+    for name, message, published in topics.read_in_place(*topics_read):
         if name == "emulator/events":
             change = Change(int(message.kind), bytes(message.state))
             if message.kind == MachineEvent.KIND_RESET:
@@ -89,42 +90,54 @@ def recorded_ticks(
                 now = None
             run += tick == 0
             if run:  # else it began before the record
-                values = _arranged(message, orders, where, only)
-                stamp = nanoseconds_of(message.header.stamp)
+                values = arrange_state(message, places, only)
+                stamp = to_nanoseconds(message.header.stamp)
                 now = RecordedTick(run, tick, stamp, published, waiting, values, [])
             waiting = []
-        elif now is not None and nanoseconds_of(message.header.stamp) == now.stamp:
-            order = orders.of(message.name)
-            for field in TRUTH:
-                row = np.array(getattr(message, field))[order]
+        elif now is not None and to_nanoseconds(message.header.stamp) == now.stamp:
+            for field, row in arrange_truth(message, places).items():
                 now.values.setdefault(f"true {field}", row)
     if now is not None:
         yield now
 
 
-class _Orders:
-    """Places of the scene's joints in messages, which have one order for long."""
+class JointPlaces:
+    """Places of the scene's joints in messages, which have one order for long.
+
+    Args:
+        joints: of the scene.
+        where: the bag, for refusals.
+    """
 
     def __init__(self, joints: tuple[str, ...], where: str) -> None:
-        self._joints, self._where = joints, where
+        self.where, self._joints = where, joints
         self._names: list[str] = []
-        self._order: list[int] = []
+        self._places: list[int] = []
 
-    def of(self, names: list[str]) -> list[int]:
-        """Return the places in a message with these names."""
-        if names != self._names or not self._order:
+    def find(self, names: list[str]) -> list[int]:
+        """Return the places in a message with these names.
+
+        Raises:
+            Refusal: other joints.
+        """
+        if names != self._names or not self._places:
             if sorted(names) != sorted(self._joints):
-                known = ", ".join(self._joints)
-                got = ", ".join(names)
-                raise Refusal(self._where, "joints", "be those of the scene", got, known)
-            self._names, self._order = names, [names.index(name) for name in self._joints]
-        return self._order
+                valid = ", ".join(self._joints)
+                actual = ", ".join(names)
+                raise Refusal(self.where, "joints", "be those of the scene", actual, valid)
+            self._names, self._places = names, [names.index(name) for name in self._joints]
+        return self._places
 
 
-def _arranged(
-    state: MotorState, orders: _Orders, where: str, only: Collection[str] | None
+def arrange_state(
+    state: MotorState, places: JointPlaces, only: Collection[str] | None = None
 ) -> dict[str, Values]:
-    order = orders.of(state.joint_names)
+    """Return `powered` and the values of a motor state by name, see `read_ticks`.
+
+    Raises:
+        Refusal: other joints, or readings of another number.
+    """
+    order = places.find(state.joint_names)
     values: dict[str, Values] = {"powered": np.array([state.powered])}
     for name in _LISTS:
         if only is not None and name not in only:
@@ -133,10 +146,41 @@ def _arranged(
         values[name] = row[order] if len(row) == len(order) and name not in _OF_UNITS else row
     readings = np.array(state.readings)
     if len(readings) != len(order) * len(state.reading_names):
-        raise Refusal(
-            where, "readings", "have a value per name and joint", f"{len(readings)} values"
-        )
+        rule = "have a value per name and joint"
+        raise Refusal(places.where, "readings", rule, f"{len(readings)} values")
     for name, row in zip(state.reading_names, readings.reshape(-1, len(order)), strict=True):
         if only is None or name in only:
             values[str(name)] = row[order]
     return values
+
+
+def arrange_truth(truth: JointState, places: JointPlaces) -> dict[str, Values]:
+    """Return the true values of joint states, by field.
+
+    Raises:
+        Refusal: other joints, or values of another number.
+    """
+    order = places.find(truth.name)
+    rows = {field: np.array(getattr(truth, field)) for field in TRUTH}
+    for field, row in rows.items():
+        check_length(places.where, field, row, len(order))
+    return {field: row[order] for field, row in rows.items()}
+
+
+def check_length(where: str, quantity: str, row: Values, count: int) -> None:
+    """Refuse values of another number."""
+    if len(row) != count:
+        raise Refusal(where, quantity, f"have {count} values", f"{len(row)} values")
+
+
+def find_first_difference_of_bits(
+    recorded: Values, computed: Values
+) -> tuple[int, tuple[Any, Any]] | None:
+    """Return the first place that differs, by bits, and its values; None if all are equal."""
+    computed = np.ascontiguousarray(computed, recorded.dtype)
+    if recorded.tobytes() != computed.tobytes():
+        # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
+        for place, (one, other) in enumerate(zip(recorded, computed, strict=True)):
+            if one.tobytes() != other.tobytes():
+                return place, (one.item(), other.item())
+    return None

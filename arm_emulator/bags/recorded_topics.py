@@ -5,42 +5,31 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from arm_emulator.base.config_files import config_folder
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.build_facts import COMPILED_WITH
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import SCENE
-from arm_emulator.ros.fixed_layout import FixedLayout
-from arm_emulator.ros.message_types import definition_of, fields
-from arm_emulator_msgs.msg import (
-    EmulatorStatus,
-    MachineEvent,
-    MotionStatus,
-    MotorCommand,
-    MotorState,
-)
+from arm_emulator.ros.messages.fixed_layout import FixedLayout
+from arm_emulator.ros.messages.message_types import get_message_class, list_fields, read_definition
+from arm_emulator.ros.messages.node_topics import TYPES
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import SCENE
 
-# Topic -> class and type of its messages.
-TYPES: dict[str, tuple[Any, str]] = {
-    "motor_commands": (MotorCommand, "arm_emulator_msgs/msg/MotorCommand"),
-    "motor_states": (MotorState, "arm_emulator_msgs/msg/MotorState"),
-    "tool_target": (PoseStamped, "geometry_msgs/msg/PoseStamped"),
-    "joint_targets": (JointState, "sensor_msgs/msg/JointState"),
-    "motion/status": (MotionStatus, "arm_emulator_msgs/msg/MotionStatus"),
-    "emulator/joint_states": (JointState, "sensor_msgs/msg/JointState"),
-    "emulator/events": (MachineEvent, "arm_emulator_msgs/msg/MachineEvent"),
-    "emulator/status": (EmulatorStatus, "arm_emulator_msgs/msg/EmulatorStatus"),
-    "robot_description": (String, "std_msgs/msg/String"),
-    "diagnostics": (DiagnosticArray, "diagnostic_msgs/msg/DiagnosticArray"),
-}
+READ = (
+    "motor_commands",
+    "motor_states",
+    "tool_target",
+    "joint_targets",
+    "motion/status",
+    "emulator/joint_states",
+    "emulator/events",
+    "emulator/status",
+    "robot_description",
+    "diagnostics",
+)
 ALIKE = ("motor_states", "emulator/joint_states", "motor_commands")  # but for their numbers
 
 
@@ -49,7 +38,7 @@ class RecordedTopics:
 
     Attributes:
         bag: the bag.
-        names: full names in the bag, by the names of TYPES; those without messages are left out.
+        names: full names in the bag, by the names of READ; those without messages are left out.
 
     Args:
         bag: the bag.
@@ -67,15 +56,17 @@ class RecordedTopics:
             raise Refusal(where, "the bag", "have one topic motor_states", known)
         namespace = states[0].removesuffix("motor_states")
         self.names: dict[str, str] = {}
-        for name, (_, kind) in TYPES.items():
-            topic = bag.topics.get(namespace + name)
+        for name in READ:
+            kind, topic = TYPES[name], bag.topics.get(namespace + name)
             if topic is None or not topic.count:
                 if name == "motor_states":
                     raise Refusal(where, "the bag", f"have messages on {name}", "none")
                 continue
             if topic.type != kind:
                 raise Refusal(where, f"type of {topic.name}", f"be {kind}", topic.type)
-            if topic.definition and fields(topic.definition) != fields(definition_of(kind)):
+            if topic.definition and list_fields(topic.definition) != list_fields(
+                read_definition(kind)
+            ):
                 rule = f"be the {kind} of this version"
                 raise Refusal(where, f"definition of {topic.name}", rule, "other fields")
             self.names[name] = topic.name
@@ -91,8 +82,8 @@ class RecordedTopics:
 
     def read_with_time(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
         """Yield as `read`, with the wall time of publication [ns]."""
-        for name, data, published in self._data(wanted):
-            yield name, self._message(name, data), published
+        for name, data, published in self._read_data(wanted):
+            yield name, self._deserialize(name, data), published
 
     def read_in_place(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
         """Yield as `read_with_time`; a message is overwritten by the next one of its topic.
@@ -100,30 +91,30 @@ class RecordedTopics:
         Of messages that are alike but for their numbers this takes a fifth of the time.
         """
         layouts: dict[str, FixedLayout] = {}
-        for name, data, published in self._data(wanted):
+        for name, data, published in self._read_data(wanted):
             known = layouts.get(name)
             if known is not None and known.take(data):
                 yield name, known.message, published
                 continue
-            message = self._message(name, data)
+            message = self._deserialize(name, data)
             if name in ALIKE:
                 layouts[name] = FixedLayout(message)
             yield name, message, published
 
-    def _data(self, wanted: tuple[str, ...]) -> Iterator[tuple[str, bytes, int]]:
+    def _read_data(self, wanted: tuple[str, ...]) -> Iterator[tuple[str, bytes, int]]:
         names = {self.names[name]: name for name in wanted if name in self.names}
-        for one in self.bag.as_published(names):
+        for one in self.bag.read_as_published(names):
             yield names[one.topic], one.data, one.published
 
-    def _message(self, name: str, data: bytes) -> Any:
+    def _deserialize(self, name: str, data: bytes) -> Any:
         try:
-            return deserialize_message(data, TYPES[name][0])
+            return deserialize_message(data, get_message_class(TYPES[name]))
         except RuntimeError as error:
             rule = "be readable"
             raise Refusal(str(self.bag.path), f"messages on {name}", rule, error) from None
 
     @property
-    def in_real_time(self) -> bool:
+    def is_real_time(self) -> bool:
         """Whether the emulator was paced by the clock."""
         return any(
             status.worst_lateness > 0.0 or status.overruns
@@ -147,8 +138,8 @@ class RecordedTopics:
                     name = status.hardware_id.split("/")[-1]  # after the namespace
                     if (folder / f"{name}.yaml").is_file():
                         return str(name)
-                    got = f"none, and {name} is not shipped"
-                    raise Refusal(where, "--scene", "name the scene's file", got)
+                    actual = f"none, and {name} is not shipped"
+                    raise Refusal(where, "--scene", "name the scene's file", actual)
         _, state = next(self.read("motor_states"))
         fitting = [
             file.stem

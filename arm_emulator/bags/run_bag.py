@@ -9,9 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from arm_emulator.base.refusal import Refusal
@@ -20,19 +19,16 @@ from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.session.session import Session
-from arm_emulator.ros.bag_metadata import Topic
-from arm_emulator.ros.bag_writer import BagWriter
-from arm_emulator.ros.message_types import definition_of
-from arm_emulator.ros.node_shell import stamp
-from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotorState
+from arm_emulator.ros.messages.message_types import get_message_class, read_definition
+from arm_emulator.ros.messages.node_topics import TYPES
+from arm_emulator.ros.messages.time_stamp import to_stamp
+from arm_emulator.ros.recording.bag_metadata import Topic
+from arm_emulator.ros.recording.bag_writer import BagWriter
+from arm_emulator_msgs.msg import MachineEvent, MotorState
 
-TYPES: dict[str, Any] = {
-    "motor_states": MotorState,
-    "emulator/joint_states": JointState,
-    "emulator/events": MachineEvent,
-    "emulator/status": EmulatorStatus,
-    "diagnostics": DiagnosticArray,
-}
+WRITTEN = (
+    "motor_states", "emulator/joint_states", "emulator/events", "emulator/status", "diagnostics",
+)  # fmt: skip
 KINDS: dict[type[Change], int] = {  # of events
     PowerChange: MachineEvent.KIND_POWER,
     NumberChange: MachineEvent.KIND_SET_VARIED,
@@ -62,10 +58,9 @@ class RunBag:
         self._clock, self._events = time.time_ns(), 0
         self._writer = BagWriter(folder, about)
         self._numbers = {}
-        for topic, kind in TYPES.items():
-            name = f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
-            message = Topic(f"/{topic}", name, definition_of(name))
-            self._numbers[topic] = self._writer.add_topic(message)
+        for name in WRITTEN:
+            topic = Topic(f"/{name}", TYPES[name], read_definition(TYPES[name]))
+            self._numbers[name] = self._writer.add_topic(topic)
 
     def __enter__(self) -> Self:
         self._writer.__enter__()
@@ -139,7 +134,9 @@ class RunBag:
     def _send(self, topic: str, **values: Any) -> None:
         self._clock += 1000  # answers come after their questions
         session = self._session
-        message = TYPES[topic](header=Header(stamp=stamp(session.logical_ns)), **values)
+        message = get_message_class(TYPES[topic])(
+            header=Header(stamp=to_stamp(session.logical_ns)), **values
+        )
         if topic == "motor_states":
             self._fields.begin(message, session.measured)
         data = serialize_message(message)

@@ -15,7 +15,7 @@ from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.ros.node_shell import nanoseconds_of
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds
 from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import Order
@@ -129,19 +129,19 @@ class LeaveChanges(Order):
             run.leave_changes()
 
 
-def targeted_run(topics: RecordedTopics, scene_name: str) -> TargetedRun:
+def load_targeted_run(topics: RecordedTopics, scene_name: str) -> TargetedRun:
     """Return the last run of a network's bag, at its tick 0.
 
     Raises:
         Refusal: it was in real time, or has no joint targets.
     """
     where = str(topics.bag.path)
-    if topics.in_real_time:
+    if topics.is_real_time:
         rule = "be of lock-step, to be made again from its targets"
         raise Refusal(where, "the bag", rule, "one in real time")
     file = find_scene(scene_name)
     scene, gains = load_scene(file), load_gains(file)
-    targets = _targets(topics, gains.servo.joint_names, round(scene.servo_period * 1e9))
+    targets = _read_targets(topics, gains.servo.joint_names, round(scene.servo_period * 1e9))
     changes = RecordedMachine(topics, scene).changes
     if not targets:
         rule = "have its orders or joint_targets"
@@ -150,22 +150,24 @@ def targeted_run(topics: RecordedTopics, scene_name: str) -> TargetedRun:
     return TargetedRun(where, scene, gains, targets, changes)
 
 
-def _targets(topics: RecordedTopics, joints: tuple[str, ...], period: int) -> dict[int, Target]:
+def _read_targets(
+    topics: RecordedTopics, joints: tuple[str, ...], period: int
+) -> dict[int, Target]:
     """Return the targets of the last run, by the ticks of the joint states that they answer."""
-    found: dict[int, Target] = {}
+    targets: dict[int, Target] = {}
     arrange, tick = JointOrder("joint_targets", joints).arrange, -1
     for name, message, _ in topics.read_with_time("motor_states", "joint_targets"):
         if name == "motor_states":
             if message.tick < tick:
-                found = {}
+                targets = {}
             tick = int(message.tick)
             continue
-        at = nanoseconds_of(message.header.stamp) // period
-        if at <= tick and at not in found:  # else it is of the run before, or published again
+        at = to_nanoseconds(message.header.stamp) // period
+        if at <= tick and at not in targets:  # else it is of the run before, or published again
             names, v, tau = message.name, message.velocity, message.effort
-            found[at] = Target(
+            targets[at] = Target(
                 arrange(names, message.position, POSITION),
                 arrange(names, v, VELOCITY) if len(v) else None,
                 arrange(names, tau, EFFORT) if len(tau) else None,
             )
-    return found
+    return targets

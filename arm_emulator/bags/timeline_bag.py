@@ -9,10 +9,10 @@ from typing import Any
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.run_bag import KINDS, RunBag
-from arm_emulator.bags.targeted_run import LeaveChanges, TargetedRun, targeted_run
+from arm_emulator.bags.targeted_run import LeaveChanges, TargetedRun, load_targeted_run
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import FORKED_AT, PARENT
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.runs.order import Order, as_data, of_data
 from arm_emulator.runs.timeline import Change, Timeline
@@ -73,20 +73,20 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
         if isinstance(line.run, TargetedRun) and tick < line.newest:
             for kind, saved in line.run.changes_here:
                 bag.changed(kind, saved)
-        made = changed.get(tick, [])
-        orders = [one.made for one in made if isinstance(one.made, Order)]
-        if len(orders) == len(made):
+        changes_here = changed.get(tick, [])
+        orders = [one.made for one in changes_here if isinstance(one.made, Order)]
+        if len(orders) == len(changes_here):
             for order in orders:
                 order(line.run)
                 if (change := order.change) is not None:
                     bag.changed(KINDS[type(change)])
-        before = session.plant.save() if made else b""
+        before = session.plant.save() if changes_here else b""
         line.go_to(tick)
-        if made and session.plant.save() != before:
+        if changes_here and session.plant.save() != before:
             bag.changed(MachineEvent.KIND_RESTORE)
 
 
-def ordered_run(topics: RecordedTopics, scene: str) -> Timeline[OfflineRun]:
+def load_ordered_run(topics: RecordedTopics, scene: str) -> Timeline[OfflineRun]:
     """Return the timeline of a bag that has its orders or joint targets, at its last tick.
 
     Args:
@@ -99,33 +99,33 @@ def ordered_run(topics: RecordedTopics, scene: str) -> Timeline[OfflineRun]:
     about = topics.bag.about
     source = RecordedTopics(Bag(Path(about[TARGETS]))) if TARGETS in about else topics
     of_network = TARGETS in about or ORDERS not in about
-    line = Timeline(targeted_run(source, scene) if of_network else load_offline_run(scene))
+    line = Timeline(load_targeted_run(source, scene) if of_network else load_offline_run(scene))
     record = RecordedMachine(topics, line.run.session.scene)
-    for tick, order in _orders(topics) if ORDERS in about else ():
+    for tick, order in _read_orders(topics) if ORDERS in about else ():
         line.advance(tick - line.tick)
         order.give(line)
     line.advance(record.last - line.tick)
     # In a closed loop all of the past decides on the last command.
-    got, wanted = line.run.session.measured.applied, record.ticks[-1].applied[0]
-    if record.last and got.tobytes() != wanted.tobytes():
+    actual, recorded = line.run.session.measured.applied, record.ticks[-1].applied[0]
+    if record.last and actual.tobytes() != recorded.tobytes():
         rule = "lead to the recorded commands, with the same code, scene and gains"
         what = "its joint targets" if of_network else "its orders"
         raise Refusal(str(topics.bag.path), what, rule, "others", "see check-bag")
     return line
 
 
-def _orders(topics: RecordedTopics) -> list[tuple[int, Order]]:
+def _read_orders(topics: RecordedTopics) -> list[tuple[int, Order]]:
     """Return the orders of a bag by their ticks."""
     where = str(topics.bag.path)
     try:
         data: Any = json.loads(topics.bag.about[ORDERS])
     except ValueError as error:
         raise Refusal(where, "its orders", "be JSON", error) from None
-    found: list[tuple[int, Order]] = []
+    orders: list[tuple[int, Order]] = []
     for one in data if isinstance(data, list) else [data]:
         tick = one.pop("tick", None) if isinstance(one, dict) else None
-        least = found[-1][0] if found else 0
+        least = orders[-1][0] if orders else 0
         if not isinstance(tick, int) or isinstance(tick, bool) or tick < least:
             raise Refusal(where, "tick of an order", f"be a number from {least} on", tick)
-        found.append((tick, of_data(where, one, (LeaveChanges,))))
-    return found
+        orders.append((tick, of_data(where, one, (LeaveChanges,))))
+    return orders

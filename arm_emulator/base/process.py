@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 from collections.abc import Iterator
 from pathlib import Path
+
+_PR_SET_PDEATHSIG = 1  # of Linux
+
+
+def signal_at_end_of_parent(number: int) -> None:
+    """Let the system send this process a signal when the thread that began it ends."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def runs(process: int) -> bool:

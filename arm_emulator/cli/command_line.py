@@ -22,7 +22,7 @@ from arm_emulator.cli.command import (
     summary_of,
 )
 from arm_emulator.cli.output import output
-from arm_emulator.ros.ctrl_c import CtrlC, end_at_once, exit_code
+from arm_emulator.ros.process.ctrl_c import CtrlC, end_at_once, get_exit_code
 
 HELP = ("-h", "--help")
 JSON = "--json"
@@ -51,7 +51,7 @@ def main() -> None:
         sys.exit(_printed(partial(_without_command, words), as_json))
     with CtrlC(code):
         sys.exit(_printed(partial(_run, one, words[1:]), as_json))
-    sys.exit(exit_code(CtrlC.signal, code))
+    sys.exit(get_exit_code(CtrlC.signal, code))
 
 
 def _printed(work: Callable[[], int], as_json: bool) -> int:
@@ -66,7 +66,7 @@ def _printed(work: Callable[[], int], as_json: bool) -> int:
         if not _reader_is_gone():
             raise
         drop(1)  # for output not flushed yet
-        return exit_code(signal.SIGPIPE, None)
+        return get_exit_code(signal.SIGPIPE, None)
     except Refusal as closed:
         return _refused(closed)
     except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from arm_emulator.ros.ctrl_c import end_at_once
+from arm_emulator.ros.process.ctrl_c import end_at_once
 
 
 def emulator() -> None:

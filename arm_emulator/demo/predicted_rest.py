@@ -14,7 +14,7 @@ from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.executor.goal_status import State
 from arm_emulator.runs.gains import Gains
-from arm_emulator.runs.goal import missed_order
+from arm_emulator.runs.goal import find_missed_order
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import MoveTool
 
@@ -66,4 +66,4 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
     newest = run.instructor.reports.newest
     state = State.REFUSED if newest is None else newest.state
     words = _WORDS.get(state, state.name.lower())
-    return PredictedRest(np.array(deviations), words, missed_order(run))
+    return PredictedRest(np.array(deviations), words, find_missed_order(run))

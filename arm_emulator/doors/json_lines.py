@@ -59,7 +59,7 @@ class JsonLinesServer:
                 if select.select([self._socket], [], [], LOOK)[0]:
                     with self.accept() as client:
                         client.settimeout(PATIENCE)
-                        self._serve(client)
+                        self._serve_client(client)
 
     def accept(self) -> socket.socket:
         """Return the next client."""
@@ -69,7 +69,7 @@ class JsonLinesServer:
         """Let `serve` end."""
         self._closing.set()
 
-    def _serve(self, client: socket.socket) -> None:
+    def _serve_client(self, client: socket.socket) -> None:
         """Answer a client until it goes, or sends a line that is too long."""
         held = b""
         try:
@@ -92,7 +92,7 @@ class JsonLinesServer:
         """Return the line with which a client is met: what the scene has, in its units."""
         scene = self._session.scene
         units = {output.name: units_of(scene, output) for output in self._outputs}
-        return _line({
+        return _write_line({
             "scene": scene.name, "joints": scene.joint_names, "period": scene.servo_period,
             "command": [joint.unit for joint in scene.joints], "inputs": self._inputs,
             "outputs": units,
@@ -103,15 +103,15 @@ class JsonLinesServer:
         if self._session.is_self_clocked:
             self._session.take(newest=True)
         try:
-            self._take(line)
+            self._take_line(line)
         except DuplicateCommand:
             pass
         except Refusal as reason:
             self.refused += 1
-            return _line({"refused": str(reason)})
-        return self._measurement()
+            return _write_line({"refused": str(reason)})
+        return self._write_measurement()
 
-    def _take(self, line: bytes) -> None:
+    def _take_line(self, line: bytes) -> None:
         try:
             given = json.loads(line)
         except (ValueError, RecursionError) as error:
@@ -119,7 +119,7 @@ class JsonLinesServer:
         if not isinstance(given, dict) or not self._keys >= given.keys():
             rule, valid = "be an object with keys that are known", ", ".join(sorted(self._keys))
             raise Refusal(self._where, "line", rule, given, valid)
-        on, again = (self._flag(given, key) for key in ("power", "reset"))
+        on, again = (self._read_flag(given, key) for key in ("power", "reset"))
         names = self._session.scene.joint_names
         rows = {
             key: self._numbers(key, given[key], len(names))
@@ -138,7 +138,7 @@ class JsonLinesServer:
             elif command is not None:
                 submit_command(self._session, tick, names, command, rows, powered=on is not False)
 
-    def _flag(self, given: dict[str, Any], key: str) -> bool | None:
+    def _read_flag(self, given: dict[str, Any], key: str) -> bool | None:
         found = given.get(key)
         if found is None or isinstance(found, bool):
             return found
@@ -155,16 +155,16 @@ class JsonLinesServer:
                 return given
         raise Refusal(self._where, key, f"be {count} numbers, base to tool", given)
 
-    def _measurement(self) -> bytes:
+    def _write_measurement(self) -> bytes:
         session = self._session
         with session.turn:
             measured = session.measured
             rows = {output.name: measured.place(output).tolist() for output in self._outputs}
             state = {"tick": session.tick, "power": session.powered}
-            return _line({**state, "stopped": session.fault is not None, **rows})
+            return _write_line({**state, "stopped": session.fault is not None, **rows})
 
 
-def _line(of: dict[str, Any]) -> bytes:
+def _write_line(of: dict[str, Any]) -> bytes:
     """Return an object as a line; numbers that are not finite are null."""
 
     def finite(value: Any) -> Any:

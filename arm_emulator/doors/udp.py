@@ -181,15 +181,15 @@ class UdpServer:
             if given["layout"] != self.datagrams.layout:
                 rule = f"be {self.datagrams.layout}, that of {session.scene.name}"
                 raise Refusal("udp", "layout", rule, int(given["layout"]))
-            self._take(given)
+            self._take_command(given)
         except DuplicateCommand:
             pass
         except Refusal as reason:
             self.refused += 1
             return REFUSED + str(reason).encode()
-        return self._measurement()
+        return self._write_measurement()
 
-    def _take(self, given: np.void) -> None:
+    def _take_command(self, given: np.void) -> None:
         session, control = self._session, int(given["control"])
         if not 0 <= control <= POWER + RESET:
             raise Refusal("udp", "control", "have no bits but power 1, reset 2", control)
@@ -203,7 +203,7 @@ class UdpServer:
             names, on = session.scene.joint_names, bool(control & POWER)
             submit_command(session, tick, names, given["command"], rows, powered=on)
 
-    def _measurement(self) -> bytes:
+    def _write_measurement(self) -> bytes:
         session, record = self._session, self._record
         with session.turn:
             record["tick"] = session.tick
@@ -220,7 +220,7 @@ class UdpServer:
             if session.wait(LOOK):
                 while session.take():
                     if self._peer is not None:
-                        self._send(self._measurement(), self._peer)
+                        self._send(self._write_measurement(), self._peer)
 
     def _send(self, data: bytes, peer: tuple[str, int]) -> None:
         try:

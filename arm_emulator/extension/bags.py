@@ -7,8 +7,8 @@ from arm_emulator.bags.repetition import KINDS as EVENT_KINDS
 from arm_emulator.bags.run_bag import KINDS as CHANGE_KINDS
 from arm_emulator.bags.run_bag import RunBag
 from arm_emulator.bags.timeline_bag import write_timeline
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import SCENE as BAG_SCENE_FILE
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import SCENE as BAG_SCENE_FILE
 
 __all__ = [
     "BAG_SCENE_FILE",

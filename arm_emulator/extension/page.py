@@ -17,6 +17,7 @@ from arm_emulator.runs.order import (
 )
 from arm_emulator.runs.row_end import RowEnd
 from arm_emulator.runs.timeline import Timeline
+from arm_emulator.workarounds.websocket_requests import answer_requests
 
 __all__ = [
     "NO_VECTOR",
@@ -35,6 +36,7 @@ __all__ = [
     "Timeline",
     "TorqueTerms",
     "Vector",
+    "answer_requests",
     "in_metres",
     "package_folders",
     "page_token",

@@ -5,11 +5,11 @@ from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator.runs.gains import check_fit, check_servo, load_gains
-from arm_emulator.runs.goal import last_target, missed_target
+from arm_emulator.runs.goal import find_last_target, find_missed_target
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.servo_step import ServoStep
-from arm_emulator.runs.table_run import TableRun, off_target
+from arm_emulator.runs.table_run import TableRun, compute_tool_error
 from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
 from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
 from arm_emulator.servo.servo_config import (
@@ -40,13 +40,13 @@ __all__ = [
     "check_rates",
     "check_servo",
     "check_targets",
-    "last_target",
+    "compute_tool_error",
+    "find_last_target",
+    "find_missed_target",
     "load_gains",
     "load_motion_config",
     "load_servo_config",
     "load_target_table",
-    "missed_target",
     "nanoseconds",
-    "off_target",
     "servo_numbers",
 ]

@@ -45,7 +45,7 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
     check_servo(scene, servo)
     where = scene.where
     other = "motion_controller.period"
-    _same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+    _check_same(where, "servo.motion_period", servo.motion_period, other, motion.period)
 
 
 def check_servo(scene: Scene, servo: ServoConfig) -> None:
@@ -56,7 +56,7 @@ def check_servo(scene: Scene, servo: ServoConfig) -> None:
     """
     check_joints(scene, servo)
     period = scene.servo_period
-    _same(scene.where, "servo.period", servo.period, "the scene's servo_period", period)
+    _check_same(scene.where, "servo.period", servo.period, "the scene's servo_period", period)
 
 
 def check_joints(scene: Scene, servo: ServoConfig) -> None:
@@ -69,8 +69,8 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
     """
     if sorted(servo.joint_names) != sorted(scene.joint_names):
         rule = "name every moving joint of the scene once"
-        got, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
-        raise Refusal(scene.where, "servo.joint_names", rule, got, valid)
+        actual, valid = ", ".join(servo.joint_names), ", ".join(scene.joint_names)
+        raise Refusal(scene.where, "servo.joint_names", rule, actual, valid)
     of_servo = {joint.name: joint for joint in servo.joints}
     for joint in scene.joints:
         taken = of_servo[joint.name]
@@ -100,6 +100,6 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
         )
 
 
-def _same(where: str, one: str, value: float, other: str, expected: float) -> None:
+def _check_same(where: str, one: str, value: float, other: str, expected: float) -> None:
     if round(value * 1e9) != round(expected * 1e9):
         raise Refusal(where, one, f"be {other}, {expected:g} s", f"{value:g} s")

@@ -17,13 +17,13 @@ from arm_emulator.runs.target_table import TargetTable
 NEAR = 0.01
 
 
-def last_target(scene: Scene, targets: TargetTable, ticks: int) -> Array:
+def find_last_target(scene: Scene, targets: TargetTable, ticks: int) -> Array:
     """Return the joint targets that hold after so many ticks (N,) [rad or m]."""
     begun = sum(tick < ticks for tick in targets.ticks(scene.servo_period))
     return np.asarray(targets.q[begun - 1] if begun else scene.start)
 
 
-def missed_target(session: Session, wanted: Array) -> str:
+def find_missed_target(session: Session, wanted: Array) -> str:
     """Return as text which joint is not at its target (N,) [rad or m]; empty: all are near."""
     scene = session.scene
     scale = Kinematics(scene.urdf, scene.joint_names, scene.tool).joint_scale
@@ -38,22 +38,22 @@ def missed_target(session: Session, wanted: Array) -> str:
     )
 
 
-def missed_order(run: OfflineRun) -> str:
+def find_missed_order(run: OfflineRun) -> str:
     """Return as text why the motion controller's newest order is not reached; empty: it is."""
     instructor = run.instructor
     newest, now = instructor.reports.newest, instructor.progress
     if newest is None:
         return "it was not taken"
     if newest.state is not State.REACHED:
-        under_way = not newest.state.final
-        if under_way and instructor.waits_for:
+        is_unfinished = not newest.state.final
+        if is_unfinished and instructor.waits_for:
             return f"{newest.state.name.lower()}: {instructor.waits_for}"
-        return _in_words(newest.state, now if under_way else newest)
+        return _describe(newest.state, now if is_unfinished else newest)
     if now.state is State.REACHED:
         return ""
-    return f"reached, and left again, {_in_words(now.state, now)}"
+    return f"reached, and left again, {_describe(now.state, now)}"
 
 
-def _in_words(state: State, progress: Progress) -> str:
+def _describe(state: State, progress: Progress) -> str:
     why = f": {progress.reason}" if progress.reason else ""
     return f"{state.name.lower()}{left(progress.distance, progress.angle)}{why}"

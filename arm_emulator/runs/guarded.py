@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, NoReturn, TypeVar
 
+from arm_emulator.base.process import signal_at_end_of_parent
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.firmware import RunningCode, new_progress
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
@@ -28,10 +29,9 @@ Outcome = TypeVar("Outcome")
 
 LOOK = 1.0  # s, after which a library that has not returned is looked at
 REPORT_STALL = 5.0  # s
-_PR_SET_PDEATHSIG = 1
 
 
-def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
+def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
     """Do work that calls a user's library, and return its outcome.
 
     Under a debugger it is done in this process, which the debugger watches.
@@ -43,7 +43,7 @@ def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
     Raises:
         Refusal: the library has ended the process, or what the work raises.
     """
-    if _debugged():
+    if is_debugged():
         return work(new_progress())
     progress = new_progress(mmap.mmap(-1, FIRMWARE_CONTROLLER.sizeof("firmware_progress")))
     sys.stdout.flush()
@@ -65,17 +65,17 @@ def guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
             if isinstance(result, BaseException):
                 raise result
             return result
-    got = f"exit with code {code}" if code >= 0 else _name(-code)
+    actual = f"exit with code {code}" if code >= 0 else _name_signal(-code)
     where = (
         f"{name}, tick {progress.controller.tick}" if progress.doing == RunningCode.STEP else name
     )
-    raise Refusal(where, *RunningCode(progress.doing).must, got)
+    raise Refusal(where, *RunningCode(progress.doing).must, actual)
 
 
 def _work(
     work: Callable[[CData], object], progress: CData, watcher: int, outcome: IO[bytes]
 ) -> NoReturn:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal_at_end_of_parent(signal.SIGKILL)
     result: object = SystemExit(1)
     if os.getppid() == watcher:
         try:
@@ -115,14 +115,14 @@ def _wait(child: int, name: str, progress: CData) -> int:
     return status
 
 
-def _name(number: int) -> str:
+def _name_signal(number: int) -> str:
     try:
         return signal.Signals(number).name
     except ValueError:
         return f"signal {number}"
 
 
-def _debugged() -> bool:
+def is_debugged() -> bool:
     """Whether a debugger watches this process."""
     try:
         words = Path("/proc/self/status").read_text(encoding="ascii").split()

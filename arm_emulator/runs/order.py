@@ -180,19 +180,19 @@ def of_data(where: str, data: Any, further: Sequence[type[Order]] = ()) -> Order
     Raises:
         Refusal: it is not an order.
     """
-    known = {one.kind: one for one in (*ORDERS, *further)}
-    kind = known.get(data.get("kind", "")) if isinstance(data, Mapping) else None
+    kinds = {one.kind: one for one in (*ORDERS, *further)}
+    kind = kinds.get(data.get("kind", "")) if isinstance(data, Mapping) else None
     if kind is None:
-        raise Refusal(where, "order", "be of a known kind", data, ", ".join(known))
+        raise Refusal(where, "order", "be of a known kind", data, ", ".join(kinds))
     given = {name: value for name, value in data.items() if name != "kind"}
     fields = {field.name: str(field.type) for field in dataclasses.fields(kind)}
     if given.keys() != fields.keys():
         raise Refusal(where, f"order {kind.kind}", f"have {', '.join(fields)}", ", ".join(given))
-    taken = {name: _value(where, name, fields[name], value) for name, value in given.items()}
+    taken = {name: _check_value(where, name, fields[name], value) for name, value in given.items()}
     return kind(**taken)
 
 
-def _value(where: str, name: str, kind: str, value: Any) -> Any:
+def _check_value(where: str, name: str, kind: str, value: Any) -> Any:
     """Return a field's value if it is of its kind."""
     if kind == "Vector" and isinstance(value, Sequence) and len(value) == 3:
         if all(_is_number(one) for one in value):

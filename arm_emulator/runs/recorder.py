@@ -57,7 +57,7 @@ class Recorder:
 
     def _stay(self) -> None:
         """Let viewers look at what has ended, until Ctrl-C."""
-        show = viewer_command(f"rerun+http://127.0.0.1:{self._kept.rerun}/proxy")
+        show = get_viewer_command(f"rerun+http://127.0.0.1:{self._kept.rerun}/proxy")
         print(f"rerun: until Ctrl-C a viewer may connect: {show}", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()
@@ -79,7 +79,7 @@ class Recorder:
             raise Refusal("record", where, "accept every row", trouble)
 
 
-def viewer_command(source: str | Path) -> str:
+def get_viewer_command(source: str | Path) -> str:
     """Return the command that shows a recording, for a shell in the working folder.
 
     Args:

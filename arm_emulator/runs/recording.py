@@ -21,7 +21,7 @@ from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS
 from arm_emulator.machine.session.record_row import RecordRow, columns_of, row_type, values_of
-from arm_emulator.runs.view_of import view_of
+from arm_emulator.runs.view_of import get_view
 
 TRUTH = (*ROWS, "energy")
 RERUN = ".rrd"
@@ -172,7 +172,7 @@ class Recording(NonCopyable):
         from arm_emulator.view.rerun_rows import RerunRows
 
         scene, angle = self._plant.scene, self._plant.link_angle_per_count
-        rows = RerunRows(str(file), columns_of(scene), angle, view_of(scene))
+        rows = RerunRows(str(file), columns_of(scene), angle, get_view(scene))
         rows.show(self._rows)
         if trouble := rows.close():
             raise Refusal("Recording", f"file {file}", "accept every row", trouble)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import pickle
 import select
@@ -12,7 +11,8 @@ import sys
 from types import FrameType
 from typing import Any, NoReturn
 
-_PR_SET_PDEATHSIG = 1
+from arm_emulator.base.process import signal_at_end_of_parent
+
 _ORPHANED = signal.SIGUSR1  # which the system sends when the run has ended
 
 
@@ -42,7 +42,7 @@ class RowEnd:
             signal.signal(number, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(_ORPHANED, self._on_orphaned)
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, _ORPHANED)
+        signal_at_end_of_parent(_ORPHANED)
         self._on_orphaned()  # it may have died before that
         os.nice(niceness)
         self.task: dict[str, Any] = pickle.load(sys.stdin.buffer)

@@ -20,7 +20,7 @@ from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.listeners import leave, listen
 from arm_emulator.machine.session.record_ring import RingWriter, SharedRing
 from arm_emulator.machine.session.record_row import RecordRow, columns_of
-from arm_emulator.runs.view_of import view_of
+from arm_emulator.runs.view_of import get_view
 
 HERE = Path(__file__).resolve().parents[2]  # what the other process imports from
 START = 120.0  # s, wall: for its imports, on a busy machine
@@ -79,8 +79,8 @@ class RowProcess:
         try:
             os.ftruncate(memory, SharedRing.size(row.rows.dtype))
             self._ring = ring = SharedRing(memory, row.rows.dtype)
-            about = _about(plant, memory)
-            process, answers = _begin(module, about | dict(task), (memory, *files))
+            about = _describe_plant(plant, memory)
+            process, answers = _start_process(module, about | dict(task), (memory, *files))
             self._process, self._answers = process, answers
         finally:
             os.close(memory)
@@ -108,7 +108,7 @@ class RowProcess:
     def trouble(self) -> str:
         """End of the process before its time, in words; empty if it runs."""
         code = self._process.poll()
-        return "" if code is None else f"its process has ended, {_words(code)}"
+        return "" if code is None else f"its process has ended, {_describe_exit(code)}"
 
     def take(self) -> None:
         """Take a row of the machine as it is now; no exchange may be under way."""
@@ -148,27 +148,27 @@ class RowProcess:
         try:
             return pickle.load(self._answers)
         except (EOFError, pickle.UnpicklingError):
-            words = _words(self._process.wait())
+            words = _describe_exit(self._process.wait())
             return Refusal(self._where, "its process", "go on", f"one that has ended, {words}")
 
 
-def _words(code: int) -> str:
+def _describe_exit(code: int) -> str:
     """Return an exit code in words."""
     return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
-def _about(plant: Plant, memory: int) -> dict[str, Any]:
+def _describe_plant(plant: Plant, memory: int) -> dict[str, Any]:
     """Return what every such process gets of a machine."""
     return {
         "memory": memory,
         "kind": RecordRow(plant).rows.dtype,
         "columns": columns_of(plant.scene),
-        "view": view_of(plant.scene),
+        "view": get_view(plant.scene),
         "angle_per_count": plant.link_angle_per_count,
     }
 
 
-def _begin(
+def _start_process(
     module: str, task: dict[str, Any], files: tuple[int, ...]
 ) -> tuple[subprocess.Popen[bytes], BinaryIO]:
     """Return a process that has its task, and the end of the pipe that its answers come from."""
@@ -178,7 +178,7 @@ def _begin(
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", module, str(far), str(os.getpid())],
             stdin=subprocess.PIPE,
-            stdout=_errors(),
+            stdout=_find_stderr(),
             pass_fds=(far, *files),
             env=os.environ | {"PYTHONPATH": path},
             start_new_session=True,  # Ctrl-C ends the run, and then this
@@ -192,7 +192,7 @@ def _begin(
     return process, os.fdopen(near, "rb")
 
 
-def _errors() -> int:
+def _find_stderr() -> int:
     """Return the descriptor for what a process prints: stderr, if there is one."""
     try:
         os.fstat(2)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.saved_objects import Saved, SavedObjects
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.control_code import ControlCode
@@ -26,19 +25,6 @@ from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.toolchain.c_header import CData
 
 _PIECE = 1000  # ticks after which a call looks whether Ctrl-C was pressed
-
-
-@dataclass(frozen=True)
-class SavedTable:
-    """A `TableRun` at one moment."""
-
-    session: dict[str, Any] = field(repr=False)
-    code: Any = field(repr=False)
-    loop: tuple[Any, ...] = field(repr=False)
-    owner: TableRun = field(repr=False)
-
-    def __len__(self) -> int:
-        return len(self.session["machine"]) + len(self.code)
 
 
 class TableRun:
@@ -69,6 +55,7 @@ class TableRun:
         servo.start(session.plant, session.period_ns)
         targets = None if table is None else self._targets(table)
         self._loop = FirmwareLoop(session.plant, servo, targets)
+        self._saved = SavedObjects()
 
     def _targets(self, table: TargetTable) -> tuple[list[int], Array]:
         """Return the ticks from which on rows hold, and the rows."""
@@ -123,26 +110,25 @@ class TableRun:
         """Servo periods since the start."""
         return self.session.tick
 
-    def save(self) -> SavedTable:
+    def save(self) -> Saved:
         """Return machine and control code as they are now, for `restore`.
 
         Raises:
             Refusal: the control code cannot be saved.
         """
-        return SavedTable(self.session.save(), self._servo.save(), self._loop.save(), self)
+        parts = self.session.save(), self._servo.save(), self._loop.save()
+        return self._saved.save(parts)
 
-    def restore(self, saved: SavedTable) -> None:
+    def restore(self, saved: Saved) -> None:
         """Go on from the tick at which `save` of this run has returned this, to the last bit.
 
         Raises:
             Refusal: something else; nothing has changed.
         """
-        if not isinstance(saved, SavedTable) or saved.owner is not self:
-            rule = "be what `save` of the same run returned"
-            raise Refusal("TableRun.restore", "saved", rule, saved)
-        self.session.return_to(saved.session)
-        self._servo.restore(saved.code)
-        self._loop.restore(saved.loop)
+        session, code, loop = self._saved.restore(saved, "TableRun.restore")
+        self.session.return_to(session)
+        self._servo.restore(code)
+        self._loop.restore(loop)
 
     def close(self) -> None:
         """End a user's library; the run cannot go on."""
@@ -174,7 +160,7 @@ def load_table_run(
     return TableRun(scene, targets, ServoStep(ServoArm(config), place)), targets
 
 
-def off_target(session: Session, wanted: Array) -> Array:
+def compute_tool_error(session: Session, wanted: Array) -> Array:
     """Return what the tool lacks to joint targets (N,) [rad or m], in the world (3,) [m]."""
     scene = session.scene
     forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward

@@ -67,8 +67,8 @@ def load_target_table(
     table = read_table(file, units)
     if sorted(table.columns) != sorted(wanted):
         rule = "be t and every joint of the scene once"
-        got = ", ".join(table.columns) or "none"
-        raise Refusal(table.where, "columns", rule, got, ", ".join(wanted))
+        actual = ", ".join(table.columns) or "none"
+        raise Refusal(table.where, "columns", rule, actual, ", ".join(wanted))
     numbers = table.values[:, [table.columns.index(name) for name in wanted]]
     if not len(numbers):
         raise Refusal(table.where, "table", "have a row of targets", "none")
@@ -100,7 +100,7 @@ def _check(numbers: Array, table: Table, names: Sequence[str]) -> None:
 DEGREE = math.pi / 180.0
 MILLI = 1e-3
 USUAL = 1.0  # rad/s, or reaches per second: the largest speed of a joint that states none
-_MANY, _WHOLE_SHARE = 10, 1e-2  # rows at whole seconds, as milliseconds would be
+_WHOLE_ROWS, _WHOLE_SHARE = 10, 1e-2  # rows at whole seconds, as milliseconds would be
 _FAR_TOO_FAST = 5.0  # times the limit: a slip of a unit more probably than a fast motion
 
 
@@ -125,12 +125,12 @@ def check_targets(scene: Scene, where: str, rows: Sequence[str], t: Array, q: Ar
     names, slides = scene.joint_names, arm.joint_scale != 1.0
     outside = (q < arm.lower - ROUNDING) | (q > arm.upper + ROUNDING)
     for row, j in np.argwhere(outside)[:1]:
-        unit, probable = _units(slides[j])
+        unit, probable = _get_units(slides[j])
         scaled = q[:, j] * (MILLI if slides[j] else DEGREE)
         fits = bool(((scaled >= arm.lower[j]) & (scaled <= arm.upper[j])).all())
         rule = f"keep the joint's limits, [{arm.lower[j]:.6g}, {arm.upper[j]:.6g}] {unit}"
-        got = f"{q[row, j]:.6g}" + (f", probably {probable}" if fits else "")
-        raise Refusal(where, f"{rows[row]}, {names[j]}", rule, got)
+        actual = f"{q[row, j]:.6g}" + (f", probably {probable}" if fits else "")
+        raise Refusal(where, f"{rows[row]}, {names[j]}", rule, actual)
     _check_speed(where, rows, t, q, arm)
     _warn_of_units(where, t, np.vstack([scene.start, q]), arm)
 
@@ -139,12 +139,12 @@ def _check_speed(where: str, rows: Sequence[str], t: Array, q: Array, arm: Kinem
     limit = arm.velocity_limit
     v = np.diff(q, axis=0) / np.diff(t)[:, None]
     for row, j in np.argwhere(np.abs(v) > SPEED_BETWEEN_POINTS * limit)[:1]:
-        unit, probable = _units(bool(arm.joint_scale[j] != 1.0))
+        unit, probable = _get_units(bool(arm.joint_scale[j] != 1.0))
         share = np.abs(v[:, j]).max() / limit[j]
         slip = _FAR_TOO_FAST < share <= 1.0 / (DEGREE if unit == "rad" else MILLI)
         rule = f"keep the joint's limit of speed from the previous row on, {limit[j]:.6g} {unit}/s"
-        got = f"{v[row, j]:.6g} {unit}/s" + (f", probably {probable}" if slip else "")
-        raise Refusal(where, f"{rows[row + 1]}, {arm.joint_names[j]}", rule, got)
+        actual = f"{v[row, j]:.6g} {unit}/s" + (f", probably {probable}" if slip else "")
+        raise Refusal(where, f"{rows[row + 1]}, {arm.joint_names[j]}", rule, actual)
 
 
 def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
@@ -156,7 +156,7 @@ def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
         warn(f"{where}: {name} turns {turns.max():.3g} times; targets must be in rad, not degrees")
     usual = np.where(np.isfinite(arm.velocity_limit), arm.velocity_limit, arm.joint_scale * USUAL)
     share = float(np.max(np.abs(np.diff(q[1:], axis=0) / np.diff(t)[:, None]) / usual, initial=0.0))
-    whole = len(t) >= _MANY and bool((t == np.round(t)).all())
+    whole = len(t) >= _WHOLE_ROWS and bool((t == np.round(t)).all())
     if 0.0 < share <= (_WHOLE_SHARE if whole else MILLI):
         warn(
             f"{where}: no joint moves at more than {100.0 * share:.2g} % of its largest speed; "
@@ -164,6 +164,6 @@ def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
         )
 
 
-def _units(slides: bool) -> tuple[str, str]:
+def _get_units(slides: bool) -> tuple[str, str]:
     """Return the unit of a joint, and the other one in which its angles or ways are often given."""
     return ("m", "mm") if slides else ("rad", "degrees")

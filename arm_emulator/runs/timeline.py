@@ -90,7 +90,7 @@ class Timeline(NonCopyable, Generic[R]):
         self.begins = self.tick = self.newest = run.tick
         self._checkpoints: list[_Checkpoint] = []
         self._place = _Place(self)
-        self._keep()
+        self._add_checkpoint()
 
     def __repr__(self) -> str:
         return f"<Timeline at tick {self.tick} of {self.newest}>"
@@ -121,7 +121,7 @@ class Timeline(NonCopyable, Generic[R]):
             finally:
                 self.tick = self.newest = self.run.tick
             if self.tick % self.every == 0:
-                self._keep()
+                self._add_checkpoint()
 
     def go_to(self, tick: int) -> None:
         """Visit a tick, after the changes by hand that were made there.
@@ -189,7 +189,7 @@ class Timeline(NonCopyable, Generic[R]):
         self.changes.append(Change(self.tick, name, change))
         if self._checkpoints[-1].tick == self.tick:
             self._checkpoints.pop()
-        self._keep()
+        self._add_checkpoint()
 
     def fork(self) -> Timeline[R]:
         """Return a timeline with the same past up to this tick, to go on in another way."""
@@ -207,5 +207,5 @@ class Timeline(NonCopyable, Generic[R]):
         if self._place.visitor is not self:
             self.go_to(self.tick)
 
-    def _keep(self) -> None:
+    def _add_checkpoint(self) -> None:
         self._checkpoints.append(_Checkpoint(self.tick, self.run.save()))

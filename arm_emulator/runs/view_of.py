@@ -9,15 +9,15 @@ from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.scene.urdf_file import example_robot_data
 
 
-def view_of(scene: Scene) -> dict[str, Any]:
+def get_view(scene: Scene) -> dict[str, Any]:
     """Return what `RerunStream` gets of a scene."""
     robots = example_robot_data()
-    shown = [part for part in reported_by_parts(scene) if not part.per_unit]
+    quantities = [part for part in reported_by_parts(scene) if not part.per_unit]
     return {
         "urdf_xml": scene.urdf,
         "joint_names": scene.joint_names,
         "q_start": scene.start,
         "tool": scene.tool,
         "package_dirs": [robots.parents[1]] if robots else [],
-        "further": {one.name: one.unit for one in shown},
+        "further": {one.name: one.unit for one in quantities},
     }

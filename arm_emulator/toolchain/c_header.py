@@ -6,7 +6,6 @@ Reading a header takes about 30 ms. The result is cached beside the libraries, i
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import hashlib
 import marshal
@@ -15,7 +14,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.toolchain import library_cache
+from arm_emulator.workarounds.cffi_parts import read_parts
 
 FFI = Any  # cffi has no types of its own
 CData = Any
@@ -262,7 +261,7 @@ def _taken(lines: list[str]) -> Iterator[str]:
 def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
     parts = _kept(text)
     if parts is None:
-        parts = _parsed(text)
+        parts = read_parts(_parser(text))
         _keep(text, parts)
     functions = parts.pop("functions")
     included = tuple(header.ffi for header in text.included)
@@ -287,29 +286,6 @@ def _keep(text: _Text, parts: dict[str, Any]) -> None:
 
 
 _PARSERS: dict[Path, Any] = {}
-
-
-def _parsed(text: _Text) -> dict[str, Any]:
-    from cffi.cffi_opcode import OP_DLOPEN_FUNC
-    from cffi.recompiler import Recompiler
-
-    recompiler, source = (
-        Recompiler(_parser(text), text.path.stem, target_is_python=True),
-        StringIO(),
-    )
-    recompiler.collect_type_table()
-    recompiler.collect_step_tables()
-    recompiler.write_source_to_f(source, None)
-    call = ast.parse(source.getvalue()).body[-1]
-    assert isinstance(call, ast.Assign) and isinstance(call.value, ast.Call)
-    parts: dict[str, Any] = {
-        one.arg: ast.literal_eval(one.value)
-        for one in call.value.keywords
-        if one.arg and one.arg != "_includes"
-    }
-    names = parts.get("_globals", ())[::2]  # an opcode, of which the last byte is the kind
-    parts["functions"] = tuple(name[4:].decode() for name in names if name[3] == OP_DLOPEN_FUNC)
-    return parts
 
 
 def _parser(text: _Text) -> Any:

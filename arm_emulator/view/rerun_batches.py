@@ -141,7 +141,7 @@ class RerunBatches:
         recording.log(TOOL_PATH, root, line, static=True)
         recording.log(TOOL_TARGET, root, point, static=True)
         curves = [
-            (_path("signals", quantity, name), name, colour, quantity == "applied")
+            (_make_path("signals", quantity, name), name, colour, quantity == "applied")
             for quantity in self._quantities
             for name, colour in zip(self._names, itertools.cycle(COLOURS), strict=False)
         ]
@@ -169,7 +169,7 @@ class RerunBatches:
             self._targets = sorted([*self._targets, (start, p_WT)], key=lambda target: target[0])
             recording.send_columns(
                 TOOL_TARGET,
-                [_line(np.array([start]))],
+                [_make_time_column(np.array([start]))],
                 rr.Points3D.columns(positions=[p_WT]),
                 strict=True,
             )
@@ -187,7 +187,7 @@ class RerunBatches:
         columns = rr.TextLog.columns(
             text=[text for _, text, _ in texts], level=[level for _, _, level in texts]
         )
-        recording.send_columns(EVENTS, [_line(at)], columns, strict=True)
+        recording.send_columns(EVENTS, [_make_time_column(at)], columns, strict=True)
         yield
 
     def send_poses(
@@ -220,7 +220,7 @@ class RerunBatches:
         if len(pieces):
             columns = rr.LineStrips3D.columns(strips=list(pieces))
             yield
-            recording.send_columns(TOOL_PATH, [_line(ends)], columns, strict=True)
+            recording.send_columns(TOOL_PATH, [_make_time_column(ends)], columns, strict=True)
             yield
         yield from self._send_deviation(recording, times, p_WT)
 
@@ -232,14 +232,14 @@ class RerunBatches:
         if not waiting:
             return
         times = np.concatenate([times for times, _ in waiting])
-        line = _line(times)
+        line = _make_time_column(times)
         rows = np.concatenate([rows for _, rows in waiting])
         for index, quantity in enumerate(self._quantities):
             if len(rows) == 0 or np.isnan(rows[:, index]).all():
                 continue
             for column, name in enumerate(self._names):
                 recording.send_columns(
-                    _path("signals", quantity, name),
+                    _make_path("signals", quantity, name),
                     [line],
                     rr.Scalars.columns(scalars=np.ascontiguousarray(rows[:, index, column])),
                     strict=True,
@@ -273,7 +273,7 @@ class RerunBatches:
         for axis, values in zip("xyz", deviation.T, strict=True):
             recording.send_columns(
                 f"{DEVIATION}/{axis}",
-                [_line(times[given])],
+                [_make_time_column(times[given])],
                 rr.Scalars.columns(scalars=np.ascontiguousarray(values)),
                 strict=True,
             )
@@ -312,7 +312,7 @@ class RerunBatches:
             for field, descriptor, batch in self._transform_columns
         ]
         yield
-        line = _line(np.repeat(times, joints))
+        line = _make_time_column(np.repeat(times, joints))
         recording.send_columns(TRANSFORMS, [line], columns, strict=True)
         yield
 
@@ -338,13 +338,13 @@ def _transform_columns() -> list[tuple[str, rr.ComponentDescriptor, Any]]:
     return [(f, d, batches[f]) for f, d in zip(fields, descriptors, strict=True)]
 
 
-def _line(times: Times) -> rr.TimeColumn:
+def _make_time_column(times: Times) -> rr.TimeColumn:
     import rerun as rr
 
     return rr.TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))
 
 
-def _path(*parts: str) -> str:
+def _make_path(*parts: str) -> str:
     import rerun as rr
 
     return rr.new_entity_path(list(parts))

@@ -64,4 +64,4 @@ class RerunRows:
 
     def close(self) -> str:
         """Write the waiting rows; return what is missing, or ""."""
-        return self._stream.close_whole()
+        return self._stream.close_complete()

@@ -42,7 +42,7 @@ SIGNAL_BATCHES = 5  # the curves come once in so many batches: fewer, longer col
 BATCH_ROWS = 500  # about the most in one column: keeps a single call short
 BREATH = 1e-4  # s, after each small step: lets the control path have Python's lock
 FLUSH_WAIT = 0.5  # s, real time: longest wait in one call for a slow disk
-MOST_WAITING = 10_000  # samples that wait before one that may wait, too
+WAITING_LIMIT = 10_000  # samples that wait before one that may wait, too
 ROOM_BREATH = 1e-3  # s, real time, between two looks for room
 SERVER_MEMORY = "512MiB"  # of the server, for viewers that connect late
 LONGEST_END = 60.0  # s, real time, for all samples of a whole run
@@ -140,8 +140,8 @@ class RerunStream:
             recording.set_sinks(*sinks, default_blueprint=blueprint)
         except Exception as error:  # Rerun has no class for what a disk refuses
             rule = "be one that can be written"
-            got = f"{file} ({error})" if file is not None else error
-            raise Refusal("Rerun", "file", rule, got) from None
+            actual = f"{file} ({error})" if file is not None else error
+            raise Refusal("Rerun", "file", rule, actual) from None
         self._batches.send_static(recording)
 
         self._stop = threading.Event()
@@ -218,10 +218,10 @@ class RerunStream:
 
     def wait_for_room(self) -> None:
         """Wait until the queue has room, before a sample of a run that can wait is offered."""
-        while self._open and self.waiting >= MOST_WAITING:
+        while self._open and self.waiting >= WAITING_LIMIT:
             time.sleep(ROOM_BREATH)
 
-    def close_whole(self) -> str:
+    def close_complete(self) -> str:
         """Write all waiting samples and end the recording; return what is missing, or ""."""
         self.close(LONGEST_END)
         return self.trouble or (f"{self.dropped} samples are missing" if self.dropped else "")

@@ -33,7 +33,7 @@ from arm_emulator.doors.udp import GREETING, POWER, REFUSED, UdpServer
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
-from arm_emulator.ros.bringup import Bringup
+from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.toolchain.unit import compile_units

@@ -34,8 +34,8 @@ from arm_emulator.machine.plant.outputs import (
 )
 from arm_emulator.machine.plant.scene_unit import scene_unit
 from arm_emulator.machine.session.real_time import real_time_session
-from arm_emulator.ros.fixed_layout import FixedLayout
-from arm_emulator.ros.middleware import Outgoing, middleware
+from arm_emulator.ros.messages.fixed_layout import FixedLayout
+from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import NULL, text
 from arm_emulator_fieldbus.converter import Converter, blocks
 from arm_emulator_fieldbus.declared import index_of, places
@@ -225,7 +225,7 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
     fields.begin(empty, Plant(scene).measured)
     unpublished: Any = None
     sent = Outgoing(unpublished, empty, further=fields.places(plant.measured_place))
-    middleware().ros_fill(sent.struct, 0, 0, NULL)
+    get_middleware().ros_fill(sent.struct, 0, 0, NULL)
     copied = deserialize_message(bytes(sent.layout.bytes), MotorState)
     assert copied == message, "C copies the same"
     rows = np.array(message.readings).reshape(len(message.reading_names), -1)

@@ -25,8 +25,8 @@ from network import ALL_THREE, User, assert_same_bits, kill, logs, network, offl
 from random_messages import RECEIVER, TOPICS, bad_message, random_message
 from rclpy.serialization import serialize_message
 
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.node_shell import DESCRIPTION_QOS
+from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS
+from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import EmulatorStatus
 from fuzz.line import FAILED, REFUSED, TAKEN, report

@@ -33,9 +33,10 @@ from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.cli.commands.ros2_control import ros2_control
 from arm_emulator.design.ros2_control import PLUGIN
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.network_client import NetworkClient
-from arm_emulator.ros.node_shell import DESCRIPTION_QOS, nanoseconds_of
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.node.network_client import NetworkClient
+from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS
+from arm_emulator.ros.process.ros_domain import own_domain
 
 PACKAGE = Path(__file__).resolve().parents[2] / "arm_emulator_hardware"
 PREFIXES = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if one]
@@ -397,7 +398,7 @@ class Managed:
         times: list[int] = []
 
         def hear(message: Clock) -> None:
-            times.append(nanoseconds_of(message.clock))
+            times.append(to_nanoseconds(message.clock))
 
         clock = self.node.create_subscription(Clock, "/clock", hear, 10)
         self.wait("time", lambda: bool(times) and times[-1] >= times[0] + 1e9 * seconds)
@@ -510,7 +511,7 @@ def goal_run(prefix: Path, folder: Path) -> dict[int, str]:
 
     def keep(state: Any) -> None:
         bits = np.concatenate([state.feedback.positions, state.output.positions]).tobytes()
-        states[nanoseconds_of(state.header.stamp)] = hashlib.sha256(bits).hexdigest()
+        states[to_nanoseconds(state.header.stamp)] = hashlib.sha256(bits).hexdigest()
 
     files = folder / "three_axis.urdf", folder / "three_axis_controllers.yaml"
     with managed(prefix, *files) as manager:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.ros_domain import own_domain
 
 pytest.importorskip("launch")
 pytest.importorskip("launch_ros")

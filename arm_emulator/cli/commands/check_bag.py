@@ -9,7 +9,7 @@ from arm_emulator.bags.comparison import compare
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.ros.bag_metadata import ARITHMETIC_OF, FORKED_AT, PARENT
+from arm_emulator.ros.recording.bag_metadata import ARITHMETIC_OF, FORKED_AT, PARENT
 from arm_emulator.toolchain.flags import ARITHMETIC
 
 

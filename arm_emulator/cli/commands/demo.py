@@ -36,18 +36,13 @@ from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.tool_controller import Controller, controller_for
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.ctrl_c import CtrlC
-from arm_emulator.ros.node_shell import (
-    COMMAND_QOS,
-    NANOSECONDS,
-    STATE_SUB_QOS,
-    nanoseconds_of,
-    stamp,
-)
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.node.node_shell import COMMAND_QOS, STATE_SUB_QOS
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ctrl_c import CtrlC
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.gains import Gains, check_fit, load_gains
-from arm_emulator.runs.recorder import viewer_command
+from arm_emulator.runs.recorder import get_viewer_command
 from arm_emulator_msgs.msg import EmulatorStatus
 
 PATIENCE = 120.0  # s, wall: on an idle machine the nodes need a second or two
@@ -273,7 +268,7 @@ class _Observer(Node):
                 self.target_taken = self.target_taken or taken != "0"
 
     def _on_truth(self, truth: JointState) -> None:
-        now = nanoseconds_of(truth.header.stamp)
+        now = to_nanoseconds(truth.header.stamp)
         expected = self._start_ns + len(self.q) * self._period_ns
         if now == expected:
             self.q.append(np.array(truth.position))
@@ -284,7 +279,7 @@ class _Observer(Node):
 def _pose_message(target: Pose, from_ns: int) -> PoseStamped:
     """Return the message of a tool target that holds from a logical time on."""
     message = PoseStamped()
-    message.header.stamp = stamp(from_ns)
+    message.header.stamp = to_stamp(from_ns)
     pose = message.pose
     pose.position.x, pose.position.y, pose.position.z = map(float, target.p_WT)
     o = pose.orientation
@@ -335,4 +330,6 @@ def _report(
     if len(below):
         console.print(f"below 1 % of {start * 1e3:.1f} mm    after {below[0]} instructions")
     console.print(f"real-time factor          {result.real_time_factor:.2f}")
-    console.print(f"results: {out / 'fig4.png'}; the moving arm:", viewer_command(out / "demo.rrd"))
+    console.print(
+        f"results: {out / 'fig4.png'}; the moving arm:", get_viewer_command(out / "demo.rrd")
+    )

@@ -17,11 +17,11 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import package_of
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
-from arm_emulator.ros.ros_domain import LARGEST
-from arm_emulator.ros.shared_memory import left_over
+from arm_emulator.ros.process.ros_domain import LARGEST
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.library_cache import largest_size, writable_caches
 from arm_emulator.version import VERSION
+from arm_emulator.workarounds.fastdds_shared_memory import find_left_over
 
 if TYPE_CHECKING:  # this machine may have no ROS 2
     from rclpy.node import Node
@@ -198,9 +198,9 @@ def _domain() -> Finding:
 def _network() -> Finding:
     """Look at the nodes of the domain, of any program."""
     try:
-        from arm_emulator.ros.network_client import guest
+        from arm_emulator.ros.node.network_client import join_network
 
-        with guest("doctor", "") as node:
+        with join_network("doctor", "") as node:
             count, more = 0, True
             while more:  # on a busy machine the nodes are found one after the other
                 node.spin_until(lambda: False, DISCOVERY)
@@ -243,7 +243,7 @@ def _processes() -> Finding:
 
 
 def _shared_memory() -> Finding:
-    count = sum(1 for _ in left_over())
+    count = sum(1 for _ in find_left_over())
     if count:
         text = f"{count} remains of killed processes in /dev/shm"
         return Finding("shared memory", "note", text, "the next network removes them")

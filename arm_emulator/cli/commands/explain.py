@@ -10,7 +10,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from arm_emulator.bags.explanation import Explanation, explain_moment
-from arm_emulator.bags.first_difference import first_difference
+from arm_emulator.bags.first_difference import find_first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
@@ -94,7 +94,7 @@ def explain(
 def _compare(names: tuple[str, str], one: RecordedMachine, other: RecordedMachine) -> int:
     """Print the first difference of two runs, and the moment from which it comes."""
     start = one.save()
-    found, equal = first_difference(one, other)
+    found, equal = find_first_difference(one, other)
     builds = other_builds(names, one.topics.build, other.topics.build)
     output.facts({"sides": names, "equal_ticks": equal, "difference": None, "builds": builds})
     for sentence in builds:

@@ -10,14 +10,14 @@ from cyclopts import Parameter
 
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.targeted_run import LeaveChanges, TargetedRun
-from arm_emulator.bags.timeline_bag import ordered_run, write_timeline
+from arm_emulator.bags.timeline_bag import load_ordered_run, write_timeline
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.ros.bag import Bag
-from arm_emulator.runs.goal import missed_order
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.runs.goal import find_missed_order
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.order import MoveTool, Order, Push, ScaleGains, SetVaried, SwitchPower
 
@@ -66,7 +66,7 @@ def fork(
     if new.exists():
         raise Refusal("fork", f"folder {new}", "be new", "one that exists")
     topics = RecordedTopics(Bag(bag))
-    line = ordered_run(topics, scene or topics.scene)
+    line = load_ordered_run(topics, scene or topics.scene)
     period = line.run.session.scene.servo_period
     left = line.newest * period - at if seconds is None else seconds
     for option, value, most in (("--at", at, line.newest * period), ("--seconds", left, math.inf)):
@@ -101,7 +101,7 @@ def fork(
     )
     if diverged or displacement is None or not isinstance(line.run, OfflineRun):
         return 1 if diverged else 0
-    return output.judge("fork", missed_order(line.run))
+    return output.judge("fork", find_missed_order(line.run))
 
 
 def _set(text: str) -> SetVaried:

@@ -26,10 +26,10 @@ from arm_emulator.cli.output import output
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.real_time import RealTimeLoop
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.network_client import guest
-from arm_emulator.ros.node_shell import STATE_SUB_QOS
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.node.network_client import join_network
+from arm_emulator.ros.node.node_shell import STATE_SUB_QOS
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator_msgs.msg import EmulatorStatus
 
 RATE = Number("--rates", "Hz", at_least=1.0, at_most=20e3)
@@ -239,7 +239,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
         log = Path(folder) / "log"
         with (
             Bringup(str(file), clock="realtime", log=log, only=("emulator", "servo")) as network,
-            guest("latency", "") as node,
+            join_network("latency", "") as node,
         ):
             node.listen("emulator/status", EmulatorStatus, STATE_SUB_QOS)
 

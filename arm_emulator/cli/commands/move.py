@@ -24,15 +24,13 @@ from arm_emulator.cli.output import output
 from arm_emulator.motion.executor.goal_status import left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.ros.network_client import STATES, NetworkClient, guest
-from arm_emulator.ros.node_shell import (
+from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
+from arm_emulator.ros.node.network_client import STATES, NetworkClient, join_network
+from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
     DESCRIPTION_QOS,
     EVENT_QOS,
-    NANOSECONDS,
     STATE_SUB_QOS,
-    nanoseconds_of,
-    stamp,
 )
 from arm_emulator_msgs.msg import MotionStatus
 
@@ -83,7 +81,7 @@ def move(
     if at is not None and not 0.0 < at < LATEST:
         raise Refusal("move", "--at", f"be > 0 s and below {LATEST:g} s", at)
     angles = _angles(joints or ())
-    with guest("move", namespace) as node:
+    with join_network("move", namespace) as node:
         node.listen("joint_states", JointState, STATE_SUB_QOS)
         node.listen("robot_description", String, DESCRIPTION_QOS)
         node.listen("clock", Clock, STATE_SUB_QOS)
@@ -124,7 +122,7 @@ def _watch(
         raise Refusal("move", "--at", rule, f"{got:g} s", "a network started with --start paused")
     # The stamp distinguishes it from the targets of others.
     ours = at_ns or now + AHEAD + random.randrange(1, 1000)
-    message.header.stamp = stamp(ours)
+    message.header.stamp = to_stamp(ours)
     publisher.publish(message)
     states: list[str] = []
     last: MotionStatus | None = None
@@ -134,7 +132,7 @@ def _watch(
         while heard:
             one = heard.pop(0)
             state = STATES.get(one.state, f"state {one.state}")
-            if one.kind != kind or nanoseconds_of(one.stamp) != ours or state in states:
+            if one.kind != kind or to_nanoseconds(one.stamp) != ours or state in states:
                 continue
             states.append(state)
             last = one
@@ -161,7 +159,7 @@ def _logical_ns(node: NetworkClient) -> int:
     known = node.newest
     stamps = [known["joint_states"].header.stamp] if "joint_states" in known else []
     stamps += [known["clock"].clock] if "clock" in known else []
-    return max(map(nanoseconds_of, stamps))
+    return max(map(to_nanoseconds, stamps))
 
 
 def _left(status: MotionStatus) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Topics
 from arm_emulator.cli.output import output
-from arm_emulator.ros.recorder_presence import RecorderPresence
+from arm_emulator.ros.recording.recorder_presence import RecorderPresence
 
 
 @command(until_stopped=True, keys="`bag`, `messages`, `topics`, `seconds`, `lost`")
@@ -20,8 +20,8 @@ def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> 
     """
     # Before anything that takes time: an emulator started together with this command waits.
     with RecorderPresence(topics) as presence:
-        from arm_emulator.ros.recorder import Recorded
-        from arm_emulator.ros.recorder import record as write
+        from arm_emulator.ros.recording.recorder import Recorded
+        from arm_emulator.ros.recording.recorder import record as write
 
         def report(one: Recorded) -> None:
             lost = f"; lost: {one.lost}" if one.lost else ""

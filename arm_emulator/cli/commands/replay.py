@@ -20,12 +20,12 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Topics
 from arm_emulator.cli.output import output
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import NANOSECONDS
-from arm_emulator.ros.causal_replay import CausalReplay
-from arm_emulator.ros.ctrl_c import CtrlC, until_shut_down
-from arm_emulator.ros.message_types import message_class
-from arm_emulator.ros.network_client import guest
+from arm_emulator.ros.messages.message_types import get_message_class
+from arm_emulator.ros.node.network_client import join_network
+from arm_emulator.ros.process.ctrl_c import CtrlC, suppress_shutdown_errors
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import NANOSECONDS
+from arm_emulator.ros.recording.causal_replay import CausalReplay
 
 DEPTH = (
     1000  # messages kept for a listener that is slow; discovery does not report the recorded depth
@@ -74,10 +74,10 @@ def replay(
     node = rclpy.create_node("replayer", enable_rosout=False, start_parameter_services=False)
     count, started = 0, time.monotonic()
     try:
-        with until_shut_down():
+        with suppress_shutdown_errors():
             publishers = {
                 name: node.create_publisher(
-                    message_class(recorded.topics[name].type),
+                    get_message_class(recorded.topics[name].type),
                     name,
                     offer(recorded.topics[name].offered),
                 )
@@ -102,7 +102,7 @@ def replay(
 def _replay_into(bag: Bag, name: str, wait: bool) -> int:
     """Play a bag into a node, and print what it has answered."""
     started = time.monotonic()
-    with guest("replayer", "") as node:
+    with join_network("replayer", "") as node:
         answers = CausalReplay(bag, name, node).run(wait, output.line)
     wall = time.monotonic() - started
     lost = answers.asked - answers.answered
@@ -110,12 +110,14 @@ def _replay_into(bag: Bag, name: str, wait: bool) -> int:
         f"{bag.path} into {name}: {answers.answered} answers to {answers.asked} messages in "
         f"{wall:.1f} s"
     )
-    other = f", the first other one at {answers.first_other}" if answers.first_other else ""
+    other = (
+        f", the first other one at {answers.first_difference}" if answers.first_difference else ""
+    )
     output.line(f"as recorded to the last bit: {answers.alike}{other}")
     output.line(f"digest of the answers: {answers.digest}")
     output.facts({
         "bag": bag.path, "messages": answers.asked, "answers": answers.answered,
-        "alike": answers.alike, "first_other": answers.first_other or None,
+        "alike": answers.alike, "first_other": answers.first_difference or None,
         "digest": answers.digest, "seconds": wall, "whole": bag.complete,
     })  # fmt: skip
     at = ", ".join(answers.missing)

@@ -25,12 +25,12 @@ from arm_emulator.cli.run_report import ctrl_c_ends_at_once, report, ticks_of
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.session.session import Session
 from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.goal import last_target, missed_order, missed_target
-from arm_emulator.runs.guarded import guarded
+from arm_emulator.runs.goal import find_last_target, find_missed_order, find_missed_target
+from arm_emulator.runs.guarded import run_guarded
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.order import NO_VECTOR, MoveTool
-from arm_emulator.runs.recorder import Recorder, viewer_command
-from arm_emulator.runs.table_run import TableRun, load_table_run, off_target
+from arm_emulator.runs.recorder import Recorder, get_viewer_command
+from arm_emulator.runs.table_run import TableRun, compute_tool_error, load_table_run
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.runs.timeline import Timeline
 from arm_emulator.toolchain.c_header import CData
@@ -97,7 +97,7 @@ def run(
             return _diverged(fault, session)
         wall = time.perf_counter() - started
         report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
-    missed = missed_order(one) if displacement else missed_target(session, machine.start)
+    missed = find_missed_order(one) if displacement else find_missed_target(session, machine.start)
     code = output.judge("run", missed)
     _name_viewer(kept)
     if line is not None and bag is not None:
@@ -126,7 +126,7 @@ def _run_table(
 
     if library is None:
         return work()[0]
-    code, collected, given[:] = guarded(library.name, work)  # of another process
+    code, collected, given[:] = run_guarded(library.name, work)  # of another process
     output.facts(collected)
     return code
 
@@ -144,16 +144,16 @@ def _report_table(
         except Diverged as fault:
             return _diverged(fault, session)
         wall = time.perf_counter() - started
-        wanted = last_target(session.scene, targets, ticks)
-        report(session, ticks, wall, off_target(session, wanted))
+        wanted = find_last_target(session.scene, targets, ticks)
+        report(session, ticks, wall, compute_tool_error(session, wanted))
     _name_viewer(kept)
-    return output.judge("run", missed_target(session, wanted))
+    return output.judge("run", find_missed_target(session, wanted))
 
 
 def _name_viewer(kept: RunOutputs) -> None:
     """Print the command that shows the recording of Rerun, where one was written."""
     if kept.rerun is not None and not kept.is_port:
-        output.line(f"moving arm        {viewer_command(str(kept.rerun))}")
+        output.line(f"moving arm        {get_viewer_command(str(kept.rerun))}")
 
 
 def _diverged(fault: Diverged, session: Session) -> int:

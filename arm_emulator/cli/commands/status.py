@@ -10,9 +10,9 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
-from arm_emulator.ros.network_client import STATES, NetworkClient, guest
-from arm_emulator.ros.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QOS
-from arm_emulator.ros.sole_publisher import full_name, is_known
+from arm_emulator.ros.node.network_client import STATES, NetworkClient, join_network
+from arm_emulator.ros.node.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QOS
+from arm_emulator.ros.node.sole_publisher import get_full_name, has_name
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 
 # Our nodes, and the topic on which a node of another maker publishes in the place of each.
@@ -63,7 +63,7 @@ def status(
         node.newest["motion/status"] = target
         sent_at["target"] = info["source_timestamp"]
 
-    with guest("status", namespace) as node:
+    with join_network("status", namespace) as node:
         node.create_subscription(DiagnosticArray, "diagnostics", take, DIAGNOSTICS_QOS)
         # rclpy's type hint lacks callbacks that take the times of a message, too.
         events, statuses = cast("Any", take_event), cast("Any", take_target)
@@ -127,11 +127,11 @@ def _others(node: NetworkClient, topic: str) -> list[str]:
 
     def all_named() -> bool:
         found[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-        return all(is_known(one.node_name) for one in found)
+        return all(has_name(one.node_name) for one in found)
 
     # The middleware finds a publisher before it knows of which node it is.
     node.spin_until(all_named, NAMED_WITHIN)
-    names = {full_name(one) for one in found}
+    names = {get_full_name(one) for one in found}
     return sorted(f"node {name}" for name in names)
 
 

@@ -18,8 +18,8 @@ from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.session.pace import factor_of
 from arm_emulator.page.page_address import VARIABLE, PageAddress, new_token
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.ctrl_c import CtrlC
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ctrl_c import CtrlC
 
 
 @command(

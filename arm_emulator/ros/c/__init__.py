@@ -7,6 +7,7 @@ from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator.toolchain.unit import Unit
 
 FOLDER = Path(__file__).resolve().parent
+WORKAROUNDS = FOLDER.parents[1] / "workarounds"  # rcl_calls.h
 MESSAGES = Header(FOLDER / "messages.h")
 MESSAGE_READER = Header(FOLDER / "message_reader.h")
 MIDDLEWARE = Header(FOLDER / "middleware.h")
@@ -19,4 +20,4 @@ def middleware_unit() -> Unit:
     source = "".join(f'#include "{part}"\n' for part in parts)
     about, part = "messages in C", "middleware.c"
     headers = (MESSAGES, MESSAGE_READER, MIDDLEWARE, ARRIVALS)
-    return Unit("middleware", source, C_FLAGS, (FOLDER,), headers, "node", about, part)
+    return Unit("middleware", source, C_FLAGS, (FOLDER, WORKAROUNDS), headers, "node", about, part)

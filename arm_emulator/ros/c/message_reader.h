@@ -1,8 +1,8 @@
 /* Messages in CDR, little- or big-endian: found field by field, checked, and read. C99.
  *
  * The fields of a message, and what is read of each, stand in a table that Python makes of the
- * message's type (arm_emulator/ros/message_reader.py). Rows of numbers, one per joint, come in the
- * order of the names in the message, and are read into that of the receiver.
+ * message's type (arm_emulator/ros/messages/message_reader.py). Rows of numbers, one per joint,
+ * come in the order of the names in the message, and are read into that of the receiver.
  */
 #ifndef MESSAGE_READER_H
 #define MESSAGE_READER_H

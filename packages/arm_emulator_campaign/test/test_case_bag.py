@@ -14,7 +14,7 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.run_bag import RunBag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.new_bag import check_new_bag
-from arm_emulator.ros.bag import Bag
+from arm_emulator.ros.recording.bag import Bag
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.case_bag import write_case_bag

@@ -6,16 +6,15 @@ import contextlib
 import dataclasses
 import gzip
 import hmac
-import importlib
 import io
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from arm_emulator.extension.base import Refusal, require_package
-from arm_emulator.extension.page import PageAddress, page_token
+from arm_emulator.extension.page import PageAddress, answer_requests, page_token
 
 
 class PageServer:
@@ -168,49 +167,36 @@ def _put_title(response: Any) -> None:
         response.headers["Content-Length"] = str(len(response.body))
 
 
-@contextmanager
-def guarded(guard: Guard) -> Iterator[None]:
-    """Let the server that is started in this block ask a guard about every request.
+def guarded(guard: Guard) -> AbstractContextManager[None]:
+    """Let the server that is started in this block ask a guard about every request."""
 
-    Its library has no hook for that: it hands its own check to `websockets`, which is wrapped here.
-    """
-    server: Any = importlib.import_module("websockets.asyncio.server")
-    from websockets.datastructures import Headers
-    from websockets.http11 import Response
+    def respond(status: HTTPStatus, kind: str, text: str) -> Any:
+        from websockets.datastructures import Headers
+        from websockets.http11 import Response
 
-    plain = server.serve
-
-    def answer(status: HTTPStatus, kind: str, text: str) -> Response:
         body = text.encode()
         lines = {"Content-Type": f"text/{kind}", "Content-Length": str(len(body))}
         return Response(status.value, status.phrase, Headers(lines), body)
 
-    def serve(*given: Any, process_request: Callable[[Any, Any], Any], **named: Any) -> Any:
-        def checked(connection: Any, request: Any) -> Any:
-            verdict = guard.judge(request.path, request.headers)
-            if verdict.status is not HTTPStatus.OK:
-                return answer(verdict.status, "plain", f"arm_emulator: {verdict.text}\n")
-            if is_landing_page(verdict.path) and "Upgrade" not in request.headers:
-                return answer(HTTPStatus.OK, "html", TEXT)
-            below = dataclasses.replace(request, path=verdict.path)
-            try:
-                response = process_request(connection, below)
-            except OSError:  # a folder, or a name that no file can have
-                return answer(HTTPStatus.NOT_FOUND, "plain", "arm_emulator: no such file\n")
-            except (ValueError, LookupError):
-                return answer(HTTPStatus.BAD_REQUEST, "plain", "arm_emulator: malformed request\n")
-            if response is not None:
-                response.headers["Referrer-Policy"] = "no-referrer"  # the path has the token
-                _put_title(response)
-            return response
+    def answer(connection: Any, request: Any, process_request: Callable[[Any, Any], Any]) -> Any:
+        verdict = guard.judge(request.path, request.headers)
+        if verdict.status is not HTTPStatus.OK:
+            return respond(verdict.status, "plain", f"arm_emulator: {verdict.text}\n")
+        if is_landing_page(verdict.path) and "Upgrade" not in request.headers:
+            return respond(HTTPStatus.OK, "html", TEXT)
+        below = dataclasses.replace(request, path=verdict.path)
+        try:
+            response = process_request(connection, below)
+        except OSError:  # a folder, or a name that no file can have
+            return respond(HTTPStatus.NOT_FOUND, "plain", "arm_emulator: no such file\n")
+        except (ValueError, LookupError):
+            return respond(HTTPStatus.BAD_REQUEST, "plain", "arm_emulator: malformed request\n")
+        if response is not None:
+            response.headers["Referrer-Policy"] = "no-referrer"  # the path has the token
+            _put_title(response)
+        return response
 
-        return plain(*given, process_request=checked, **named)
-
-    server.serve = serve
-    try:
-        yield
-    finally:
-        server.serve = plain
+    return answer_requests(answer)
 
 
 LOOK = "look"  # in the query: the browser has been here

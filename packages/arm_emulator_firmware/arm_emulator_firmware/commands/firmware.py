@@ -41,10 +41,10 @@ from arm_emulator.extension.runs import (
     Recorder,
     TableRun,
     check_targets,
-    last_target,
+    compute_tool_error,
+    find_last_target,
+    find_missed_target,
     load_target_table,
-    missed_target,
-    off_target,
 )
 from arm_emulator_firmware.board import Board, load_board
 from arm_emulator_firmware.elf_image import ElfImage
@@ -117,10 +117,10 @@ def firmware(
                 output.facts({"scene": machine.name, "failed": explain(fault)})
                 return 1
         wall = time.perf_counter() - started
-        wanted = None if table is None else last_target(machine, table, ticks)
-        off = None if wanted is None else off_target(one.session, wanted)
+        wanted = None if table is None else find_last_target(machine, table, ticks)
+        off = None if wanted is None else compute_tool_error(one.session, wanted)
         report(one.session, ticks, wall, off)
-        missed = "" if wanted is None else missed_target(one.session, wanted)
+        missed = "" if wanted is None else find_missed_target(one.session, wanted)
         figures = chip.figures
         awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
         each = figures.instructions / ticks

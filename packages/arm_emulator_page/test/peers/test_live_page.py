@@ -15,8 +15,8 @@ from by_hand import events_of
 from machines import own_three_axis
 
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.ros.bringup import Bringup
-from arm_emulator.ros.ros_domain import own_domain
+from arm_emulator.ros.process.bringup import Bringup
+from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator_msgs.msg import MachineEvent
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="see requirements-peers.txt")

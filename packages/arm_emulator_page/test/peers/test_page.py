@@ -35,8 +35,8 @@ from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.ros.bag import Bag
-from arm_emulator.ros.bag_metadata import PARENT
+from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_metadata import PARENT
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.order import Push, ScaleGains
 from arm_emulator.runs.timeline import Timeline

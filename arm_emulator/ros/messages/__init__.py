@@ -1,0 +1,1 @@
+"""Messages by type and by bytes, in Python and C."""

@@ -1,0 +1,1 @@
+"""Common parts of the nodes: states, parameters, health, executor."""

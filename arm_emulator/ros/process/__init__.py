@@ -1,0 +1,1 @@
+"""Processes of nodes: how they start, end, and share a computer."""

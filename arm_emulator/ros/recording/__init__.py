@@ -1,0 +1,1 @@
+"""Bags: written, read, recovered, and played into a node."""

@@ -1,0 +1,433 @@
+"""A recorded network played into one of its nodes: each message follows the answer to the last.
+
+A replay by the clock loses what the node cannot take in time, and a servo that waits for targets
+never gets them at the right tick. Here the node under test decides how fast time passes, as in
+lock-step: the same node gives the same bits in every replay.
+"""
+
+from __future__ import annotations
+
+import bisect
+import hashlib
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
+
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.messages.message_types import get_message_class
+from arm_emulator.ros.messages.node_topics import NODES, STATUS, TYPES
+from arm_emulator.ros.messages.time_stamp import to_nanoseconds
+from arm_emulator.ros.node.network_client import NetworkClient
+from arm_emulator.ros.node.node_shell import COMMAND_QOS, DESCRIPTION_QOS
+from arm_emulator.ros.recording.bag import Bag, BagMessage
+from arm_emulator_msgs.msg import MotionStatus
+
+DISCOVERY = 10.0  # s, wall: to find the node under test
+RESEND = 0.2  # s, wall: a message without an answer is published again
+PATIENCE = 5.0  # s, wall: with one answer
+MISSING_LIMIT = 3  # answers, after which the others are not waited for
+AHEAD = 1000  # messages: how far a message with the right stamp may be behind others
+ACKNOWLEDGE = Duration(seconds=1)
+HEARD_QOS = QoSProfile(depth=1000)
+
+
+@dataclass
+class ReplayResult:
+    """Answers of a node to a bag.
+
+    Attributes:
+        asked: messages that needed an answer.
+        answered: those that got one.
+        missing: where the first ones did not, in words.
+        alike: answers with the recorded numbers.
+        find_first_difference: where the first answer had other numbers, in words; empty: nowhere.
+        digest: of all answers' numbers.
+    """
+
+    asked: int = 0
+    answered: int = 0
+    missing: list[str] = field(default_factory=list)
+    alike: int = 0
+    first_difference: str = ""
+    digest: str = ""
+
+
+class _Stamped:
+    """Recorded messages of a topic, found by their keys in the order of the bag."""
+
+    def __init__(self, kept: list[tuple[int, bytes]]) -> None:
+        self._messages, self._next = kept, 0
+        self._places: dict[int, list[int]] = {}
+        for place, (key, _) in enumerate(kept):
+            self._places.setdefault(key, []).append(place)
+
+    @property
+    def over(self) -> bool:
+        """Whether messages were taken, up to the last one."""
+        return 0 < len(self._messages) == self._next
+
+    @property
+    def period(self) -> int:
+        """Difference of the last two keys; 0: there are not two."""
+        last = [*self._places][-2:]
+        return last[1] - last[0] if len(last) == 2 else 0
+
+    def take(self, key: int) -> bytes | None:
+        """Return the next message with a key; None: none is near."""
+        places = self._places.get(key, [])
+        k = bisect.bisect_left(places, self._next)
+        if k == len(places) or places[k] - self._next > AHEAD:
+            return None
+        self._next = places[k] + 1
+        return self._messages[places[k]][1]
+
+
+class CausalReplay:
+    """Plays a bag into a node.
+
+    Args:
+        bag: with the topics of the node, of `record` or `up --record`.
+        name: of the node: "servo" or "motion_controller".
+        node: publishes.
+
+    Raises:
+        Refusal: the bag lacks a topic, or has goals that are not in it.
+    """
+
+    def __init__(self, bag: Bag, name: str, node: NetworkClient) -> None:
+        self._bag, self._name, self._node, self._topics = bag, name, node, NODES[name]
+        self._where = str(bag.path)
+        ends = [topic for topic in bag.topics if topic.endswith("/joint_targets")]
+        if len(ends) != 1:
+            actual = ", ".join(ends or sorted(bag.topics)) or "no topics"
+            valid = "bags of `record`, and of `up --record` of this version"
+            raise Refusal(self._where, "the bag", "have one topic joint_targets", actual, valid)
+        self._namespace = ends[0].removesuffix("joint_targets")
+        for topic in filter(None, (self._topics.asked, self._topics.at_first)):
+            if self._count(topic) == 0:
+                raise Refusal(self._where, "the bag", f"have messages on {topic}", "none")
+        self._result = ReplayResult()
+        self._run = -1
+        self._digest = hashlib.sha256()
+        self._received: list[Any] = []
+        self._prompts: set[int] = set()
+        self._statuses: list[MotionStatus] = []
+        self._publishers: dict[str, Publisher] = {}
+        self._orders = deque(self._place_orders())
+
+    def run(self, wait: bool, report: Callable[[str], None]) -> ReplayResult:
+        """Play the bag.
+
+        Args:
+            wait: for as long as it takes until the node is there.
+            report: gets a line about what is waited for.
+
+        Raises:
+            Refusal: no such node is in the network, or another node publishes what is replayed.
+        """
+        topics, answers = self._topics, self._result
+        self._connect(wait, report)
+        begin = next(self._read_recorded(topics.asked)).published
+        recorded = self._index_by_stamp(topics.answered, attrgetter("key"), begin)
+        granted = self._index_by_stamp(topics.granted, attrgetter("stamp"), begin)
+        beside = self._index_by_stamp(topics.beside, attrgetter("stamp"), begin)
+        before: int | None = None
+        end = math.inf  # stamp [ns] from which on the node waits for what the bag does not have
+        for one in self._read_recorded(topics.asked):
+            key, stamp = one.key, one.stamp
+            if key == before:
+                continue  # it was published again
+            if before is None or key < before:
+                self._begin_run()
+                end = math.inf
+            before = key
+            expected = recorded.take(key)
+            if topics.beside and (data := beside.take(stamp)) is not None:
+                self._publishers[topics.beside].publish(data)
+            # No motion period begins here, or the recorder ended before the answer.
+            if expected is None and (recorded.over if topics.granted else True):
+                self._publishers[topics.asked].publish(one.data)
+                continue
+            if end <= stamp < end + granted.period:
+                continue
+            answers.asked += 1
+            if len(answers.missing) < MISSING_LIMIT:
+                grant = granted.take(stamp)
+                answer = self._ask_node(one, grant)
+                # The recorder may end before the last message for which the node waits.
+                waits = stamp in self._prompts
+                if answer is None and grant is None and granted.over and waits:
+                    end = stamp
+                    answers.asked -= 1
+                else:
+                    self._judge(one, answer, expected)
+            self._give_orders(stamp, one.published)
+        answers.digest = self._digest.hexdigest()[:16]
+        return answers
+
+    # Bag
+
+    def _get_full_name(self, topic: str) -> str:
+        return self._namespace + topic
+
+    def _count(self, topic: str) -> int:
+        known = self._bag.topics.get(self._get_full_name(topic))
+        return 0 if known is None else known.count
+
+    def _read_recorded(self, topic: str) -> Iterator[_Message]:
+        kind = get_message_class(TYPES[topic])
+        for one in self._bag.read_as_published([self._get_full_name(topic)]):
+            try:
+                message = deserialize_message(one.data, kind)
+            except RuntimeError as error:
+                rule = "be readable"
+                raise Refusal(self._where, f"messages on {topic}", rule, error) from None
+            yield _Message(message, one)
+
+    def _index_by_stamp(self, topic: str, key: Callable[[_Message], int], begin: int) -> _Stamped:
+        """Return the messages of a topic from the first question on, by their keys.
+
+        A recorder may find the node that answers seconds before the one that asks.
+
+        Args:
+            topic: empty: no messages.
+            key: of a message.
+            begin: when the first question was published, wall time [ns].
+        """
+        kept = list(self._read_recorded(topic)) if topic else []
+        earlier = bisect.bisect_left(kept, begin, key=lambda one: one.published)
+        # Some of them, since the clocks of two computers differ.
+        kept = kept[max(0, earlier - AHEAD // 2) :]
+        return _Stamped([(key(one), one.data) for one in kept])
+
+    def _place_orders(self) -> list[_Order]:
+        """Return the orders, with the stamp of the joint states after which each was taken.
+
+        Raises:
+            Refusal: goals of the action, which bags do not hold.
+        """
+        if not self._topics.orders:
+            return []
+        starts: list[int] = []  # of the runs, wall time [ns]
+        before = math.inf
+        for one in self._read_recorded(self._topics.asked):
+            if one.key < before:
+                starts.append(one.published)
+            before = one.key
+
+        def run_of(one: _Message) -> int:
+            return max(0, bisect.bisect_right(starts, one.published) - 1)
+
+        taken: dict[int, deque[tuple[int, int, bool]]] = {k: deque() for k in self._topics.orders}
+        statuses = list(self._read_recorded(STATUS))
+        at_first = {
+            (one.message.kind, one.message.number)
+            for one in statuses
+            if one.message.state == MotionStatus.STATE_MOVING and one.stamp == 0
+        }
+        for one in statuses:
+            kind, number = one.message.kind, one.message.number
+            if kind in taken and one.message.state in _TAKEN:
+                taken[kind].append((run_of(one), one.stamp, (kind, number) in at_first))
+        orders = []
+        for kind, topic in self._topics.orders.items():
+            places = taken[kind]
+            if len(places) > self._count(topic):
+                rule = f"have the {len(places)} orders that motion/status reports"
+                actual = f"{self._count(topic)}, the others were goals of an action or are lost"
+                raise Refusal(self._where, topic, rule, actual)
+            for one in self._read_recorded(topic):
+                run, after, first = places.popleft() if places else (run_of(one), None, False)
+                orders.append(_Order(topic, one.data, one.published, run, after, first, kind))
+        for topic in self._topics.jogs:
+            if self._count(topic):
+                orders += [
+                    _Order(topic, m.data, m.published, run_of(m), None, False, 0)
+                    for m in self._read_recorded(topic)
+                ]
+        return sorted(orders, key=lambda order: order.published)
+
+    # Network
+
+    def _connect(self, wait: bool, report: Callable[[str], None]) -> None:
+        node, topics = self._node, self._topics
+        for topic in topics.given:
+            if self._count(topic):
+                qos = DESCRIPTION_QOS if topic == topics.at_first else COMMAND_QOS
+                kind = get_message_class(TYPES[topic])
+                self._publishers[topic] = node.create_publisher(
+                    kind, self._get_full_name(topic), qos
+                )
+        self._subscribe(topics.answered, self._received.append)
+        if topics.prompt:
+            self._subscribe(topics.prompt, lambda message: self._prompts.add(_get_stamp(message)))
+        if topics.orders:
+            self._subscribe(STATUS, self._statuses.append)
+        needed = [self._publishers[topic] for topic in (topics.asked, topics.granted) if topic]
+        answered = self._get_full_name(topics.answered)
+
+        def ready() -> bool:
+            there = all(one.get_subscription_count() for one in needed)
+            return there and node.count_publishers(answered) > 0
+
+        reported = False
+        while not node.spin_until(ready, DISCOVERY):
+            if not wait:
+                rule = f"be taken by a {self._name}, which publishes {answered}"
+                valid = "start it in the same ROS_DOMAIN_ID, without an emulator"
+                actual = f"none in {DISCOVERY:g} s"
+                raise Refusal("replay", self._get_full_name(topics.asked), rule, actual, valid)
+            if not reported:
+                report(f"waiting for a {self._name}")
+                reported = True
+        for one in needed:
+            others = node.count_publishers(one.topic_name) - 1
+            if others > 0:
+                rule = "be published by the replay alone"
+                raise Refusal("replay", one.topic_name, rule, f"{others} more publishers")
+
+    def _subscribe(self, topic: str, take: Callable[[Any], Any]) -> None:
+        kind = get_message_class(TYPES[topic])
+        self._node.create_subscription(kind, self._get_full_name(topic), take, HEARD_QOS)
+
+    def _begin_run(self) -> None:
+        """Let the node start over, and give it what it needs first."""
+        reset = self._node.create_client(Trigger, self._get_full_name(f"{self._name}/reset"))
+        if self._node.spin_until(reset.service_is_ready, RESEND):
+            self._node.ask(reset, Trigger.Request(), PATIENCE)
+        self._node.destroy_client(reset)
+        self._prompts.clear()
+        if self._topics.at_first:
+            first = next(self._read_recorded(self._topics.at_first))
+            self._publishers[self._topics.at_first].publish(first.data)
+        self._run += 1
+        while self._orders and self._orders[0].first and self._orders[0].run == self._run:
+            self._give_order(self._orders.popleft())
+
+    def _ask_node(self, one: _Message, granted: bytes | None) -> Any:
+        """Publish a message; return the answer to it, or None after some time."""
+        topics, key, stamp = self._topics, one.key, one.stamp
+        asked, given, again = self._publishers[topics.asked], False, False
+        self._received.clear()
+
+        def answered() -> bool:
+            nonlocal given
+            # A servo of another kind may not report that it waits.
+            if granted is not None and not given and (stamp in self._prompts or again):
+                self._publishers[topics.granted].publish(granted)
+                given = True
+            while self._received:
+                if _get_key(self._received[0]) == key:
+                    return True
+                self._received.pop(0)
+            return False
+
+        for _ in range(round(PATIENCE / RESEND)):
+            asked.publish(one.data)
+            if self._node.spin_until(answered, RESEND):
+                self._prompts.clear()
+                return self._received.pop(0)
+            given, again = False, True
+        return None
+
+    def _judge(self, one: _Message, answer: Any, wanted: bytes | None) -> None:
+        answers, where = self._result, f"t = {one.stamp * 1e-9:g} s"
+        if answer is None:
+            answers.missing.append(where)
+            return
+        answers.answered += 1
+        numbers = _get_numbers(answer)
+        self._digest.update(one.key.to_bytes(8, "little") + numbers)
+        if wanted is None:
+            return
+        kind = get_message_class(TYPES[self._topics.answered])
+        if numbers == _get_numbers(deserialize_message(wanted, kind)):
+            answers.alike += 1
+        else:
+            answers.first_difference = answers.first_difference or where
+
+    def _give_orders(self, stamp: int, published: int) -> None:
+        """Give the orders that came after this message."""
+        while self._orders:
+            order = self._orders[0]
+            comes = order.published <= published if order.after is None else order.after <= stamp
+            if order.run > self._run or not (comes or order.run < self._run):
+                return
+            self._give_order(self._orders.popleft())
+
+    def _give_order(self, order: _Order) -> None:
+        """Publish an order, and wait until the node has taken it."""
+        publisher = self._publishers[order.topic]
+        self._node.spin_until(lambda: publisher.get_subscription_count() > 0, PATIENCE)
+        self._statuses.clear()
+        publisher.publish(order.data)
+        publisher.wait_for_all_acked(ACKNOWLEDGE)
+        if not order.kind:
+            return
+
+        def taken() -> bool:
+            return any(one.kind == order.kind and one.state in _TAKEN for one in self._statuses)
+
+        self._node.spin_until(taken, PATIENCE)
+
+
+@dataclass(frozen=True)
+class _Order:
+    topic: str
+    data: bytes
+    published: int  # wall time [ns]
+    run: int  # number of its run
+    after: int | None  # stamp of the joint states after which it was taken [ns]; None: not known
+    first: bool  # it was taken before any
+    kind: int  # of its status; 0: it has none
+
+
+class _Message:
+    """A recorded message, and its bytes.
+
+    Attributes:
+        message: the message.
+        data: its bytes.
+        published: wall time [ns].
+    """
+
+    def __init__(self, message: Any, one: BagMessage) -> None:
+        self.message, self.data, self.published = message, one.data, one.published
+
+    @property
+    def stamp(self) -> int:
+        """Logical time of its header [ns]."""
+        return _get_stamp(self.message)
+
+    @property
+    def key(self) -> int:
+        """The number that question and answer have in common."""
+        return _get_key(self.message)
+
+
+_TAKEN = (MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_REFUSED)
+_JOINT_NUMBERS = ("position", "velocity", "effort")
+
+
+def _get_stamp(message: Any) -> int:
+    return to_nanoseconds(message.header.stamp)
+
+
+def _get_key(message: Any) -> int:
+    """Return what question and answer have in common: the tick, or else the stamp."""
+    return int(message.tick) if hasattr(message, "tick") else _get_stamp(message)
+
+
+def _get_numbers(message: Any) -> bytes:
+    """Return the bits of an answer's numbers."""
+    names = ("command", "inputs") if hasattr(message, "command") else _JOINT_NUMBERS
+    return b"".join(getattr(message, name).tobytes() for name in names)
