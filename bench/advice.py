@@ -41,9 +41,9 @@ from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.pmsm import Pmsm
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
-from arm_emulator.machine.parts.sample import scaled
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from oracles import mixtures
+from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
 
 CLASSES = ("friction", "play", "limits", "pmsm", "torque")
@@ -58,22 +58,22 @@ Numbers = dict[str, Any]
 
 def _joint(rng: Rng, kind: str) -> Numbers:
     """Return the scene's section of a joint that has what its class is about."""
-    inertia = {"rotor_inertia": scaled(rng, 5e-5, 3e-4)}
-    joint: Numbers = {"friction": {"viscous": scaled(rng, 0.05, 0.5)}}
+    inertia = {"rotor_inertia": draw_scaled(rng, 5e-5, 3e-4)}
+    joint: Numbers = {"friction": {"viscous": draw_scaled(rng, 0.05, 0.5)}}
     motor = {**mixtures.drawn_motor(rng, DcMotor), **inertia}
-    gear = (ElasticGear if rng.random() < 0.5 else RigidGear).drawn(rng)
-    dry = mixtures.any_of(rng, LINK_FRICTIONS).drawn(rng)
+    gear = draw_part(ElasticGear if rng.random() < 0.5 else RigidGear, rng)
+    dry = draw_part(mixtures.any_of(rng, LINK_FRICTIONS), rng)
     if kind == "friction":
         joint["friction"] = dry
         if rng.random() < 0.5:
-            motor["friction"] = mixtures.any_of(rng, ROTOR_FRICTIONS).drawn(rng)
+            motor["friction"] = draw_part(mixtures.any_of(rng, ROTOR_FRICTIONS), rng)
     elif kind == "play":
-        gear = BacklashGear.drawn(rng)
+        gear = draw_part(BacklashGear, rng)
         if rng.random() < 0.5:
             joint["friction"] = dry
     elif kind == "limits":
-        motor["current_limit"] = scaled(rng, 2.0, 8.0)
-        joint["end_stops"] = EndStops.drawn(rng)
+        motor["current_limit"] = draw_scaled(rng, 2.0, 8.0)
+        joint["end_stops"] = draw_part(EndStops, rng)
     elif kind == "pmsm":
         motor = {**mixtures.drawn_motor(rng, Pmsm), **inertia}
     elif kind == "torque":

@@ -32,10 +32,10 @@ from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
 from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
-from arm_emulator.machine.parts.sample import scaled
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run
+from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
 from oracles.smoothed_reference import Row, SmoothedMachine, Smoothing
 
@@ -74,21 +74,24 @@ def drawn_joint(rng: Rng) -> Numbers:
     law = str(rng.choice(("none", "lugre", *LAWS)))
     at_rotor = bool(rng.random() < 0.5)
     motor = MOTORS[rng.choice(len(MOTORS))]
-    joint["motor"] = {**mixtures.drawn_motor(rng, motor), "rotor_inertia": scaled(rng, 5e-5, 3e-4)}
-    joint["gear"] = GEARS[rng.choice(len(GEARS))].drawn(rng)
+    joint["motor"] = {
+        **mixtures.drawn_motor(rng, motor),
+        "rotor_inertia": draw_scaled(rng, 5e-5, 3e-4),
+    }
+    joint["gear"] = draw_part(GEARS[rng.choice(len(GEARS))], rng)
     if law == "lugre":
         place = joint["motor"] if at_rotor else joint
-        place["lugre"] = (RotorLuGre if at_rotor else LinkLuGre).drawn(rng)
+        place["lugre"] = draw_part(RotorLuGre if at_rotor else LinkLuGre, rng)
     elif law != "none":
         dry, speed = (
-            (scaled(rng, 0.003, 0.03), scaled(rng, 2.0, 20.0))
+            (draw_scaled(rng, 0.003, 0.03), draw_scaled(rng, 2.0, 20.0))
             if at_rotor
-            else (scaled(rng, 0.2, 2.0), scaled(rng, 0.05, 0.5))
+            else (draw_scaled(rng, 0.2, 2.0), draw_scaled(rng, 0.05, 0.5))
         )
         (joint["motor"] if at_rotor else joint)["friction"] = _law(rng, law, dry, speed)
     for part in (EndStops, Brake):
         if rng.random() < 0.25:
-            joint[part.section] = part.drawn(rng)
+            joint[part.section] = draw_part(part, rng)
     return joint
 
 

@@ -43,8 +43,8 @@ from arm_emulator.machine.parts.known import (
 )
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.sample import scaled
 from arm_emulator_fleet import Fleet
+from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them
@@ -63,8 +63,8 @@ Kind = TypeVar("Kind")
 
 
 def _rotor(rng: Rng) -> Numbers:
-    inertia = scaled(rng, 5e-5, 3e-4)
-    law = any_of(rng, ROTOR_FRICTIONS).drawn(rng)
+    inertia = draw_scaled(rng, 5e-5, 3e-4)
+    law = draw_part(any_of(rng, ROTOR_FRICTIONS), rng)
     return {"rotor_inertia": inertia, **({"friction": law} if rng.random() < 0.5 else {})}
 
 
@@ -75,10 +75,10 @@ def any_of(rng: Rng, kinds: Sequence[Kind]) -> Kind:
 
 def drawn_motor(rng: Rng, kind: type[Motor]) -> Numbers:
     """Return the scene's section of a motor without its rotor, half of them in a loop."""
-    motor = {"kind": kind.kind, **kind.drawn(rng)}
+    motor = {"kind": kind.kind, **draw_part(kind, rng)}
     for one in DECORATORS:
         if one.inputs and fits(one, motor | {"rotor_inertia": 1e-4}) and rng.random() < 0.5:
-            motor[key_of(one)] = one.drawn(rng)
+            motor[key_of(one)] = draw_part(one, rng)
     return motor
 
 
@@ -86,13 +86,13 @@ def drawn_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint with random parts."""
     joint: Numbers = {}
     if rng.random() < 0.6:
-        joint["friction"] = any_of(rng, LINK_FRICTIONS).drawn(rng)
+        joint["friction"] = draw_part(any_of(rng, LINK_FRICTIONS), rng)
     if rng.random() < 0.9:
         joint["motor"] = {**drawn_motor(rng, any_of(rng, MOTORS)), **_rotor(rng)}
-        joint["gear"] = any_of(rng, GEARS).drawn(rng)
+        joint["gear"] = draw_part(any_of(rng, GEARS), rng)
     for extra in EXTRAS:
         if rng.random() < 0.3 and (place := place_of(joint, extra)) is not None:
-            place[key_of(extra)] = extra.drawn(rng)
+            place[key_of(extra)] = draw_part(extra, rng)
     return joint
 
 
@@ -115,16 +115,16 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
             continue
         for kind in DECORATORS[::-1]:
             if fits(kind, motor) and rng.random() < 0.3:
-                motor[key_of(kind)] = kind.drawn(rng)
+                motor[key_of(kind)] = draw_part(kind, rng)
         if rng.random() < 0.2:
-            joint[Brake.section] = Brake.drawn(rng)
+            joint[Brake.section] = draw_part(Brake, rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
 
 
 def fits(kind: type[DriveStage], motor: Numbers) -> bool:
     """Return whether a decorator goes around a motor."""
     joint = Section({"motor": motor}, "mixture")
-    section = kind.drawn(np.random.default_rng(0))
+    section = draw_part(kind, np.random.default_rng(0))
     try:
         bare = read_motor(Section(motor, "mixture"))
         kind.read(Section(section, "mixture")).check_motor(bare, joint)
@@ -159,9 +159,9 @@ def drawn_alone(part: type[Part], seed: int) -> Numbers:
     if issubclass(part, Motor):
         joint["motor"] = {**rotor, **drawn_motor(rng, part)}
     elif issubclass(part, Gear):
-        joint["gear"] = part.drawn(rng)
+        joint["gear"] = draw_part(part, rng)
     else:
-        section, place = part.drawn(rng), place_of(joint, part)
+        section, place = draw_part(part, rng), place_of(joint, part)
         assert place is not None, "it has a motor and a gear"
         place[key_of(part)] = section
     return joint

@@ -45,6 +45,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant.inputs import further_inputs, input_at
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.mixtures import LARGEST, ORDER, RESOLVED, any_of, fits, key_of, place_of, write_scene
+from oracles.part_samples import draw_part
 from oracles.random_chain import moving_joints, random_chain_urdf
 
 Rng = np.random.Generator
@@ -92,7 +93,7 @@ class DrawnJoint:
             kind = kind.of(read_motor(Section(self.section["motor"], "pair")))
         place = place_of(self.section, kind)
         if place is not None:
-            place[key_of(kind)] = {**kind.drawn(rng), **place.get(key_of(kind), {})}
+            place[key_of(kind)] = {**draw_part(kind, rng), **place.get(key_of(kind), {})}
             self.kinds.append(kind)
 
 
@@ -168,7 +169,7 @@ def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw
     off: list[str] = []
     for name, joint in zip(scene.joint_names, joints, strict=True):
         for kind in joint.kinds:
-            drawn, is_off = kind.drawn(rng), rng.random() < SHARE_OFF
+            drawn, is_off = draw_part(kind, rng), rng.random() < SHARE_OFF
             zero = rng.random() < SHARE_ZERO
             if is_off:
                 off.append(f"{name}.{kind.__name__}")

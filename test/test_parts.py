@@ -23,6 +23,7 @@ from arm_emulator.machine.parts.measuring.encoder import Encoder
 from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
+from oracles.part_samples import draw_part
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.
 OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
@@ -196,7 +197,7 @@ def given(part: type[Part], rng: np.random.Generator) -> dict[str, Any]:
         return {"counts_per_turn": 1000}
     if part in SENSOR_PARTS:
         return dict(drawn_numbers(part, rng))
-    return ({"rotor_inertia": 1e-4} if issubclass(part, Motor) else {}) | part.drawn(rng)
+    return ({"rotor_inertia": 1e-4} if issubclass(part, Motor) else {}) | draw_part(part, rng)
 
 
 @pytest.mark.parametrize("part", (*PARTS, *SENSOR_PARTS), ids=lambda part: part.__name__)

@@ -30,7 +30,6 @@ from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
-from arm_emulator.machine.parts.sample import Numbers, Rng, usual
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.varied import Varied
 
@@ -46,7 +45,6 @@ class PartNumber(Number):
         varied: whether a scene may list it as varied, unless it is whole or follows another one.
         sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
             "unknown".
-        typical: ends of usual values, between which random machines have it.
         absent: what holds where it is left out and its default is None, in a few words.
     """
 
@@ -54,7 +52,6 @@ class PartNumber(Number):
     follows: str | None = None
     varied: bool = True
     sought: str = ""
-    typical: tuple[float, float] | None = None
     absent: str = "none"
 
 
@@ -112,17 +109,6 @@ class Part(Declared):
     def numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key."""
         return numbers_of(cls)
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:
-        """Return the section of a random part, with half of what may be absent."""
-        drawn: Numbers = {}
-        for key, one in cls.numbers().items():
-            needed = one.default is REQUIRED
-            assert one.typical or not needed, f"{cls.__name__}.{key} states no `typical`"
-            if one.typical and (needed or rng.random() < 0.5):
-                drawn[key] = usual(rng, *one.typical)
-        return drawn
 
     @classmethod
     def read(cls, section: Section) -> Self:

@@ -33,6 +33,7 @@ from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.drives import Drives as FieldBus
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
+from oracles.part_samples import draw_part
 
 ROTOR = {"rotor_inertia": 1.0e-4}
 DC = {"resistance": 1.5, "inductance": 3e-3, "torque_constant": 0.1, "back_emf_constant": 0.1}
@@ -62,7 +63,7 @@ KINDS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 # Kinds that have a file and no line above, as they are sized.
 KINDS |= {
-    kind.kind: {"kind": kind.kind, **ROTOR, **kind.drawn(np.random.default_rng(1))}
+    kind.kind: {"kind": kind.kind, **ROTOR, **draw_part(kind, np.random.default_rng(1))}
     for kind in SIZED_MOTORS
     if kind.kind not in {value.get("kind", "dc") for value in KINDS.values()}
 }
@@ -103,7 +104,7 @@ OTHERS = [kind for kind in MOTORS if kind not in SIZED_MOTORS]
 @pytest.mark.parametrize("kind", OTHERS, ids=lambda kind: kind.kind)
 def test_a_motor_that_is_not_sized_is_refused_with_our_servo(kind: type[Motor]) -> None:
     good = load_scene("three_axis")
-    drawn = {"kind": kind.kind, **ROTOR, **kind.drawn(np.random.default_rng(1))}
+    drawn = {"kind": kind.kind, **ROTOR, **draw_part(kind, np.random.default_rng(1))}
     scene = load_scene("three_axis", {"joints.elbow.motor": drawn})
     with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
         check_joints(scene, servo_of(good))

@@ -15,7 +15,6 @@ from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.motors.motor import Circuit, CxxMotor, Motor, Rating
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -68,18 +67,6 @@ class CurrentLoop(DriveStage):
             if self.bandwidth is None and value is None:
                 rule = f"be given where {key} is not"
                 raise section.refusal("bandwidth", rule, "nothing")
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:
-        """By its bandwidth, or by its gains."""
-        if rng.random() < 0.5:
-            return {"bandwidth": scaled(rng, 100.0, 1000.0)}
-        share = float(rng.uniform(0.0, 1.0))
-        return {
-            "proportional_gain": scaled(rng, 1.0, 10.0),
-            "integral_gain": scaled(rng, 100.0, 5e3),
-            "emf_feedforward": share,
-        }
 
     @classmethod
     def sized(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102

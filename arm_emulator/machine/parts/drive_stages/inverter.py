@@ -23,12 +23,8 @@ class Inverter(DriveStage):
     header = "drive_stages/inverter.hpp"
     cxx = "Inverter"
 
-    voltage_error: float = number(
-        "U", "V", at_least=0.0, typical=(0.3, 3.0), text="U, lost along the current"
-    )
-    knee: float = number(
-        "knee", "A", above=0.0, typical=(0.2, 1.0), text="current at which 0.71 U are lost"
-    )
+    voltage_error: float = number("U", "V", at_least=0.0, text="U, lost along the current")
+    knee: float = number("knee", "A", above=0.0, text="current at which 0.71 U are lost")
 
     def effort(self, motion: ShaftMotion) -> Array:
         """None: measured torques are those behind it."""

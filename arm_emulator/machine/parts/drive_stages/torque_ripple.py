@@ -9,7 +9,6 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supply
 from arm_emulator.machine.parts.motors.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
@@ -43,10 +42,6 @@ class TorqueRipple(DriveStage):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {"waves": read_waves(section, "waves", "1")}
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return {"waves": [[6.0, float(rng.uniform(0.01, 0.1)), 1.0]]}
 
     def check(self, section: Section) -> None:  # noqa: D102
         # More would turn the torque about at some angles.

@@ -32,11 +32,9 @@ class Winding(DriveStage):
                "degC"),
     )  # fmt: skip
 
-    heat_capacity: float = number(
-        "C", "J/K", above=0.0, typical=(0.2, 5.0), text="C, of the winding"
-    )
+    heat_capacity: float = number("C", "J/K", above=0.0, text="C, of the winding")
     thermal_resistance: float = number(
-        "Rth", "K/W", above=0.0, typical=(0.1, 2.0), text="Rth, from the winding to the ambient"
+        "Rth", "K/W", above=0.0, text="Rth, from the winding to the ambient"
     )
     ambient: float = number(
         "ambient",
@@ -61,7 +59,6 @@ class Winding(DriveStage):
         "1/K",
         ends=(-0.01, 0.0),
         default=0.0,
-        typical=(-0.001, 0.0),
         text="beta; some -0.001 of NdFeB, -0.002 of ferrite",
     )
     limit: float | None = number(

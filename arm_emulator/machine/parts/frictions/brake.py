@@ -12,7 +12,6 @@ from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor, Rot
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -53,12 +52,6 @@ class Brake(Part):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: in motion it is open."""
         return np.zeros_like(motion.t)
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:
-        """With delays of whole steps of 0.5 ms."""
-        close, release = (5e-4 * int(n) for n in rng.integers(0, 30, 2))
-        return {"torque": scaled(rng, 0.02, 0.5), "close_delay": close, "release_delay": release}
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:

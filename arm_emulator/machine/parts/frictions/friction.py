@@ -11,7 +11,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -21,10 +20,6 @@ class Friction(Part):
     header = "frictions/friction.hpp"
     cxx = "Friction"
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
-
-    usual_dry: ClassVar[float] = 0.6  # N m, while it slides
-    usual_viscous: ClassVar[float] = 0.1  # N m s/rad
-    usual_speed: ClassVar[float] = 0.2  # rad/s, of slow motion
 
     viscous: float = number(
         "Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0, text="Dv, per speed"
@@ -44,11 +39,6 @@ class Friction(Part):
     def owned_name(cls) -> str:
         """Return its section and the keys that distinguish it."""
         return " with ".join([super().owned_name(), *sorted(cls.named_by)])
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        dry = cls.usual_dry * scaled(rng, 0.3, 3.0)
-        return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": cls.usual_viscous}
 
     def sliding(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""
@@ -78,9 +68,6 @@ class OfRotor(Friction):
 
     section = "motor.friction"
     shaft = "rotor"
-    usual_dry = 0.01
-    usual_viscous = 1e-5
-    usual_speed = 6.0
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

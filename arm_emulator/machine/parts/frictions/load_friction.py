@@ -9,7 +9,6 @@ from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction
 from arm_emulator.machine.parts.frictions.stribeck import stribeck_torque
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -30,12 +29,6 @@ class LoadFriction(Friction):
         text="vs, see [Stribeck friction](stribeck.md)",
     )
     load: float = number("mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", text="mu")
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:
-        """With and without a fall of the dry torque."""
-        falls = {"stribeck": cls.usual_speed} if rng.random() < 0.5 else {}
-        return super().drawn(rng) | {"load": 0.2, **falls}
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().sliding(motion)

@@ -10,7 +10,6 @@ from arm_emulator.machine.parts.frictions.stribeck import stribeck_torque
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -64,19 +63,6 @@ class LuGre(JointEffect):
             ),
         )
 
-    @classmethod
-    def drawn_of(cls, rng: Rng, dry: tuple[float, float], bend: tuple[float, float],
-                 damping: tuple[float, float], **more: float) -> Numbers:  # fmt: skip
-        """Return a random section by the usual dry torque [N m], bend [rad] and damping."""
-        torque = scaled(rng, *dry)
-        return {
-            "coulomb": torque,
-            "breakaway": torque * float(rng.uniform(1.0, 1.5)),
-            **more,
-            "bristle_stiffness": torque / scaled(rng, *bend),
-            "bristle_damping": scaled(rng, *damping),
-        }
-
     @property
     def cxx_type(self) -> str:  # noqa: D102
         return f"arm::{self.cxx}<arm::Place::{self.shaft}>"
@@ -90,10 +76,6 @@ class LinkLuGre(LuGre):
     rank = 2
     shaft = "link"
 
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return cls.drawn_of(rng, dry=(0.2, 2.0), bend=(2e-3, 2e-2), damping=(0.3, 3.0))
-
 
 @register_part
 class RotorLuGre(LuGre):
@@ -102,9 +84,3 @@ class RotorLuGre(LuGre):
     section = "motor.lugre"
     rank = 3
     shaft = "rotor"
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return cls.drawn_of(
-            rng, dry=(0.003, 0.03), bend=(0.2, 1.0), damping=(3e-4, 3e-3), stribeck=5.0
-        )

@@ -8,7 +8,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -33,10 +32,6 @@ class Stribeck(Friction):
         sought="known",
         text="vs: speed at which 63 % of the fall from Ds to Dc has happened",
     )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return super().drawn(rng) | {"stribeck": cls.usual_speed}
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)

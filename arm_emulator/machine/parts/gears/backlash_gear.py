@@ -8,7 +8,6 @@ from arm_emulator.machine.parts.fault import Fault, rise, rising
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 
 
 @register_part
@@ -23,10 +22,6 @@ class BacklashGear(ElasticGear):
     backlash: float = number(
         "play", "rad", at_least=0.0, text="free play of the link while the motor is held"
     )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return super().drawn(rng) | {"backlash": scaled(rng, 1e-3, 2e-2)}
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102

@@ -7,7 +7,6 @@ from typing import ClassVar
 from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 
 
 @register_part
@@ -28,11 +27,6 @@ class ElasticGear(Gear):
         default=0.0,
         text="Dg, seen at the link; refused without a stiffness",
     )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        gear = super().drawn(rng)
-        return gear | {"stiffness": scaled(rng, 1e3, 1e4), "damping": scaled(rng, 0.5, 10.0)}
 
     def wind_up(self, torque: float) -> float:  # noqa: D102
         return torque / self.stiffness

@@ -9,7 +9,6 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 RATIO_UNIT = "link turns per motor turn"  # m per rad for a prismatic joint
@@ -44,10 +43,6 @@ class Gear(Part):
     def owned_name(cls) -> str:
         """Return its section and the keys that distinguish it."""
         return " with ".join([super().owned_name(), *sorted(cls.named_by)])
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return {"ratio": scaled(rng, 0.01, 0.04) * float(rng.choice([-1.0, 1.0]))}
 
     def wind_up(self, torque: float) -> float:
         """Return the wind-up of the gear at rest [rad], at the link."""

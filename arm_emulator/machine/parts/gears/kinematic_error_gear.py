@@ -10,7 +10,6 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
 
@@ -49,13 +48,6 @@ class KinematicErrorGear(ElasticGear):
         if (errors := section.section("kinematic_error")) is not None:
             values |= {shaft: read_waves(errors, shaft, "rad") for shaft in ("motor", "link")}
         return values
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        gear = super().drawn(rng)
-        of_motor = [2.0, 0.1 * gear["ratio"], float(rng.uniform(0.0, 6.0))]
-        of_link = [3.0, scaled(rng, 1e-4, 1e-2)]
-        return gear | {"kinematic_error": {"motor": [of_motor], "link": [of_link]}}
 
     def check(self, section: Section) -> None:  # noqa: D102
         # A steeper error would turn the gear back at some angles.

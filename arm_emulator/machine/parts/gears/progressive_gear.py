@@ -7,7 +7,6 @@ import math
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 
 
 @register_part
@@ -25,11 +24,6 @@ class ProgressiveGear(ElasticGear):
         at_least=0.0,
         text="Kg3, seen at the link: the gear stiffens as it winds up; refused without a stiffness",
     )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        gear = super().drawn(rng)
-        return gear | {"cubic_stiffness": gear["stiffness"] * scaled(rng, 1e2, 1e4)}
 
     def wind_up(self, torque: float) -> float:  # noqa: D102
         if not self.cubic_stiffness:

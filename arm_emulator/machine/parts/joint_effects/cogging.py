@@ -9,7 +9,6 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
 
@@ -34,10 +33,6 @@ class Cogging(JointEffect):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {"waves": read_waves(section, "waves", "N m")}
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return {"waves": [[4.0, scaled(rng, 1e-3, 1e-2), float(rng.uniform(0.0, 6.0))]]}
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

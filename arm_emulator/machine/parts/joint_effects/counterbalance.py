@@ -23,16 +23,13 @@ class Counterbalance(JointEffect):
     header = "joint_effects/counterbalance.hpp"
     cxx = "Counterbalance"
 
-    base_distance: float = number(
-        "a", "m", above=0.0, at_most=100.0, varied=False, typical=(0.3, 0.5), text="a"
-    )
+    base_distance: float = number("a", "m", above=0.0, at_most=100.0, varied=False, text="a")
     link_distance: float = number(
         "b",
         "m",
         above=0.0,
         at_most=100.0,
         varied=False,
-        typical=(0.05, 0.2),
         text="b; differs from a by 1 % of it or more",
     )
     angle: float = number(
@@ -40,7 +37,6 @@ class Counterbalance(JointEffect):
         "rad",
         ends=(-1e4, 1e4),
         default=0.0,
-        typical=(-3.0, 3.0),
         text="phi: the joint angle at which the spring is shortest",
     )
     force: float = number(
@@ -48,17 +44,15 @@ class Counterbalance(JointEffect):
         "N",
         ends=(-1e7, 1e7),
         sought="known",
-        typical=(20.0, 200.0),
         text="F0, at the length `length`; > 0 pushes, < 0 pulls",
     )
-    length: float = number("l0", "m", above=0.0, at_most=200.0, typical=(0.4, 0.6), text="l0")
+    length: float = number("l0", "m", above=0.0, at_most=200.0, text="l0")
     stiffness: float = number(
         "k",
         "N/m",
         at_least=0.0,
         sought="known",
         default=0.0,
-        typical=(20.0, 200.0),
         text="k: growth of the force per metre of compression",
     )
     gas_column: float = number(

@@ -25,7 +25,6 @@ class Drag(JointEffect):
         "N m s2/rad2",
         at_least=0.0,
         sought="unknown",
-        typical=(0.1, 10.0),
         text="c; of a part of the area A at the distance r: about 0.5 rho cd A r^3",
     )
 

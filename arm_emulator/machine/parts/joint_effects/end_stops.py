@@ -12,7 +12,6 @@ from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 _BEYOND = Number(
@@ -100,11 +99,6 @@ class EndStops(JointEffect):
             section.put(key, value)
         if limits is None:
             raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        way = scaled(rng, 0.02, 0.2)
-        return {"lower": -way, "upper": way, "stiffness": scaled(rng, 1e3, 2e4), "damping": 10.0}
 
     def check(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:

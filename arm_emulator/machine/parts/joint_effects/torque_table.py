@@ -15,7 +15,6 @@ from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 LEAST, MOST = 4, 256  # points
@@ -69,15 +68,6 @@ class TorqueTable(JointEffect):
             "torques": _read(section, _TORQUES),
             "periodic": section.flag("periodic"),
         }
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(LEAST, 12)))) - 1.5
-        torques = rng.uniform(-5.0, 5.0, len(angles))
-        periodic = bool(rng.random() < 0.5)
-        if periodic:
-            torques[-1] = torques[0]
-        return {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": periodic}
 
     def check(self, section: Section) -> None:  # noqa: D102
         if len(self.torques) != len(self.angles):

@@ -14,7 +14,6 @@ from arm_emulator.machine.parts.motors.motor import (
 )
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng
 
 
 @register_part
@@ -54,11 +53,6 @@ class CurrentMotor(Motor):
             bandwidth=rating.bandwidth,
             current_limit=rating.current,
         )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        numbers = {"torque_constant": 0.05, "current_limit": 10.0}
-        return {**numbers, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102

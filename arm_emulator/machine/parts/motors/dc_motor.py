@@ -13,7 +13,6 @@ from arm_emulator.machine.parts.motors.motor import (
 )
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 
 
 @register_part
@@ -62,17 +61,6 @@ class DcMotor(Motor):
             rotor_inertia=rating.rotor_inertia,
             current_limit=rating.current,
         )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        inductive = rng.random() < 0.5
-        return {
-            "resistance": scaled(rng, 0.5, 2.0),
-            "torque_constant": 0.05,
-            "back_emf_constant": 0.05,
-            **({"inductance": scaled(rng, 1e-3, 5e-3)} if inductive else {}),
-            **({"current_limit": scaled(rng, 3.0, 10.0)} if rng.random() < 0.5 else {}),
-        }
 
     @property
     def cxx_type(self) -> str:  # noqa: D102

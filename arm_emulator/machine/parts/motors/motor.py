@@ -9,7 +9,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.part import Part, number
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
@@ -101,27 +100,6 @@ class Motor(Part):
     def sized(cls, rating: Rating) -> Self:
         """Return a motor of this kind that gives what is asked for."""
         raise NotImplementedError
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:
-        """Return the section of a random motor without its rotor, as `new` sizes it."""
-        rating = Rating(
-            torque=scaled(rng, 0.3, 1.0),
-            rotor_inertia=1e-4,
-            torque_constant=0.05,
-            back_emf_constant=0.05,
-            resistance=scaled(rng, 0.5, 2.0),
-            inductance=2e-3,
-            bandwidth=200.0,
-        )
-        motor = cls.sized(rating)
-        values = {key: getattr(motor, key) for key in cls.numbers()}
-        limit = motor.limit if motor.circuit is not None else ""  # it would need a loop
-        return {
-            key: value
-            for key, value in values.items()
-            if value is not None and key not in ("rotor_inertia", limit)
-        }
 
     def effort(self, motion: ShaftMotion) -> Array:
         """The rotor's inertia; what is measured is the torque that the windings give."""

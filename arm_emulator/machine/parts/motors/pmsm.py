@@ -21,7 +21,6 @@ from arm_emulator.machine.parts.motors.motor import (
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 
 AMPLITUDE = math.sqrt(3.0)  # of the supply to the largest that an inverter makes of it
 POLE_PAIRS = 4  # of servo motors, where none are given
@@ -90,16 +89,6 @@ class Pmsm(Motor):
             rotor_inertia=rating.rotor_inertia,
             current_limit=rating.torque / (1.5 * POLE_PAIRS * flux),
         )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return {
-            "resistance": scaled(rng, 0.3, 1.0),
-            "inductance_d": scaled(rng, 1e-3, 3e-3),
-            "inductance_q": scaled(rng, 1e-3, 3e-3),
-            "flux": scaled(rng, 0.005, 0.02),
-            "pole_pairs": POLE_PAIRS,
-        }
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102

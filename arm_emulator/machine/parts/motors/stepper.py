@@ -7,7 +7,6 @@ from arm_emulator.machine.parts.motors.motor import Motor, inertia_of_rotor
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng, scaled
 
 
 @register_part
@@ -42,14 +41,6 @@ class Stepper(Motor):
     current_limit: float | None = number(
         "current_limit", "A", above=0.0, default=None, text="of each phase, in either direction"
     )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return {
-            "torque_per_current": scaled(rng, 0.03, 0.1),
-            "teeth": int(rng.integers(1, 5)),
-            "bandwidth": scaled(rng, 100.0, 500.0),
-        }
 
     @property
     def servo_data(self) -> None:

@@ -14,7 +14,6 @@ from arm_emulator.machine.parts.motors.motor import (
 )
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
-from arm_emulator.machine.parts.sample import Numbers, Rng
 
 
 @register_part
@@ -49,10 +48,6 @@ class TorqueMotor(Motor):
             bandwidth=rating.bandwidth,
             torque_limit=rating.torque,
         )
-
-    @classmethod
-    def drawn(cls, rng: Rng) -> Numbers:  # noqa: D102
-        return {"torque_limit": 0.5, **({"bandwidth": 200.0} if rng.random() < 0.5 else {})}
 
     @property
     def servo_data(self) -> ServoData:  # noqa: D102
