@@ -16,7 +16,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.coerce import array_of, coerce_kind
+from arm_emulator.base.validation.coerce import coerce_array, coerce_kind
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.plant.measured import Measured
@@ -185,7 +185,7 @@ def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) ->
         Refusal: shapes differ, or there are fewer rows.
         AssertionError: names the joint, its error and the time.
     """
-    where, rows, wanted = "testing.assert_settles", array_of(q), array_of(target)
+    where, rows, wanted = "testing.assert_settles", coerce_array(q), coerce_array(target)
     if rows is None or wanted is None:
         raise Refusal(where, "q and target", "be numbers", q if rows is None else target)
     within = Number("within", at_least=0.0).take(where, within)

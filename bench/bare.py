@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.known import (
     GEARS,
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
-    without,
+    remove_kind,
 )
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import Scene
@@ -28,7 +28,7 @@ DRY = ("coulomb", "breakaway")
 _PLAIN_KEYS = {key for kind in PLAIN for key in kind.numbers()} - {*DRY}
 
 BARE = {
-    **without((Brake, *EXTRAS, *DECORATORS, *ROTOR_FRICTIONS)),
+    **remove_kind((Brake, *EXTRAS, *DECORATORS, *ROTOR_FRICTIONS)),
     **{
         f"joints.*.{kind.section}.{key}": None
         for kind in (*GEARS, *LINK_FRICTIONS)

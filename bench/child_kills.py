@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arm_emulator.base.process import below, runs
+from arm_emulator.base.process import is_running, list_descendants
 
 CHILDREN = ("page", "recorder", "viewer")
 HOW = {"SIGKILL": signal.SIGKILL, "SIGTERM": signal.SIGTERM, "of the run": None}
@@ -76,7 +76,7 @@ class Case:
             while first and b"ready" not in first:  # the page's address comes before it
                 first = run.stdout.readline()
             assert first, "it does not start"
-            children = list(below(run.pid))
+            children = list(list_descendants(run.pid))
             time.sleep(pause)
             late = threading.Timer(PATIENCE, run.kill)  # the time shows that it hung
             late.start()
@@ -94,10 +94,10 @@ class Case:
                 pass
             run.wait()
             late.cancel()
-            while any(map(runs, children)) and time.monotonic() - begun < PATIENCE:
+            while any(map(is_running, children)) and time.monotonic() - begun < PATIENCE:
                 time.sleep(0.01)
             self.end = time.monotonic() - begun
-            self.left = [one for one in children if runs(one)]
+            self.left = [one for one in children if is_running(one)]
         for one in self.left:
             os.kill(one, signal.SIGKILL)
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from arm_emulator.machine.plant.compiler import library_of
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.compiler import load_machine
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.toolchain.compiler_command import find_compiler
 
@@ -155,7 +155,7 @@ def progress(what: str, steps: int) -> Iterator[Callable[..., None]]:
 
 def compile_all(scenes: Iterable[Scene]) -> None:
     """Compile what is not in the cache yet, on all cores, before anything is timed."""
-    different = {scene_unit(scene): scene for scene in scenes}
+    different = {write_scene_unit(scene): scene for scene in scenes}
     quiet = io.StringIO()
     with (
         contextlib.redirect_stderr(quiet),
@@ -163,7 +163,7 @@ def compile_all(scenes: Iterable[Scene]) -> None:
         progress("compile", len(different)) as done,
     ):
         for scene, _ in zip(
-            different.values(), pool.map(library_of, different.values()), strict=True
+            different.values(), pool.map(load_machine, different.values()), strict=True
         ):
             done(scene.name)
 

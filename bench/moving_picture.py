@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.view.rerun_stream import RerunStream
@@ -43,7 +43,7 @@ def record(rrd: Path) -> tuple[float, float]:
     """Write a recording of the run; return begin and end of the round [s]."""
     one = load_offline_run(SCENE)
     scene, kinematics = one.session.scene, one.controller.kinematics
-    robots = example_robot_data()
+    robots = find_example_robot_data()
     stream = RerunStream(
         scene.urdf,
         scene.joint_names,

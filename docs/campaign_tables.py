@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 
-from arm_emulator.base.validation.number import numbers_of
+from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_campaign import campaign_file
 from arm_emulator_campaign.distributions import KINDS
@@ -35,9 +35,9 @@ def _distributions() -> str:
 def _faults() -> str:
     rows = []
     for kind, fault in known_faults().items():
-        numbers = [f"`{name}`: {one.described}" for name, one in numbers_of(fault).items()]
+        numbers = [f"`{name}`: {one.described}" for name, one in list_numbers(fault).items()]
         others = [
-            f"`{field.name}`" for field in fields(fault) if field.name not in numbers_of(fault)
+            f"`{field.name}`" for field in fields(fault) if field.name not in list_numbers(fault)
         ]
         about = (fault.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join([*numbers, *others])))
@@ -47,7 +47,7 @@ def _faults() -> str:
 def _methods() -> str:
     rows = []
     for kind, method in METHODS.items():
-        numbers = [f"`{name}`: {one.described}" for name, one in numbers_of(method).items()]
+        numbers = [f"`{name}`: {one.described}" for name, one in list_numbers(method).items()]
         about = (method.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join(numbers)))
     return _table(("method", "what it does", "keys"), rows)

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
-from arm_emulator.base.validation.parameters import parameters_of
+from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers
+from arm_emulator.base.validation.parameters import list_parameters
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import DriveParameters
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
@@ -36,7 +36,7 @@ def parameters() -> str:
 
 
 def _parameters(kind: type[Any]) -> Rows:
-    for value in parameters_of(kind).values():
+    for value in list_parameters(kind).values():
         about, settable = value.metadata, value.metadata["settable"]
         if "number" in about:
             yield _number(value.name, about["number"], settable)
@@ -51,7 +51,7 @@ def _parameters(kind: type[Any]) -> Rows:
 
 
 def _numbers(kind: type[Any], prefix: str, settable: tuple[str, ...]) -> Rows:
-    numbers = numbers_of(kind)
+    numbers = list_numbers(kind)
     for field in dataclasses.fields(kind):
         if field.name in numbers:
             yield _number(prefix + field.name, numbers[field.name], field.name in settable)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from arm_emulator.base.config_files import BESIDE
 from arm_emulator.base.name_rule import LONGEST_NAME, SCENE_MARKS
-from arm_emulator.base.validation.number import Number, numbers_of
+from arm_emulator.base.validation.number import Number, list_numbers
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.scene.integrator import EVENTS, EXCHANGES, Integrator
 from arm_emulator.machine.scene.payload import COM, INERTIA, MASS
@@ -40,7 +40,7 @@ def _names(of: str, absent: str, text: str) -> Key:
     return Key("", range=f"a list of {of}", absent=absent, text=text)
 
 
-_SCENE, _INTEGRATOR = numbers_of(Scene), numbers_of(Integrator)
+_SCENE, _INTEGRATOR = list_numbers(Scene), list_numbers(Integrator)
 
 MACHINE: Keys = {
     "name": Key("", range=f"letters, digits, blanks and `{SCENE_MARKS}`, at most {LONGEST_NAME}"

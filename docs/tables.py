@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.fault import Fault
@@ -135,7 +135,7 @@ def joint_keys(folder: str) -> str:
     Args:
         folder: of the pages of parts.
     """
-    rows = [_row(key, one) for key, one in numbers_of(Joint).items()]
+    rows = [_row(key, one) for key, one in list_numbers(Joint).items()]
     kinds = ", ".join(_code(motor.kind) for motor in MOTORS)
     rows.append(_row("motor.kind", Key(
         name="", range=kinds, absent=_code(MOTORS[0].kind),

@@ -9,7 +9,7 @@ from rclpy.subscription import Subscription
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator.toolchain.c_header import NULL, CData
-from arm_emulator.toolchain.unit import compiled_once
+from arm_emulator.toolchain.unit import compile_once
 from emulator_node.breakpoints import Breakpoints
 from emulator_node.c import ANSWERED_TICKS, answered_ticks_unit
 from emulator_node.command_reader import CommandReader
@@ -20,7 +20,7 @@ from emulator_node.reports import Reports
 
 LOGGED = 200  # ticks of which the messages have room in the log: some 20 ms
 
-answered_ticks = compiled_once(answered_ticks_unit)
+answered_ticks = compile_once(answered_ticks_unit)
 
 
 class AnsweredTicks:

@@ -8,7 +8,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 
 from arm_emulator.base.validation.bound import COMMAND
-from arm_emulator.machine.plant.inputs import further_inputs
+from arm_emulator.machine.plant.inputs import list_further_inputs
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.ros.messages.message_reader import MessageReader, Row
 from arm_emulator.ros.node.duplicate_nodes import get_start_time
@@ -34,7 +34,7 @@ class CommandReader:
     def __init__(self, scene: Scene, struct: CData, number: int) -> None:
         names, at = scene.joint_names, MOTOR_COMMANDS.ffi.addressof
         N = len(names)
-        commands = np.zeros((1 + len(further_inputs(scene))) * N)
+        commands = np.zeros((1 + len(list_further_inputs(scene))) * N)
         example = MotorCommand(joint_names=names, command=array("d", commands[:N]))
         self.largest = len(serialize_message(example)) + SPARE_BYTES
         self._reader = reader = MessageReader(

@@ -31,7 +31,7 @@ from arm_emulator.base.validation.parameters import parameter
 from arm_emulator.machine.plant.build_facts import build_facts
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.pace import LARGEST, Pace
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.machine.session.session import CLOCKS, STARTS, Session
 from arm_emulator.page.page_process import PageProcess
 from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
@@ -188,7 +188,7 @@ class EmulatorNode(ManagedNode):
             self.get_logger().warning(line)
         self._diagnostics.hardware_id = scene.name
         session = (
-            real_time_session(scene, config.start, standing=True, readers=READERS)
+            open_real_time_session(scene, config.start, standing=True, readers=READERS)
             if config.clock == "realtime"
             else Session(scene, config.clock, config.start, standing=True)
         )

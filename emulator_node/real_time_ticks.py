@@ -8,14 +8,14 @@ import numpy as np
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
-from arm_emulator.machine.plant.call_arguments import commands_of
-from arm_emulator.machine.plant.compiler import real_time_library
+from arm_emulator.machine.plant.call_arguments import make_commands
+from arm_emulator.machine.plant.compiler import load_real_time
 from arm_emulator.machine.plant.measured import MeasuredPlace
 from arm_emulator.machine.session.phase import Phase
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import CData
-from arm_emulator.toolchain.unit import compiled_once
+from arm_emulator.toolchain.unit import compile_once
 from emulator_node.c import REAL_TIME_TICKS, real_time_ticks_unit
 from emulator_node.command_reader import CommandReader
 from emulator_node.context import Context
@@ -25,7 +25,7 @@ from emulator_node.reports import TRUTH, Reports
 READERS, READER = 2, 1  # of the loop: the session is the first
 LOGGED = 8192  # ticks of which the messages have room in a log
 
-real_time_ticks = compiled_once(real_time_ticks_unit)
+real_time_ticks = compile_once(real_time_ticks_unit)
 
 
 class RealTimeTicks:
@@ -44,7 +44,7 @@ class RealTimeTicks:
         scene, clock = own.session.scene, own.session.clock
         assert isinstance(clock, RealTimeLoop)
         N = len(scene.joints)
-        self._calls, loop = real_time_ticks(), real_time_library()
+        self._calls, loop = real_time_ticks(), load_real_time()
         place, rows = MeasuredPlace(scene), np.zeros((len(TRUTH), N))
         self._snapshot = REAL_TIME_TICKS.new("arm_snapshot", **place.arrays)
         truth = REAL_TIME_TICKS.ffi.addressof(self._snapshot, "truth")
@@ -52,7 +52,7 @@ class RealTimeTicks:
         REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
         self._messages = reports.create_messages(place.view(), rows)
         motor_state, joint_state, time = self._messages
-        self._joint, self._stack = commands_of(scene), ExitStack()
+        self._joint, self._stack = make_commands(scene), ExitStack()
         self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)
         self._logs: list[CData] = []  # of C, and another one in exchange for it
         self.at = REAL_TIME_TICKS.new(

@@ -11,7 +11,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from arm_emulator.machine.plant.call_arguments import truth_at
+from arm_emulator.machine.plant.call_arguments import make_truth
 from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.ros.messages.middleware import Numbers, Outgoing
@@ -50,7 +50,7 @@ class Reports:
         self._fields = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
         self.changes = 0
         rows = np.zeros((len(TRUTH), len(session.scene.joints)))
-        self.truth = truth_at(q=rows[0], v=rows[1], gear_torque=rows[2])
+        self.truth = make_truth(q=rows[0], v=rows[1], gear_torque=rows[2])
         create = own.node.create_publisher
         self._of_ticks = (
             create(MotorState, "motor_states", STATE_PUB_QOS),

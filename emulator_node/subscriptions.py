@@ -11,7 +11,7 @@ from rclpy.serialization import deserialize_message
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
-from arm_emulator.machine.plant.inputs import named_inputs
+from arm_emulator.machine.plant.inputs import name_inputs
 from arm_emulator.machine.session.command_buffer import DuplicateCommand
 from arm_emulator.ros.messages.message_reader import refuse_bytes
 from arm_emulator.ros.node.duplicate_nodes import get_start_time

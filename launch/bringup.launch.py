@@ -18,7 +18,7 @@ from launch_ros.actions import Node
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.machine.session.pace import factor_of
+from arm_emulator.machine.session.pace import parse_factor
 from arm_emulator.ros.process.end_with_parent import get_parent_environment
 
 ARGUMENTS = [
@@ -113,7 +113,7 @@ def nodes_of(context: LaunchContext) -> list[Node]:
     scene, clock, pace, start, rerun, record, namespace, use_sim_time, params_file, allow_second = (
         LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS
     )
-    factor = factor_of("bringup", pace)
+    factor = parse_factor("bringup", pace)
     file = find_scene(scene)
     gains = {kind: str(find_beside(file, kind)) for kind in ("servo", "motion")}
 

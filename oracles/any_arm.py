@@ -30,7 +30,7 @@ from arm_emulator import (
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.design.new_scene import NewScene, write_new
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.executor.goal_status import State
 from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN
@@ -115,7 +115,7 @@ class Outcome:
 def arms() -> dict[str, Path | str]:
     """Return all arms by name: the file of a description, or the name of one of ours."""
     robots: dict[str, Path | str] = {f"own: {name}": name for name in OWN}
-    shipped = example_robot_data()
+    shipped = find_example_robot_data()
     for file in sorted(shipped.rglob("*.urdf")) if shipped is not None else ():
         if shipped and not file.relative_to(shipped).parts[0].startswith(NO_ARMS):
             robots[file.stem] = file

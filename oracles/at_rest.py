@@ -28,7 +28,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.machine.parts.frictions.brake import Brake
-from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, without
+from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, remove_kind
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.reference import links_model
 
@@ -43,7 +43,7 @@ RESOLVED = 0.01  # of the torques at a joint: what winding up and speed make of 
 # The law stands alone: other friction, brakes and springs are put away.
 ALONE: dict[str, Any] = {
     "gravity": [0.0, 0.0, -9.81],
-    **without((*LINK_FRICTIONS, *ROTOR_FRICTIONS, Brake, *EXTRAS)),
+    **remove_kind((*LINK_FRICTIONS, *ROTOR_FRICTIONS, Brake, *EXTRAS)),
 }
 
 Numbers = dict[str, float]

@@ -42,7 +42,7 @@ from arm_emulator.machine.parts.known import (
     read_motor,
 )
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.plant.inputs import further_inputs, input_at
+from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.mixtures import LARGEST, ORDER, RESOLVED, any_of, fits, key_of, place_of, write_scene
 from oracles.part_samples import draw_part
@@ -190,8 +190,8 @@ def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw
     size = rng.choice(SIZES, 2) * [LARGEST.get(joint.unit, 0.0) for joint in scene.joints]
     rows = rng.uniform(-1.0, 1.0, (ROWS, 2)) * size
     further = {}
-    for name in further_inputs(scene):
-        at = [input_at(joint, name) for joint in scene.joints]
+    for name in list_further_inputs(scene):
+        at = [find_input(joint, name) for joint in scene.joints]
         largest = np.array([LARGEST[one.unit] if one else 0.0 for one in at])
         further[name] = rng.uniform(-1.0, 1.0, (ROWS, 2)) * largest * rng.choice(SIZES)
     powered = np.ones(ROWS, bool)

@@ -205,7 +205,7 @@ def _draw_motor(part: type[Part], rng: Rng) -> Numbers:
         inductance=2e-3,
         bandwidth=200.0,
     )
-    motor = part.sized(rating)
+    motor = part.size_part(rating)
     values = {key: getattr(motor, key) for key in part.numbers()}
     limit = motor.limit if motor.circuit is not None else ""  # it would need a loop
     return {

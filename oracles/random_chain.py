@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.base.products import product
+from arm_emulator.base.products import multiply_matrices
 
 LINK = """
   <joint name="{name}" type="{kind}">
@@ -46,7 +46,7 @@ def _random_urdf(rng: np.random.Generator, joints: int, hang: Callable[[list[str
         ]:
             name = f"{kind}_{index}"
             A = rng.normal(size=(3, 3))
-            I = 0.02 * (product(A, A.T) + np.eye(3))  # noqa: E741
+            I = 0.02 * (multiply_matrices(A, A.T) + np.eye(3))  # noqa: E741
             text += LINK.format(
                 name=name, kind=kind, parent=parent, xyz=_words(rng.normal(0, 0.2, 3)),
                 rpy=_words(rng.uniform(-3, 3, 3)), axis=_words(rng.normal(size=3)),

@@ -17,13 +17,13 @@ from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, Row
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator.toolchain.unit import compiled_once
+from arm_emulator.toolchain.unit import compile_once
 from arm_emulator_msgs.msg import MotorState
 from servo_node.c import ANSWERED_STATES, answered_states_unit
 
 MACHINE_SILENCE = 1.0  # s, wall: an emulator silent for so long may be replaced by another
 
-answered_states = compiled_once(answered_states_unit)
+answered_states = compile_once(answered_states_unit)
 
 
 class AnsweredStates:

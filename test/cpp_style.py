@@ -14,15 +14,15 @@ from pathlib import Path
 import clang_tidy
 
 from arm_emulator.machine.plant.compiler import (
-    equations_unit,
-    machine_unit,
-    real_time_unit,
+    build_equations_unit,
+    build_machine_unit,
+    build_real_time_unit,
 )
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_firmware.microcontroller import runner_unit
-from arm_emulator_fleet.unit import fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import VERSIONS, unit_of
 from arm_emulator_fmu.variables import variables
 
@@ -40,10 +40,10 @@ def units() -> Iterator[Unit]:
     """Yield what has C++ in it: of scenes, each kind of integration once."""
     scene = load_scene("three_axis")
     for variant in VARIANTS:
-        yield machine_unit(load_scene("three_axis", variant))
-    yield equations_unit(scene)
-    yield fleet_unit(scene)
-    yield real_time_unit()
+        yield build_machine_unit(load_scene("three_axis", variant))
+    yield build_equations_unit(scene)
+    yield build_fleet_unit(scene)
+    yield build_real_time_unit()
     yield ethercat_unit()
     yield runner_unit()
     for version in VERSIONS:

@@ -21,7 +21,7 @@ import yaml
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from oracles.reference import links_model, reference
 
@@ -218,7 +218,7 @@ def light_distal_link(quick: bool) -> Iterator[Outcome]:
     period, rows = 1e-2, sines(3, 20, 1e-2)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        urdf = (config_folder() / "urdf" / "three_axis.urdf").read_text(encoding="utf-8")
+        urdf = (find_config_folder() / "urdf" / "three_axis.urdf").read_text(encoding="utf-8")
         # The forearm weighs 3 kg; the same shape of 1 g.
         head, forearm, tail = urdf.partition('<link name="forearm">')
         for heavy, light in (

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from arm_emulator.machine.plant.compiler import equations_library_of
+from arm_emulator.machine.plant.compiler import load_equations
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.link_dynamics import LinkDynamics
 from arm_emulator.machine.scene.scene import Scene, load_scene
@@ -138,7 +138,7 @@ def random_tree(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
 def links_of(scene: Scene) -> LinkDynamics:
     """Return what `Plant.links` does without a machine, for a scene without varied numbers."""
     assert not scene.varied and not scene.external_wrench, "the point below is of the state alone"
-    library, N = equations_library_of(scene), len(scene.joints)
+    library, N = load_equations(scene), len(scene.joints)
     at_rest = ARM.ffi.new("double[]", 100 * N)  # more than a state has
     return LinkDynamics(lambda name, *given: getattr(library, name)(at_rest, *given), N)
 

@@ -20,7 +20,7 @@ from arm_emulator.servo.servo_law import servo_law
 from arm_emulator.tick.c import FOLDERS
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import library
+from arm_emulator.toolchain.unit import load_library
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -88,7 +88,7 @@ def command(
 
     Return its exit code and what was printed, but for what is compiled once.
     """
-    Plant(SCENE), servo_law(), library(servo_step_unit())
+    Plant(SCENE), servo_law(), load_library(servo_step_unit())
     capfd.readouterr()
     monkeypatch.setattr(sys, "argv", ["arm_emulator", *map(str, words)])
     with pytest.raises(SystemExit) as end:

@@ -32,7 +32,7 @@ from arm_emulator.runs.table_run import load_table_run
 from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator.toolchain.unit import Unit, compile_units
 from arm_emulator_fleet import Fleet
-from arm_emulator_fleet.unit import fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 from oracles.mixtures import write_mixture
 
 KEPT = Path(__file__).with_suffix(".json")
@@ -216,8 +216,8 @@ def digests(target: str, level: str) -> Iterator[tuple[str, str]]:
             # Fleets of long arms compile for long: only as their scenes state them.
             is_quick = len(scene.joints) <= 3 or "," not in name
             has_fleet = is_quick if FULL else name in ("sensed", "ur5")
-            units = [of_machines.machine_unit(scene)]
-            units += [fleet_unit(scene)] if has_fleet else []
+            units = [of_machines.build_machine_unit(scene)]
+            units += [build_fleet_unit(scene)] if has_fleet else []
             if target != "native":
                 compile_units(units, target, None)
             own = digest_of_machine(scene)

@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 
 Rng = np.random.Generator
 
@@ -75,7 +75,7 @@ def verdict(path: Path) -> str:
         warnings.simplefilter("error")
         line = ""
         try:
-            unit = scene_unit(load_scene(path))
+            unit = write_scene_unit(load_scene(path))
         except Refusal as refusal:
             line = str(refusal)
     seconds = max(time.process_time() - started, 0.1 * (time.monotonic() - began))

@@ -112,7 +112,7 @@ def test_a_bag_of_a_missing_scene_is_refused_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag = synthetic(tmp_path / "bag", [True] * 2)
-    monkeypatch.setattr(recorded_topics, "config_folder", lambda: tmp_path)
+    monkeypatch.setattr(recorded_topics, "find_config_folder", lambda: tmp_path)
     rule = f"{bag}: --scene must name the scene with the joints waist, shoulder, elbow, got none"
     for command in (check_bag, partial(explain, at=0.0)):
         with pytest.raises(Refusal, match=re.escape(rule)):

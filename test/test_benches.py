@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "docs" / "validation" / "report"
 FOLDERS = (ROOT / "bench", *PACKAGES)
 MODULES = sorted(file.stem for folder in FOLDERS for file in folder.glob("[!_]*.py"))
-SHIPPED = sorted(file.stem for file in config_folder().glob("*.yaml"))
+SHIPPED = sorted(file.stem for file in find_config_folder().glob("*.yaml"))
 
 
 @pytest.mark.parametrize(("name", "scheme"), [*zip(SHIPPED, itertools.cycle(SCHEMES))])

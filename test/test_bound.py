@@ -21,10 +21,10 @@ from arm_emulator.base.validation.bound import (
     EFFORT,
     POSITION,
     VELOCITY,
-    encoder_counts,
+    bound_encoder_counts,
 )
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.plant.plant_state import bounds_of
+from arm_emulator.machine.plant.plant_state import bound_state
 from arm_emulator.motion.executor.goal_queue import MOST_TARGETS
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
@@ -78,7 +78,7 @@ def test_a_bound_takes_exactly_the_numbers_within(seed: int) -> None:
 def test_motors_are_set_within_the_bounds_of_their_links() -> None:
     """1e6 rad and 1e6 rad/s at the links of both ends of a gear, whatever way it turns."""
     scene = load_scene("three_axis", {"joints.elbow.gear.ratio": -0.004})
-    ratios, bounds = np.abs(scene.gear_ratios), bounds_of(scene)
+    ratios, bounds = np.abs(scene.gear_ratios), bound_state(scene)
     assert (ratios < 0.1).all() and 0.004 in ratios
     np.testing.assert_allclose(ratios * bounds["theta_m"].at_most, 1e6, rtol=1e-15)
     np.testing.assert_allclose(ratios * bounds["omega_m"].at_most, 1e6, rtol=1e-15)
@@ -89,7 +89,7 @@ def test_motors_are_set_within_the_bounds_of_their_links() -> None:
 def test_encoder_counts_keep_the_joint_and_the_hold_of_it_within_its_position() -> None:
     for seed in range(100):
         angle = 10.0 ** random.Random(seed).uniform(-15, 2)
-        largest = float(np.min(encoder_counts([angle]).at_most))
+        largest = float(np.min(bound_encoder_counts([angle]).at_most))
         assert (largest + 0.5) * angle <= POSITION.most
         assert largest + 0.5 != largest + 1.0, "half a count must not be lost"
 
@@ -139,7 +139,7 @@ def test_the_servo_stays_finite_within_the_bounds(scene: str) -> None:
     rng, config = random.Random(scene), servo_config(scene)
     N = len(config.joints)
     servo = Servo(config)
-    counts_bound = encoder_counts([joint.count_angle for joint in config.joints]).at_most
+    counts_bound = bound_encoder_counts([joint.count_angle for joint in config.joints]).at_most
 
     def within(largest: Any) -> Any:
         return np.array([rng.choice((-1.0, 0.0, 1e-300, 0.3, 1.0)) for _ in range(N)]) * largest

@@ -186,7 +186,7 @@ def test_a_library_for_others_describes_its_periods(tmp_path: Path) -> None:
         copy, *_ = compile_ahead(scene, "native", tmp_path / str(dt))
         cached, *_ = compile_ahead(scene, "native", None)
         for file, periods in ((copy, (1e-3, dt, round(1e-3 / dt))), (cached, (0.0, 0.0, 0))):
-            library_cache.content(file)
+            library_cache.read_library(file)
             described = ctypes.create_string_buffer(bytes([64]), 64)
             assert ctypes.CDLL(str(file)).arm_describe(described) == 0
             size, version, joints, _, fingerprint, *_ = struct.unpack_from("<IIiiQd", described)

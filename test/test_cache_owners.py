@@ -18,7 +18,7 @@ import pytest
 from test_library_cache import ROOT, SOMEBODY, Sound, as_root, cache, sound
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.compiler import load_machine
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.tick.c import REAL_TIME
 from arm_emulator.toolchain.compiler_command import find_compiler
@@ -131,7 +131,7 @@ def test_only_a_private_folder_is_searched(
         folder, wrong = chain(rng, tmp_path / str(case))
         planted.put(folder)
         monkeypatch.setenv(CACHE_VARIABLE, str(folder))
-        core = library_of(sound.scene)
+        core = load_machine(sound.scene)
         printed = capsys.readouterr().err.splitlines()
         assert planted.ran() == (not wrong), (folder, wrong)
         assert (Path(core.file).parent == folder.resolve()) == (not wrong), (folder, wrong)
@@ -231,7 +231,7 @@ def test_swapping_folders_during_the_check_gains_nothing(
         until = time.monotonic() + 1.5
         while time.monotonic() < until or tries < 100:
             with contextlib.suppress(Refusal):
-                library_of(sound.scene)
+                load_machine(sound.scene)
             assert not planted.ran(), tries
             tries += 1
             with contextlib.suppress(FileNotFoundError):  # what we have made would end the race
@@ -257,7 +257,7 @@ def test_swapping_the_folder_before_two_dots_gains_nothing(
     with attacked(swap):
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
-            library_of(sound.scene)  # of the temporary folder
+            load_machine(sound.scene)  # of the temporary folder
             assert not planted.ran(), "what somebody else put there has run"
     assert not planted.ran(), "what somebody else put there has run"
 
@@ -269,9 +269,9 @@ def test_files_of_the_cache_are_private_under_any_umask(
     os.environ[CACHE_VARIABLE] = str(cache / "a" / "b")
     before = os.umask(umask)
     try:
-        library_of(sound.scene)
+        load_machine(sound.scene)
         capsys.readouterr()
-        library_of(sound.scene)
+        load_machine(sound.scene)
     finally:
         os.umask(before)
     assert capsys.readouterr().err == "", "it is found, and trusted"

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rewritten_bags import rewrite
 from test_command_line import run
 
-from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds, to_stamp
 from arm_emulator.ros.process.ros_domain import own_domain
@@ -57,7 +57,7 @@ def replayed(bag: Path, into: str) -> tuple[int, dict[str, Any], str]:
 
 
 def gains(name: str) -> str:
-    return str(config_folder() / f"{name}/three_axis.yaml")
+    return str(find_config_folder() / f"{name}/three_axis.yaml")
 
 
 def test_the_record_has_the_topics_that_replays_need(bag: Path) -> None:
@@ -141,7 +141,7 @@ def test_a_servo_with_another_gain_responds_to_each_state_with_the_same_bits(bag
 
 def test_missing_commands_are_reported(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(causal_replay, "PATIENCE", 0.5)
-    renamed = config_folder() / "servo/three_axis.yaml"
+    renamed = find_config_folder() / "servo/three_axis.yaml"
     text = renamed.read_text().replace("elbow", "knee")
     second = bag.parent / "knee.yaml"
     second.write_text(text)

@@ -17,7 +17,7 @@ from draws import some
 
 from arm_emulator import Plant, Refusal
 from arm_emulator.base import packages
-from arm_emulator.base.process import runs
+from arm_emulator.base.process import is_running
 from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.page import page_process
 from arm_emulator.runs import recorder, row_process
@@ -123,7 +123,7 @@ def test_ctrl_c_tells_the_recorder_before_the_page_has_ended(
 ) -> None:
     """Each ends when both are asked to: one after the other, the first would be killed."""
     page = EntryPoint("live", noisy, packages.PAGE)
-    monkeypatch.setattr(page_process, "page_entry", lambda _: page)
+    monkeypatch.setattr(page_process, "find_page_entry", lambda _: page)
     monkeypatch.setattr(recorder, "PROCESS", noisy)
     for module in (page_process, recorder):
         monkeypatch.setattr(module, "PATIENCE", 60.0)

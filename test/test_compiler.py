@@ -19,11 +19,11 @@ from machines import random_chain
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.core import CORE
-from arm_emulator.machine.plant.compiler import FLAGS, compile_ahead, library_of
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.compiler import FLAGS, compile_ahead, load_machine
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.tick.c import tick_unit
 from arm_emulator.toolchain import cxx, unit
-from arm_emulator.toolchain.compiler_command import find_compiler, identity
+from arm_emulator.toolchain.compiler_command import find_compiler, identify_compiler
 from arm_emulator.toolchain.flags import SHARED
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, SEAL_SIZE
 
@@ -45,7 +45,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that gives three_axis' library, or that of its periods, without the work."""
     for name, compiled in (
-        ("made", library_of(load_scene("three_axis"))),
+        ("made", load_machine(load_scene("three_axis"))),
         ("tick", unit.library(tick_unit())),
     ):
         (tmp_path / name).write_bytes(Path(compiled.file).read_bytes()[:-SEAL_SIZE])
@@ -74,12 +74,12 @@ def test_second_use_compiles_nothing(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    library_of(load_scene("three_axis"))
+    load_machine(load_scene("three_axis"))
     printed = capsys.readouterr().err
-    using = identity(find_compiler())
+    using = identify_compiler(find_compiler())
     assert f"compiling scene three_axis (3 joints) with {using} ... " in printed, printed
     no_compiler(monkeypatch, tmp_path)
-    library_of(load_scene("three_axis"))
+    load_machine(load_scene("three_axis"))
     assert capsys.readouterr().err == "", "the second use prints nothing"
 
 
@@ -106,14 +106,14 @@ def test_compilers_are_reported_apart(
     }
     for command, expected in compiles.items():
         monkeypatch.setenv("CXX", command)
-        library_of(scene)
+        load_machine(scene)
         printed = capsys.readouterr().err
-        using = identity(find_compiler())
+        using = identify_compiler(find_compiler())
         first = f"compiling scene three_axis (3 joints) with {using}"
         assert printed.startswith(first) == expected, (command, printed)
     assert len(list(cache.glob("*.so"))) == 3, "libraries of one scene"
     monkeypatch.delenv("CXX")
-    library_of(scene)
+    load_machine(scene)
     assert capsys.readouterr().err == "", "an unnamed compiler"
 
 
@@ -121,9 +121,9 @@ def test_the_step_is_no_part_of_the_library_but_physics_is(
     quick_compiler: None, cache: Path
 ) -> None:
     for overrides in ({}, {"integrator.dt": 1e-5}, {"joints.waist.start": 1.0}):
-        library_of(load_scene("three_axis", overrides=overrides))
+        load_machine(load_scene("three_axis", overrides=overrides))
     assert len(list(cache.glob("*.so"))) == 1, "libraries for three steps and starts"
-    library_of(load_scene("three_axis", overrides={"joints.elbow.gear.stiffness": 2e4}))
+    load_machine(load_scene("three_axis", overrides={"joints.elbow.gear.stiffness": 2e4}))
     assert len(list(cache.glob("*.so"))) == 2, "libraries for two gears"
 
 
@@ -143,7 +143,7 @@ def test_the_core_compiles_without_a_warning(
     integrator = {"scheme": scheme, "dt": 1e-4}
     scene = random_chain(tmp_path, 3, joints, integrator=integrator, threads=threads)
     source = tmp_path / "unit.cpp"
-    source.write_text(scene_unit(scene))
+    source.write_text(write_scene_unit(scene))
     flags = [flag for flag in FLAGS if flag not in ("-O3", *SHARED)]  # -O1 for the time it takes
     warnings = ["-O1", "-c", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{CORE}"]
     # Since when GCC passes vectors as it does concerns nobody who compiles the whole core at once.
@@ -158,7 +158,7 @@ def test_without_a_compiler_the_remedy_is_printed(
 ) -> None:
     no_compiler(monkeypatch, tmp_path)
     with pytest.raises(Refusal, match=r"C\+\+ compiler must be on the path.*arm_emulator compile"):
-        library_of(load_scene("three_axis"))
+        load_machine(load_scene("three_axis"))
 
 
 def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
@@ -167,7 +167,7 @@ def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
     scene = random_chain(tmp_path, 1, 1)
     compile_ahead(scene, "x86-64", cache)
     no_compiler(monkeypatch, tmp_path)
-    library_of(scene)
+    load_machine(scene)
     with pytest.raises(Refusal, match="target must be known, got z80; valid: native, x86-64-v4"):
         compile_ahead(scene, "z80", cache)
 
@@ -212,7 +212,7 @@ def test_failures_of_a_compiler_end_in_a_line(
     monkeypatch.setenv("CXX", named if named != does else fake_compiler(tmp_path, does))
     monkeypatch.setattr(cxx, "LONGEST_RUN", 0.5 if "no end" in MISCHIEF[does] else 60.0)
     with pytest.raises(Refusal) as refusal:
-        library_of(load_scene("three_axis"))
+        load_machine(load_scene("three_axis"))
     assert MISCHIEF[does] in str(refusal.value), refusal.value
     assert len(str(refusal.value).splitlines()) == 1, f"one line, got {refusal.value}"
     printed = capsys.readouterr().err
@@ -243,7 +243,7 @@ def test_random_output_of_a_compiler_is_never_loaded(
         ][case % 4]
         compiled.write_bytes(body)
         with pytest.raises(Refusal, match="make a library, though it reports no error"):
-            library_of(scene)
+            load_machine(scene)
         assert list(cache.iterdir()) == [], case
 
 
@@ -254,7 +254,7 @@ def test_a_compiler_that_leaves_somebody_behind_is_not_waited_for(
     monkeypatch.chdir(tmp_path)
     started = time.monotonic()
     with pytest.raises(Refusal, match="exit code 1"):
-        library_of(load_scene("three_axis"))
+        load_machine(load_scene("three_axis"))
     assert time.monotonic() - started < 15.0, "it waited for a process that takes 20 s"
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
 
@@ -319,7 +319,7 @@ def test_no_place_for_a_cache_is_reported(tmp_path: Path, monkeypatch: pytest.Mo
     blocked.touch()
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     with pytest.raises(Refusal, match=f"cache folder must be writable.*set {CACHE_VARIABLE}"):
-        library_of(load_scene("three_axis"))
+        load_machine(load_scene("three_axis"))
 
 
 def running(group: int) -> list[str]:

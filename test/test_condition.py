@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from arm_emulator import Condition, Kinematics, Refusal, Session, Timeline, load_scene
-from arm_emulator.machine.session.record_row import columns_of
+from arm_emulator.machine.session.record_row import list_columns
 from arm_emulator.runs.condition import TOOL
 from arm_emulator.runs.offline import load_offline_run
 
 SCENE = load_scene("three_axis")
-NAMES = [*(one.name for one in columns_of(SCENE)), *TOOL]
+NAMES = [*(one.name for one in list_columns(SCENE)), *TOOL]
 
 
 def some_session(seed: int) -> Session:

@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arm_emulator.base.products import applied, length, product
+from arm_emulator.base.products import apply_matrix, measure_length, multiply_matrices
 
 ROOT = Path(__file__).parents[1]
 DIGESTS = """
 import hashlib, pathlib, sys, tempfile
 from portable_bits import drawings
 from arm_emulator import load_gains
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.servo.servo_numbers import servo_numbers
 
 with tempfile.TemporaryDirectory() as folder:
     for name, drawn in drawings(pathlib.Path(folder)).items():
-        print(name, hashlib.sha256(scene_unit(drawn({})).encode()).hexdigest())
+        print(name, hashlib.sha256(write_scene_unit(drawn({})).encode()).hexdigest())
 for name in ("three_axis", "ur5", "panda"):
     servo = load_gains(name).servo
     numbers = servo_numbers(servo.joints, servo.period, servo.supply_voltage)
@@ -63,7 +63,7 @@ def test_kernels_of_blas_change_nothing() -> None:
 def test_products_are_those_of_numpy() -> None:
     rng = np.random.default_rng(2)
     A, B, C = rng.normal(size=(5, 3, 4)), rng.normal(size=(5, 4, 2)), rng.normal(size=(2, 2))
-    assert product(A, B, C) == pytest.approx(A @ B @ C, rel=1e-13)
+    assert multiply_matrices(A, B, C) == pytest.approx(A @ B @ C, rel=1e-13)
     v = rng.normal(size=(5, 4))
-    assert applied(A, v) == pytest.approx((A @ v[..., None])[..., 0], rel=1e-13)
-    assert length(v[0]) == pytest.approx(np.linalg.norm(v[0]), rel=1e-15)
+    assert apply_matrix(A, v) == pytest.approx((A @ v[..., None])[..., 0], rel=1e-13)
+    assert measure_length(v[0]) == pytest.approx(np.linalg.norm(v[0]), rel=1e-15)

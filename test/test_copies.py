@@ -29,7 +29,7 @@ from arm_emulator import (
     load_scene,
 )
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator_fleet import Fleet
 
 __all__ = ["plant", "scene"]  # fixtures
@@ -210,7 +210,7 @@ def test_a_copy_of_a_session_goes_on_alike_and_alone(method: str, scene: Scene) 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_session_in_real_time_is_not_copied(method: str, scene: Scene) -> None:
-    session = real_time_session(scene, "paused")
+    session = open_real_time_session(scene, "paused")
     with pytest.raises(Refusal, match="its clock must be advanced by its owner"):
         METHODS[method](session)
     session.close()
@@ -219,7 +219,7 @@ def test_a_session_in_real_time_is_not_copied(method: str, scene: Scene) -> None
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 def test_sessions_and_servos_of_a_forked_child(scene: Scene) -> None:
     session, servo = Session(scene, "lockstep", "free_run"), a_servo()
-    loop = real_time_session(scene, "free_run")  # its thread runs
+    loop = open_real_time_session(scene, "free_run")  # its thread runs
 
     def work() -> list[float]:
         for _ in range(20):

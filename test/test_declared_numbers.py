@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import pytest
 
 from arm_emulator.base.validation import bound
-from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.registry import kinds_of
+from arm_emulator.machine.parts.registry import list_kinds
 from arm_emulator.machine.scene.integrator import Integrator
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.payload import COM, INERTIA, MASS
@@ -95,14 +95,14 @@ def rows_of(numbers: Iterable[Number]) -> dict[str, Row]:
 
 
 def of_class(kind: type[Any]) -> dict[str, Row]:
-    return rows_of(numbers_of(kind).values())
+    return rows_of(list_numbers(kind).values())
 
 
 def declarations() -> Iterator[tuple[str, dict[str, Row]]]:
     """Yield what parts, scenes, nodes and messages declare, by the headings of the table."""
-    for part in kinds_of(Part):
+    for part in list_kinds(Part):
         beside = (key for key in part.keys if isinstance(key, Number))
-        yield part.owned_name(), rows_of((*part.numbers().values(), *beside))
+        yield part.name_place(), rows_of((*part.numbers().values(), *beside))
     yield "imus.NAME", rows_of(key for key in Imu.keys if isinstance(key, Number))
     yield "joints.NAME", of_class(Joint)
     yield "scene", of_class(Scene)

@@ -18,13 +18,13 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.predicted_rest import NEAR, predicted_rest
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.gains import Gains, load_gains
 from arm_emulator.runs.offline import load_offline_run
 
 needs_robots = pytest.mark.skipif(
-    example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
+    find_example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
 )
 
 

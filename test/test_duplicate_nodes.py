@@ -20,7 +20,7 @@ from arm_emulator.ros.node import duplicate_nodes
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 from arm_emulator_msgs.msg import EmulatorStatus, MotorCommand
 from emulator_node.c import FOLDERS, MOTOR_COMMANDS
 from emulator_node.command_reader import CommandReader
@@ -138,7 +138,7 @@ def test_c_reads_commands_for_this_emulator_alone() -> None:
     parts = ("messages", "message_reader", "motor_commands")
     source = "".join(f'#include "{part}.c"\n' for part in parts)
     unit = Unit("commands_alone", source, C_FLAGS, FOLDERS, (MOTOR_COMMANDS,), "test", "", "m.c")
-    code, struct = compiled_once(lambda: unit)(), MOTOR_COMMANDS.new("motor_commands")
+    code, struct = compile_once(lambda: unit)(), MOTOR_COMMANDS.new("motor_commands")
     reader = CommandReader(load_scene("three_axis"), struct, 0)
     own = duplicate_nodes.get_start_time()
     for machine, read in ((own, 7), (0, 7), (own + 1, -1), (1, -1)):

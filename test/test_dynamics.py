@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.plant.link_dynamics import LinkDynamics
 from arm_emulator.machine.scene.urdf_chain import lock_joints
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 
 needs_robots = pytest.mark.skipif(
-    example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
+    find_example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
 )
 
 STATES = 1000

@@ -27,7 +27,7 @@ from arm_emulator import (
 )
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.external_wrench import AXES
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator_fleet import Fleet
 from oracles.reference import ROWS, ReferenceMachine
 
@@ -300,7 +300,7 @@ def energy_of_drives(x: PlantState) -> float:
 
 def test_a_scene_without_wrenches_has_nothing_of_them(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
-    unit = scene_unit(scene)
+    unit = write_scene_unit(scene)
     assert "external_wrench = false" in unit and "link_axes" not in unit
     plant = Plant(scene)
     saved = plant.save()

@@ -21,8 +21,8 @@ from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.parts.measuring.thermometer import Thermometer
 from arm_emulator.machine.plant.outputs import KNOWN
-from arm_emulator.machine.plant.scene_unit import scene_unit
-from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator.machine.plant.write_scene_unit import write_scene_unit
+from arm_emulator.machine.scene.list_faults import list_variable_numbers
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_fleet import Fleet
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, MotorState
@@ -115,7 +115,9 @@ def whole_scene(folder: Path) -> Scene:
     # The link that carries the payload has its mass's numbers from there.
     plain = everything(folder, faults=[])
     faults = [fault for fault in plain.possible_faults if fault.name != "wrist_link.mass_at_joint"]
-    possible = [number.name for number in variable_numbers(plain.joints, plain.chain, plain.imus)]
+    possible = [
+        number.name for number in list_variable_numbers(plain.joints, plain.chain, plain.imus)
+    ]
     changed = {change.number for fault in faults for change in fault.changes}
     return everything(
         folder,
@@ -157,7 +159,7 @@ def begun(scene: Scene) -> tuple[Plant, bytes, list[bytes]]:
 
 
 def test_a_scene_without_faults_has_the_same_unit(tmp_path: Path) -> None:
-    text = scene_unit(everything(tmp_path, faults=[]))
+    text = write_scene_unit(everything(tmp_path, faults=[]))
     assert "faults" not in text and "parameters = 0" in text
 
 

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from arm_emulator import JacobianController, Kinematics, Pose, Refusal, load_scene
 from arm_emulator.base.urdf.urdf_text import read_urdf
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.link_motions import LinkMotions
 
 
@@ -89,9 +89,11 @@ def longest_chain(file: Path) -> tuple[list[str], str]:
     return best
 
 
-@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+@pytest.mark.skipif(
+    find_example_robot_data() is None, reason="needs the package example-robot-data"
+)
 def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kinematics() -> None:
-    folder = example_robot_data()
+    folder = find_example_robot_data()
     assert folder is not None
     rng, robots = np.random.default_rng(11), 0
     for file in sorted(folder.rglob("*.urdf")):

@@ -19,14 +19,14 @@ from machines import one_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.machine.plant.compiler import (
+    build_machine_unit,
     compile_ahead,
-    equations_library_of,
-    library_of,
-    machine_unit,
-    real_time_library,
+    load_equations,
+    load_machine,
+    load_real_time,
 )
 from arm_emulator.toolchain import library_cache, unit
-from arm_emulator.toolchain.elf import with_data
+from arm_emulator.toolchain.elf import replace_data
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, SIZE_VARIABLE
 
 SOMEBODY = 65534  # a user who is neither we nor root
@@ -61,9 +61,9 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     at = write_scene(folder, one_link_urdf(), {"joint": {}}, name="one_link")
     scene = load_scene(at)
     for name, library in (
-        ("one_link", library_of(scene)),
-        ("one_link-equations", equations_library_of(scene)),
-        ("real_time", real_time_library()),
+        ("one_link", load_machine(scene)),
+        ("one_link-equations", load_equations(scene)),
+        ("real_time", load_real_time()),
     ):
         body = Path(library.file).read_bytes()[: -library_cache.SEAL_SIZE]
         (folder / name).write_bytes(body)
@@ -74,7 +74,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     compiler = fake_compiler(folder, f'{which}\ncp {folder}/$name "$out"')
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CXX", compiler)
-        name = unit._library_name(machine_unit(scene), "native")
+        name = unit._name_library(build_machine_unit(scene), "native")
     return Sound(at, scene, name, (folder / "one_link").read_bytes(), compiler)
 
 
@@ -155,7 +155,7 @@ def test_a_spoiled_library_is_never_loaded_but_compiled_again(
         file = sound.put(cache / str(case))
         damage = change(rng, file, sound)
         observed.add(damage)
-        assert library_of(sound.scene).arm_exchange, damage
+        assert load_machine(sound.scene).arm_exchange, damage
         printed = capsys.readouterr().err.splitlines()
         assert len(printed) == 2, (damage, printed)
         assert printed[0].startswith(f"arm_emulator: cached library {file} is not used: "), damage
@@ -172,7 +172,7 @@ def test_a_folder_in_the_place_of_a_library_is_reported(cache: Path, sound: Soun
     cache.mkdir()
     (cache / sound.name / "precious").mkdir(parents=True)
     with pytest.raises(Refusal, match="take the compiled library, got Directory not empty"):
-        library_of(sound.scene)
+        load_machine(sound.scene)
     assert (cache / sound.name / "precious").is_dir(), "what is not ours stays"
 
 
@@ -193,7 +193,7 @@ def test_a_foreign_file_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: 
             lock.touch(0o644)
             os.chown(lock, SOMEBODY, 0)
         (cache / sound.name).unlink(missing_ok=True)
-        assert library_of(sound.scene).arm_exchange, kind
+        assert load_machine(sound.scene).arm_exchange, kind
         assert precious.read_text() == "precious", kind
         assert [item.name for item in cache.iterdir()] == [sound.name], kind
 
@@ -201,7 +201,7 @@ def test_a_foreign_file_in_the_place_of_a_lock_does_no_harm(cache: Path, sound: 
 def without_periods(file: Path) -> bytes:
     """Return a copy of a library without the periods of its scene, as it lies in the cache."""
     body = file.read_bytes()[: -library_cache.SEAL_SIZE]
-    return with_data(body, "arm_scene_periods", struct.pack("<ddq", -1.0, -1.0, -1))
+    return replace_data(body, "arm_scene_periods", struct.pack("<ddq", -1.0, -1.0, -1))
 
 
 def test_a_library_compiled_into_a_folder_is_loaded_from_there(
@@ -222,7 +222,7 @@ def test_a_library_compiled_into_a_folder_is_loaded_from_there(
     with pytest.MonkeyPatch.context() as without:
         without.delenv("CXX")
         without.setenv("PATH", str(tmp_path / "a"))
-        assert library_of(sound.scene).arm_exchange, "without a compiler"
+        assert load_machine(sound.scene).arm_exchange, "without a compiler"
     printed = capsys.readouterr().err
     assert len(printed.splitlines()) == 3, f"a line for each compilation, got {printed}"
 
@@ -271,7 +271,7 @@ def test_the_longest_unused_libraries_are_removed(
         with contextlib.ExitStack() as holding:
             for file in busy:
                 holding.enter_context(library_cache.locked(file))
-            library_of(sound.scene)
+            load_machine(sound.scene)
         size = len(sound.stored) + sum(sizes.values())
         stay = {file for _, file in sizes}
         for (_, file), its in sorted(sizes.items(), reverse=True):
@@ -285,7 +285,7 @@ def test_the_longest_unused_libraries_are_removed(
 def test_libraries_in_use_are_not_removed(cache: Path, sound: Sound) -> None:
     file = sound.put(cache)
     os.utime(file, (0.0, 0.0))
-    library_of(sound.scene)
+    load_machine(sound.scene)
     (entry,) = library_cache.entries(cache)
     result = (entry.file, entry.scene, entry.size)
     assert result == (file, "one_link", len(sound.stored)), "file, scene, size"
@@ -298,7 +298,7 @@ def test_a_malformed_size_is_refused(
 ) -> None:
     monkeypatch.setenv(SIZE_VARIABLE, size)
     with pytest.raises(Refusal, match=f"{SIZE_VARIABLE} must be a number >= 0 .MB., got {size}"):
-        library_of(sound.scene)
+        load_machine(sound.scene)
 
 
 def arm_emulator(*words: str) -> subprocess.CompletedProcess[str]:
@@ -316,7 +316,7 @@ def test_the_command_lists_and_clears(cache: Path, sound: Sound) -> None:
     size = f"{len(sound.stored) / 1e6:.3f}"
     assert lines[1].split()[2:] == [size, "MB", "one_link", file.name], lines
     assert lines[2] == f"  1 libraries, {size} of 500 MB ({SIZE_VARIABLE})", lines
-    with library_cache.locked(file):
+    with library_cache.lock_library(file):
         busy = arm_emulator("cache", "--clear")
         assert busy.returncode == 1 and f"{file.name} stays" in busy.stdout, busy.stdout
     cleared = arm_emulator("cache", "--clear").stdout

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from arm_emulator import load_scene
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.collision.link_pairs import Reason, link_pairs
 
 # Of the base and of the tool, 1 m and 1 m away from each other: they touch where the elbow is bent
@@ -61,7 +61,7 @@ def test_the_pairs_of_the_panda_are_those_of_its_makers() -> None:
     """The scene holds the fingers closed; the published file has them moving."""
     scene = load_scene("panda")
     ours = {pair[:2]: pair.reason.value for pair in link_pairs(scene.urdf, scene.joint_names, 2000)}
-    folder = example_robot_data()
+    folder = find_example_robot_data()
     assert folder is not None
     published = ET.parse(folder / "panda_description/srdf/panda.srdf").iter("disable_collisions")
     theirs = {

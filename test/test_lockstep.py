@@ -30,7 +30,7 @@ from arm_emulator import OfflineRun, Plant, Pose, Refusal, load_scene, load_serv
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.cli.commands.run import run as run_command
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_stamp
 from arm_emulator.runs.offline import load_offline_run
@@ -105,7 +105,9 @@ def test_three_processes_give_the_same_bits_twice_and_under_load(
     assert len(set(once.values())) > TICKS["three_axis"] // 2
 
 
-@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+@pytest.mark.skipif(
+    find_example_robot_data() is None, reason="needs the package example-robot-data"
+)
 def test_a_run_without_a_network_gives_the_bits_of_three_processes(tmp_path: Path) -> None:
     with network(tmp_path, scene="ur5") as (user, _):
         assert_same_bits(recorded(user, "ur5"), offline("ur5"), TICKS["ur5"])

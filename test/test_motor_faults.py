@@ -12,7 +12,7 @@ from machines import slides_urdf, write_scene
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
 from arm_emulator.machine.parts.known import MOTORS
-from arm_emulator.machine.plant.inputs import further_inputs, input_at
+from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.plant.outputs import KNOWN
 
 ROTOR = {"rotor_inertia": 1e-4}
@@ -105,9 +105,9 @@ def further_commands(scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
     """Return commands for the motors' further inputs, a third of the first."""
     return {
         name: np.where(
-            [input_at(joint, name) is not None for joint in scene.joints], row / 3.0, 0.0
+            [find_input(joint, name) is not None for joint in scene.joints], row / 3.0, 0.0
         )
-        for name in further_inputs(scene)
+        for name in list_further_inputs(scene)
     }
 
 

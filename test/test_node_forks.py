@@ -30,11 +30,11 @@ def test_nodes_end_with_the_user_who_is_killed() -> None:
     assert user.stdout is not None
     with user.stdout:
         nodes = [int(word) for word in user.stdout.readline().split()]
-    assert len(nodes) == 3 and all(map(runs, nodes))
+    assert len(nodes) == 3 and all(map(is_running, nodes))
     user.kill()
     user.wait()
     deadline = time.monotonic() + PATIENCE
-    while any(map(runs, nodes)):
+    while any(map(is_running, nodes)):
         assert time.monotonic() < deadline, f"{nodes} still run"
         time.sleep(0.01)
 

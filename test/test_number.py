@@ -16,8 +16,8 @@ from refused_numbers import check_refusals, fits
 
 from arm_emulator import Plant, Refusal, load_scene, load_servo_config
 from arm_emulator.base.validation import bound
-from arm_emulator.base.validation.number import LARGEST, SMALLEST, Number, numbers_of
-from arm_emulator.base.validation.parameters import checked, parameters_of
+from arm_emulator.base.validation.number import LARGEST, SMALLEST, Number, list_numbers
+from arm_emulator.base.validation.parameters import check_parameter, list_parameters
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.servo.servo_config import ServoConfig
@@ -120,7 +120,7 @@ def scene_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
     scene = load_scene("three_axis")
     for owner, above in ((scene, ""), (scene.integrator, "integrator."),
                          (scene.joints[0], f"joints.{scene.joints[0].name}.")):  # fmt: skip
-        for key, number in numbers_of(type(owner)).items():
+        for key, number in list_numbers(type(owner)).items():
             yield number, above + key, partial(read, above + key, {})
     mass = Number("mass", "kg", at_least=0.0)
     yield mass, "payload.mass", partial(read, "payload.mass", {"payload": {"mass": 1.0}})
@@ -139,7 +139,7 @@ def servo_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
     config = load_servo_config(CONFIG / "servo/three_axis.yaml")
     joint = vars(config.joints[0]) | {"current_limit": 9.0, "voltage_limit": 9.0}
     tables: dict[str, Any] = {"joints.one": {n: x for n, x in joint.items() if n != "name"}}
-    tables[""] = {n: getattr(config, n) for n in numbers_of(ServoConfig)}
+    tables[""] = {n: getattr(config, n) for n in list_numbers(ServoConfig)}
 
     def read(table: str, key: str, value: Any) -> object:
         sections = {name: dict(own) for name, own in tables.items()}
@@ -151,18 +151,18 @@ def servo_numbers(_: Path) -> Iterator[tuple[Number, str, Read]]:
         return ServoConfig.from_mapping(parameters, "servo")
 
     for table, kind in (("", ServoConfig), ("joints.one", type(config.joints[0]))):
-        for key, number in numbers_of(kind).items():
+        for key, number in list_numbers(kind).items():
             yield number, f"{table}.{key}".lstrip("."), partial(read, table, key)
 
 
 def node_parameters(_: Path) -> Iterator[tuple[Number, str, Read]]:
     def read(field: dataclasses.Field[Any], value: Any) -> object:
-        return checked(value, field, "node")
+        return check_parameter(value, field, "node")
 
     for kind in (EmulatorParameters, ServoNodeParameters, MotionConfig):
-        for field in parameters_of(kind).values():
+        for field in list_parameters(kind).values():
             if type(field.default) in (int, float):
-                number = numbers_of(kind)[field.name]
+                number = list_numbers(kind)[field.name]
                 yield number, f"parameter {field.name}", partial(read, field)
 
 

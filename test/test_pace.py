@@ -7,7 +7,7 @@ import pytest
 from test_command_line import run
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.session.pace import UNLIMITED, Pace, factor_of
+from arm_emulator.machine.session.pace import UNLIMITED, Pace, parse_factor
 from emulator_node.node import EmulatorParameters, check_pace
 
 PERIOD = 1e-3
@@ -85,11 +85,11 @@ def test_an_idle_network_wakes_once_a_grain_at_the_mean_rate_of_its_pace(factor:
 
 
 def test_a_pace_is_a_factor_or_max() -> None:
-    assert factor_of("up", "max") == 0.0 and factor_of("up", "2.5") == 2.5
+    assert parse_factor("up", "max") == 0.0 and parse_factor("up", "2.5") == 2.5
     assert EmulatorParameters().real_time_factor == 1.0, "real pace, for people"
     for text in ("0", "-1", "nan", "inf", "fast", "", "1001"):
         with pytest.raises(Refusal, match="up: pace must be max, or times real time, above 0"):
-            factor_of("up", text)
+            parse_factor("up", text)
 
 
 def test_real_time_has_the_pace_of_the_wall_clock() -> None:

@@ -138,11 +138,11 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 4])
     for _ in range(20):
         instance = read(part, drawn_section(part, rng))
-        could = {one.name: one for one in instance.could_vary("elbow")}
+        could = {one.name: one for one in instance.list_variable_numbers("elbow")}
         chosen = [name for name in could if rng.random() < 0.5]
         places = {name: f"p[{k}]" for k, name in enumerate(chosen)}
         p = [could[name].value for name in chosen]
-        text = instance.initialiser("elbow", places)
+        text = instance.write_initialiser("elbow", places)
         members = dict(re.findall(r"\.(\w+) = ([^,{}]+)", text))
         for key, one in part.numbers().items():
             value, at = getattr(instance, key), f"joints.elbow.{part.section}.{key}"

@@ -18,7 +18,7 @@ from arm_emulator.core import CORE
 from arm_emulator.machine.parts.gears.gear import RigidGear
 from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
 from arm_emulator.machine.plant.compiler import FLAGS
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from arm_emulator.toolchain.compiler_command import find_compiler
 from oracles.reference import reference, reference_states
@@ -176,7 +176,7 @@ def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) 
     file = one_gear(tmp_path, scheme, PERIOD / 100)
     linear = load_scene(file, {"joints.joint.gear.cubic_stiffness": None})
     scenes = [linear, load_scene(file)]
-    named = ["ProgressiveGear" in scene_unit(scene) for scene in scenes]
+    named = ["ProgressiveGear" in write_scene_unit(scene) for scene in scenes]
     assert named == [False, True], "which gear the core is compiled with"
     voltages = rng.uniform(-20.0, 20.0, (10, 1))
     linear_motion = Plant(linear).run(voltages, 100)
@@ -224,7 +224,7 @@ def test_a_gear_that_is_wrongly_declared_linear_does_not_compile(tmp_path: Path)
     torque = "return Kg * (Ng * tm - q) + Dg * (Ng * wm - v);"
     assert text.count(torque) == 1, "the line of the linear gear's torque"
     unit = tmp_path / "unit.cpp"
-    unit.write_text(scene_unit(load_scene("three_axis")))
+    unit.write_text(write_scene_unit(load_scene("three_axis")))
     outcomes = {}
     for more in ("", " + 1e3 * (tm - q) * (tm - q)"):
         gear.write_text(text.replace(torque, torque[:-1] + more + ";"))

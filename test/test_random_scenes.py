@@ -20,7 +20,7 @@ from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.io.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.model.kinematics import moving_joints
 from arm_emulator.runs.gains import check_fit
@@ -243,12 +243,14 @@ def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int
         assert changed.start[names.index(name)] == 0.25, f"an override of {name!r} went elsewhere"
 
 
-@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+@pytest.mark.skipif(
+    find_example_robot_data() is None, reason="needs the package example-robot-data"
+)
 def test_every_robot_of_example_robot_data_is_taken_or_refused_with_the_reason(
     tmp_path: Path,
 ) -> None:
     """Trees are taken, whatever their limbs; what has none is refused for that."""
-    folder = example_robot_data()
+    folder = find_example_robot_data()
     assert folder is not None
     reasons = (
         "have a moving joint", "be a link of the URDF", "held where it is in the scene",

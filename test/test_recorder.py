@@ -26,10 +26,10 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.io.record_file import open_record
 from arm_emulator.base.run_outputs import SUFFIXES, RunOutputs
 from arm_emulator.cli.command import command_names, load_command
-from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.plant.outputs import list_outputs, list_units
 from arm_emulator.machine.plant.plant_state import ROWS
-from arm_emulator.machine.session.real_time import real_time_session
-from arm_emulator.machine.session.record_row import RecordRow, columns_of
+from arm_emulator.machine.session.real_time import open_real_time_session
+from arm_emulator.machine.session.record_row import RecordRow, list_columns
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.recorder import Recorder
@@ -123,7 +123,7 @@ def truth_of(plant: Plant) -> dict[str, Any]:
         for name in ROWS
         for joint, value in zip(scene.joint_names, getattr(state, name), strict=True)
     }
-    for output in outputs_of(scene):
+    for output in list_outputs(scene):
         values = getattr(measured, output.name).tolist()
         for owner, value in zip(
             [imu.name for imu in scene.imus] if output.per_unit else scene.joint_names,
@@ -171,8 +171,8 @@ def test_a_file_has_truth_and_measurement_of_every_tick(
     if units:
         assert units["t"] == "s" and units["q.turn"] == "rad" and units["v.slide"] == "m/s"
         assert units["gear_torque.turn"] == "N m" and units["gear_torque.slide"] == "N"
-        for output in outputs_of(scene):
-            for joint, unit in zip(scene.joint_names, units_of(scene, output), strict=False):
+        for output in list_outputs(scene):
+            for joint, unit in zip(scene.joint_names, list_units(scene, output), strict=False):
                 if not output.per_unit:
                     assert units[f"measured.{output.name}.{joint}"] == unit
 
@@ -181,7 +181,7 @@ def test_a_missing_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path
     rows = RecordRow(Plant(scene)).take()
     rows["q"][0, 1], rows["v"][0, 0] = np.nan, -np.inf
     for suffix in (".csv", ".mcap"):
-        record = open_record("test", tmp_path / f"odd{suffix}", columns_of(scene))
+        record = open_record("test", tmp_path / f"odd{suffix}", list_columns(scene))
         record.write(rows)
         record.close()
         columns, _ = read(tmp_path / f"odd{suffix}")
@@ -189,7 +189,7 @@ def test_a_missing_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path
 
 
 def in_real_time(file: Path) -> tuple[Plant, Callable[[], None]]:
-    session = real_time_session(load_scene("three_axis"), "paused")
+    session = open_real_time_session(load_scene("three_axis"), "paused")
 
     def go() -> None:
         session.paused = False

@@ -21,7 +21,7 @@ from arm_emulator import (
     load_servo_config,
 )
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import controller_for
 from oracles.predicted_residual import predicted_residual
@@ -139,7 +139,9 @@ def test_gravity_adds_the_wind_up_of_the_gears() -> None:
     assert (np.abs(deviation) < bound.total).all()
 
 
-@pytest.mark.skipif(example_robot_data() is None, reason="needs the package example-robot-data")
+@pytest.mark.skipif(
+    find_example_robot_data() is None, reason="needs the package example-robot-data"
+)
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
 @pytest.mark.parametrize("method", ["paper", "way"])
 def test_robots_move_50_mm_with_the_orientation_held(scene: str, method: str) -> None:

@@ -16,7 +16,7 @@ from arm_emulator import Refusal, load_scene
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.urdf_chain import read_chain
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.machine.schemes.known import SCHEMES
 
 URDF = (CONFIG / "urdf" / "three_axis.urdf").read_text()
@@ -128,7 +128,10 @@ def test_unknown_scene_names_those_that_exist(capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.parametrize("name", sorted(file.stem for file in CONFIG.glob("*.yaml")))
 def test_shipped_scenes_are_valid(name: str) -> None:
-    if "example-robot-data" in (CONFIG / f"{name}.yaml").read_text() and not example_robot_data():
+    if (
+        "example-robot-data" in (CONFIG / f"{name}.yaml").read_text()
+        and not find_example_robot_data()
+    ):
         pytest.skip("needs the package example-robot-data (make robots)")
     scene = load_scene(name)
     assert scene.name == name

@@ -32,7 +32,7 @@ from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.design.tuned import run
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.runs.gains import check_joints
 
 OF_SENSORS = [name for name, one in KNOWN.items() if one not in ALWAYS]
@@ -171,11 +171,11 @@ def test_without_sensors_the_core_has_none(scene: Scene, tmp_path: Path) -> None
     bare |= {"imus": None, "seed": None, "varied": None}
     plain = bare | {"joints.*.encoder": {"counts_per_turn": 1000}}
     scenes = [load_scene(file, overrides) for overrides in (plain, bare)]
-    units = [scene_unit(scene) for scene in scenes]
+    units = [write_scene_unit(scene) for scene in scenes]
     assert [scene.sensed for scene in scenes] == [False, True]
     assert ["ensor" in unit for unit in units] == [False, True], units[0]
     kinds = {"kind": "incremental", "index": "none", "delay": 0, "counts_per_turn": 1000}
-    reported = scene_unit(load_scene(file, bare | {"joints.*.encoder": kinds}))
+    reported = write_scene_unit(load_scene(file, bare | {"joints.*.encoder": kinds}))
     assert reported == units[0], "what is as it is anyway"
     plant = Plant(scenes[0])
     reported, untold = (

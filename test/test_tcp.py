@@ -15,7 +15,7 @@ from serving import serving
 
 from arm_emulator import Plant, Refusal, Session, load_scene
 from arm_emulator.doors.json_lines import LONGEST, TcpServer
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 
 SCENE = load_scene("three_axis")
 PATIENCE = 120.0  # s
@@ -122,7 +122,7 @@ def test_a_line_without_end_ends_the_client_and_not_the_server() -> None:
 
 
 def test_in_real_time_ticks_pass_by_themselves() -> None:
-    with served(real_time_session(SCENE, "first_answer")) as server, Client(server) as client:
+    with served(open_real_time_session(SCENE, "first_answer")) as server, Client(server) as client:
         assert client.ask()["tick"] == 0, "it stands until the first command"
         reply = client.ask(command=[3.0, 0.0, 0.0])
         ends = time.monotonic() + PATIENCE

@@ -17,7 +17,7 @@ from arm_emulator import Diverged, Plant, load_scene
 from arm_emulator.base.cpu_load import load_processors
 from arm_emulator.core import CORE
 from arm_emulator.machine.plant.compiler import FLAGS
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.session.real_time import RealTimeLoop
 from arm_emulator.tick.c import FOLDERS
 from arm_emulator.toolchain.compiler_command import find_compiler
@@ -181,7 +181,7 @@ def test_no_data_race(tmp_path: Path, depth: int) -> None:
     """The core under ThreadSanitizer: bursts of two threads, the real-time loop with partners."""
     overrides: dict[str, Any] = {"threads": 2, "integrator.scheme": "paper"}
     overrides["integrator.exchange_depth"] = depth
-    unit = scene_unit(load_scene("three_axis", overrides=overrides))
+    unit = write_scene_unit(load_scene("three_axis", overrides=overrides))
     source, program = tmp_path / "race.cpp", tmp_path / "race"
     source.write_text(unit + (Path(__file__).parent / "race.cpp").read_text())
     flags = [flag for flag in FLAGS if flag not in ("-O3", "-fvisibility=hidden", *SHARED)]

@@ -165,5 +165,5 @@ def test_tables_at_the_bounds_of_their_numbers_give_finite_coefficients() -> Non
         table = {"angles": angles, "torques": torques}
         scene = load_scene("three_axis", {"joints.elbow.torque_table": table})
         (part,) = next(joint for joint in scene.joints if joint.name == "elbow").extras
-        text = part.initialiser("elbow", {})
+        text = part.write_initialiser("elbow", {})
         assert "inf" not in text and "nan" not in text, text

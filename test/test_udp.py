@@ -23,7 +23,7 @@ from arm_emulator.doors.udp import (
     Datagrams,
     UdpServer,
 )  # fmt: skip
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 
 SCENE = load_scene("three_axis")
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "udp_servo.c"
@@ -149,7 +149,7 @@ def test_power_reset_and_divergence_come_as_bits() -> None:
 
 def test_in_real_time_each_tick_goes_to_the_client() -> None:
     with (
-        served(real_time_session(SCENE, "first_answer")) as server,
+        served(open_real_time_session(SCENE, "first_answer")) as server,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
     ):
         client.settimeout(PATIENCE)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from machines import DC, GANTRY, gantry_urdf, write_scene
 
-from arm_emulator.machine.plant.compiler import library_with
+from arm_emulator.machine.plant.compiler import load_machine_with
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.toolchain.c_header import Header, pointer
 
@@ -62,7 +62,7 @@ def test_drives_that_state_they_are_in_usual_modes_are(tmp_path: Path) -> None:
     header = tmp_path / "c" / "ask.h"
     header.parent.mkdir()
     header.write_text("void ask(int joint, int brake_open, int count, int32_t* counted);\n")
-    core = library_with(scene, "ask", ASK, Header(header))
+    core = load_machine_with(scene, "ask", ASK, Header(header))
 
     def ask(joint: int, brake_open: bool) -> list[int]:
         counted = np.zeros(3, np.int32)

@@ -14,7 +14,7 @@ from test_manners import NAME as MASS
 from test_manners import VARIED
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.compiler import load_machine
 
 
 def motion(plant: Plant, rows: np.ndarray, steps: int = 10) -> np.ndarray:
@@ -39,7 +39,7 @@ def test_one_library_serves_every_value(scene: Scene) -> None:
     heavy = dataclasses.replace(
         scene, varied=tuple(dataclasses.replace(number, value=2.5) for number in scene.varied)
     )
-    assert library_of(heavy).file == unchanged.core.file == changed.core.file, "libraries"
+    assert load_machine(heavy).file == unchanged.core.file == changed.core.file, "libraries"
     assert Plant(heavy).parameters[MASS] == 2.5, "as the scene has it"
     assert unchanged.parameters[MASS] == 1.0, "as another scene has it"
     assert changed.parameters[MASS] == 3.0, "as it was set"

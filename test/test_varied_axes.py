@@ -20,7 +20,14 @@ from arm_emulator import Diverged, Measured, Plant, Scene, load_scene
 from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
 from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.plant.outputs import KNOWN
-from arm_emulator.machine.varied import AXES, NAMES, TENSOR, expressions, numbers_of, of_child
+from arm_emulator.machine.varied import (
+    AXES,
+    NAMES,
+    TENSOR,
+    read_body_numbers,
+    vary_child,
+    write_expressions,
+)
 from oracles.mixtures import STEPS, commands, push, write_mixture
 from oracles.random_chain import moving_joints, random_chain_urdf
 
@@ -82,7 +89,7 @@ def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1
     for seed in range(seeds):
         rng = np.random.default_rng([seed, 11])
         joint = skewed_joint(rng)
-        own = of_child(joint)
+        own = vary_child(joint)
         chosen = [name for name in NAMES if rng.random() < 0.5] or ["mass"]
         places = {f"links.link.{name}": f"p[{k}]" for k, name in enumerate(chosen)}
         p = rng.normal(size=len(chosen)).tolist()
@@ -93,8 +100,8 @@ def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1
             k, m = AXES.index(xx[0]), AXES.index(xx[1])
             I[k, m] = I[m, k] = numbers[f"inertia_{xx}"]
         R = joint.axes
-        expected = numbers_of(Body(numbers["mass"], R @ h, R @ I @ R.T))
-        written = expressions(joint, places)
+        expected = read_body_numbers(Body(numbers["mass"], R @ h, R @ I @ R.T))
+        written = write_expressions(joint, places)
         assert written is not None, "numbers that are varied"
         for name, text in written.items():
             result = eval(text, {"p": p})  # a sum of products, as C++ and Python write them

@@ -11,8 +11,8 @@ from draws import some
 from scipy.spatial.transform import Rotation
 
 from arm_emulator import Kinematics, Pose, load_scene
-from arm_emulator.base.config_files import config_folder
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.ik.inverse_kinematics import directions
 from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.config import MotionConfig
@@ -21,11 +21,11 @@ from arm_emulator.motion.planner.target_planner import LOST, TargetPlanner
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.tool_line import joints_along
 
-THREE_AXIS = (config_folder() / "urdf" / "three_axis.urdf").read_text()
+THREE_AXIS = (find_config_folder() / "urdf" / "three_axis.urdf").read_text()
 NAMES = ("waist", "shoulder", "elbow")
 PERIOD = 0.01  # s
 needs_robots = pytest.mark.skipif(
-    example_robot_data() is None, reason="needs the package example-robot-data"
+    find_example_robot_data() is None, reason="needs the package example-robot-data"
 )
 
 

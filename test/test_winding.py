@@ -11,7 +11,7 @@ import pytest
 from machines import DC, GANTRY, MOVED, PMSM, ROTOR, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, load_scene
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 
 RATIO = 0.01
 WEAK = DC | {"back_emf_constant": 0.045}
@@ -163,7 +163,7 @@ OF_DC = "resistance", "inductance", "torque_constant", "back_emf_constant"
 
 
 def test_a_scene_without_the_part_compiles_nothing_of_it() -> None:
-    unit = scene_unit(load_scene("three_axis"))
+    unit = write_scene_unit(load_scene("three_axis"))
     assert "winding.hpp" not in unit and "HeatedMotor" not in unit
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from network import network
 
-from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.config_files import find_config_folder
 
 OURS = ("arm_emulator_msgs bench emulator_node motion_controller_node oracles servo_node").split()
 OTHERS = (
@@ -59,7 +59,7 @@ def command(folder: Path, *words: str, path: str = "") -> None:
 def test_a_command_imports_nothing_of_the_working_folder(
     words: tuple[str, ...], folder: Path
 ) -> None:
-    urdf = (config_folder() / "urdf" / "three_axis.urdf").read_text()
+    urdf = (find_config_folder() / "urdf" / "three_axis.urdf").read_text()
     (folder / ROBOT).write_text(urdf)
     command(folder, *words)
 

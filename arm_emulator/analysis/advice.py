@@ -29,7 +29,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.scene.integrator import EVENTS, odds
+from arm_emulator.machine.scene.integrator import EVENTS, format_mismatch
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
@@ -97,7 +97,7 @@ class Judge:
             for events in reversed(EVENTS) if self._meets_events else EVENTS[:1]:
                 for scheme in SCHEMES:
                     one = Method(scheme, events, threads)
-                    if odds(one.integrator(self.scene, 1), threads) is None:
+                    if format_mismatch(one.integrator(self.scene, 1), threads) is None:
                         found.append(one)
         return found
 

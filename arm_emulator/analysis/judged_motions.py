@@ -58,7 +58,7 @@ class ExcitationMotions:
         self._limit = np.array([np.inf if limit is None else limit for limit in limits])
         motors = [(joint.motor, joint.gear.ratio) for joint in scene.joints]
         self._rotors = np.array(
-            [m.felt_at_link(ratio)["rotor inertia"] if m else 0.0 for m, ratio in motors]
+            [m.reflect_to_link(ratio)["rotor inertia"] if m else 0.0 for m, ratio in motors]
         )
         self._plant = self._with_steps(FINE)
 

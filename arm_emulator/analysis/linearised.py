@@ -15,7 +15,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.call_arguments import Commands
 from arm_emulator.machine.plant.core_machine import Equations
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.scene.scene import Scene, scene_of
+from arm_emulator.machine.scene.scene import Scene, coerce_scene
 
 MOST_ROUNDS = 30  # of Newton's method
 ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual permitted at rest
@@ -81,7 +81,7 @@ def linearise(
             without a motor or a gear with play.
     """
     if not isinstance(plant, Plant):
-        plant = Plant(scene_of(plant, "linearise"))
+        plant = Plant(coerce_scene(plant, "linearise"))
     if q is None:
         given = plant.commanded[0] if command is None else command
         return _without_what_follows(plant.equations(given))

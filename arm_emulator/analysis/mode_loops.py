@@ -27,7 +27,7 @@ from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.analysis.servo_loop import HARMLESS, late, poses, sampled_plant
 from arm_emulator.analysis.stability import SmallMotions, contacts
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.servo.servo_config import ServoConfig
 
@@ -223,7 +223,7 @@ def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) ->
     if any(joint.motor is None for joint in scene.joints):
         return []
     values = tuple(one.value for one in scene.varied)
-    key = scene_unit(scene), scene.start.tobytes(), values, servo, modes
+    key = write_scene_unit(scene), scene.start.tobytes(), values, servo, modes
     if key not in _KNOWN:
         while len(_KNOWN) >= _MOST_KNOWN:
             del _KNOWN[next(iter(_KNOWN))]

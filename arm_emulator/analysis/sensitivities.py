@@ -23,10 +23,10 @@ from arm_emulator.base.validation.bound import ANY_COMMANDS, ANY_STATE, POSITION
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.parts.measuring.sensors import JointSensors
 from arm_emulator.machine.plant.call_arguments import LARGEST_STEPS
-from arm_emulator.machine.plant.compiler import DIRECTIONS, sensitivity_library_of
+from arm_emulator.machine.plant.compiler import DIRECTIONS, load_sensitivities
 from arm_emulator.machine.plant.core_calls import SENSITIVITY
-from arm_emulator.machine.scene.fault_catalogue import variable_numbers
-from arm_emulator.machine.scene.scene import Scene, scene_of
+from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
+from arm_emulator.machine.scene.scene import Scene, coerce_scene
 from arm_emulator.machine.varied import Varied, choose
 
 WHERE = "sensitivities"
@@ -79,7 +79,7 @@ class SensitiveMachine:
         self.names = choose(by, every, WHERE, "by", rule)
         self._scene = scene
         self._varied = tuple(possible[name] for name in self.names if name in possible)
-        self._core = sensitivity_library_of(differentiable(scene, self._varied))
+        self._core = load_sensitivities(differentiable(scene, self._varied))
         seeded = [*(one.name for one in self._varied), *starts]
         self._places = [seeded.index(name) for name in self.names]
 
@@ -192,14 +192,14 @@ def sensitivities(
     names = (by,) if isinstance(by, str) else by
     if not isinstance(names, Iterable):
         raise Refusal(WHERE, "by", "be names of numbers", by)
-    return SensitiveMachine(scene_of(scene, WHERE), names).run(commands, steps, q, v)
+    return SensitiveMachine(coerce_scene(scene, WHERE), names).run(commands, steps, q, v)
 
 
 def numbers_of(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
     here = {
         number.name: number
-        for number in variable_numbers(_without_sensors(scene).joints, scene.chain, ())
+        for number in list_variable_numbers(_without_sensors(scene).joints, scene.chain, ())
     }
     return here | {one.name: one for one in scene.varied if one.name == MASS}
 

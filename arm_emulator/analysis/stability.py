@@ -160,7 +160,7 @@ class SmallMotions:
 
     def step(self, scheme: str, dt: float) -> Array:
         """Return the matrix of one step of a scheme: of x, and x one step ago if it takes that."""
-        return KNOWN[scheme].matrix(self.J, self.A, self.links, dt)
+        return KNOWN[scheme].build_step_matrix(self.J, self.A, self.links, dt)
 
     def growth(self, scheme: str, dt: float) -> float:
         """Return the factor by which the fastest growing small motion grows per step."""

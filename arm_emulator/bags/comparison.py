@@ -9,7 +9,7 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import Difference, Repetition
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.build_facts import build_facts, other_builds
+from arm_emulator.machine.plant.build_facts import build_facts, list_differing_builds
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.recording.bag import Bag
@@ -92,4 +92,4 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
 def _compare_builds(topics: RecordedTopics, session: Session) -> list[str]:
     """Return how the build of the record and the present one differ, a sentence each."""
     builds = topics.build, build_facts(session.plant)
-    return [f"other builds: {one}" for one in other_builds(("record", "present"), *builds)]
+    return [f"other builds: {one}" for one in list_differing_builds(("record", "present"), *builds)]

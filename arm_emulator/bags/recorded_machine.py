@@ -14,7 +14,7 @@ from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.plant.measured import rows_of
+from arm_emulator.machine.plant.measured import list_rows
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.recording.bag import Bag
@@ -111,7 +111,7 @@ class RecordedMachine:
 
     def _read_ticks(self) -> None:
         """Read ticks and changes of the run."""
-        count, names = 0, ("applied", *rows_of(self.scene)[FURTHER])
+        count, names = 0, ("applied", *list_rows(self.scene)[FURTHER])
         for tick in read_ticks(self.topics, self.scene.joint_names, names):
             count = tick.run
             if self._run not in (-1, tick.run):

@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from arm_emulator.base.config_files import config_folder
+from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.build_facts import COMPILED_WITH
@@ -131,7 +131,7 @@ class RecordedTopics:
         own = self.bag.path / SCENE
         if own.is_file():
             return str(own)
-        where, folder = str(self.bag.path), config_folder()
+        where, folder = str(self.bag.path), find_config_folder()
         for _, array in self.read("diagnostics"):
             for status in array.status:
                 if status.name.split("/")[-1] == "emulator" and status.hardware_id:

@@ -28,8 +28,8 @@ from arm_emulator.bags.recorded_ticks import (
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.plant.inputs import further_inputs, named_inputs
-from arm_emulator.machine.plant.measured import rows_of
+from arm_emulator.machine.plant.inputs import list_further_inputs, name_inputs
+from arm_emulator.machine.plant.measured import list_rows
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import SET
@@ -86,7 +86,7 @@ class Repetition:
         self._reports_commands = any(name.endswith("/motor_commands") for name in bag.topics)
         self._machine = 0  # the emulator whose states form the run
         self._is_in_run = False  # within a run that began at tick 0
-        self._further = rows_of(session.scene)[FURTHER]  # applied further inputs of motors
+        self._further = list_rows(session.scene)[FURTHER]  # applied further inputs of motors
         self._places = JointPlaces(session.scene.joint_names, self._where)
         self._measured = MeasuredFields(session.scene, MotorState.get_fields_and_field_types())
         self._reported = Plant(session.scene)  # machines as events report them
@@ -103,7 +103,7 @@ class Repetition:
         names = "stamp", "tick", *fields.in_all, *own, *fields.listed
         return {
             "motor_states": ", ".join(names),
-            "motor_commands": ", ".join(("command", *further_inputs(self._session.scene))),
+            "motor_commands": ", ".join(("command", *list_further_inputs(self._session.scene))),
             "emulator/joint_states": "position, velocity, effort",
             "emulator/events": "tick, stamp, state",
         }
@@ -133,7 +133,7 @@ class Repetition:
             return
         try:
             names, given = command.joint_names, (command.input_names, command.inputs)
-            further = named_inputs("motor_commands", *given, len(names))
+            further = name_inputs("motor_commands", *given, len(names))
             rows = self._buffer.arranged(names, command.command, further)
         except Refusal:
             self.tally.refused += 1

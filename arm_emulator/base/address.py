@@ -10,7 +10,7 @@ from arm_emulator.base.validation.count import check_count
 LOCAL = "127.0.0.1"
 
 
-def host_and_port(where: str, quantity: str, text: str) -> tuple[str, int]:
+def parse_address(where: str, quantity: str, text: str) -> tuple[str, int]:
     """Return host and port of `[HOST:]PORT`; without a host this machine's own.
 
     An IPv6 address stands in brackets.
@@ -25,7 +25,9 @@ def host_and_port(where: str, quantity: str, text: str) -> tuple[str, int]:
     return host.strip("[]") or LOCAL, int(port)
 
 
-def not_free(where: str, host: str, port: int, error: OSError | OverflowError) -> Refusal:
+def refuse_taken_address(
+    where: str, host: str, port: int, error: OSError | OverflowError
+) -> Refusal:
     """Return the refusal of an address where a server cannot listen."""
     why = getattr(error, "strerror", None) or error
     return Refusal(where, f"address {host}:{port}", "be free", why)

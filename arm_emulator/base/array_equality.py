@@ -18,10 +18,10 @@ class ArrayEquality:  # noqa: PLW1641  # arrays change: there is no hash
     """
 
     def __eq__(self, other: object) -> bool:
-        return _same(self, other) if type(other) is type(self) else NotImplemented
+        return _is_same(self, other) if type(other) is type(self) else NotImplemented
 
 
-def _same(one: Any, other: Any) -> bool:
+def _is_same(one: Any, other: Any) -> bool:
     if one is other:
         return True
     if type(one) is not type(other):
@@ -31,15 +31,15 @@ def _same(one: Any, other: Any) -> bool:
             return False
         names = one.dtype.names  # of a record, which NumPy compares without regard to NaN
         if names is not None:
-            return all(_same(one[name], other[name]) for name in names)
+            return all(_is_same(one[name], other[name]) for name in names)
         return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
     if dataclasses.is_dataclass(one):
         names = [field.name for field in dataclasses.fields(one) if field.compare]
-        return all(_same(getattr(one, name), getattr(other, name)) for name in names)
+        return all(_is_same(getattr(one, name), getattr(other, name)) for name in names)
     if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+        return one.keys() == other.keys() and all(_is_same(one[key], other[key]) for key in one)
     if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(_same, one, other))
+        return len(one) == len(other) and all(map(_is_same, one, other))
     if isinstance(one, float) and math.isnan(one):
         return math.isnan(other)
     return bool(one == other)

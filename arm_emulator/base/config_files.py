@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from sysconfig import get_path
 
-from arm_emulator.base.io.text_file import why_no_file
+from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 
@@ -13,12 +13,12 @@ BESIDE = ("servo", "motion", "demo")
 ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, from which scenes can be made
 
 
-def config_folder() -> Path:
+def find_config_folder() -> Path:
     """Return the folder `config`: of the checkout, or installed with the ROS package."""
     checkout = Path(__file__).resolve().parents[2] / "config"
     if checkout.is_dir():
         return checkout
-    for installed in _installed():
+    for installed in _list_installed_folders():
         if installed.is_dir():
             return installed
     raise Refusal(
@@ -37,8 +37,8 @@ def check_own(where: str, file: Path) -> None:
         Refusal: the file is one of these, or a link to one.
     """
     real = Path(os.path.realpath(file))
-    folders = [config_folder(), *map(Path, (get_path("purelib"), get_path("platlib")))]
-    folders += _installed()
+    folders = [find_config_folder(), *map(Path, (get_path("purelib"), get_path("platlib")))]
+    folders += _list_installed_folders()
     if real.exists() and any(real.is_relative_to(os.path.realpath(folder)) for folder in folders):
         raise Refusal(
             where,
@@ -49,7 +49,7 @@ def check_own(where: str, file: Path) -> None:
         )
 
 
-def _installed() -> list[Path]:
+def _list_installed_folders() -> list[Path]:
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), get_path("data")]
     return [Path(prefix) / "share" / "arm_emulator" / "config" for prefix in prefixes if prefix]
 
@@ -66,14 +66,14 @@ def find_config(name: str, ending: str, kind: str = ".") -> Path:
         Refusal: there is no such file.
     """
     path = Path(name)
-    reason = why_no_file(path)
+    reason = explain_missing_file(path)
     if reason is None:
         if path.suffix in ROBOTS:
             valid = f"what `arm_emulator new {name}` makes of it"
             raise Refusal("arm_emulator", f"file {name}", "be a scene", "a robot", valid)
         return path
-    folder = config_folder() / kind
-    shipped = _shipped(name, ending, kind)
+    folder = find_config_folder() / kind
+    shipped = _find_shipped(name, ending, kind)
     if shipped is not None:
         return shipped
     known = ", ".join(sorted(file.stem for file in folder.glob(f"*{ending}")))
@@ -106,19 +106,19 @@ def find_beside(scene: Path, kind: str) -> Path:
     if named is not None and (not isinstance(named, str) or not named):
         raise Refusal(scene.name, kind, "be the name of a file", repr(named))
     file = scene.parent / (named or f"{kind}/{scene.stem}.yaml")
-    reason = why_no_file(file)
+    reason = explain_missing_file(file)
     if reason is None:
         return file
-    shipped = _shipped(named, ".yaml", kind) if named else None
+    shipped = _find_shipped(named, ".yaml", kind) if named else None
     if shipped is not None:
         return shipped
     valid = f"write that file, or name one in the scene: `{kind}: FILE`"
     raise Refusal(scene.name, f"{kind} parameters", f"be in {file}", reason, valid)
 
 
-def _shipped(name: str, ending: str, kind: str) -> Path | None:
+def _find_shipped(name: str, ending: str, kind: str) -> Path | None:
     """Return the file of a bare name that comes with the emulator, if there is one."""
     if Path(name).name != name:
         return None
-    file = config_folder() / kind / f"{name.removesuffix(ending)}{ending}"
-    return file if why_no_file(file) is None else None
+    file = find_config_folder() / kind / f"{name.removesuffix(ending)}{ending}"
+    return file if explain_missing_file(file) is None else None

@@ -13,25 +13,25 @@ _ASCII_MARKS = re.compile(r"[!-/:-@\[-`{-~]")
 _PLAIN_IN_C = re.compile(r"[A-Za-z0-9 _.,:;+/()#<>=@-]")
 
 
-def one_line(text: str) -> str:
+def escape_to_line(text: str) -> str:
     """Return a text on one line, as a comment of YAML takes it: `?` is what cannot be printed."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def html_text(text: str) -> str:
+def escape_html(text: str) -> str:
     """Return a text for the content of an HTML element, or for a quoted attribute."""
-    return html.escape(one_line(text))
+    return html.escape(escape_to_line(text))
 
 
-def xml_text(text: str) -> str:
+def escape_xml(text: str) -> str:
     """Return a text that XML can hold, on one line; the writer of the XML escapes its markup.
 
     XML 1.0 has no way to write control characters and halves of surrogate pairs.
     """
-    return one_line(text)
+    return escape_to_line(text)
 
 
-def markdown_text(text: str) -> str:
+def escape_markdown(text: str) -> str:
     r"""Return a text for a paragraph or a table of Markdown, on one line.
 
     The page renders HTML in Markdown, frames with JavaScript among it. MDX, as other pages have it,
@@ -39,23 +39,23 @@ def markdown_text(text: str) -> str:
     CommonMark take a mark of ASCII behind a backslash as it is
     (https://spec.commonmark.org/0.31.2/#backslash-escapes, https://mdxjs.com/docs/what-is-mdx/).
     """
-    line = _ASCII_MARKS.sub(r"\\\g<0>", one_line(" ".join(text.split())))
+    line = _ASCII_MARKS.sub(r"\\\g<0>", escape_to_line(" ".join(text.split())))
     if line.startswith(("import", "export")):
         line = f"&#{ord(line[0])};{line[1:]}"
     return line
 
 
-def c_comment(text: str) -> str:
+def escape_c_comment(text: str) -> str:
     """Return a text for a block comment of C or C++, on one line."""
-    return one_line(text).replace("\\", "/").replace("*/", "* /").replace("/*", "/ *")
+    return escape_to_line(text).replace("\\", "/").replace("*/", "* /").replace("/*", "/ *")
 
 
-def c_string(text: str) -> str:
+def escape_c_string(text: str) -> str:
     """Return a string literal of C or C++ in plain ASCII, with its quotation marks."""
-    plain = (c if _PLAIN_IN_C.fullmatch(c) else _octal(c) for c in text)
+    plain = (c if _PLAIN_IN_C.fullmatch(c) else _format_octal(c) for c in text)
     return f'"{"".join(plain)}"'
 
 
-def _octal(character: str) -> str:
+def _format_octal(character: str) -> str:
     encoded = character.encode(errors="surrogateescape")
     return "".join(f"\\{byte:03o}" for byte in encoded)

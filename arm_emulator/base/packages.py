@@ -18,7 +18,7 @@ PAGE = "arm_emulator.page"  # `live` and `run`: a page with a running machine, w
 
 
 @functools.cache
-def registered(group: str) -> dict[str, EntryPoint]:
+def find_entries(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name; none of them is imported."""
     # Its import takes 30 ms, which a node without a page need not spend.
     from importlib.metadata import entry_points
@@ -26,18 +26,18 @@ def registered(group: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=group))}
 
 
-def page_entry(name: str) -> EntryPoint:
-    """Return an entry point of the page's package: `live` or `run`, see `entry_of`."""
-    return entry_of("page", PAGE, name)
+def find_page_entry(name: str) -> EntryPoint:
+    """Return an entry point of the page's package: `live` or `run`, see `find_entry`."""
+    return find_entry("page", PAGE, name)
 
 
-def entry_of(package: str, group: str, name: str) -> EntryPoint:
+def find_entry(package: str, group: str, name: str) -> EntryPoint:
     """Return an entry point of a package.
 
     Raises:
         Refusal: the package is not installed.
     """
-    point = registered(group).get(name)
+    point = find_entries(group).get(name)
     if point is None:
         remedy = f"pip install '.[{package}]' in a checkout of arm_emulator"
         raise Refusal(package, f"package arm_emulator_{package}", "be installed", "none", remedy)
@@ -46,4 +46,4 @@ def entry_of(package: str, group: str, name: str) -> EntryPoint:
 
 def load_all(group: str) -> list[Any]:
     """Import everything that packages register in a group, in the order of the names."""
-    return [point.load() for point in registered(group).values()]
+    return [point.load() for point in find_entries(group).values()]

@@ -15,7 +15,7 @@ def signal_at_end_of_parent(number: int) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
-def runs(process: int) -> bool:
+def is_running(process: int) -> bool:
     """Return whether a process runs; one that has ended may still have its number."""
     try:
         # The name in brackets may have blanks and brackets of its own.
@@ -24,10 +24,10 @@ def runs(process: int) -> bool:
         return False
 
 
-def below(process: int) -> Iterator[int]:
+def list_descendants(process: int) -> Iterator[int]:
     """Yield the processes that a process has begun, and those that these have begun."""
     with contextlib.suppress(OSError):
         for task in Path(f"/proc/{process}/task").iterdir():
             for child in map(int, (task / "children").read_text().split()):
                 yield child
-                yield from below(child)
+                yield from list_descendants(child)

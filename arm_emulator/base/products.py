@@ -15,22 +15,22 @@ import numpy.typing as npt
 from arm_emulator.base.arrays import Array
 
 
-def product(*factors: Array) -> Array:
+def multiply_matrices(*factors: Array) -> Array:
     """Return the product of matrices, or of stacks of them (..., N, K), from left to right."""
-    return reduce(_product, factors)
+    return reduce(_multiply_two, factors)
 
 
-def applied(A: Array, v: npt.ArrayLike) -> Array:
+def apply_matrix(A: Array, v: npt.ArrayLike) -> Array:
     """Return A v of a matrix (..., N, K) and a vector (..., K), or of stacks of them."""
-    return product(A, np.asarray(v, np.float64)[..., None])[..., 0]
+    return multiply_matrices(A, np.asarray(v, np.float64)[..., None])[..., 0]
 
 
-def length(v: Array) -> float:
+def measure_length(v: Array) -> float:
     """Return the length of a vector."""
-    return float(np.sqrt(applied(v[None], v)[0]))
+    return float(np.sqrt(apply_matrix(v[None], v)[0]))
 
 
-def _product(A: Array, B: Array) -> Array:
+def _multiply_two(A: Array, B: Array) -> Array:
     terms: list[Any] = [A[..., :, k, None] * B[..., None, k, :] for k in range(A.shape[-1])]
     total: Array = reduce(np.add, terms)
     return total

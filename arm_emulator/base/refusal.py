@@ -26,16 +26,20 @@ class Refusal(ValueError):
         self.rule = rule
         self.got = got
         self.valid = valid
-        line = f"{_one_line(where, 120, of_end=True)}: {_one_line(quantity, 200)} must "
-        line += f"{_one_line(rule, 300)}, got {_one_line(got, 200)}"
-        super().__init__(line if valid is None else f"{line}; valid: {_one_line(valid, 500)}")
+        line = (
+            f"{_shorten_to_line(where, 120, of_end=True)}: {_shorten_to_line(quantity, 200)} must "
+        )
+        line += f"{_shorten_to_line(rule, 300)}, got {_shorten_to_line(got, 200)}"
+        super().__init__(
+            line if valid is None else f"{line}; valid: {_shorten_to_line(valid, 500)}"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Unpickled without `__init__`, whose arguments are not `args`: a worker process sends it.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
-def _one_line(value: object, longest: int, *, of_end: bool = False) -> str:
+def _shorten_to_line(value: object, longest: int, *, of_end: bool = False) -> str:
     """Return `value` on one line of at most `longest` printable characters, the first or last."""
     try:
         text = str(value)

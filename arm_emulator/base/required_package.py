@@ -24,7 +24,7 @@ PACKAGES = {
 }
 
 
-def package_of(module: str) -> str:
+def name_package(module: str) -> str:
     """Return what pip calls the package of a module."""
     return PACKAGES.get(module, module)
 
@@ -45,9 +45,9 @@ def require_package(where: str, module: str, package: str) -> None:
         raise Refusal(where, f"Python package {package}", rule, "none", f"pip install {package}")
 
 
-def missing_module(where: str, module: str) -> Refusal:
+def refuse_missing_module(where: str, module: str) -> Refusal:
     """Return the refusal of what cannot go on without a module."""
-    remedy = f"pip install {package_of(module)}"
+    remedy = f"pip install {name_package(module)}"
     return Refusal(where, f"Python module {module}", "be installed", "none", remedy)
 
 
@@ -63,7 +63,7 @@ def refuse_missing_modules(where: str) -> None:
         if not isinstance(error, ModuleNotFoundError) or top in ("", "arm_emulator"):
             usual(kind, error, trace)
             return
-        print(missing_module(where, top), file=sys.stderr, flush=True)
+        print(refuse_missing_module(where, top), file=sys.stderr, flush=True)
         os._exit(2)  # Python would end with 1
 
     sys.excepthook = hook

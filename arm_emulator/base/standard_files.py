@@ -40,7 +40,7 @@ def check_stdout() -> None:
         raise Refusal("arm_emulator", "stdout", rule, "one that is closed")
 
 
-def drop(number: int) -> None:
+def drop_descriptor(number: int) -> None:
     """Let a descriptor lead nowhere: what its stream still holds can be written at the end."""
     with contextlib.suppress(OSError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -48,7 +48,7 @@ def drop(number: int) -> None:
         os.close(nowhere)
 
 
-def trouble_of_stdout() -> OSError | None:
+def test_stdout() -> OSError | None:
     """Return the error of stdout when it takes no more; what its stream holds is lost then.
 
     A stream forgets what it could not write, so that another line shows whether it can.
@@ -56,6 +56,6 @@ def trouble_of_stdout() -> OSError | None:
     try:
         os.write(1, b"\n")
     except OSError as error:
-        drop(1)
+        drop_descriptor(1)
         return error
     return None

@@ -33,7 +33,7 @@ class Synchronized:
         if shared is None:
             _all.add(self)
 
-    def renew_threads(self) -> None:
+    def restart_threads(self) -> None:
         """Restart the parent's threads; called in a forked child."""
 
 
@@ -55,22 +55,24 @@ def synchronized(
     return call  # type: ignore[return-value]  # self can be given by position alone
 
 
-def _before_fork() -> None:
+def _acquire_all() -> None:
     _held[:] = _all
     for one in _held:
         one.turn.acquire()
 
 
-def _after_fork() -> None:
+def _release_all() -> None:
     while _held:
         _held.pop().turn.release()
 
 
-def _in_child() -> None:
+def _restart_in_child() -> None:
     machines = list(_held)
-    _after_fork()
+    _release_all()
     for machine in machines:
-        machine.renew_threads()
+        machine.restart_threads()
 
 
-os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_in_child)
+os.register_at_fork(
+    before=_acquire_all, after_in_parent=_release_all, after_in_child=_restart_in_child
+)

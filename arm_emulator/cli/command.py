@@ -10,7 +10,7 @@ import importlib.util
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
-from arm_emulator.base.packages import COMMANDS, registered
+from arm_emulator.base.packages import COMMANDS, find_entries
 
 GROUPS = {
     "Drive an arm": ("demo", "up", "move", "status", "run"),
@@ -58,7 +58,7 @@ def command(*, keys: str, until_stopped: bool = False) -> Callable[[Function], F
 def command_groups() -> dict[str, tuple[str, ...]]:
     """Return the names of all commands by heading; imports none of them."""
     groups = dict(GROUPS)
-    for name, point in registered(COMMANDS).items():
+    for name, point in find_entries(COMMANDS).items():
         package = point.module.partition(".")[0]
         groups[package] = (*groups.get(package, ()), name)
     return groups
@@ -90,5 +90,5 @@ def _module_of(name: str) -> str | None:
     """Return the module of a command; packages are looked through for names unknown here alone."""
     if any(name in names for names in GROUPS.values()):
         return f"{__package__}.commands.{name.replace('-', '_')}"
-    point = registered(COMMANDS).get(name)
+    point = find_entries(COMMANDS).get(name)
     return None if point is None else point.module

@@ -12,8 +12,8 @@ from functools import partial
 
 from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.required_package import missing_module
-from arm_emulator.base.standard_files import check_stdout, drop, trouble_of_stdout
+from arm_emulator.base.required_package import refuse_missing_module
+from arm_emulator.base.standard_files import check_stdout, drop_descriptor, test_stdout
 from arm_emulator.cli.command import (
     Command,
     command_groups,
@@ -70,7 +70,7 @@ def _printed(work: Callable[[], int], as_json: bool) -> int:
     except Refusal as closed:
         return _refused(closed)
     except OSError as error:
-        of_stdout = trouble_of_stdout()
+        of_stdout = test_stdout()
         if of_stdout is None and error.errno not in DISK_ERRORS:
             raise
         what = "stdout" if of_stdout else f"file {error.filename}" if error.filename else "disk"
@@ -110,7 +110,7 @@ def _refused(reason: Refusal | str) -> int:
     try:
         print(reason, file=sys.stderr, flush=True)
     except OSError:
-        drop(2)
+        drop_descriptor(2)
     output.facts({"refused": str(reason)})
     return 2
 
@@ -129,7 +129,7 @@ def _missing(where: str, missing: ModuleNotFoundError) -> Refusal:
         raise missing
     of_ros = top in ROS_MODULES or top.endswith(("_msgs", "_srvs", "_interfaces"))
     if not of_ros:
-        return missing_module(where, top)
+        return refuse_missing_module(where, top)
     quantity = f"ROS 2, with its Python module {top},"
     return Refusal(where, quantity, "be installed", "none", ROS_REMEDY)
 

@@ -10,7 +10,7 @@ from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.warning import warn
 from arm_emulator.cli.output import output
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.machine.session.session import Session
 from arm_emulator.page.control_server import watched
 from arm_emulator.runs.recorder import Recorder
@@ -33,7 +33,7 @@ def served_session(
     if waits:
         session = Session(scene, "lockstep", "first_answer")
     else:
-        session = real_time_session(scene, "first_answer")
+        session = open_real_time_session(scene, "first_answer")
     with session, Recorder(session.plant, kept, waits), watched(session, page):
         yield session
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.couplings import Follows, followers, own_shafts
+from arm_emulator.base.urdf.couplings import Follows, followers, list_own_shafts
 from arm_emulator.machine.scene.urdf_tree import FREE_KINDS, MOVING_KINDS
 
 MOVING = tuple(MOVING_KINDS)
@@ -205,7 +205,7 @@ def _followers(robot: ET.Element, where: str) -> dict[str, Follows]:
 
 def _follows(robot: ET.Element, laws: Mapping[str, Follows]) -> dict[str, tuple[str, ...]]:
     """Return with which joints those move that have no shaft of their own, by name."""
-    alone = own_shafts(list(_named_by(robot)), laws)
+    alone = list_own_shafts(list(_named_by(robot)), laws)
     return {name: tuple(one.shares) for name, one in laws.items() if name not in alone} | _lost(
         robot
     )

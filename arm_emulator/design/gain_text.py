@@ -8,7 +8,7 @@ import yaml
 
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.io.text_file import read_text
-from arm_emulator.base.io.yaml_file import MOST_BYTES, edited, nodes_of
+from arm_emulator.base.io.yaml_file import MOST_BYTES, edit_yaml, read_nodes
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
@@ -39,7 +39,7 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
 
 
 def _replaced(text: str, servo: ServoConfig) -> str:
-    nodes = nodes_of(text)
+    nodes = read_nodes(text)
 
     def ending(path: str) -> tuple[yaml.Node, yaml.Node] | None:
         return next((pair for name, pair in nodes.items() if name.endswith(f".{path}")), None)
@@ -62,4 +62,4 @@ def _replaced(text: str, servo: ServoConfig) -> str:
                     new_key = key_text.replace(GAINS[-1], RIGID)
                     indent = " " * name.start_mark.column
                     edits.append((line_end, line_end, f"\n{indent}{new_key}: {value}"))
-    return edited(text, edits)
+    return edit_yaml(text, edits)

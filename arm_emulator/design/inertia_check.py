@@ -22,7 +22,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
 from arm_emulator.design.assumed_bodies import shape_of
-from arm_emulator.machine.chain import Body, Chain, cross
+from arm_emulator.machine.chain import Body, Chain, compute_cross
 from arm_emulator.machine.scene.urdf_tree import read_bodies
 
 ROUNDING = 0.01  # of the largest moment: figures of two digits
@@ -193,6 +193,6 @@ def _doubts(name: str, body: Body, shape: Body | None, length: float, moved: flo
 
 def _moments(body: Body) -> Array:
     """Return the principal moments about the centre of mass, ascending (3,) [kg m2]."""
-    com_x = cross(body.moment / body.mass)
+    com_x = compute_cross(body.moment / body.mass)
     moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)
     return np.asarray(moments, dtype=np.float64)

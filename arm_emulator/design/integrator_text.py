@@ -11,9 +11,9 @@ import yaml
 from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.io.text_file import read_bytes
-from arm_emulator.base.io.yaml_file import MOST_BYTES, edited, nodes_of
+from arm_emulator.base.io.yaml_file import MOST_BYTES, edit_yaml, read_nodes
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.integrator import EVENTS
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -70,13 +70,13 @@ def _rest(scene: Scene) -> tuple[object, ...]:
     plain = dataclasses.replace(scene.integrator, scheme=SCHEMES[0], events=EVENTS[0])
     return (
         scene.name, scene.urdf, scene.tool, scene.servo_period, scene.cores, scene.varied,
-        scene_unit(dataclasses.replace(scene, integrator=plain, threads=1)),
+        write_scene_unit(dataclasses.replace(scene, integrator=plain, threads=1)),
     )  # fmt: skip
 
 
 def _replaced(text: str, section: str, values: dict[str, str]) -> str:
     """Return YAML text with values of a section, or at its top, replaced or added at its begin."""
-    nodes, prefix = nodes_of(text), f"{section}." if section else ""
+    nodes, prefix = read_nodes(text), f"{section}." if section else ""
     edits = []
     for key, value in values.items():
         if (found := nodes.get(f"{prefix}{key}")) is not None:
@@ -87,4 +87,4 @@ def _replaced(text: str, section: str, values: dict[str, str]) -> str:
             in_braces = isinstance(root, yaml.MappingNode) and root.flow_style
             gap = ", " if in_braces else "\n" + " " * first.start_mark.column
             edits.append((first.start_mark.index, first.start_mark.index, f"{key}: {value}{gap}"))
-    return edited(text, edits)
+    return edit_yaml(text, edits)

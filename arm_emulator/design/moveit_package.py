@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator.base.escape import xml_text
+from arm_emulator.base.escape import escape_xml
 from arm_emulator.design import ros2_control
 from arm_emulator.design.ros2_control import TRAJECTORY_CONTROLLER
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.scene.urdf_tree import names_of, read_joints, root_of
+from arm_emulator.machine.scene.urdf_tree import find_root, list_element_names, read_joints
 from arm_emulator.motion.collision.link_pairs import DRAWN, link_pairs
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.mesh_units import package_folders
 from arm_emulator.motion.model.pinocchio_model import rate_limits
-from arm_emulator.toolchain.unit import stem_of
+from arm_emulator.toolchain.unit import name_stem
 
 MACHINE = "machine"  # folder of the compiled scene
 RUNS = (
@@ -172,7 +172,7 @@ def _yaml(content: Mapping[str, Any]) -> str:
 
 def _description(scene: Scene, package: str) -> str:
     """Return the robot description as a xacro source that finds the machine in its package."""
-    robot = ET.fromstring(ros2_control.description(scene, f"MACHINE/{stem_of(scene.name)}"))
+    robot = ET.fromstring(ros2_control.description(scene, f"MACHINE/{name_stem(scene.name)}"))
     folders = [Path(folder) for folder in package_folders()]
     for mesh in robot.iter("mesh"):
         # A wheel's packages are not in the index of ROS packages.
@@ -199,7 +199,7 @@ def _package_xml(package: str, scene: str) -> str:
         ("version", "0.1.0"),
         ("description", f"MoveIt for the emulated arm {scene}"),
     ):
-        ET.SubElement(root, tag).text = xml_text(text)
+        ET.SubElement(root, tag).text = escape_xml(text)
     ET.SubElement(root, "maintainer", email="arm_emulator@example.org").text = "its user"
     ET.SubElement(root, "license").text = "Apache-2.0"
     ET.SubElement(root, "buildtool_depend").text = "ament_cmake"
@@ -245,8 +245,8 @@ FREE = 6  # joints that can reach any pose
 def base_link(scene: Scene) -> str:
     """Return the link that no joint moves."""
     robot = ET.fromstring(scene.urdf)
-    links = names_of(robot, "link", scene.where)
-    return root_of(links, read_joints(robot, links, scene.where), scene.where)
+    links = list_element_names(robot, "link", scene.where)
+    return find_root(links, read_joints(robot, links, scene.where), scene.where)
 
 
 def named_states(scene: Scene) -> dict[str, list[float]]:

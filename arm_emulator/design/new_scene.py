@@ -17,7 +17,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import UNLIMITED, parse_urdf
-from arm_emulator.base.validation.number import numbers_of
+from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, has_shape
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
@@ -33,7 +33,7 @@ from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.machine.scene.urdf_chain import MovedBody, moved_bodies
+from arm_emulator.machine.scene.urdf_chain import MovedBody, collect_moved_bodies
 from arm_emulator.machine.scene.urdf_tree import LARGEST_MASS
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.config import MotionConfig
@@ -202,7 +202,7 @@ def _replace(
 def _moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
     """Return what each moving joint of a choice moves."""
     locked = {name: held.position for name, held in choice.held.items()}
-    return moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
+    return collect_moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
 
 
 def _write(folder: Path, contents: Mapping[str, str]) -> None:
@@ -375,7 +375,7 @@ def known_drives(joints: Iterable[Joint]) -> dict[str, DriveParameters]:
 
 def _known_drive(joint: Joint) -> DriveParameters:
     gear, values = joint.gear, dict[str, float]()
-    known = numbers_of(DriveParameters)
+    known = list_numbers(DriveParameters)
     if gear.stiffness is not None:
         values |= {key: getattr(gear, key) for key in gear.numbers() if key in known}
     for law, prefix, per in (

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from arm_emulator.base.config_files import ROBOTS
-from arm_emulator.base.io.text_file import why_no_file
+from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import MOST_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
@@ -37,7 +37,7 @@ def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
     Raises:
         Refusal: no such file, another kind of file, or a source that xacro does not expand.
     """
-    reason = why_no_file(file)
+    reason = explain_missing_file(file)
     if reason is not None:
         raise Refusal("new", f"file {file}", "exist", reason)
     if file.suffix not in ROBOTS:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
-from arm_emulator.base.escape import one_line
+from arm_emulator.base.escape import escape_to_line
 from arm_emulator.design.assumed_bodies import Assumed
 from arm_emulator.design.choose_joints import Choice
 from arm_emulator.design.rated_tool import RatedTool
@@ -76,7 +76,7 @@ def scene_text(
     kinds = {type(drive.joint.motor) for drive in drives if drive.joint.motor}
     rules = "\n".join(f"#                {rule}" for kind in kinds for rule in kind.rules)
     lines = [
-        _RULES.format(robot=one_line(given.robot), file=f"{name}.yaml", motor=rules),
+        _RULES.format(robot=escape_to_line(given.robot), file=f"{name}.yaml", motor=rules),
         f"name: {_text(name)}",
         f"urdf: {_text(f'urdf/{name}.urdf')}",
         f"tool: {_text(choice.tool)}",
@@ -94,7 +94,7 @@ def scene_text(
             )
     if given.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
-        lines += [f"  - {_text(one.link)}  # {one_line(one.how)}" for one in given.assumed]
+        lines += [f"  - {_text(one.link)}  # {escape_to_line(one.how)}" for one in given.assumed]
     if given.trusted:
         lines += [
             "",
@@ -104,7 +104,7 @@ def scene_text(
     if choice.held:
         lines += ["", "locked:"]
         for joint, held in choice.held.items():
-            lines.append(f"  {_text(joint)}: {held.position!r}  # {one_line(held.reason)}")
+            lines.append(f"  {_text(joint)}: {held.position!r}  # {escape_to_line(held.reason)}")
     lines += ["", "joints:"]
     for demand, drive in zip(demands, drives, strict=True):
         lines += _joint(demand, drive)

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from arm_emulator.design.data_sheets import JointSheet
-from arm_emulator.machine.parts.known import DECORATORS, MOTORS, gear_of, link_friction_of
+from arm_emulator.machine.parts.known import DECORATORS, MOTORS, find_gear, link_friction_of
 from arm_emulator.machine.parts.measuring.sensors import JointSensors
 from arm_emulator.machine.parts.motors.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
@@ -250,18 +250,18 @@ def _drive(
         inductance=ELECTRICAL_TIME * resistance,
         bandwidth=CURRENT_BANDWIDTH,
     )
-    motor = kind.sized(rating)
-    around = (one.of(motor).sized(motor, rating) for one in DECORATORS)
+    motor = kind.size_part(rating)
+    around = (one.of(motor).size_part(motor, rating) for one in DECORATORS)
     joint = Joint(
         name=demand.name,
         start=demand.start,
         motor=_rounded(motor),
-        gear=gear_of(
+        gear=find_gear(
             ratio=rounded(ratio, 6),
             stiffness=rounded(stiffness),
             damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
-        sensors=JointSensors.with_counts(2**bits),
+        sensors=JointSensors.add_counts(2**bits),
         friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
         decorators=tuple(_rounded(one) for one in around if one is not None),
     )

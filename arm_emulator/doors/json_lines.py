@@ -15,10 +15,10 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.base.address import not_free
+from arm_emulator.base.address import refuse_taken_address
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.inputs import further_inputs
-from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.plant.inputs import list_further_inputs
+from arm_emulator.machine.plant.outputs import list_outputs, list_units
 from arm_emulator.machine.session.command_buffer import DuplicateCommand
 from arm_emulator.machine.session.session import Session
 from arm_emulator.machine.session.submit_command import submit_command
@@ -46,8 +46,8 @@ class JsonLinesServer:
 
     def __init__(self, where: str, session: Session, listening: socket.socket) -> None:
         self._where, self._session, self._socket = where, session, listening
-        self._outputs = outputs_of(session.scene)
-        self._inputs = further_inputs(session.scene)
+        self._outputs = list_outputs(session.scene)
+        self._inputs = list_further_inputs(session.scene)
         self._keys = {"tick", "power", "reset", "command", *self._inputs}
         self.refused = 0
         self._closing = threading.Event()
@@ -91,7 +91,7 @@ class JsonLinesServer:
     def greeting(self) -> bytes:
         """Return the line with which a client is met: what the scene has, in its units."""
         scene = self._session.scene
-        units = {output.name: units_of(scene, output) for output in self._outputs}
+        units = {output.name: list_units(scene, output) for output in self._outputs}
         return _write_line({
             "scene": scene.name, "joints": scene.joint_names, "period": scene.servo_period,
             "command": [joint.unit for joint in scene.joints], "inputs": self._inputs,
@@ -194,7 +194,7 @@ class TcpServer(JsonLinesServer):
         try:
             listening = socket.create_server((host, port), backlog=1)
         except (OSError, OverflowError) as error:
-            raise not_free("tcp", host, port, error) from None
+            raise refuse_taken_address("tcp", host, port, error) from None
         super().__init__("tcp", session, listening)
         self.address: tuple[str, int] = listening.getsockname()
 

@@ -14,13 +14,13 @@ import zlib
 
 import numpy as np
 
-from arm_emulator.base.address import not_free
-from arm_emulator.base.escape import c_comment, c_string
+from arm_emulator.base.address import refuse_taken_address
+from arm_emulator.base.escape import escape_c_comment, escape_c_string
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.output import AXES
-from arm_emulator.machine.plant.inputs import further_inputs, input_units
+from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_units
 from arm_emulator.machine.plant.measured import Measured
-from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.plant.outputs import list_outputs, list_units
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.command_buffer import DuplicateCommand
 from arm_emulator.machine.session.session import Session
@@ -49,8 +49,8 @@ class Datagrams:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self.outputs = outputs_of(scene)
-        self.inputs = further_inputs(scene)
+        self.outputs = list_outputs(scene)
+        self.inputs = list_further_inputs(scene)
         N, M = len(scene.joints), len(scene.imus)
         rows = [
             (
@@ -72,8 +72,8 @@ class Datagrams:
         """Return the units of each joint by the names of numbers, none of those without."""
         scene = self._scene
         command = tuple(joint.unit for joint in scene.joints)
-        inputs = {name: input_units(scene, name) for name in self.inputs}
-        return {"command": command} | inputs | {o.name: units_of(scene, o) for o in self.outputs}
+        inputs = {name: list_input_units(scene, name) for name in self.inputs}
+        return {"command": command} | inputs | {o.name: list_units(scene, o) for o in self.outputs}
 
     def header(self) -> str:
         """Return the layout as a header in C."""
@@ -89,8 +89,8 @@ class Datagrams:
                 lines.append(f"  {c_type} {field}{size};" + (f"  /* {unit} */" if unit else ""))
             return "typedef struct {\n" + "\n".join(lines) + f"\n}} {name};\n"
 
-        names = ", ".join(map(c_string, self._scene.joint_names))
-        scene = c_comment(self._scene.name)
+        names = ", ".join(map(escape_c_string, self._scene.joint_names))
+        scene = escape_c_comment(self._scene.name)
         return f"""\
 /* Datagrams of `arm_emulator udp {scene}`, numbers little-endian. --header writes it. */
 #ifndef ARM_UDP_H
@@ -142,7 +142,7 @@ class UdpServer:
             self._socket.bind((host, port))
         except (OSError, OverflowError) as error:
             self._socket.close()
-            raise not_free("udp", host, port, error) from None
+            raise refuse_taken_address("udp", host, port, error) from None
         self.address: tuple[str, int] = self._socket.getsockname()
         self.refused = 0
         self._peer: tuple[str, int] | None = None  # who sent last

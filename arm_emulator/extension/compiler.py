@@ -11,8 +11,8 @@ from arm_emulator.toolchain.c_header import text as c_text
 from arm_emulator.toolchain.cxx import run_compiler
 from arm_emulator.toolchain.flags import ARITHMETIC, C_FLAGS
 from arm_emulator.toolchain.flags import SHARED as SHARED_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_bytes, compiled_once, fingerprint
-from arm_emulator.toolchain.unit import library as compiled_library
+from arm_emulator.toolchain.unit import Unit, compile_bytes, compile_once, compute_fingerprint
+from arm_emulator.toolchain.unit import load_library as compiled_library
 
 __all__ = [
     "ARITHMETIC",
@@ -29,9 +29,9 @@ __all__ = [
     "Unit",
     "c_pointer",
     "c_text",
-    "compiled_bytes",
+    "compile_bytes",
+    "compile_once",
     "compiled_library",
-    "compiled_once",
-    "fingerprint",
+    "compute_fingerprint",
     "run_compiler",
 ]

@@ -6,7 +6,7 @@ from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
 from arm_emulator.analysis.stability import explain as explain_divergence
 from arm_emulator.design.assumed_bodies import inertial_of
 from arm_emulator.machine.chain import Body, ChainJoint, Frame
-from arm_emulator.machine.cxx_literals import number as cxx_number
+from arm_emulator.machine.cxx_literals import format_number as cxx_number
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.input import VOLTAGE as VOLTAGE_INPUT
 from arm_emulator.machine.parts.input import Input
@@ -19,14 +19,14 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.plant.call_arguments import (
     LARGEST_STEPS,
     Commands,
-    by_joint,
-    commands_of,
-    options_of,
-    refusal_of,
-    truth_at,
+    build_refusal,
+    make_commands,
+    make_options,
+    make_truth,
+    order_by_joint,
 )
 from arm_emulator.machine.plant.call_arguments import PIECE as STEPS_BETWEEN_CHECKS
-from arm_emulator.machine.plant.compiler import library_with, machine_unit
+from arm_emulator.machine.plant.compiler import build_machine_unit, load_machine_with
 from arm_emulator.machine.plant.core_calls import ARM as ARM_HEADER
 from arm_emulator.machine.plant.core_calls import OK as ARM_OK
 from arm_emulator.machine.plant.core_calls import PLACES as STATE_NAMES_IN_C
@@ -35,43 +35,43 @@ from arm_emulator.machine.plant.core_machine import BorrowedMachine
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.plant.external_wrench import AXES as WRENCH_AXES
 from arm_emulator.machine.plant.external_wrench import NONE as NO_WRENCH
-from arm_emulator.machine.plant.external_wrench import ExternalWrench, on_moving_link
+from arm_emulator.machine.plant.external_wrench import ExternalWrench, move_to_moving_link
 from arm_emulator.machine.plant.formula_rows import FORMULA as FORMULA_HEADER
 from arm_emulator.machine.plant.formula_rows import FormulaRows, is_at_one_instant
 from arm_emulator.machine.plant.inputs import (
+    arrange_further_rows,
     check_inputs,
-    further_inputs,
-    further_rows,
-    input_at,
-    input_units,
-    modes_of,
+    find_input,
+    list_further_inputs,
+    list_input_units,
+    list_modes,
 )
-from arm_emulator.machine.plant.measured import Measured, MeasuredPlace, rows_of
+from arm_emulator.machine.plant.measured import Measured, MeasuredPlace, list_rows
 from arm_emulator.machine.plant.outputs import ALWAYS as ALWAYS_OUTPUTS
 from arm_emulator.machine.plant.outputs import KNOWN as KNOWN_OUTPUTS
-from arm_emulator.machine.plant.outputs import outputs_of, readings_of, units_of
+from arm_emulator.machine.plant.outputs import list_outputs, list_readings, list_units
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS as STATE_ROWS
 from arm_emulator.machine.plant.plant_state import (
-    largest_position,
-    link_angle_per_count,
-    start_bounds,
+    bound_start,
+    compute_count_angle,
+    compute_largest_position,
 )
-from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.joint import Joint
-from arm_emulator.machine.scene.overrides import override
-from arm_emulator.machine.scene.scene import LARGEST_SEED, Scene, load_scene, scene_of
+from arm_emulator.machine.scene.overrides import override_keys
+from arm_emulator.machine.scene.scene import LARGEST_SEED, Scene, coerce_scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.session.command_buffer import DuplicateCommand
 from arm_emulator.machine.session.control_code import ControlCode
-from arm_emulator.machine.session.record_row import RecordRow, columns_of, values_of
+from arm_emulator.machine.session.record_row import RecordRow, list_columns, select_values
 from arm_emulator.machine.session.session import Session
 from arm_emulator.machine.session.tool_chain import TOOL as TOOL_SIGNALS_NAME
-from arm_emulator.machine.session.tool_chain import ToolChain, tool_signals
+from arm_emulator.machine.session.tool_chain import ToolChain, list_tool_signals
 from arm_emulator.machine.varied import NAMES as VARIED_NAMES
-from arm_emulator.machine.varied import Varied, varied_number
-from arm_emulator.machine.varied import of_child as varied_of_child
+from arm_emulator.machine.varied import Varied, find_varied
+from arm_emulator.machine.varied import vary_child as varied_of_child
 
 __all__ = [
     "ALWAYS_OUTPUTS",
@@ -124,39 +124,39 @@ __all__ = [
     "ToolChain",
     "Varied",
     "WrenchChange",
-    "by_joint",
+    "arrange_further_rows",
+    "bound_start",
+    "build_machine_unit",
+    "build_refusal",
     "check_inputs",
-    "columns_of",
-    "commands_of",
+    "coerce_scene",
+    "compute_count_angle",
+    "compute_largest_position",
     "cxx_number",
     "explain_divergence",
-    "further_inputs",
-    "further_rows",
+    "find_input",
+    "find_varied",
     "inertial_of",
-    "input_at",
-    "input_units",
     "is_at_one_instant",
-    "largest_position",
-    "library_with",
-    "link_angle_per_count",
+    "list_columns",
+    "list_further_inputs",
+    "list_input_units",
+    "list_modes",
+    "list_outputs",
+    "list_readings",
+    "list_rows",
+    "list_tool_signals",
+    "list_units",
+    "list_variable_numbers",
+    "load_machine_with",
     "load_scene",
-    "machine_unit",
-    "modes_of",
-    "on_moving_link",
-    "options_of",
-    "outputs_of",
-    "override",
-    "readings_of",
-    "refusal_of",
-    "rows_of",
-    "scene_of",
-    "start_bounds",
-    "tool_signals",
-    "truth_at",
-    "units_of",
-    "values_of",
-    "variable_numbers",
-    "varied_number",
+    "make_commands",
+    "make_options",
+    "make_truth",
+    "move_to_moving_link",
+    "order_by_joint",
+    "override_keys",
+    "select_values",
     "varied_of_child",
     "withheld_modes",
     "withheld_words",

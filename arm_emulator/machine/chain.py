@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.products import applied, product
+from arm_emulator.base.products import apply_matrix, multiply_matrices
 from arm_emulator.base.urdf.couplings import Coupling
 
 
@@ -32,8 +32,8 @@ class Frame:
     p: Array = field(default_factory=lambda: _ZERO)
 
     def __matmul__(self, other: Frame) -> Frame:
-        R = self.R if other.R is EYE else clean(product(self.R, other.R))
-        return Frame(R, applied(self.R, other.p) + self.p)
+        R = self.R if other.R is EYE else clean(multiply_matrices(self.R, other.R))
+        return Frame(R, apply_matrix(self.R, other.p) + self.p)
 
 
 @dataclass(frozen=True)
@@ -76,16 +76,16 @@ class Bodies:
     @classmethod
     def from_center(cls, mass: Array, com: Array, inertia: Array) -> Bodies:
         """Return the bodies whose `inertia` (K, 3, 3) is given about their `com` (K, 3)."""
-        c, m = cross(com), mass[:, None, None]
-        return cls(mass, mass[:, None] * com, inertia - product(m * c, c))
+        c, m = compute_cross(com), mass[:, None, None]
+        return cls(mass, mass[:, None] * com, inertia - multiply_matrices(m * c, c))
 
     def seen_from(self, R: Array, p: Array) -> Bodies:
         """Return them in frames from which their own are seen as R (K, 3, 3), p (K, 3)."""
-        h = applied(R, self.moment)
-        p_x, h_x = cross(p), cross(h)
-        shift = product(p_x, h_x) + product(h_x, p_x)
-        shift = shift + product(self.mass[:, None, None] * p_x, p_x)
-        inertia = product(R, self.inertia, R.transpose(0, 2, 1)) - shift
+        h = apply_matrix(R, self.moment)
+        p_x, h_x = compute_cross(p), compute_cross(h)
+        shift = multiply_matrices(p_x, h_x) + multiply_matrices(h_x, p_x)
+        shift = shift + multiply_matrices(self.mass[:, None, None] * p_x, p_x)
+        inertia = multiply_matrices(R, self.inertia, R.transpose(0, 2, 1)) - shift
         return Bodies(self.mass, h + self.mass[:, None] * p, inertia)
 
     def one(self, index: int) -> Body:
@@ -146,7 +146,7 @@ class ChainJoint:
         turn = np.array([[C, -S, 0.0], [S, C, 0.0], [0.0, 0.0, 1.0]])
         c, s = self.cos_gamma, self.sin_gamma
         leading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return product(leading, product(tilt, turn))
+        return multiply_matrices(leading, multiply_matrices(tilt, turn))
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def frame_of(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
     """Return the frame at `xyz` [m], turned by roll, pitch and yaw [rad] as in a URDF."""
     turns = (turn(axis, angle) for axis, angle in enumerate(rpy))
     roll, pitch, yaw = turns
-    return Frame(clean(product(yaw, pitch, roll)), np.array(tuple(xyz)))
+    return Frame(clean(multiply_matrices(yaw, pitch, roll)), np.array(tuple(xyz)))
 
 
 def turn(axis: int, angle: float) -> Array:
@@ -223,7 +223,7 @@ def turns(axis: int, angles: Iterable[float]) -> Array:
     return clean(R)
 
 
-def exact_atan2(y: float, x: float) -> float:
+def compute_atan2(y: float, x: float) -> float:
     """Return the angle of (x, y), and 0 where both are 0 of whatever sign."""
     return 0.0 if y == 0.0 and x == 0.0 else math.atan2(y, x) + 0.0
 
@@ -233,7 +233,7 @@ def rpy_of(R: Array) -> Array:
     # The roll is that of Rz(-yaw) R, whatever the yaw is: near a pitch of a quarter turn roll and
     # yaw are ambiguous, but their product is still R.
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    yaw = exact_atan2(float(R[1, 0]), float(R[0, 0]))
+    yaw = compute_atan2(float(R[1, 0]), float(R[0, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
     return np.array([math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw])
 
@@ -247,7 +247,7 @@ def clean(R: Array) -> Array:
     return np.where(np.abs(R - nearest) < 1e-15, nearest, R) + 0.0
 
 
-def cross(a: Array) -> Array:
+def compute_cross(a: Array) -> Array:
     """Return the matrix (..., 3, 3) that takes the cross product with a (..., 3)."""
     out = np.zeros((*a.shape, 3))
     x, y, z = a[..., 0], a[..., 1], a[..., 2]

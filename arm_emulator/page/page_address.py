@@ -11,7 +11,7 @@ import secrets
 import socket
 from dataclasses import dataclass
 
-from arm_emulator.base.address import LOCAL, host_and_port
+from arm_emulator.base.address import LOCAL, parse_address
 from arm_emulator.base.refusal import Refusal
 
 EVERY = ("0.0.0.0", "::")  # all interfaces of this machine
@@ -36,7 +36,7 @@ class PageAddress:
         Raises:
             Refusal: it is neither.
         """
-        return cls(*host_and_port("page", "address", str(text)))
+        return cls(*parse_address("page", "address", str(text)))
 
     @property
     def name(self) -> str:

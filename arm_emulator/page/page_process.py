@@ -6,7 +6,7 @@ import contextlib
 import threading
 from collections.abc import Callable
 
-from arm_emulator.base.packages import page_entry
+from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.page.controls import Controls
@@ -58,7 +58,7 @@ class PageProcess:
             "hands": hands,
             "varied": dict(plant.parameters),
         }
-        module = page_entry("live").module
+        module = find_page_entry("live").module
         self._process = RowProcess(
             plant, module, task, "page", waits=waits, patience=PATIENCE, files=files
         )

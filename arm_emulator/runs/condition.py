@@ -9,15 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.column import Column
-from arm_emulator.base.expression.formula import Combined, Formula, Window, bound_to, parse_formula
+from arm_emulator.base.expression.formula import (
+    Combined,
+    Formula,
+    Window,
+    bind_signals,
+    parse_formula,
+)
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.machine.plant.formula_rows import CONDITION, FormulaRows, formula_library
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.session.record_row import RecordRow, columns_of
+from arm_emulator.machine.session.record_row import RecordRow, list_columns
 from arm_emulator.machine.session.session import Session
-from arm_emulator.machine.session.tool_chain import TOOL, ToolChain, tool_signals
+from arm_emulator.machine.session.tool_chain import TOOL, ToolChain, list_tool_signals
 
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
@@ -46,8 +52,10 @@ class Condition:
             raise Refusal(where, "condition", "be text", text)
         scene = coerce_kind(scene, Scene, where, "scene", "be a Scene")
         self.text = text
-        known = [*(one.name for one in columns_of(scene)), *tool_signals(scene)]
-        self.formula = bound_to(parse_formula(text, where, "condition"), known, where, "condition")
+        known = [*(one.name for one in list_columns(scene)), *list_tool_signals(scene)]
+        self.formula = bind_signals(
+            parse_formula(text, where, "condition"), known, where, "condition"
+        )
         _check_without_time(self.formula, where)
         self._watched: WatchedCondition | None = None
 
@@ -76,7 +84,7 @@ class WatchedCondition:
 
     def __init__(self, formula: Formula, plant: Plant) -> None:
         self.plant, self._record = plant, RecordRow(plant)
-        self._columns = {one.name: one for one in columns_of(plant.scene)}
+        self._columns = {one.name: one for one in list_columns(plant.scene)}
         self._inputs: list[tuple[str, int]] = []
         self._rows = FormulaRows(self._row_of_signal)
         self._rows.of_formula(formula)  # whose row is the last one

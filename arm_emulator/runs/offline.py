@@ -17,7 +17,7 @@ from arm_emulator.base.saved_objects import Saved, SavedObjects
 from arm_emulator.base.validation.count import check_count
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.scene.scene import Scene, load_scene, scene_of
+from arm_emulator.machine.scene.scene import Scene, coerce_scene, load_scene
 from arm_emulator.machine.session.firmware_loop import FirmwareLoop
 from arm_emulator.machine.session.session import Session
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
@@ -54,7 +54,7 @@ class OfflineRun(NonCopyable):
     instead = "a new one, or `fork` of a `Timeline`"
 
     def __init__(self, scene: Scene | str | Path, servo: ServoConfig, motion: MotionConfig) -> None:
-        scene = scene_of(scene, "OfflineRun")
+        scene = coerce_scene(scene, "OfflineRun")
         for name, given, kind in (("servo", servo, ServoConfig), ("motion", motion, MotionConfig)):
             if not isinstance(given, kind):
                 raise Refusal("OfflineRun", name, "be that of `load_gains`", given)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.column import Column, Rows
-from arm_emulator.base.io.record_file import arrow_table, open_record
+from arm_emulator.base.io.record_file import build_arrow_table, open_record
 from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import check_suffix
@@ -20,7 +20,7 @@ from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS
-from arm_emulator.machine.session.record_row import RecordRow, columns_of, row_type, values_of
+from arm_emulator.machine.session.record_row import RecordRow, list_columns, build_row_type, select_values
 from arm_emulator.runs.view_of import get_view
 
 TRUTH = (*ROWS, "energy")
@@ -68,7 +68,7 @@ class Recording(NonCopyable):
             raise Refusal("Recording", "file", "be in a folder that exists", self._file)
         self._plant, self._names = plant, tuple(names)
         self._row = RecordRow(plant)
-        self._taken: list[Rows] = [np.zeros(0, row_type(plant.scene))]
+        self._taken: list[Rows] = [np.zeros(0, build_row_type(plant.scene))]
 
     def __repr__(self) -> str:
         rows, names = sum(map(len, self._taken)), ", ".join(self._names)
@@ -124,12 +124,12 @@ class Recording(NonCopyable):
         """
         if not isinstance(name, str) or name not in self._names:
             raise Refusal("Recording", "name", "be recorded", name, ", ".join(self._names))
-        return values_of(self._rows, name, self._plant.scene).copy()
+        return select_values(self._rows, name, self._plant.scene).copy()
 
     @property
     def _columns(self) -> list[Column]:
         """Columns of the requested quantities."""
-        known = columns_of(self._plant.scene)
+        known = list_columns(self._plant.scene)
         wanted = [("t",), *(tuple(name.split(".")) for name in self._names)]
         return [one for path in wanted for one in known if one.path[: len(path)] == path]
 
@@ -139,7 +139,7 @@ class Recording(NonCopyable):
 
     def table(self) -> Any:
         """Return the columns as a table of Arrow, with units (pyarrow must be installed)."""
-        return arrow_table(self._columns, self._rows)
+        return build_arrow_table(self._columns, self._rows)
 
     def write(self, file: str | Path) -> None:
         """Write the columns to a file, by its suffix; one that exists is replaced.
@@ -172,7 +172,7 @@ class Recording(NonCopyable):
         from arm_emulator.view.rerun_rows import RerunRows
 
         scene, angle = self._plant.scene, self._plant.link_angle_per_count
-        rows = RerunRows(str(file), columns_of(scene), angle, get_view(scene))
+        rows = RerunRows(str(file), list_columns(scene), angle, get_view(scene))
         rows.show(self._rows)
         if trouble := rows.close():
             raise Refusal("Recording", f"file {file}", "accept every row", trouble)

@@ -19,7 +19,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.listeners import leave, listen
 from arm_emulator.machine.session.record_ring import RingWriter, SharedRing
-from arm_emulator.machine.session.record_row import RecordRow, columns_of
+from arm_emulator.machine.session.record_row import RecordRow, list_columns
 from arm_emulator.runs.view_of import get_view
 
 HERE = Path(__file__).resolve().parents[2]  # what the other process imports from
@@ -162,7 +162,7 @@ def _describe_plant(plant: Plant, memory: int) -> dict[str, Any]:
     return {
         "memory": memory,
         "kind": RecordRow(plant).rows.dtype,
-        "columns": columns_of(plant.scene),
+        "columns": list_columns(plant.scene),
         "view": get_view(plant.scene),
         "angle_per_count": plant.link_angle_per_count,
     }

@@ -15,7 +15,7 @@ from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.tick import c as tick
 from arm_emulator.toolchain.c_header import Header
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 
 HERE = Path(__file__).resolve().parent
 STEP = Header(HERE / "servo_step.h", (*tick.FOLDERS, FOLDER))
@@ -29,7 +29,7 @@ def servo_step_unit() -> Unit:
     return Unit("servo_step", source, C_FLAGS, folders, (STEP,), "servo", about, "servo.c")
 
 
-_servo_step = compiled_once(servo_step_unit)
+_servo_step = compile_once(servo_step_unit)
 
 
 class ServoStep(ControlCode):

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.machine.plant.outputs import reported_by_parts
+from arm_emulator.machine.plant.outputs import list_reported_by_parts
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 
 
 def get_view(scene: Scene) -> dict[str, Any]:
     """Return what `RerunStream` gets of a scene."""
-    robots = example_robot_data()
-    quantities = [part for part in reported_by_parts(scene) if not part.per_unit]
+    robots = find_example_robot_data()
+    quantities = [part for part in list_reported_by_parts(scene) if not part.per_unit]
     return {
         "urdf_xml": scene.urdf,
         "joint_names": scene.joint_names,

@@ -13,15 +13,15 @@ import numpy as np
 from arm_emulator.base.config_files import find_config
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.validation.bound import encoder_counts
+from arm_emulator.base.validation.bound import bound_encoder_counts
 from arm_emulator.base.validation.coerce import coerce_kind
-from arm_emulator.base.validation.number import Number, number, numbers_of
+from arm_emulator.base.validation.number import Number, list_numbers, number
 from arm_emulator.base.validation.parameters import (
     ROS_PARAMETERS,
     check_keys,
-    numbers_in,
-    ros_parameters,
-    tables_of,
+    read_numbers,
+    read_ros_parameters,
+    split_tables,
 )
 
 
@@ -188,7 +188,7 @@ class ServoConfig(SharedObject):
     @property
     def counts(self) -> Number:
         """Bounds of the encoders' counts, (N,)."""
-        going_on = encoder_counts([joint.count_angle for joint in self.joints])
+        going_on = bound_encoder_counts([joint.count_angle for joint in self.joints])
         words = np.array([2.0**joint.encoder_bits for joint in self.joints])
         largest = np.where(words > 1.0, words - 1.0, going_on.at_most)  # type: ignore[arg-type]
         return Number.within(going_on.name, "", largest)
@@ -221,20 +221,20 @@ class ServoConfig(SharedObject):
         names = _joint_names(given.pop("joint_names", None), where)
         below = [key for key in given if key.startswith("joints.")]
         rest = {key.removeprefix("joints."): given.pop(key) for key in below}
-        tables = tables_of(given.pop("joints", rest), where, "joints")
+        tables = split_tables(given.pop("joints", rest), where, "joints")
         for name in tables:
             # ROS changes the meaning of a section under a name with dots.
             if name not in names and any("." in known for known in names):
                 rule = "be a joint (one whose name has dots is written out in parameter files)"
                 raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
         check_keys(tables, names, where, "joints")
-        scalars = numbers_in(given, ServoConfig, where)
+        scalars = read_numbers(given, ServoConfig, where)
         _check_periods(scalars, where)
         joints = []
         for name in names:
             if name not in tables:
                 raise Refusal(where, f"joints.{name}", "be given", "nothing")
-            numbers = numbers_in(tables[name], JointServo, where, f"joints.{name}")
+            numbers = read_numbers(tables[name], JointServo, where, f"joints.{name}")
             joints.append(JointServo(name=name, **numbers))
         for joint in joints:
             check_rates(joint, scalars["period"], where)
@@ -243,8 +243,8 @@ class ServoConfig(SharedObject):
 
 _SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-9, 1e6  # s
 
-_SCALARS = numbers_of(ServoConfig)
-_FIELDS = numbers_of(JointServo)
+_SCALARS = list_numbers(ServoConfig)
+_FIELDS = list_numbers(JointServo)
 
 
 # Settable at run time: not the data sheet.
@@ -277,7 +277,7 @@ def load_servo_config(path: str | Path) -> ServoConfig:
         Refusal: no such file, not a parameter file, or a value that is not taken.
     """
     path = find_config(str(path), ".yaml", "servo")
-    return ServoConfig.from_mapping(ros_parameters(path, "servo"), path.name)
+    return ServoConfig.from_mapping(read_ros_parameters(path, "servo"), path.name)
 
 
 def check_joints(where: str, config: object, joint_names: Sequence[str]) -> None:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.toolchain.c_header import Header
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 
 SERVO = Header(FOLDER / "servo.h")
 
@@ -27,4 +27,4 @@ def servo_unit() -> Unit:
     return Unit("servo", source, C_FLAGS, (FOLDER,), (SERVO,), "servo", "the servo", "servo.c")
 
 
-servo_law = compiled_once(servo_unit)
+servo_law = compile_once(servo_unit)

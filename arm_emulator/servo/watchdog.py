@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from dataclasses import replace
 
-from arm_emulator.base.validation.number import numbers_of
+from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import (
     CUT,
@@ -61,7 +61,7 @@ class Watchdog:
         Raises:
             Refusal: as the constructor. Nothing has changed then.
         """
-        numbers = numbers_of(ServoConfig)
+        numbers = list_numbers(ServoConfig)
         hold_after = numbers["hold_after"].take("watchdog", hold_after)
         cut_after = replace(numbers["cut_after"], above=hold_after).take("watchdog", cut_after)
         self._hold_after, self._cut_after = hold_after, cut_after

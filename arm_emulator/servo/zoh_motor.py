@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.products import product
+from arm_emulator.base.products import multiply_matrices
 
 
 class Sum(NamedTuple):
@@ -153,8 +153,8 @@ def _exponential(A: Array) -> Array:
     step = A / 2.0**squarings
     term = out = np.eye(len(A))
     for k in range(1, _TERMS):
-        term = product(term, step) / k
+        term = multiply_matrices(term, step) / k
         out = out + term
     for _ in range(squarings):
-        out = product(out, out)
+        out = multiply_matrices(out, out)
     return out

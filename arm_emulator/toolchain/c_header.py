@@ -103,7 +103,7 @@ class Header:
             values: by the names of fields. A NumPy array stands for a pointer to its numbers: it
                 must outlive the struct, and its type must be that of the field.
         """
-        kinds, size = _fields(self.ffi.typeof(struct))
+        kinds, size = _list_fields(self.ffi.typeof(struct))
         if size:
             struct.size = size
         for name, value in values.items():
@@ -118,20 +118,20 @@ class Header:
 
     def dtype(self, kind: str) -> np.dtype[Any]:
         """Return a struct as a NumPy dtype."""
-        return _dtype(self.ffi, self.ffi.typeof(kind))
+        return _find_dtype(self.ffi, self.ffi.typeof(kind))
 
     def pointer(self, kind: str, rows: npt.NDArray[Any]) -> CData:
         """Return a pointer to an array of structs; the array must be contiguous and outlive it."""
         return self._place(self.ffi.typeof(f"{kind} *"), rows)
 
     def _place(self, kind: Any, rows: npt.NDArray[Any]) -> CData:
-        if _dtype(self.ffi, kind.item) != rows.dtype:
+        if _find_dtype(self.ffi, kind.item) != rows.dtype:
             raise TypeError(f"{kind.cname} to an array of {rows.dtype}")
         return self.ffi.cast(kind, self.ffi.from_buffer(rows))
 
 
 @cache  # a structure is filled in for every run
-def _fields(kind: Any) -> tuple[dict[str, Any], int]:
+def _list_fields(kind: Any) -> tuple[dict[str, Any], int]:
     """Return the fields of what a type points to, and its size if it begins with one, else 0."""
     fields = kind.item.fields
     size = _cffi_backend.FFI().sizeof(kind.item) if fields[0][0] == "size" else 0
@@ -177,22 +177,22 @@ class Library:
 _DTYPES: dict[Any, np.dtype[Any]] = {}
 
 
-def _dtype(ffi: FFI, kind: Any) -> np.dtype[Any]:
+def _find_dtype(ffi: FFI, kind: Any) -> np.dtype[Any]:
     if kind not in _DTYPES:
-        _DTYPES[kind] = _dtype_of(ffi, kind)
+        _DTYPES[kind] = _build_dtype(ffi, kind)
     return _DTYPES[kind]
 
 
-def _dtype_of(ffi: FFI, kind: Any) -> np.dtype[Any]:
+def _build_dtype(ffi: FFI, kind: Any) -> np.dtype[Any]:
     if kind.kind == "array":
-        return np.dtype((_dtype(ffi, kind.item), (kind.length,)))
+        return np.dtype((_find_dtype(ffi, kind.item), (kind.length,)))
     if kind.kind in ("pointer", "function"):
         return np.dtype("u8")
     if kind.kind == "struct":
         fields = dict(kind.fields)
         return np.dtype({
             "names": list(fields),
-            "formats": [_dtype(ffi, value.type) for value in fields.values()],
+            "formats": [_find_dtype(ffi, value.type) for value in fields.values()],
             "offsets": [value.offset for value in fields.values()],
             "itemsize": ffi.sizeof(kind),
         })  # fmt: skip
@@ -214,7 +214,7 @@ class _Text:
         lines = []
         text = path.read_text(encoding="utf-8")
         self._digest.update(text.encode())
-        for line in _taken(re.sub(r"/\*.*?\*/", " ", text, flags=re.S).splitlines()):
+        for line in _preprocess(re.sub(r"/\*.*?\*/", " ", text, flags=re.S).splitlines()):
             include = _INCLUDE.match(line)
             if include is None:
                 lines.append(line)
@@ -236,7 +236,7 @@ class _Text:
 _DIGESTS: dict[Path, bytes] = {}
 
 
-def _taken(lines: list[str]) -> Iterator[str]:
+def _preprocess(lines: list[str]) -> Iterator[str]:
     """Yield the lines that a C compiler sees, with no directives but includes and numbers."""
     defined, taken = set[str](), [True]
     for line in lines:
@@ -259,7 +259,7 @@ def _taken(lines: list[str]) -> Iterator[str]:
 
 
 def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
-    parts = _kept(text)
+    parts = _load_stored(text)
     if parts is None:
         parts = read_parts(_parser(text))
         _keep(text, parts)
@@ -268,21 +268,21 @@ def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
     return _cffi_backend.FFI(text.path.stem, **parts, _includes=included), functions
 
 
-def _kept(text: _Text) -> dict[str, Any] | None:
-    for folder in library_cache.cache_folders():
+def _load_stored(text: _Text) -> dict[str, Any] | None:
+    for folder in library_cache.list_cache_folders():
         with contextlib.suppress(FileNotFoundError, library_cache.Damaged):
-            parts: dict[str, Any] = marshal.loads(library_cache.content(folder / text.name))
+            parts: dict[str, Any] = marshal.loads(library_cache.read_library(folder / text.name))
             return parts
     return None
 
 
-def _keep(text: _Text, parts: dict[str, Any]) -> None:
+def _store_parts(text: _Text, parts: dict[str, Any]) -> None:
     # Without a writable cache, every process reads the headers.
     with contextlib.suppress(Refusal, OSError):
-        folder = next(library_cache.writable_caches())
+        folder = next(library_cache.list_writable_caches())
         file = folder / text.name
-        with library_cache.locked(file), library_cache.scratch_of(file) as scratch:
-            library_cache.store(file, marshal.dumps(parts), scratch)
+        with library_cache.lock_library(file), library_cache.make_scratch(file) as scratch:
+            library_cache.store_file(file, marshal.dumps(parts), scratch)
 
 
 _PARSERS: dict[Path, Any] = {}
@@ -295,7 +295,7 @@ def _parser(text: _Text) -> Any:
     if text.path not in _PARSERS:
         _PARSERS[text.path] = parser = Parser()
         for header in text.included:
-            parser.include(_parser(_Text(header.path.resolve(), tuple(header.folders))))
+            parser.include(_build_parser(_Text(header.path.resolve(), tuple(header.folders))))
         parser.cdef(text.text)
         parser.set_source(text.path.stem, None)
     return _PARSERS[text.path]

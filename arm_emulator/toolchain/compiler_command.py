@@ -15,7 +15,7 @@ def find_compiler() -> list[str]:
     Raises:
         Refusal: no compiler was found, or $CXX is no command.
     """
-    named = _named()
+    named = _read_variable()
     for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:
         if shutil.which(words[0]):
             return words
@@ -28,16 +28,16 @@ def find_compiler() -> list[str]:
     )
 
 
-def is_named() -> bool:
+def is_compiler_named() -> bool:
     """Whether $CXX names the compiler.
 
     Raises:
         Refusal: $CXX is no command.
     """
-    return bool(_named())
+    return bool(_read_variable())
 
 
-def identity(command: list[str]) -> str:
+def identify_compiler(command: list[str]) -> str:
     """Return a compiler's command with its actual program, as g++-12 for c++."""
     file = shutil.which(command[0]) or command[0]
     while os.path.islink(file):
@@ -49,7 +49,7 @@ def identity(command: list[str]) -> str:
     return shlex.join([file, *command[1:]])
 
 
-def _named() -> list[str]:
+def _read_variable() -> list[str]:
     text = os.environ.get("CXX", "")
     try:
         return shlex.split(text)

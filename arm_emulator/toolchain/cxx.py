@@ -32,7 +32,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
     # A file, since processes that the compiler leaves behind may hold a pipe open.
     with tempfile.TemporaryFile() as words:
         try:
-            with _signals_held_back():  # a signal at this point would orphan it
+            with _hold_signals():  # a signal at this point would orphan it
                 # In a session of its own, so that it can be ended with all its children.
                 process = subprocess.Popen(
                     command,
@@ -43,9 +43,9 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
                 )
             process.wait(LONGEST_RUN)
         except subprocess.TimeoutExpired:
-            raise _failure(where, part, command, f"no end within {LONGEST_RUN:g} s") from None
+            raise _refuse_run(where, part, command, f"no end within {LONGEST_RUN:g} s") from None
         except OSError as error:
-            raise _failure(where, part, command, error.strerror or str(error)) from None
+            raise _refuse_run(where, part, command, error.strerror or str(error)) from None
         finally:
             if process is not None and process.returncode is None:
                 os.killpg(process.pid, signal.SIGKILL)
@@ -62,11 +62,11 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
         end = f"exit code {process.returncode}"
     lines = [line for line in text.replace(f"{folder}/", "").splitlines() if line.strip()]
     reasons = [line for line in lines if "error" in line.lower()] or lines
-    raise _failure(where, part, command, ": ".join([end, *reasons[:1]]))
+    raise _refuse_run(where, part, command, ": ".join([end, *reasons[:1]]))
 
 
 @contextlib.contextmanager
-def _signals_held_back() -> Iterator[None]:
+def _hold_signals() -> Iterator[None]:
     """Deliver Ctrl-C and SIGTERM at the end of this block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     try:
@@ -75,5 +75,5 @@ def _signals_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _failure(where: str, part: str, command: list[str], got: str) -> Refusal:
+def _refuse_run(where: str, part: str, command: list[str], got: str) -> Refusal:
     return Refusal(where, f"compiler {command[0]}", f"compile {part}", got)

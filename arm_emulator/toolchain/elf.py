@@ -24,7 +24,7 @@ UNDEFINED = 0
 LONGEST = 200  # bytes of a name that we may ask for
 
 
-def why_no_library(content: bytes, functions: Iterable[str]) -> str:
+def explain_no_library(content: bytes, functions: Iterable[str]) -> str:
     """Return why bytes are not a shared library for this machine with these functions, or "".
 
     A truncated file is detected, since the table of sections is at its end. The time is bounded by
@@ -40,7 +40,7 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
         )
         if kind != SHARED_OBJECT:
             return "it is not a shared library"
-        if machine != _this_machine():
+        if machine != _read_own_machine():
             return f"it is for another machine (ELF number {machine})"
         for index in range(programs):
             _, _, at, _, _, size, *_ = PROGRAM.unpack_from(
@@ -48,14 +48,14 @@ def why_no_library(content: bytes, functions: Iterable[str]) -> str:
             )
             if at + size > len(content):
                 return "it is cut short"
-        table = _sections(content)
-        missing = set(functions) - set(_exported(content, table))
+        table = _read_sections(content)
+        missing = set(functions) - set(_list_exported(content, table))
     except (struct.error, IndexError, OverflowError):
         return "it is cut short"
     return f"it lacks {', '.join(sorted(missing))}" if missing else ""
 
 
-def written_memory(content: bytes) -> list[tuple[int, int]]:
+def list_written_memory(content: bytes) -> list[tuple[int, int]]:
     """Return addresses and sizes of the memory of a sound library that its code writes to.
 
     Of threads each has its own: then it is empty.
@@ -79,44 +79,44 @@ def written_memory(content: bytes) -> list[tuple[int, int]]:
     return found
 
 
-def called_functions(content: bytes) -> set[str]:
+def list_called_functions(content: bytes) -> set[str]:
     """Return the names that a sound library takes from others, but for those it can do without."""
-    symbols = _symbols(content, _sections(content))
+    symbols = _read_symbols(content, _read_sections(content))
     return {name for name, binding, section, *_ in symbols if not section and binding != WEAK} - {
         ""
     }
 
 
-def address_in(content: bytes, name: str) -> int:
+def find_address(content: bytes, name: str) -> int:
     """Return the address of an exported symbol of a sound library."""
-    return _exported(content, _sections(content))[name][1]
+    return _list_exported(content, _read_sections(content))[name][1]
 
 
-def with_data(content: bytes, name: str, data: bytes) -> bytes:
+def replace_data(content: bytes, name: str, data: bytes) -> bytes:
     """Return a library of ours with other bytes in an exported object."""
-    table = _sections(content)
-    section, address, size = _exported(content, table)[name]
+    table = _read_sections(content)
+    section, address, size = _list_exported(content, table)[name]
     assert size == len(data), f"{name} has {size} bytes"
     _, _, _, begins, stands_at, *_ = table[section]
     place = stands_at + address - begins
     return content[:place] + data + content[place + size :]
 
 
-def _sections(content: bytes) -> list[tuple[int, ...]]:
+def _read_sections(content: bytes) -> list[tuple[int, ...]]:
     _, _, _, _, _, at, *_, count, _ = HEADER.unpack_from(content, IDENTIFICATION_SIZE)
     return [SECTION.unpack_from(content, at + index * SECTION.size) for index in range(count)]
 
 
-def _exported(content: bytes, table: list[tuple[int, ...]]) -> dict[str, tuple[int, int, int]]:
+def _list_exported(content: bytes, table: list[tuple[int, ...]]) -> dict[str, tuple[int, int, int]]:
     """Return section, address and size of the exported symbols."""
     return {
         name: (section, address, size)
-        for name, _, section, address, size in _symbols(content, table)
+        for name, _, section, address, size in _read_symbols(content, table)
         if section != UNDEFINED
     }
 
 
-def _symbols(
+def _read_symbols(
     content: bytes, table: list[tuple[int, ...]]
 ) -> Iterator[tuple[str, int, int, int, int]]:
     """Yield name, binding, section, address and size of the first dynamic symbol table.
@@ -136,7 +136,7 @@ def _symbols(
 
 
 @cache
-def _this_machine() -> int:
+def _read_own_machine() -> int:
     with open("/proc/self/exe", "rb") as python:
         machine: int = HEADER.unpack(python.read(IDENTIFICATION_SIZE + HEADER.size)[16:])[1]
     return machine

@@ -24,7 +24,7 @@ from functools import cache
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.toolchain.elf import with_data
+from arm_emulator.toolchain.elf import replace_data
 from arm_emulator.toolchain.trusted import Untrusted, check_folder, read_file
 
 CACHE_VARIABLE = "ARM_EMULATOR_CACHE"
@@ -49,7 +49,7 @@ class Damaged(Exception):
 # Folders
 
 
-def named_folders() -> Iterator[Path]:
+def list_named_folders() -> Iterator[Path]:
     """Yield possible cache folders, the preferred one first; they need not exist or be ours.
 
     A folder that is named in the environment is the only one, unless it is not trusted.
@@ -57,7 +57,7 @@ def named_folders() -> Iterator[Path]:
     named = os.environ.get(CACHE_VARIABLE)
     if named:
         yield Path(named)
-        if not why_not_trusted(Path(named)):
+        if not explain_distrust(Path(named)):
             return
     user = os.environ.get("XDG_CACHE_HOME", "")
     with contextlib.suppress(RuntimeError):  # no HOME, and no such user
@@ -69,9 +69,9 @@ def named_folders() -> Iterator[Path]:
         yield Path(tempfile.gettempdir()) / f"arm_emulator-{os.getuid()}"
 
 
-def cache_folders() -> Iterator[Path]:
+def list_cache_folders() -> Iterator[Path]:
     """Yield the folders that are ours; others are skipped with a line each."""
-    for folder in named_folders():
+    for folder in list_named_folders():
         try:
             trusted = check_folder(folder)
         except Untrusted as error:
@@ -82,7 +82,7 @@ def cache_folders() -> Iterator[Path]:
             yield trusted
 
 
-def why_not_trusted(folder: Path) -> str:
+def explain_distrust(folder: Path) -> str:
     """Return why another user may own content of a folder, or ""; also "" for a missing folder."""
     try:
         check_folder(folder)
@@ -93,7 +93,7 @@ def why_not_trusted(folder: Path) -> str:
     return ""
 
 
-def writable_caches() -> Iterator[Path]:
+def list_writable_caches() -> Iterator[Path]:
     """Yield the folders that accept new libraries, the preferred one first; create missing ones.
 
     Raises:
@@ -102,7 +102,7 @@ def writable_caches() -> Iterator[Path]:
     import tempfile
 
     reasons = []
-    for folder in named_folders():
+    for folder in list_named_folders():
         try:
             found = check_folder(folder, make=OURS)
             with tempfile.TemporaryFile(dir=found):
@@ -136,7 +136,7 @@ def report_once(line: str) -> None:
 # Libraries
 
 
-def content(file: Path) -> bytes:
+def read_library(file: Path) -> bytes:
     """Return the stored bytes of a file after checking all of them, and mark it as used.
 
     Raises:
@@ -154,13 +154,13 @@ def content(file: Path) -> bytes:
     if not sealed:
         raise Damaged("it is empty")
     body, seal = sealed[:-SEAL_SIZE], sealed[-SEAL_SIZE:]
-    if seal != _seal(file.name, body):
+    if seal != _compute_seal(file.name, body):
         raise Damaged("it is cut short, changed, or was never stored here")
     return body
 
 
 @contextlib.contextmanager
-def scratch_of(library: Path) -> Iterator[Path]:
+def make_scratch(library: Path) -> Iterator[Path]:
     """Yield a new locked folder beside a library, and remove it at the end."""
     import tempfile
 
@@ -171,7 +171,7 @@ def scratch_of(library: Path) -> Iterator[Path]:
         yield Path(scratch)
 
 
-def store(file: Path, body: bytes, scratch: Path) -> None:
+def store_file(file: Path, body: bytes, scratch: Path) -> None:
     """Store a file: written beside it, in `scratch`, then renamed.
 
     Raises:
@@ -181,7 +181,7 @@ def store(file: Path, body: bytes, scratch: Path) -> None:
     # Not wider than this for any umask: a file that its group can write is not loaded.
     opened = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644)
     with open(opened, "wb") as handle:
-        handle.write(body + _seal(file.name, body))
+        handle.write(body + _compute_seal(file.name, body))
     with contextlib.suppress(FileNotFoundError):
         if stat.S_ISDIR(os.lstat(file).st_mode):
             os.rmdir(file)  # a file cannot be renamed to a folder, even an empty one
@@ -204,20 +204,20 @@ def copy_into(library: Path, folder: Path, data: Mapping[str, bytes]) -> Path:
     file = folder / library.name
     body = library.read_bytes()[:-SEAL_SIZE]
     for name, content in data.items():
-        body = with_data(body, name, content)
+        body = replace_data(body, name, content)
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
-        store(file, body, Path(scratch))
+        store_file(file, body, Path(scratch))
     return file
 
 
-def _seal(name: str, body: bytes) -> bytes:
+def _compute_seal(name: str, body: bytes) -> bytes:
     digest = hashlib.sha256(name.encode() + b"\0")
     digest.update(body)
     return SEAL + digest.digest()
 
 
 @contextlib.contextmanager
-def locked(library: Path, wait: bool = True) -> Iterator[None]:
+def lock_library(library: Path, wait: bool = True) -> Iterator[None]:
     """Hold the lock of a library; other processes wait for it.
 
     The lock is a file beside the library that exists while a process holds it.
@@ -237,7 +237,7 @@ def locked(library: Path, wait: bool = True) -> Iterator[None]:
 
 def _lock(file: Path, wait: bool) -> int:
     while True:
-        _clear_away_what_is_no_lock(file)
+        _clear_invalid_lock(file)
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         opened = os.open(file, flags, LOCK)
         try:
@@ -255,7 +255,7 @@ def _lock(file: Path, wait: bool) -> int:
         os.close(opened)
 
 
-def _clear_away_what_is_no_lock(file: Path) -> None:
+def _clear_invalid_lock(file: Path) -> None:
     """Leave at `file` nothing, or a lock that no other user can hold indefinitely."""
     with contextlib.suppress(FileNotFoundError):
         found = os.lstat(file)
@@ -278,7 +278,7 @@ class Entry:
     used: float  # s since 1970
 
 
-def entries(folder: Path) -> list[Entry]:
+def list_entries(folder: Path) -> list[Entry]:
     """Return the libraries in a folder, the least recently used first."""
     found = []
     with contextlib.suppress(OSError), os.scandir(folder) as items:
@@ -293,7 +293,7 @@ def entries(folder: Path) -> list[Entry]:
     return sorted(found, key=lambda entry: entry.used)
 
 
-def largest_size() -> float:
+def read_largest_size() -> float:
     """Return the largest size of a cache folder [bytes].
 
     Raises:
@@ -319,26 +319,26 @@ def make_room(library: Path, allowed: float) -> None:
         allowed: largest size of its folder [bytes].
     """
     folder = library.parent
-    found = entries(folder)
+    found = list_entries(folder)
     size = sum(entry.size for entry in found)
     for entry in found:
         if size <= allowed:
             break
-        if entry.file != library and remove(entry.file):
+        if entry.file != library and remove_library(entry.file):
             size -= entry.size
-    for other in left_over(folder):
-        with contextlib.suppress(OSError), locked(other, wait=False):
+    for other in list_left_over(folder):
+        with contextlib.suppress(OSError), lock_library(other, wait=False):
             _clear_left_over(other)
 
 
-def remove(library: Path) -> bool:
+def remove_library(library: Path) -> bool:
     """Remove a library and the remains of interrupted compilations of it.
 
     A process that has loaded it keeps it. Return False if it is being compiled, or cannot be
     removed.
     """
     try:
-        with locked(library, wait=False):
+        with lock_library(library, wait=False):
             library.unlink(missing_ok=True)
             _clear_left_over(library)
     except OSError:
@@ -346,7 +346,7 @@ def remove(library: Path) -> bool:
     return True
 
 
-def left_over(folder: Path) -> set[Path]:
+def list_left_over(folder: Path) -> set[Path]:
     """Return the libraries of which compilations, running or interrupted, have left files."""
     names = (LEFT_OVER.fullmatch(name) for name in os.listdir(folder))
     return {folder / f"{name['library']}.so" for name in names if name}

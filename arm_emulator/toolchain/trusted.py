@@ -39,7 +39,7 @@ def check_folder(folder: Path, make: int | None = None) -> Path:
         OSError: it is missing, not a folder, or cannot be created.
     """
     at, links = "/", 0
-    left = _parts(os.path.join(os.getcwd(), folder))  # the next part is the last of these
+    left = _split_path(os.path.join(os.getcwd(), folder))  # the next part is the last of these
     while True:
         try:
             found = os.lstat(at)
@@ -57,7 +57,7 @@ def check_folder(folder: Path, make: int | None = None) -> Path:
             if links > MOST_LINKS:
                 raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), at)
             target = os.readlink(at)
-            left += _parts(target)
+            left += _split_path(target)
             at = "/" if target.startswith("/") else os.path.dirname(at)
             continue
         if not stat.S_ISDIR(found.st_mode):
@@ -71,7 +71,7 @@ def check_folder(folder: Path, make: int | None = None) -> Path:
         at = os.path.dirname(at) if part == ".." else os.path.join(at, part)
 
 
-def _parts(path: str) -> list[str]:
+def _split_path(path: str) -> list[str]:
     return [part for part in reversed(path.split("/")) if part not in ("", ".")]
 
 
@@ -115,7 +115,7 @@ def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:
 
 def _check_owner(at: str, found: os.stat_result) -> None:
     if found.st_uid not in (0, os.geteuid()):
-        raise Untrusted(f"{at} belongs to {_user(found.st_uid)}")
+        raise Untrusted(f"{at} belongs to {_name_user(found.st_uid)}")
 
 
 def _check_mode(at: str, found: os.stat_result) -> None:
@@ -124,7 +124,7 @@ def _check_mode(at: str, found: os.stat_result) -> None:
         raise Untrusted(f"{at} can be written by {who} (chmod go-w {at})")
 
 
-def _user(number: int) -> str:
+def _name_user(number: int) -> str:
     try:
         return f"user {pwd.getpwuid(number).pw_name}"
     except KeyError:

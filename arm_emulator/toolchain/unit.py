@@ -15,8 +15,12 @@ from pathlib import Path
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.toolchain import library_cache
 from arm_emulator.toolchain.c_header import Header, Library
-from arm_emulator.toolchain.compiler_command import find_compiler, identity, is_named
-from arm_emulator.toolchain.elf import why_no_library
+from arm_emulator.toolchain.compiler_command import (
+    find_compiler,
+    identify_compiler,
+    is_compiler_named,
+)
+from arm_emulator.toolchain.elf import explain_no_library
 from arm_emulator.toolchain.trusted import Untrusted, check_folder, read_file
 
 # Targets that code can be compiled for, best first; "native" is this machine's.
@@ -65,24 +69,24 @@ class Unit:
         return (*(name for header in self.headers for name in header.functions), *self.more)
 
 
-def library(unit: Unit) -> Library:
+def load_library(unit: Unit) -> Library:
     """Return a unit as a library, compiling it if no cached one fits.
 
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    for folder in library_cache.cache_folders():
+    for folder in library_cache.list_cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
-            if target == "native" or _runs_here(target):
-                for file in _candidates(unit, target, folder):
+            if target == "native" or _is_supported_here(target):
+                for file in _list_candidates(unit, target, folder):
                     try:
                         return _load(file, unit)
                     except FileNotFoundError:
                         continue
                     except library_cache.Damaged as error:
                         _report_damaged(file, error)
-    for folder in library_cache.writable_caches():
-        with _compiled(unit, "native", folder) as file:
+    for folder in library_cache.list_writable_caches():
+        with _ensure_compiled(unit, "native", folder) as file:
             try:
                 return _load(file, unit)
             except (library_cache.Damaged, FileNotFoundError) as error:
@@ -90,17 +94,18 @@ def library(unit: Unit) -> Library:
     raise AssertionError("writable_caches ends with a refusal")
 
 
-def compiled_once(unit: Callable[[], Unit]) -> Callable[[], Library]:
-    """Return a function that calls `library` with a unit once, and then returns the same again.
+def compile_once(unit: Callable[[], Unit]) -> Callable[[], Library]:
+    """Return a function that calls `load_library` with a unit once, and then returns the same
+    again.
 
     Args:
         unit: makes the unit, at the first call.
     """
-    return cache(lambda: library(unit()))
+    return cache(lambda: load_library(unit()))
 
 
 def _load(file: Path, unit: Unit) -> Library:
-    library_cache.content(file)
+    library_cache.read_library(file)
     try:
         return Library(file, unit.headers)
     except OSError as error:  # for example a file system that is mounted with noexec
@@ -124,11 +129,11 @@ def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> li
     targets = ("native", *PORTABLE_TARGETS)
     if target not in targets:
         raise Refusal("compile", "target", "be known", target, ", ".join(targets))
-    cache = next(library_cache.writable_caches())
-    return [_ahead(unit, target, cache, folder) for unit in units]
+    cache = next(library_cache.list_writable_caches())
+    return [_compile_ahead(unit, target, cache, folder) for unit in units]
 
 
-def compiled_bytes(unit: Unit, target: str) -> bytes:
+def compile_bytes(unit: Unit, target: str) -> bytes:
     """Return a unit's library as it is loaded outside of our cache.
 
     Args:
@@ -142,7 +147,7 @@ def compiled_bytes(unit: Unit, target: str) -> bytes:
     return file.read_bytes()[: -library_cache.SEAL_SIZE]
 
 
-def fingerprint(unit: Unit) -> str:
+def compute_fingerprint(unit: Unit) -> str:
     """Return a digest of what decides how a saved unit goes on, as a number of C.
 
     It is of sources and flags, but not of compiler, level of optimisation and target: all of these
@@ -150,19 +155,19 @@ def fingerprint(unit: Unit) -> str:
     """
     saved = unit.saves_as or unit
     flags = [flag for flag in saved.flags if not flag.startswith("-O")]
-    return f"0x{_digest_of_parts(saved, flags)[:16]}u"
+    return f"0x{_digest_parts(saved, flags)[:16]}u"
 
 
-def sources_digest(unit: Unit) -> str:
+def compute_sources_digest(unit: Unit) -> str:
     """Return a digest of a unit's sources, without flags and compiler."""
     digest = hashlib.sha256(unit.source.encode())
     for folder in unit.folders:
-        digest.update(_digest_of(folder))
+        digest.update(_digest_folder(folder))
     return digest.hexdigest()[:12]
 
 
-def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
-    with _compiled(unit, target, cache) as library:
+def _compile_ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
+    with _ensure_compiled(unit, target, cache) as library:
         if folder is None:
             return library
         try:
@@ -183,7 +188,7 @@ def _ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
 
 
 @contextlib.contextmanager
-def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+def _ensure_compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
     """Yield the path of a unit's library in a folder of ours, compiled if missing.
 
     Several processes may do this at once: one compiles, the others wait for it. While the lock is
@@ -192,12 +197,12 @@ def _compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
     Raises:
         Refusal: the compiler is missing or fails, or the folder cannot store its output.
     """
-    library = folder / _library_name(unit, target)
+    library = folder / _name_library(unit, target)
     with contextlib.ExitStack() as held:
         try:
-            held.enter_context(library_cache.locked(library))
+            held.enter_context(library_cache.lock_library(library))
             try:
-                library_cache.content(library)
+                library_cache.read_library(library)
             except (library_cache.Damaged, FileNotFoundError):
                 _compile(unit, target, library)
         except OSError as error:
@@ -211,9 +216,9 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
     from arm_emulator.toolchain.cxx import run_compiler
 
     compiler = find_compiler()
-    largest = library_cache.largest_size()
+    largest = library_cache.read_largest_size()
     print(
-        f"compiling {unit.about} with {identity(compiler)} ... ",
+        f"compiling {unit.about} with {identify_compiler(compiler)} ... ",
         end="",
         file=sys.stderr,
         flush=True,
@@ -221,31 +226,31 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
     started = time.perf_counter()
     end = "failed"
     try:
-        with library_cache.scratch_of(library) as scratch:
+        with library_cache.make_scratch(library) as scratch:
             source, built = scratch / "unit.cpp", scratch / "unit.so"
             source.write_text(unit.source, encoding="utf-8")
             command = [*compiler, *unit.flags, f"-march={target}"]
             command += [f"-I{folder}" for folder in unit.folders]
-            command.append(f"-DARM_FINGERPRINT={fingerprint(unit)}")
+            command.append(f"-DARM_FINGERPRINT={compute_fingerprint(unit)}")
             if unit.beside:
                 beside = scratch / "beside.cpp"
                 beside.write_text(unit.beside, encoding="utf-8")
                 command.append(str(beside))
             run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where, unit.part)
-            library_cache.store(library, _built(built, compiler[0], unit), scratch)
+            library_cache.store_file(library, _read_built(built, compiler[0], unit), scratch)
             library_cache.make_room(library, largest)
         end = f"{time.perf_counter() - started:.1f} s"
     finally:
         print(end, file=sys.stderr)
 
 
-def _built(file: Path, compiler: str, unit: Unit) -> bytes:
+def _read_built(file: Path, compiler: str, unit: Unit) -> bytes:
     """Return the library that the compiler reports to have made."""
     body = b""
     try:
         # The folder is closed to others, for any umask.
         body = read_file(file, library_cache.LARGEST_LIBRARY, anybodys=True)
-        reason = why_no_library(body, (*unit.functions, *unit.data))
+        reason = explain_no_library(body, (*unit.functions, *unit.data))
     except FileNotFoundError:
         reason = "no file"
     except (OSError, Untrusted) as error:
@@ -256,7 +261,7 @@ def _built(file: Path, compiler: str, unit: Unit) -> bytes:
     return body
 
 
-def _candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+def _list_candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
     """Yield possible paths of a unit's library in a folder, the preferred one first.
 
     First that of the compiler in use; then, unless $CXX names it, those of other compilers, made
@@ -264,11 +269,11 @@ def _candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
     """
     own = None
     with contextlib.suppress(Refusal):  # no compiler, or no command in $CXX
-        own = folder / _library_name(unit, target)
+        own = folder / _name_library(unit, target)
         yield own
-        if is_named():
+        if is_compiler_named():
             return
-    others = sorted(folder.glob(f"{_stem(unit, target)}{'[0-9a-f]' * OF_COMPILER}.so"))
+    others = sorted(folder.glob(f"{_name_stem(unit, target)}{'[0-9a-f]' * OF_COMPILER}.so"))
     yield from (file for file in others if file != own)
 
 
@@ -276,12 +281,12 @@ def _report_damaged(file: Path, error: Exception) -> None:
     library_cache.report_once(f"arm_emulator: cached library {file} is not used: {error}")
 
 
-def _library_name(unit: Unit, target: str) -> str:
-    compiler = hashlib.sha256(identity(find_compiler()).encode()).hexdigest()
-    return f"{_stem(unit, target)}{compiler[:OF_COMPILER]}.so"
+def _name_library(unit: Unit, target: str) -> str:
+    compiler = hashlib.sha256(identify_compiler(find_compiler()).encode()).hexdigest()
+    return f"{_name_stem(unit, target)}{compiler[:OF_COMPILER]}.so"
 
 
-def stem_of(name: str) -> str:
+def name_stem(name: str) -> str:
     """Return the begin of the file names of a unit's libraries, up to its digest.
 
     It is a name for every file system, even with a suffix for files beside the library.
@@ -289,19 +294,19 @@ def stem_of(name: str) -> str:
     return "".join(c if (c.isascii() and c.isalnum()) or c == "-" else "_" for c in name)[:60]
 
 
-def _stem(unit: Unit, target: str) -> str:
-    return f"{stem_of(unit.name)}-{_digest(unit, target)[: 20 - OF_COMPILER]}"
+def _name_stem(unit: Unit, target: str) -> str:
+    return f"{name_stem(unit.name)}-{_compute_digest(unit, target)[: 20 - OF_COMPILER]}"
 
 
-def _digest(unit: Unit, target: str) -> str:
-    processor = _processor() if target == "native" else ""
-    return _digest_of_parts(unit, (" ".join(unit.flags), target, processor))
+def _compute_digest(unit: Unit, target: str) -> str:
+    processor = _describe_processor() if target == "native" else ""
+    return _digest_parts(unit, (" ".join(unit.flags), target, processor))
 
 
-def _digest_of_parts(unit: Unit, more: Iterable[str]) -> str:
+def _digest_parts(unit: Unit, more: Iterable[str]) -> str:
     digest = hashlib.sha256(library_cache.SEAL)
     for folder in unit.folders:
-        digest.update(_digest_of(folder))
+        digest.update(_digest_folder(folder))
     sources = (unit.source, unit.beside) if unit.beside else (unit.source,)
     for part in (*sources, *more):
         digest.update(part.encode())
@@ -313,7 +318,7 @@ _SOURCES = (".c", ".h", ".cpp", ".hpp")
 
 
 @cache
-def _digest_of(folder: Path) -> bytes:
+def _digest_folder(folder: Path) -> bytes:
     digest = hashlib.sha256()
     for file in sorted(file for file in folder.rglob("*") if file.suffix in _SOURCES):
         digest.update(file.relative_to(folder).as_posix().encode())
@@ -322,7 +327,7 @@ def _digest_of(folder: Path) -> bytes:
 
 
 @cache
-def _processor() -> str:
+def _describe_processor() -> str:
     """Return the properties that decide whether code for one machine runs on another."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
@@ -331,7 +336,7 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()}"
 
 
-def _runs_here(target: str) -> bool:
+def _is_supported_here(target: str) -> bool:
     """Whether this processor has what the x86-64 level `target` names."""
     needed = {
         "x86-64": {"sse2"},
@@ -339,4 +344,6 @@ def _runs_here(target: str) -> bool:
         "x86-64-v3": {"avx2", "fma", "bmi2"},
         "x86-64-v4": {"avx512f", "avx512dq", "avx512vl", "avx512bw"},
     }[target]
-    return platform.machine() in ("x86_64", "AMD64") and needed <= set(_processor().split())
+    return platform.machine() in ("x86_64", "AMD64") and needed <= set(
+        _describe_processor().split()
+    )

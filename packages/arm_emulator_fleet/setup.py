@@ -27,7 +27,7 @@ setup(
     zip_safe=False,
     entry_points={
         "arm_emulator.scene_units": [
-            "fleet = arm_emulator_fleet.unit:fleet_unit",
+            "fleet = arm_emulator_fleet.unit:build_fleet_unit",
         ],
     },
 )

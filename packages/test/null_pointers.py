@@ -15,10 +15,10 @@ import numpy as np
 
 from arm_emulator import Breakpoint, Plant, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.machine.plant.call_arguments import options_of
+from arm_emulator.machine.plant.call_arguments import make_options
 from arm_emulator.machine.plant.compiler import (
-    equations_library_of,
-    real_time_library,
+    load_equations,
+    load_real_time,
 )
 from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS
 from arm_emulator.machine.plant.formula_rows import (
@@ -35,7 +35,7 @@ from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls
 from arm_emulator.toolchain.c_header import NULL
 from arm_emulator_fieldbus.drives_unit import DRIVES
 from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
-from arm_emulator_fleet.unit import FLEET, fleet_library_of
+from arm_emulator_fleet.unit import FLEET, load_fleet
 
 ROOM = 1 << 16  # bytes behind any pointer
 KEPT: list[object] = []
@@ -55,10 +55,10 @@ def main() -> None:
     plant, config = Plant(scene), load_gains(find_scene("three_axis")).servo
     segment = Segment(scene, config, lockstep=True)
     servo = ServoDrives(config).servo
-    fleet_library = fleet_library_of(scene)
+    fleet_library = load_fleet(scene)
     KEPT.extend((plant, segment, servo))
 
-    fleet = fleet_library.arm_fleet_new(options_of(scene, np.zeros(0)), 3)
+    fleet = fleet_library.arm_fleet_new(make_options(scene, np.zeros(0)), 3)
     machine = fleet_library.arm_fleet_machine(fleet, 0)
     assert fleet and machine, "a fleet and one of its machines"
     stops = Breakpoint(plant, "tick > 3")
@@ -86,8 +86,8 @@ def main() -> None:
     libraries = [
         (ARM, fleet_library),
         (FLEET, fleet_library),
-        (EQUATIONS, equations_library_of(scene)),
-        (REAL_TIME, real_time_library()),
+        (EQUATIONS, load_equations(scene)),
+        (REAL_TIME, load_real_time()),
         (TICK, tick_calls()),
         (FIRMWARE_CONTROLLER, tick_calls()),
         (RING, record_ring()),

@@ -15,7 +15,7 @@ import pytest
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.compiler import load_machine
 from arm_emulator.machine.plant.core_calls import ARM, FIRMWARE
 from arm_emulator.runs.servo_step import HERE, STEP
 from arm_emulator.servo.c import FOLDER as SERVO_FOLDER
@@ -153,7 +153,7 @@ def test_an_array_of_other_numbers_is_no_place_for_a_struct(tmp_path: Path) -> N
 def test_functions_outlive_the_library_that_gave_them_and_machines_leave_nothing() -> None:
     """The system keeps it loaded; a process may make machines indefinitely."""
     scene = load_scene("three_axis")
-    saved_size = library_of(scene).arm_saved_size
+    saved_size = load_machine(scene).arm_saved_size
     before = saved_size()
     gc.collect()
     tracemalloc.start()

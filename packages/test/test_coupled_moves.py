@@ -21,8 +21,8 @@ from fmu_client import OK, Fmu, Instance
 from test_rerun_stream import read
 
 from arm_emulator import OfflineRun, Plant, Pose, Refusal, Scene, load_gains, load_scene
-from arm_emulator.base.urdf.shafts import Shafts, shaft_limits
-from arm_emulator.base.urdf.urdf_text import limits_of
+from arm_emulator.base.urdf.shafts import Shafts, read_shaft_limits
+from arm_emulator.base.urdf.urdf_text import read_limits
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE
 from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
@@ -67,7 +67,7 @@ class Machine:
         self.scene, self.gains = load_scene(made.file), load_gains(made.file)
         self.truth = Lagrange(serial("arm", parts), matrix(parts, shares), np.zeros(len(parts)))
         robot = ET.fromstring(self.scene.urdf)
-        self.limits = limits_of(robot)
+        self.limits = read_limits(robot)
         self.torque = np.array([drive.peak_torque for drive in made.drives])
         self.speed = {
             joint.get("name"): float(limit.get("velocity", "0")) or np.inf
@@ -161,7 +161,7 @@ def test_position_limits_of_drives_keep_the_joints_within_theirs(machine: Machin
     N = len(scene.joints)
     ends = np.array([[drives.read(j, 0x607D, sub) for j in range(N)] for sub in (1, 2)])
     shafts = ends * per_count
-    named = shaft_limits(scene.urdf, scene.joint_names)
+    named = read_shaft_limits(scene.urdf, scene.joint_names)
     for j, name in enumerate(scene.joint_names):
         if name in named:
             np.testing.assert_allclose(shafts[:, j], named[name], atol=2.0 * abs(per_count[j]))
@@ -316,6 +316,6 @@ def test_limits_that_couplings_cannot_keep_are_refused(multiplier: float, offset
     """The leader goes from 0 to 0.6 m, the follower from 0 to 0.4 m."""
     text = mimicking(serial("arm", ARMS["telescope"][0]), "j4", "j3", multiplier, offset)
     shafts = Shafts(text, ("j1", "j2", "j3"), "tool0")
-    ends = [limits_of(ET.fromstring(text)).get(name, (-9.0, 9.0)) for name in shafts.joints]
+    ends = [read_limits(ET.fromstring(text)).get(name, (-9.0, 9.0)) for name in shafts.joints]
     with pytest.raises(Refusal, match=r"joint j[34] must have limits that its couplings can keep"):
         shafts.positions(*np.array(ends).T)

@@ -79,7 +79,7 @@ def visible(name: str) -> str:
 
 def test_html_shows_a_name_as_it_is() -> None:
     for name in NAMES:
-        found = Tags(f'<p title="{escape.html_text(name)}">{escape.html_text(name)}</p>')
+        found = Tags(f'<p title="{escape.escape_html(name)}">{escape.escape_html(name)}</p>')
         assert found.marks == {"p": 1, "p title": 1} and found.text == visible(name), name
 
 
@@ -87,7 +87,7 @@ def test_markdown_shows_a_name_as_it_is() -> None:
     """The parser of CommonMark and tables that `rich` brings along is the judge."""
     parser = MarkdownIt("commonmark").enable(["table", "strikethrough"])
     for name in NAMES:
-        text = escape.markdown_text(name)
+        text = escape.escape_markdown(name)
         shown = visible(" ".join(name.split()))
         inline = [one for one in parser.parse(f"Of {text} now") if one.type == "inline"]
         assert [one.content for one in inline[0].children or ()] == [f"Of {shown} now"], name
@@ -102,8 +102,8 @@ def test_markdown_shows_a_name_as_it_is() -> None:
 
 def test_mdx_takes_no_line_for_a_statement() -> None:
     for name in ("export const x = 1", "import x from 'y'", "export", "important"):
-        assert not escape.markdown_text(name).startswith(("import", "export"))
-        (paragraph,) = [x for x in MarkdownIt().parse(escape.markdown_text(name)) if x.children]
+        assert not escape.escape_markdown(name).startswith(("import", "export"))
+        (paragraph,) = [x for x in MarkdownIt().parse(escape.escape_markdown(name)) if x.children]
         assert "".join(one.content for one in paragraph.children or ()) == name
 
 
@@ -118,7 +118,9 @@ def compiled(source: str, folder: Path, *words: str) -> bytes:
 
 def test_c_prints_a_name_as_it_is(tmp_path: Path) -> None:
     names = [name.replace("\0", "") for name in NAMES]  # a string of C ends there
-    lines = "".join(f"  /* {escape.c_comment(n)} */ {escape.c_string(n)},\n" for n in names)
+    lines = "".join(
+        f"  /* {escape.escape_c_comment(n)} */ {escape.escape_c_string(n)},\n" for n in names
+    )
     source = f"#include <stdio.h>\nstatic const char* const names[] = {{\n{lines}}};\n"
     source += (
         f"int main(void) {{ for (int k = 0; k < {len(names)}; ++k) puts(names[k]); return 0; }}\n"

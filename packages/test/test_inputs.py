@@ -20,9 +20,9 @@ from arm_emulator import Plant, Refusal, Scene, Session, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
 from arm_emulator.machine.parts.known import DECORATORS, MOTORS
 from arm_emulator.machine.plant.core_calls import ARM
-from arm_emulator.machine.plant.inputs import further_inputs, input_units, modes_of
+from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_units, list_modes
 from arm_emulator.machine.plant.outputs import KNOWN
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.toolchain.c_header import text
 from arm_emulator_fieldbus.converter import COMMANDED, Converter, blocks
 from arm_emulator_fleet import Fleet
@@ -83,10 +83,10 @@ def test_the_core_describes_them(scene: Scene) -> None:
     plant = Plant(scene)
     described = ARM.new("arm_description")
     plant.core.arm_describe(described)
-    assert described.inputs == 1 and further_inputs(scene) == ("command_d",)
-    assert input_units(scene, "command_d") == ("V", "V", "V")
+    assert described.inputs == 1 and list_further_inputs(scene) == ("command_d",)
+    assert list_input_units(scene, "command_d") == ("V", "V", "V")
     got = []
-    for j, mode in enumerate(modes_of(scene)):
+    for j, mode in enumerate(list_modes(scene)):
         one, joint = ARM.new("arm_reading"), ARM.new("arm_joint_description")
         assert plant.core.arm_describe_input(0, j, one) == 0
         plant.core.arm_describe_joint(j, joint)
@@ -133,7 +133,7 @@ def by_session(scene: Scene, seed: int) -> Plant:
 
 def by_real_time(scene: Scene, seed: int) -> Plant:
     """In the loop of the core; each command is given while it stands."""
-    session = real_time_session(scene, "paused")
+    session = open_real_time_session(scene, "paused")
     plant, names = session.plant, scene.joint_names
     for tick, (command, along) in enumerate(zip(*drawn(seed), strict=True)):
         session.offer(tick, names, command.tolist(), {"command_d": along.tolist()})
@@ -160,7 +160,7 @@ def test_a_machine_moves_alike_at_each_door(
 
 def test_the_real_time_loop_holds_them(scene: Scene) -> None:
     """It reports what the motors got in each of its periods."""
-    session = real_time_session(scene, "first_answer")
+    session = open_real_time_session(scene, "first_answer")
     session.offer(0, scene.joint_names, [3.0, 1.0, 0.1], {"command_d": [2.0, 0.0, 0.0]})
     seen = []
     while len(seen) < 5:
@@ -247,7 +247,7 @@ def test_a_plant_refuses_alike(scene: Scene) -> None:
         with pytest.raises(Refusal, match=words):
             Fleet(scene, 2).exchange(np.zeros(3), **given)
     entries = ARM.rows("arm_joint_command", 3)
-    entries["mode"], entries["enable"] = modes_of(scene), 1
+    entries["mode"], entries["enable"] = list_modes(scene), 1
     rows = np.array([[0.0, 5.0, 0.0]])
     command = ARM.new("arm_command", tick=-1, joint=entries, further=rows)
     assert plant.core.arm_exchange(plant.machine, command, plant.measurement) == 1

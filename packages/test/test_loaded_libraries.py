@@ -11,13 +11,13 @@ import sys
 from pathlib import Path
 
 from arm_emulator.machine.plant.compiler import (
-    equations_unit,
-    machine_unit,
-    real_time_unit,
+    build_equations_unit,
+    build_machine_unit,
+    build_real_time_unit,
 )
-from arm_emulator.machine.plant.formula_rows import formula_unit
+from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.machine.session.record_ring import record_ring_unit
+from arm_emulator.machine.session.record_ring import build_record_ring_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from arm_emulator.tick.c import tick_unit
@@ -26,7 +26,7 @@ from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
-from arm_emulator_fleet.unit import fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
 from servo_node.c import answered_states_unit
 
@@ -76,15 +76,15 @@ def printed(*words: str) -> str:
 def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
     units = (
-        machine_unit(scene),
-        equations_unit(scene),
-        fleet_unit(scene),
+        build_machine_unit(scene),
+        build_equations_unit(scene),
+        build_fleet_unit(scene),
         drives_unit("drives"),
         servo_unit(),
     )
-    units += servo_step_unit(), tick_unit(), real_time_unit(), record_ring_unit()
+    units += servo_step_unit(), tick_unit(), build_real_time_unit(), build_record_ring_unit()
     units += (
-        formula_unit(),
+        build_formula_unit(),
         judges_unit(),
         sampler_unit(),
         answered_ticks_unit(),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import null_pointers
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.plant.compiler import library_of
+from arm_emulator.machine.plant.compiler import load_machine
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.scene.scene import load_scene
 
@@ -28,7 +28,7 @@ def test_every_function_takes_null_pointers() -> None:
     called = {line.split()[0] for line in lines}
     named = set(re.findall(r"\b(arm_\w+)\(", (BOUNDARY / "arm.h").read_text()))
     assert set(ARM.functions) == named <= called, "every function of arm.h"
-    core = library_of(load_scene("three_axis"))
+    core = load_machine(load_scene("three_axis"))
     results = {name: ARM.ffi.typeof(getattr(core, name)).result.cname for name in ARM.functions}
     for line in lines:
         name, *nulls, result = line.replace(",", "").split()

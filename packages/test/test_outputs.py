@@ -28,12 +28,12 @@ from arm_emulator.machine.plant.outputs import (
     ALWAYS,
     KNOWN,
     SYMBOLS,
-    outputs_of,
-    readings_of,
-    reported_by_parts,
+    list_outputs,
+    list_readings,
+    list_reported_by_parts,
 )
-from arm_emulator.machine.plant.scene_unit import scene_unit
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.plant.write_scene_unit import write_scene_unit
+from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import NULL, text
@@ -99,7 +99,7 @@ def plant(scene: Scene) -> Plant:
 
 
 def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> None:
-    assert {one.name for one in outputs_of(scene)} == set(HERE)
+    assert {one.name for one in list_outputs(scene)} == set(HERE)
     assert {one.symbol for one in OTHERS} <= {value.symbol for value in HERE.values()}
 
 
@@ -160,10 +160,10 @@ def test_an_output_without_a_place_in_c_is_refused(
     lost = Output("lost", "what nobody has", "sensors.lost", "N m")
     monkeypatch.setattr(TorqueSensor, "outputs", (lost,))
     with pytest.raises(Refusal, match=r"output lost must be declared .* got 'sensors.lost'"):
-        scene_unit(scene)
+        write_scene_unit(scene)
     monkeypatch.setitem(outputs.KNOWN, "lost", lost)
     with pytest.raises(Refusal, match=r"output lost must be declared .* place in arm\.h"):
-        scene_unit(scene)
+        write_scene_unit(scene)
 
 
 def test_draws_of_sensors_are_their_own() -> None:
@@ -190,7 +190,7 @@ def test_measured_has_all_of_it(scene: Scene, plant: Plant) -> None:
 
 
 def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
-    rows = readings_of(scene)
+    rows = list_readings(scene)
     for row in range(len(rows) + 1):
         for joint in range(3):
             one = ARM.new("arm_reading")
@@ -212,7 +212,7 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
     fields, measured = MeasuredFields(scene, types), plant.measured
     own = [one.name for one in fields.own]
     assert {*fields.in_all, *own, *fields.listed} >= {
-        part.name for part in reported_by_parts(scene)
+        part.name for part in list_reported_by_parts(scene)
     }
     assert not fields.absent
     empty = MotorState()
@@ -259,7 +259,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
 
 
 def test_real_time_hands_over_the_same(scene: Scene) -> None:
-    session = real_time_session(scene, "paused")
+    session = open_real_time_session(scene, "paused")
     assert session.step() == ""
     fresh = Plant(scene)
     fresh.exchange(np.zeros(2))

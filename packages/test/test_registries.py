@@ -12,7 +12,7 @@ from arm_emulator import Refusal, load_scene
 from arm_emulator.base.registry import Registry
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.registry import kinds_of, register_part
+from arm_emulator.machine.parts.registry import list_kinds, register_part
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator.machine.schemes.paper import Paper
 from arm_emulator_campaign.fault import known_faults
@@ -61,11 +61,11 @@ def test_classes_that_inherit_replace_nothing(tmp_path: Path) -> None:
 
 
 def test_a_second_owner_of_a_name_is_refused() -> None:
-    for kind in kinds_of(Part):
+    for kind in list_kinds(Part):
         with pytest.raises(Refusal, match=r"have one owner") as refused:
             register_part(type("Second", (kind,), {}))
         assert str(refused.value.got).endswith(kind.__name__)
-    assert kinds_of(Part) and load_scene("three_axis").joints
+    assert list_kinds(Part) and load_scene("three_axis").joints
 
 
 def test_a_class_that_comes_too_late_is_refused() -> None:

@@ -26,7 +26,7 @@ from machines import moving_joints, random_chain_urdf, write_scene
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.scene.integrator import DEEPEST_EXCHANGE
 from arm_emulator.machine.schemes.known import SCHEMES
-from arm_emulator.machine.session.real_time import real_time_session
+from arm_emulator.machine.session.real_time import open_real_time_session
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 HERE = Path(__file__).resolve().parent
@@ -235,7 +235,7 @@ def drive(rng: np.random.Generator, scene: Scene) -> dict[str, int]:
 
 def drive_in_real_time(rng: np.random.Generator, scene: Scene) -> None:
     """Let the real-time loop run for a moment, under commands, power cuts, pauses and resets."""
-    session = real_time_session(scene, "free_run")
+    session = open_real_time_session(scene, "free_run")
     names = scene.joint_names
     try:
         end = time.monotonic() + 0.1

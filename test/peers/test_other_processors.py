@@ -16,9 +16,9 @@ from portable_bits import drawings
 
 from arm_emulator import Plant
 from arm_emulator.toolchain.flags import SHARED
-from arm_emulator.toolchain.unit import fingerprint
+from arm_emulator.toolchain.unit import compute_fingerprint
 from arm_emulator_fleet import Fleet
-from arm_emulator_fleet.unit import fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 
 ROWS, STEPS, ARMS = 50, 40, 3
 CLIENT = Path(__file__).parents[1] / "portable_run.cpp"
@@ -33,7 +33,7 @@ def test_an_aarch64_computes_the_bits_of_this_processor(
     name: str, level: str, tmp_path: Path
 ) -> None:
     scene = drawings(tmp_path)[name]({})
-    unit, N = fleet_unit(scene), len(scene.joints)
+    unit, N = build_fleet_unit(scene), len(scene.joints)
     rng = np.random.default_rng(11)
     commands = rng.uniform(-3.0, 3.0, (ROWS, ARMS, N))
     values = np.array([one.value for one in scene.varied] * ARMS)
@@ -42,7 +42,7 @@ def test_an_aarch64_computes_the_bits_of_this_processor(
     includes = [f"-I{folder}" for folder in unit.folders]
     includes += [f"-I{folder / 'boundary'}" for folder in unit.folders]
     client = tmp_path / "client"
-    flags.append(f"-DARM_FINGERPRINT={fingerprint(unit)}")
+    flags.append(f"-DARM_FINGERPRINT={compute_fingerprint(unit)}")
     command = [COMPILER, *flags, "-static", *includes, str(CLIENT), str(tmp_path / "unit.cpp")]
     built = subprocess.run([*command, "-o", client], capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr

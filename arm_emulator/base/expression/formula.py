@@ -121,7 +121,7 @@ def parse_formula(text: str, where: str, quantity: str) -> Formula:
         Refusal: it states something else; with the place in the text.
     """
     parser = _Parser(text, where, quantity)
-    found = parser.implies(0)
+    found = parser.parse_implication(0)
     parser.finish()
     return parser.formula(found)
 
@@ -133,7 +133,7 @@ def parse_expression(text: str, where: str, quantity: str) -> Expression:
         Refusal: it states something else; with the place in the text.
     """
     parser = _Parser(text, where, quantity)
-    found = parser.implies(0)
+    found = parser.parse_implication(0)
     parser.finish()
     return parser.expression(found)
 
@@ -172,19 +172,19 @@ class _Parser:
             return word
         return ""
 
-    def _unexpected(self, valid: str) -> Refusal:
+    def _refuse_token(self, valid: str) -> Refusal:
         if self._at >= len(self._tokens):
             return self._refusal("be a whole formula", "its end", valid)
         _, word, place = self._tokens[self._at]
         return self._refusal("be a formula", f"{word!r} at character {place}", valid)
 
-    def _want(self, word: str) -> None:
+    def _expect(self, word: str) -> None:
         if not self._take(word):
-            raise self._unexpected(repr(word))
+            raise self._refuse_token(repr(word))
 
     def finish(self) -> None:
         if self._at < len(self._tokens):
-            raise self._unexpected("an operator such as and, until, <=")
+            raise self._refuse_token("an operator such as and, until, <=")
 
     def formula(self, found: _Any) -> Formula:
         if isinstance(found, Constant | Signal | Operation):
@@ -196,19 +196,19 @@ class _Parser:
             raise self._refusal("be a number where it is computed with", "a comparison")
         return found
 
-    def implies(self, depth: int) -> _Any:
+    def parse_implication(self, depth: int) -> _Any:
         if depth > DEEPEST:
             raise self._refusal(f"nest at most {DEEPEST} levels", "more")
-        left = self._either(depth + 1)
+        left = self._parse_or(depth + 1)
         if not self._take("implies", "->"):
             return left
-        right = self.formula(self.implies(depth + 1))
+        right = self.formula(self.parse_implication(depth + 1))
         return Combined("or", (Combined("not", (self.formula(left),)), right))
 
-    def _either(self, depth: int) -> _Any:
-        return self._chain("or", self._both, depth)
+    def _parse_or(self, depth: int) -> _Any:
+        return self._chain("or", self._parse_and, depth)
 
-    def _both(self, depth: int) -> _Any:
+    def _parse_and(self, depth: int) -> _Any:
         return self._chain("and", self._until, depth)
 
     def _chain(self, sign: str, tighter: Callable[[int], _Any], depth: int) -> _Any:
@@ -219,31 +219,31 @@ class _Parser:
         return parts[0] if len(parts) == 1 else Combined(sign, tuple(map(self.formula, parts)))
 
     def _until(self, depth: int) -> _Any:
-        left = self._prefixed(depth)
+        left = self._parse_prefixed(depth)
         if not self._take("until"):
             return left
-        begin, end = self._interval()
-        right = self.formula(self._prefixed(depth))
+        begin, end = self._parse_interval()
+        right = self.formula(self._parse_prefixed(depth))
         return Window("until", (self.formula(left), right), begin, end)
 
-    def _prefixed(self, depth: int) -> _Any:
+    def _parse_prefixed(self, depth: int) -> _Any:
         if depth > DEEPEST:
             raise self._refusal(f"nest at most {DEEPEST} levels", "more")
         if self._take("not"):
-            return Combined("not", (self.formula(self._prefixed(depth + 1)),))
+            return Combined("not", (self.formula(self._parse_prefixed(depth + 1)),))
         if sign := self._take("always", "eventually"):
-            begin, end = self._interval()
-            return Window(sign, (self.formula(self._prefixed(depth + 1)),), begin, end)
-        return self._comparison(depth)
+            begin, end = self._parse_interval()
+            return Window(sign, (self.formula(self._parse_prefixed(depth + 1)),), begin, end)
+        return self._parse_comparison(depth)
 
-    def _interval(self) -> tuple[float, float]:
+    def _parse_interval(self) -> tuple[float, float]:
         if not self._take("["):
             return 0.0, math.inf
         begin = self._number("0")
         if not self._take(",", ":"):
-            raise self._unexpected("',' and the end of the interval")
+            raise self._refuse_token("',' and the end of the interval")
         end = self._number("end")
-        self._want("]")
+        self._expect("]")
         if not begin <= end:
             raise self._refusal("have intervals [a, b] with a <= b [s]", f"[{begin:g}, {end:g}]")
         return begin, end
@@ -253,15 +253,15 @@ class _Parser:
             return math.inf
         kind, word, _ = self._tokens[self._at] if self._next else ("", "", 0)
         if kind != "number":
-            raise self._unexpected(f"a number of seconds, or {example}")
+            raise self._refuse_token(f"a number of seconds, or {example}")
         self._at += 1
         return float(word)
 
-    def _comparison(self, depth: int) -> _Any:
-        left = self._sum(depth)
+    def _parse_comparison(self, depth: int) -> _Any:
+        left = self._parse_sum(depth)
         margins: list[Formula] = []
         while sign := self._take(*COMPARISONS):
-            right = self.expression(self._sum(depth))
+            right = self.expression(self._parse_sum(depth))
             less, more = (left, right) if sign[0] == "<" else (right, left)
             strict = sign in ("<", ">")
             margins.append(Margin(self.expression(more), self.expression(less), strict))
@@ -270,39 +270,39 @@ class _Parser:
             return left
         return margins[0] if len(margins) == 1 else Combined("and", tuple(margins))
 
-    def _sum(self, depth: int) -> _Any:
-        left = self._product(depth)
+    def _parse_sum(self, depth: int) -> _Any:
+        left = self._parse_product(depth)
         while sign := self._take("+", "-"):
-            left = self._operation(sign, left, self._product(depth))
+            left = self._build_operation(sign, left, self._parse_product(depth))
         return left
 
-    def _product(self, depth: int) -> _Any:
-        left = self._signed(depth)
+    def _parse_product(self, depth: int) -> _Any:
+        left = self._parse_signed(depth)
         while sign := self._take("*", "/"):
-            left = self._operation(sign, left, self._signed(depth))
+            left = self._build_operation(sign, left, self._parse_signed(depth))
         return left
 
-    def _operation(self, sign: str, *of: _Any) -> Operation:
+    def _build_operation(self, sign: str, *of: _Any) -> Operation:
         return Operation(sign, tuple(map(self.expression, of)))
 
-    def _signed(self, depth: int) -> _Any:
+    def _parse_signed(self, depth: int) -> _Any:
         if depth > DEEPEST:
             raise self._refusal(f"nest at most {DEEPEST} levels", "more")
         if self._take("-"):
-            return self._operation("-", Constant(0.0), self._signed(depth + 1))
-        return self._primary(depth)
+            return self._build_operation("-", Constant(0.0), self._parse_signed(depth + 1))
+        return self._parse_primary(depth)
 
-    def _primary(self, depth: int) -> _Any:
+    def _parse_primary(self, depth: int) -> _Any:
         if self._take("("):
-            inner = self.implies(depth + 1)
-            self._want(")")
+            inner = self.parse_implication(depth + 1)
+            self._expect(")")
             return inner
         kind, word, _ = self._tokens[self._at] if self._next else ("", "", 0)
         if kind == "number":
             self._at += 1
             return Constant(float(word))
         if kind != "name" or word in OPERATORS:
-            raise self._unexpected("a signal, a number, always, eventually, not or (")
+            raise self._refuse_token("a signal, a number, always, eventually, not or (")
         self._at += 1
         if self._next == "(":
             return self._function(word, depth)
@@ -311,11 +311,11 @@ class _Parser:
     def _function(self, name: str, depth: int) -> Operation:
         if name not in FUNCTIONS:
             raise self._refusal("use known functions", name, ", ".join(FUNCTIONS))
-        self._want("(")
-        of = [self.expression(self.implies(depth + 1))]
+        self._expect("(")
+        of = [self.expression(self.parse_implication(depth + 1))]
         while self._take(","):
-            of.append(self.expression(self.implies(depth + 1)))
-        self._want(")")
+            of.append(self.expression(self.parse_implication(depth + 1)))
+        self._expect(")")
         least = FUNCTIONS[name]
         if len(of) < least or (least == 1 and len(of) > 1):
             wanted = f"{least} argument" if least == 1 else f"{least} arguments or more"
@@ -326,12 +326,12 @@ class _Parser:
 # Formulas over known signals: names are checked, and a `*` stands for each that fits.
 
 
-def signals_in(what: Formula | Expression) -> set[str]:
+def list_signals(what: Formula | Expression) -> set[str]:
     """Return the names of all signals."""
     if isinstance(what, Margin):
-        return set().union(*map(signals_in, what.sides))
+        return set().union(*map(list_signals, what.sides))
     if isinstance(what, Combined | Window):
-        return set().union(*map(signals_in, what.of))
+        return set().union(*map(list_signals, what.of))
     names: set[str] = set()
 
     def add(part: Expression, _: object) -> None:
@@ -342,7 +342,7 @@ def signals_in(what: Formula | Expression) -> set[str]:
     return names
 
 
-def bound_to(what: Formula, known: Iterable[str], where: str, quantity: str) -> Formula:
+def bind_signals(what: Formula, known: Iterable[str], where: str, quantity: str) -> Formula:
     """Return a formula over known signals: a comparison with a ``*`` holds for each that it means.
 
     Raises:
@@ -351,27 +351,29 @@ def bound_to(what: Formula, known: Iterable[str], where: str, quantity: str) -> 
     known = list(known)
     if isinstance(what, Margin):
         # A text for a star is the same on both sides.
-        both = meant_by(Operation("-", what.sides), known, where, quantity)
+        both = expand_stars(Operation("-", what.sides), known, where, quantity)
         sides = [one.of for one in both if isinstance(one, Operation)]
         each = [Margin(more, less, what.strict) for more, less in sides]
         return each[0] if len(each) == 1 else Combined("and", tuple(each))
-    of = tuple(bound_to(one, known, where, quantity) for one in what.of)
+    of = tuple(bind_signals(one, known, where, quantity) for one in what.of)
     if isinstance(what, Combined):
         return Combined(what.sign, of)
     return Window(what.sign, of, what.begin, what.end)
 
 
-def meant_by(what: Expression, known: Sequence[str], where: str, quantity: str) -> list[Expression]:
+def expand_stars(
+    what: Expression, known: Sequence[str], where: str, quantity: str
+) -> list[Expression]:
     """Return the arithmetic for each text that the ``*`` in names of signals stands for.
 
     Raises:
         Refusal: a signal that is not known, or no text that fits all.
     """
-    names = sorted(signals_in(what))
+    names = sorted(list_signals(what))
     stars = [name for name in names if "*" in name]
     for name in names:
         if name not in stars and name not in known:
-            raise _unknown(name, known, where, quantity)
+            raise _refuse_unknown(name, known, where, quantity)
     if not stars:
         return [what]
     fitting: list[list[str]] = []
@@ -379,15 +381,15 @@ def meant_by(what: Expression, known: Sequence[str], where: str, quantity: str) 
         pattern = re.compile(re.escape(name).replace(r"\*", r"(.+)"))
         texts = [found[1] for one in known if (found := pattern.fullmatch(one))]
         if not texts:
-            raise _unknown(name, known, where, quantity)
+            raise _refuse_unknown(name, known, where, quantity)
         fitting.append(texts)
     common = [text for text in fitting[0] if all(text in texts for texts in fitting[1:])]
     if not common:
-        raise _unknown(", ".join(stars), known, where, quantity)
-    return [_with_text(what, text) for text in common]
+        raise _refuse_unknown(", ".join(stars), known, where, quantity)
+    return [_replace_star(what, text) for text in common]
 
 
-def _with_text(what: Expression, text: str) -> Expression:
+def _replace_star(what: Expression, text: str) -> Expression:
     def put(part: Expression, operands: Sequence[Expression]) -> Expression:
         if isinstance(part, Signal):
             return Signal(part.name.replace("*", text))
@@ -396,7 +398,7 @@ def _with_text(what: Expression, text: str) -> Expression:
     return fold(what, put)
 
 
-def _unknown(name: str, known: Sequence[str], where: str, quantity: str) -> Refusal:
+def _refuse_unknown(name: str, known: Sequence[str], where: str, quantity: str) -> Refusal:
     first = sorted({one.rpartition(".")[0] + ".*" if "." in one else one for one in known})
     near = difflib.get_close_matches(name, known, n=3) or first
     return Refusal(where, quantity, "name signals of the run", name, ", ".join(near))

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import IO
 
 
-def atomic_write(file: Path, content: str | bytes) -> None:
+def write_atomically(file: Path, content: str | bytes) -> None:
     """Write a temporary file in the same folder, and move it to its place."""
-    hidden = hidden_beside(file)
+    hidden = name_hidden_file(file)
     hidden.write_bytes(content.encode() if isinstance(content, str) else content)
     hidden.replace(file)
 
 
-def hidden_beside(file: Path) -> Path:
+def name_hidden_file(file: Path) -> Path:
     """Return a file in the same folder that no other process writes."""
     return file.with_name(f".{file.name}.{os.uname().nodename}.{os.getpid()}")
 

@@ -86,20 +86,20 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
                 if whole:
                     return
                 break
-            record = _parsed(opcode, content)
+            record = _parse_records(opcode, content)
             if not isinstance(record, Chunk):
                 yield record, end
                 continue
             left -= record.uncompressed_size
             if record.uncompressed_size > MOST_RECORD or left < 0:
                 raise Damaged("chunks that unpack to more than a bag may")
-            at, data = 0, BytesIO(_unpacked(record))
+            at, data = 0, BytesIO(_unpack_chunk(record))
             with contextlib.suppress(EOFError):
                 for inner, text, ends in _split(data, record.uncompressed_size):
                     if inner not in _IN_CHUNKS:
                         raise Damaged(f"a record of kind {inner} in a chunk")
                     at = ends
-                    yield _parsed(inner, text), end
+                    yield _parse_records(inner, text), end
             if at != record.uncompressed_size:
                 raise Damaged("a chunk ends within a record")
             yield None, end
@@ -178,7 +178,7 @@ def _split(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
         stream.seek(end)
 
 
-def _parsed(opcode: int, content: bytes) -> McapRecord | None:
+def _parse_records(opcode: int, content: bytes) -> McapRecord | None:
     try:
         if opcode == Opcode.MESSAGE:
             channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content)
@@ -189,7 +189,7 @@ def _parsed(opcode: int, content: bytes) -> McapRecord | None:
         raise Damaged(f"a record of kind {opcode}: {error or type(error).__name__}") from None
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpack_chunk(chunk: Chunk) -> bytes:
     """Return the records in a chunk; at most a byte more than it promises is unpacked."""
     packed, size = chunk.data, chunk.uncompressed_size
     try:

@@ -71,13 +71,15 @@ class CsvFile:
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
         self._file, self._columns, self._stream = file, columns, UnbufferedFile(file)
-        self._stream.write(",".join(_cell(column.heading) for column in columns).encode() + b"\n")
+        self._stream.write(
+            ",".join(_format_cell(column.heading) for column in columns).encode() + b"\n"
+        )
         # End of the last whole line.
         self._whole = self._stream.tell()
 
     def write(self, rows: Rows) -> None:
         """Append lines."""
-        lines = map(",".join, zip(*_texts(self._columns, rows, ""), strict=True))
+        lines = map(",".join, zip(*_format_texts(self._columns, rows, ""), strict=True))
         self._stream.write("".join(f"{line}\n" for line in lines).encode())
         self._whole = self._stream.tell()
 
@@ -113,16 +115,19 @@ class McapFile:
 
     def _topic(self, name: str, columns: list[Column]) -> tuple[int, list[Column], str]:
         """Return number, columns and template of a channel."""
-        tree = _tree(columns)
-        text = json.dumps({"title": name, **_schema(tree)}).encode()
+        tree = _build_tree(columns)
+        text = json.dumps({"title": name, **_build_schema(tree)}).encode()
         schema = self._mcap.register_schema(f"arm_emulator.{name}", "jsonschema", text)
-        return self._mcap.register_channel(name, "json", schema), columns, _template(tree)
+        return self._mcap.register_channel(name, "json", schema), columns, _build_template(tree)
 
     def write(self, rows: Rows) -> None:
         """Append a message per row and channel, at its logical time."""
         times = np.rint(rows["t"] * NANOSECONDS).astype(np.int64).tolist()
         lines = [
-            [(channel, template % texts) for texts in zip(*_texts(of, rows, "null"), strict=True)]
+            [
+                (channel, template % texts)
+                for texts in zip(*_format_texts(of, rows, "null"), strict=True)
+            ]
             for channel, of, template in self._topics
         ]
         for time, *messages in zip(times, *lines, strict=True):
@@ -187,7 +192,7 @@ class ParquetFile(_WholeAtTheEnd):
     def _write_group(self) -> None:
         if not self._waiting:
             return
-        table = arrow_table(self._columns, np.concatenate(self._waiting))
+        table = build_arrow_table(self._columns, np.concatenate(self._waiting))
         self._waiting = []
         if self._writer is None:
             self._writer = self._open(self._part, table.schema)
@@ -231,7 +236,7 @@ KINDS: dict[str, Callable[[Path, Sequence[Column]], RecordFile]] = dict(
 )
 
 
-def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
+def build_arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
     """Return rows as an Arrow table, with units in the metadata of its fields."""
     import pyarrow as pa
 
@@ -243,7 +248,7 @@ def arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
-def _texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list[str]]:
+def _format_texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list[str]]:
     """Return columns as texts that give the same bits; `none` for values that are not finite."""
     texts = []
     for column in columns:
@@ -255,7 +260,7 @@ def _texts(columns: Sequence[Column], rows: Rows, none: str) -> list[list[str]]:
     return texts
 
 
-def _cell(text: str) -> str:
+def _format_cell(text: str) -> str:
     return '"{}"'.format(text.replace('"', '""')) if set(text) & set(',"\n') else text
 
 
@@ -263,7 +268,7 @@ Tree = dict[str, Any]  # columns in groups by their paths
 _NUMBER = "\0"  # stands for a number in a template; no name has it
 
 
-def _tree(columns: Sequence[Column]) -> Tree:
+def _build_tree(columns: Sequence[Column]) -> Tree:
     tree: Tree = {}
     for column in columns:
         at, path = tree, column.path[1:] if column.path[0] == MEASURED else column.path
@@ -273,15 +278,15 @@ def _tree(columns: Sequence[Column]) -> Tree:
     return tree
 
 
-def _template(tree: Tree) -> str:
+def _build_template(tree: Tree) -> str:
     """Return a JSON object with `%s` for each number."""
     text = json.dumps(tree, separators=(",", ":"), default=lambda _: _NUMBER)
     return text.replace("%", "%%").replace(json.dumps(_NUMBER), "%s")
 
 
-def _schema(tree: Tree) -> dict[str, Any]:
+def _build_schema(tree: Tree) -> dict[str, Any]:
     properties = {
-        key: _schema(one)
+        key: _build_schema(one)
         if isinstance(one, dict)
         else {"type": ["number", "null"], "description": one.unit}
         for key, one in tree.items()

@@ -56,7 +56,7 @@ def read_table(file: Path, units: Mapping[str, str]) -> Table:
             heading, or a cell is not a finite number.
     """
     where = file.name
-    rows = _rows(file)
+    rows = _read_rows(file)
     _, head = next(rows, (1, []))
     columns = tuple(cell.strip() for cell in head)
     for mark, name in _OTHER_MARKS.items():
@@ -72,15 +72,15 @@ def read_table(file: Path, units: Mapping[str, str]) -> Table:
             raise Refusal(where, f"line {line}", rule, len(cells))
         lines.append(line)
         for name, cell in zip(columns, cells, strict=True):
-            values.append(_number(cell, f"line {line}, {name}", units.get(name), where))
+            values.append(_parse_number(cell, f"line {line}, {name}", units.get(name), where))
     numbers = np.array(values, dtype=np.float64).reshape(len(lines), len(columns))
     return Table(where, columns, tuple(lines), numbers)
 
 
-def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+def _read_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the lines that are not empty, with their numbers."""
     text = io.StringIO(read_text(file, MOST_BYTES), newline="")
-    reader = csv.reader(_bounded(text, file.name), strict=True)
+    reader = csv.reader(_check_size(text, file.name), strict=True)
     try:
         for cells in reader:
             if cells:
@@ -89,7 +89,7 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
         raise Refusal(file.name, f"line {reader.line_num}", "be well-formed CSV", error) from None
 
 
-def _bounded(text: io.StringIO, where: str) -> Iterator[str]:
+def _check_size(text: io.StringIO, where: str) -> Iterator[str]:
     number = 0
     while line := text.readline(LONGEST_LINE + 1):
         number += 1
@@ -99,7 +99,7 @@ def _bounded(text: io.StringIO, where: str) -> Iterator[str]:
         yield line
 
 
-def _number(cell: str, what: str, unit: str | None, where: str) -> float:
+def _parse_number(cell: str, what: str, unit: str | None, where: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:

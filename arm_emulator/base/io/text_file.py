@@ -16,10 +16,10 @@ from arm_emulator.base.refusal import Refusal
 PIECE = 1 << 24  # bytes read at a time, so that memory follows the file, not the limit
 
 
-def why_no_file(file: Path) -> str | None:
+def explain_missing_file(file: Path) -> str | None:
     """Return why a path is not a regular file; None if it is."""
     try:
-        return _why_not_regular(file.stat().st_mode)
+        return _explain_irregular_file(file.stat().st_mode)
     except FileNotFoundError:
         return "no such file"
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
@@ -32,13 +32,13 @@ def open_file(file: Path) -> IO[bytes]:
     Raises:
         Refusal: not a regular file, or one that cannot be opened.
     """
-    reason: object = why_no_file(file)
+    reason: object = explain_missing_file(file)
     if reason is None:
         try:
             # Not blocking, in case it has become a pipe since.
             flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY
             stream = open(os.open(file, flags), "rb")
-            reason = _why_not_regular(os.fstat(stream.fileno()).st_mode)
+            reason = _explain_irregular_file(os.fstat(stream.fileno()).st_mode)
             if reason is None:
                 return stream
             stream.close()
@@ -78,7 +78,7 @@ def read_text(file: Path, most: int) -> str:
         raise Refusal(file.name, "file", "be text in UTF-8", error.reason) from None
 
 
-def _why_not_regular(mode: int) -> str | None:
+def _explain_irregular_file(mode: int) -> str | None:
     if stat.S_ISREG(mode):
         return None
     return "a folder" if stat.S_ISDIR(mode) else "a device, pipe or socket"

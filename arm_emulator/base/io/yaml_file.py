@@ -31,9 +31,9 @@ class _Loader(yaml.CSafeLoader):
         seen = set()
         for key_node, _ in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
-                raise _bad(key_node, "a key is a text, not a list or section")
+                raise _refuse_document(key_node, "a key is a text, not a list or section")
             if key_node.value in seen and key_node.value != "<<":
-                raise _bad(key_node, f"key {key_node.value!r} is given twice")
+                raise _refuse_document(key_node, f"key {key_node.value!r} is given twice")
             seen.add(key_node.value)
         self.flatten_mapping(node)
         return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
@@ -44,7 +44,7 @@ class _Loader(yaml.CSafeLoader):
         return int(text) if abs(number) < _LARGEST_INT else number
 
 
-def _bad(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
+def _refuse_document(node: yaml.Node, problem: str) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
@@ -90,7 +90,7 @@ def parse_yaml(text: bytes | str, where: str) -> Any:
             text = text.decode("utf-8-sig")
         if len(text) > MOST_BYTES:
             raise Refusal(where, "file", f"have at most {MOST_BYTES // 1024} KiB", "more")
-        _look_over(text, where)
+        _check_nodes(text, where)
         return yaml.load(text, Loader=_Loader)
     except UnicodeError as error:
         got = getattr(error, "reason", error)
@@ -103,7 +103,7 @@ def parse_yaml(text: bytes | str, where: str) -> Any:
         raise Refusal(where, "file", "be well-formed YAML", error) from None
 
 
-def _look_over(text: str, where: str) -> None:
+def _check_nodes(text: str, where: str) -> None:
     """Refuse a document that exceeds the bounds, before it is built."""
     documents = levels = values = 0
     starts: list[tuple[str | None, int]] = []  # of open collections: anchor, values before it
@@ -142,7 +142,7 @@ def _look_over(text: str, where: str) -> None:
             raise Refusal(where, "file", f"hold at most {MOST_VALUES} keys and values", "more")
 
 
-def nodes_of(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
+def read_nodes(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
     """Return key and value of everything in a document's sections, by dotted paths.
 
     What an alias repeats stands under each of its paths.
@@ -159,7 +159,7 @@ def nodes_of(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
     return found
 
 
-def edited(text: str, edits: Iterable[tuple[int, int, str]]) -> str:
+def edit_yaml(text: str, edits: Iterable[tuple[int, int, str]]) -> str:
     """Return a text with pieces replaced.
 
     Args:

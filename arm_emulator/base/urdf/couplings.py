@@ -58,7 +58,7 @@ def followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[st
         and joint.get("type") != "fixed"
         and (joint.find(_MIMIC) is not None or joint.find(_COUPLING) is not None)
     }
-    return {name: _resolved(name, found, where) for name in found}
+    return {name: _resolve_followers(name, found, where) for name in found}
 
 
 def _read(joint: ET.Element, known: Mapping[str, ET.Element], where: str) -> Follows:
@@ -70,13 +70,13 @@ def _read(joint: ET.Element, known: Mapping[str, ET.Element], where: str) -> Fol
         shaft = row.get("joint", "")
         if shaft not in known:
             raise Refusal(where, f"{what}: {row.tag}", "name a joint of the URDF", repr(shaft))
-        share = _number(row.get("multiplier", "1"), f"{what}: multiplier", where)
+        share = _parse_number(row.get("multiplier", "1"), f"{what}: multiplier", where)
         shares[shaft] = shares.get(shaft, 0.0) + share
-        offset += _number(row.get("offset", "0"), f"{what}: offset", where)
+        offset += _parse_number(row.get("offset", "0"), f"{what}: offset", where)
     return Follows(shares, offset)
 
 
-def _number(text: str, what: str, where: str) -> float:
+def _parse_number(text: str, what: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -86,7 +86,7 @@ def _number(text: str, what: str, where: str) -> float:
     return value
 
 
-def _resolved(name: str, found: Mapping[str, Follows], where: str) -> Follows:
+def _resolve_followers(name: str, found: Mapping[str, Follows], where: str) -> Follows:
     """Return the shafts that a joint follows, directly or through other followers."""
     shares, offset = dict(found[name].shares), found[name].offset
     for _ in range(len(found)):
@@ -132,13 +132,13 @@ class Coupling:
         return self.C.shape[0] == self.C.shape[1] and bool((np.eye(len(self.C)) == self.C).all())
 
 
-def own_shafts(joints: Sequence[str], followers: Mapping[str, Follows]) -> list[str]:
+def list_own_shafts(joints: Sequence[str], followers: Mapping[str, Follows]) -> list[str]:
     """Return the joints that name shafts: those that follow none, or that others follow."""
     followed = {shaft for value in followers.values() for shaft in value.shares}
     return [name for name in joints if name not in followers or name in followed]
 
 
-def _remedy(
+def _suggest_remedy(
     name: str, follows: Follows, shafts: Sequence[str], locked: Mapping[str, float] | None
 ) -> str:
     """Return how a joint may be held that follows a joint which does not move."""
@@ -148,7 +148,7 @@ def _remedy(
     return f"lock it in the scene: locked: {{{name}: {follows.position(locked or {})!r}}}"
 
 
-def coupling_of(
+def read_coupling(
     joints: Sequence[str],
     followers: Mapping[str, Follows],
     where: str,
@@ -166,13 +166,13 @@ def coupling_of(
         Refusal: a joint follows one that is not in the row, or a shaft moves no joint of its
             own.
     """
-    shafts = own_shafts(joints, followers)
+    shafts = list_own_shafts(joints, followers)
     for name, one in followers.items():
         for shaft in one.shares:
             if name in joints and shaft not in shafts:
                 rule = "follow joints on the way from base to tool"
                 raise Refusal(
-                    where, f"joint {name}", rule, shaft, _remedy(name, one, shafts, locked)
+                    where, f"joint {name}", rule, shaft, _suggest_remedy(name, one, shafts, locked)
                 )
     rows = [followers.get(name, Follows({name: 1.0}, 0.0)) for name in joints]
     C = np.array([[row.shares.get(shaft, 0.0) for shaft in shafts] for row in rows])

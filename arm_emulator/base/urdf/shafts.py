@@ -9,20 +9,20 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.couplings import Follows, followers, own_shafts
-from arm_emulator.base.urdf.urdf_text import limits_of, parse_urdf
+from arm_emulator.base.urdf.couplings import Follows, followers, list_own_shafts
+from arm_emulator.base.urdf.urdf_text import parse_urdf, read_limits
 
 WHERE = "robot_description"
 _ROUNDING = 1e-9  # rad or m
 
 
-def shafts_of(joints: Sequence[str], urdf_xml: str) -> tuple[str, ...]:
+def read_shafts(joints: Sequence[str], urdf_xml: str) -> tuple[str, ...]:
     """Return those of a description's moving joints by whose names shafts go."""
     found = followers(parse_urdf(urdf_xml, WHERE), WHERE)
-    return tuple(own_shafts(joints, found))
+    return tuple(list_own_shafts(joints, found))
 
 
-def _way_to(tool: str, robot: ET.Element) -> set[str]:
+def _find_path_to(tool: str, robot: ET.Element) -> set[str]:
     """Return the joints between a description's base and a link or fixed joint."""
     above, ends = dict[str, tuple[str, str]](), dict[str, str]()
     for joint in robot.findall("joint"):
@@ -57,9 +57,9 @@ class Shafts:
     def __init__(self, urdf_xml: str, names: Sequence[str], tool: str | None = None) -> None:
         robot = parse_urdf(urdf_xml, WHERE)
         found = followers(robot, WHERE)
-        way = found if tool is None else _way_to(tool, robot)
+        way = found if tool is None else _find_path_to(tool, robot)
         # A command to a joint that only follows would have it move by itself.
-        for name in {*names} - {*own_shafts(tuple(names), found)}:
+        for name in {*names} - {*list_own_shafts(tuple(names), found)}:
             del found[name]
         along = [
             name
@@ -148,13 +148,13 @@ class Shafts:
         return least
 
 
-def shaft_limits(urdf_xml: str, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+def read_shaft_limits(urdf_xml: str, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the position limits of the shafts that have both, by name [rad or m].
 
     Within them no joint of the description passes its own.
     """
     shafts = Shafts(urdf_xml, names)
-    of_joints = limits_of(parse_urdf(urdf_xml, WHERE))
+    of_joints = read_limits(parse_urdf(urdf_xml, WHERE))
     ends = [of_joints.get(name, (-np.inf, np.inf)) for name in shafts.joints]
     low, high = shafts.positions(*np.array(ends, dtype=np.float64).T)
     limited = np.isfinite(high - low)

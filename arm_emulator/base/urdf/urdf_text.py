@@ -33,19 +33,19 @@ def read_urdf(file: Path) -> str:
     content = read_bytes(file, MOST_BYTES)
     for mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         if content.startswith(mark):
-            return _decoded(content, "utf-16", file)
+            return _decode_text(content, "utf-16", file)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         declared = _DECLARED.match(content)
         if declared is None:
-            return _decoded(content, "utf-8", file)
+            return _decode_text(content, "utf-8", file)
         # The text is published in UTF-8, and must not declare another encoding.
         rest = content[: declared.start(1)] + content[declared.end(1) :]
-        return _decoded(rest, declared[2].decode("ascii"), file)
+        return _decode_text(rest, declared[2].decode("ascii"), file)
 
 
-def _decoded(content: bytes, encoding: str, file: Path) -> str:
+def _decode_text(content: bytes, encoding: str, file: Path) -> str:
     try:
         known = codecs.lookup(encoding).name
         if known in ("utf-8", "utf-16", *_ONE_BYTE):
@@ -164,7 +164,7 @@ def _bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
     return value if abs(value) < ENDLESS else math.copysign(math.inf, value)
 
 
-def limits_of(robot: ET.Element) -> dict[str, tuple[float, float]]:
+def read_limits(robot: ET.Element) -> dict[str, tuple[float, float]]:
     """Return lower and upper limits of the moving joints that have both, by name [rad or m].
 
     The URDF's limits are numbers, see `complete_limits`.

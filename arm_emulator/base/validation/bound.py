@@ -37,7 +37,7 @@ TOOL_POSITION = Number.within("position", "m", 1e6)
 LARGEST_COUNT = 2.0**52
 
 
-def encoder_counts(count_angle: npt.ArrayLike) -> Number:
+def bound_encoder_counts(count_angle: npt.ArrayLike) -> Number:
     """Return the bound of encoder counts: that of the joint's position.
 
     Args:

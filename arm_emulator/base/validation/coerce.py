@@ -16,7 +16,7 @@ _FLAGS = (bool, np.bool_)
 Kind = TypeVar("Kind")
 
 
-def array_of(values: object) -> Array | None:
+def coerce_array(values: object) -> Array | None:
     """Return `values` as an array of numbers in rows; a copy only if their type differs.
 
     None: one of them is not a real number.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.coerce import array_of
+from arm_emulator.base.validation.coerce import coerce_array
 from arm_emulator.base.validation.number import Number
 
 LARGEST = 2**63 - 1  # the core's integer
@@ -34,13 +34,13 @@ def check_count(
     return count
 
 
-def whole_numbers(where: str, quantity: str, values: object) -> NDArray[np.int64]:
+def check_whole_numbers(where: str, quantity: str, values: object) -> NDArray[np.int64]:
     """Return a row of whole numbers (K,).
 
     Raises:
         Refusal: they are something else.
     """
-    array = array_of(values)
+    array = coerce_array(values)
     if array is None or array.ndim != 1 or not np.all(np.abs(array) < 2.0**53):
         raise Refusal(where, quantity, "be a row of whole numbers", values)
     if not np.array_equal(array, np.rint(array)):

@@ -23,7 +23,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.coerce import array_of
+from arm_emulator.base.validation.coerce import coerce_array
 
 # A finite number need not be a quantity. What lies beyond these is a slip, and what is computed
 # from several such numbers may overflow. They hold where no other bound is declared.
@@ -116,7 +116,7 @@ class Number:
         Raises:
             Refusal: something that is no number.
         """
-        array = array_of(values)
+        array = coerce_array(values)
         if array is None:
             raise Refusal(where, self.name, self._rule(None, self.most, many=True), values)
         return array
@@ -255,29 +255,29 @@ def number(
     unit: str = "", *, default: Any = REQUIRED, ends: Ends = (None, None), **declared: Any
 ) -> Any:
     """Return a dataclass field that is a declared number, see `Number`; `ends`: both bounds."""
-    return field_of(Number("", unit, default=default, **between(ends), **declared))
+    return declare_field(Number("", unit, default=default, **build_bounds(ends), **declared))
 
 
-def between(ends: Ends) -> dict[str, Any]:
+def build_bounds(ends: Ends) -> dict[str, Any]:
     """Return two ends as the bounds of a `Number`."""
     bounds = zip(("at_least", "at_most"), ends, strict=True)
     return {name: one for name, one in bounds if one is not None}
 
 
-def field_of(one: Number, **metadata: Any) -> Any:
+def declare_field(one: Number, **metadata: Any) -> Any:
     """Return a dataclass field for a number, with more about it."""
     default = dataclasses.MISSING if one.default is REQUIRED else one.default
     return dataclasses.field(default=default, metadata={"number": one, **metadata})
 
 
-def numbers_of(kind: type[Any]) -> dict[str, Any]:
+def list_numbers(kind: type[Any]) -> dict[str, Any]:
     """Return the declared numbers of a dataclass by the names of its attributes."""
     this: type = kind  # mypy takes a type[Any] for not hashable
-    return _numbers_of(this)
+    return _list_numbers(this)
 
 
 @cache  # a scene asks once for every part of every joint
-def _numbers_of(kind: type) -> dict[str, Any]:
+def _list_numbers(kind: type) -> dict[str, Any]:
     return {
         field.name: field.metadata["number"].named(field.name)
         for field in dataclasses.fields(kind)

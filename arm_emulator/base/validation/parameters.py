@@ -14,9 +14,9 @@ from arm_emulator.base.validation.number import (
     REQUIRED,
     Ends,
     Number,
-    between,
-    field_of,
-    numbers_of,
+    build_bounds,
+    declare_field,
+    list_numbers,
 )
 
 Parameters = TypeVar("Parameters")
@@ -47,11 +47,11 @@ def parameter(
     if type(default) not in (int, float):
         return dataclasses.field(default=default, metadata=more)
     whole = type(default) is int
-    one = Number("", unit, whole=whole, default=default, text=description, **between(ends))
-    return field_of(one, **more | {"description": one.described})
+    one = Number("", unit, whole=whole, default=default, text=description, **build_bounds(ends))
+    return declare_field(one, **more | {"description": one.described})
 
 
-def parameters_of(kind: type[Any]) -> dict[str, dataclasses.Field[Any]]:
+def list_parameters(kind: type[Any]) -> dict[str, dataclasses.Field[Any]]:
     """Return the fields of a dataclass that are parameters, by name."""
     return {field.name: field for field in dataclasses.fields(kind) if field.metadata}
 
@@ -67,8 +67,8 @@ def load_parameters(
     Raises:
         Refusal: no parameters of that node, an unknown name, or a refused value.
     """
-    given, sections = dict(ros_parameters(path, node)), dict[str, Any]()
-    fields = parameters_of(kind)
+    given, sections = dict(read_ros_parameters(path, node)), dict[str, Any]()
+    fields = list_parameters(kind)
     for name, value in list(given.items()):
         first, _, rest = name.partition(".")
         if first in beside:
@@ -81,13 +81,13 @@ def load_parameters(
             continue
         if name not in fields:
             known = ", ".join((*fields, *beside))
-            got = f"{value!r}{nearest_name_hint(name, fields)}"
+            got = f"{value!r}{suggest_nearest_name(name, fields)}"
             raise Refusal(path.name, f"parameter {name}", "be known", got, known)
-        given[name] = checked(value, fields[name], path.name)
+        given[name] = check_parameter(value, fields[name], path.name)
     return kind(**given), sections
 
 
-def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
+def read_ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
     """Return the parameters that a ROS parameter file holds for a node, by name or wildcard.
 
     Raises:
@@ -104,7 +104,7 @@ def ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
     raise Refusal(path.name, "the file", rule, ", ".join(map(str, document)), valid)
 
 
-def tables_of(given: object, where: str, section: str) -> dict[str, dict[str, Any]]:
+def split_tables(given: object, where: str, section: str) -> dict[str, dict[str, Any]]:
     """Return the tables of a section by name; nested, or with ROS's dotted names.
 
     A table's name may have dots, a key has none.
@@ -126,7 +126,7 @@ def tables_of(given: object, where: str, section: str) -> dict[str, dict[str, An
     return tables
 
 
-def numbers_in(
+def read_numbers(
     table: Mapping[str, Any], kind: type[Any], where: str, path: str = ""
 ) -> dict[str, Any]:
     """Return the numbers that a dataclass declares, as a table has them, or by default.
@@ -134,7 +134,7 @@ def numbers_in(
     Raises:
         Refusal: an unknown, missing or impossible value; `path` is that of the table.
     """
-    known, prefix = numbers_of(kind), f"{path}." if path else ""
+    known, prefix = list_numbers(kind), f"{path}." if path else ""
     check_keys(table, known, where, path)
     given = {key: one.default for key, one in known.items()}
     for key, one in known.items():
@@ -151,11 +151,11 @@ def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str, path:
     for key in table:
         if key not in known:
             name = f"{path}.{key}" if path else str(key)
-            got = f"an unknown one{nearest_name_hint(str(key), known)}"
+            got = f"an unknown one{suggest_nearest_name(str(key), known)}"
             raise Refusal(where, name, "be a known key", got, ", ".join(known))
 
 
-def nearest_name_hint(name: str, known: Iterable[str]) -> str:
+def suggest_nearest_name(name: str, known: Iterable[str]) -> str:
     """Return a hint at the known name nearest to an unknown one, empty if none is near."""
     near = difflib.get_close_matches(name, list(known), n=1)
     return f", perhaps for {near[0]}" if near else ""
@@ -172,7 +172,7 @@ def _check_keys(parameters: Mapping[str, Any], where: str) -> None:
         _check_keys(value, where)
 
 
-def checked(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
+def check_parameter(value: Any, field: dataclasses.Field[Any], where: str) -> Any:
     """Return a parameter's value if its rules hold.
 
     Raises:

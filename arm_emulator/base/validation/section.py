@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.number import REQUIRED, Number, numbers_of
+from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers
 
 LARGEST_COUNT = 1_000_000_000  # steps per servo period, counts per turn: larger ones are mistakes
 
@@ -111,7 +111,7 @@ class Section:
 
     def numbers(self, kind: type[Any]) -> dict[str, Any]:
         """Return the numbers that a dataclass declares, by name."""
-        return {name: self.number(one) for name, one in numbers_of(kind).items()}
+        return {name: self.number(one) for name, one in list_numbers(kind).items()}
 
     def vector(self, one: Number, size: int = 3) -> tuple[float, ...] | None:
         """Return a row of numbers by its name, None if it is absent."""

@@ -24,7 +24,7 @@ from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.machine.parts.output import FURTHER
 from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.measured import rows_of
+from arm_emulator.machine.plant.measured import list_rows
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.gains import load_gains
@@ -195,7 +195,7 @@ def _from_bag(path: Path, scene: Scene) -> Array:
     rows = np.array([tick.applied for tick in RecordedMachine.of(path, scene).ticks[1:]])
     if not len(rows):
         raise Refusal(str(path), "bag", "have motor_states of two ticks at least", "one")
-    for name, of_input in zip(rows_of(scene)[FURTHER], rows[:, 1:].swapaxes(0, 1), strict=False):
+    for name, of_input in zip(list_rows(scene)[FURTHER], rows[:, 1:].swapaxes(0, 1), strict=False):
         if of_input.any():
             rule = "be 0: motions are judged under the commands alone"
             raise Refusal(str(path), name, rule, "others")

@@ -9,12 +9,12 @@ from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.toolchain.library_cache import (
     SIZE_VARIABLE,
-    entries,
-    largest_size,
-    left_over,
-    named_folders,
-    remove,
-    why_not_trusted,
+    explain_distrust,
+    list_entries,
+    list_left_over,
+    list_named_folders,
+    read_largest_size,
+    remove_library,
 )
 from arm_emulator.toolchain.trusted import Untrusted, check_folder
 
@@ -32,9 +32,9 @@ def cache(*, clear: bool = False) -> int:
 def _list() -> int:
     """Print each folder, whether it is trusted, and its libraries, the last used first."""
     facts = list[dict[str, object]]()
-    for folder in named_folders():
-        reason = why_not_trusted(folder)
-        found = entries(folder)
+    for folder in list_named_folders():
+        reason = explain_distrust(folder)
+        found = list_entries(folder)
         size = sum(entry.size for entry in found)
         state = f"not trusted, no file of it is loaded: {reason}" if reason else "trusted"
         output.line(f"{folder}: {state if folder.is_dir() else 'not there'}")
@@ -45,7 +45,7 @@ def _list() -> int:
             )
         if found:
             output.line(
-                f"  {len(found)} libraries, {size / 1e6:.3f} of {largest_size() / 1e6:g} MB "
+                f"  {len(found)} libraries, {size / 1e6:.3f} of {read_largest_size() / 1e6:g} MB "
                 f"({SIZE_VARIABLE})"
             )
         libraries = [dataclasses.asdict(entry) for entry in reversed(found)]
@@ -57,7 +57,7 @@ def _list() -> int:
 def _clear() -> int:
     """Remove the libraries; return 1 if one remains."""
     facts = list[dict[str, object]]()
-    for folder in named_folders():
+    for folder in list_named_folders():
         try:
             place = check_folder(folder)
         except OSError:
@@ -65,8 +65,8 @@ def _clear() -> int:
         except Untrusted as reason:
             output.line(f"{folder}: left alone: {reason}")
             continue
-        libraries = {entry.file for entry in entries(place)} | left_over(place)
-        stay = [library for library in sorted(libraries) if not remove(library)]
+        libraries = {entry.file for entry in list_entries(place)} | list_left_over(place)
+        stay = [library for library in sorted(libraries) if not remove_library(library)]
         output.line(f"{folder}: {len(libraries) - len(stay)} libraries removed")
         for library in stay:
             output.line(f"  {library.name} stays: it is being compiled, or cannot be removed")

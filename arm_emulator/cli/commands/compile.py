@@ -7,15 +7,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.packages import SCENE_UNITS, UNITS, entry_of, load_all
+from arm_emulator.base.packages import SCENE_UNITS, UNITS, find_entry, load_all
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.plant.compiler import compile_ahead
-from arm_emulator.machine.plant.formula_rows import formula_unit
+from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.machine.session.record_ring import record_ring_unit
+from arm_emulator.machine.session.record_ring import build_record_ring_unit
 from arm_emulator.motion.model.arm_tree import topp_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
@@ -48,7 +48,7 @@ def compile_scene(
         servo: compile our servo with the scene's gains, too.
     """
     machine = load_scene(scene)
-    of_fleet = [entry_of("fleet", SCENE_UNITS, "fleet").load()(machine)] if fleet else []
+    of_fleet = [find_entry("fleet", SCENE_UNITS, "fleet").load()(machine)] if fleet else []
     of_scene = compile_ahead(machine, target, into)
     code = [
         *of_fleet,
@@ -56,10 +56,10 @@ def compile_scene(
         servo_unit(),
         topp_unit(),
         servo_step_unit(),
-        record_ring_unit(),
+        build_record_ring_unit(),
     ]
     code += [
-        formula_unit(),
+        build_formula_unit(),
         middleware_unit(),
         answered_ticks_unit(),
         real_time_ticks_unit(),

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.required_package import package_of
+from arm_emulator.base.required_package import name_package
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.ros.process.ros_domain import LARGEST
 from arm_emulator.toolchain.compiler_command import find_compiler
-from arm_emulator.toolchain.library_cache import largest_size, writable_caches
+from arm_emulator.toolchain.library_cache import list_writable_caches, read_largest_size
 from arm_emulator.version import VERSION
 from arm_emulator.workarounds.fastdds_shared_memory import find_left_over
 
@@ -114,7 +114,7 @@ def imports() -> Iterator[Finding]:
     else:
         broken = json.loads(done.stdout)
     for module in modules:
-        package, needed_by = package_of(module), EXTRAS.get(module, "nodes and `run`")
+        package, needed_by = name_package(module), EXTRAS.get(module, "nodes and `run`")
         if module in broken:
             text = f"module {module}, needed by {needed_by}, cannot be imported: {broken[module]}"
         elif module not in there:
@@ -153,7 +153,7 @@ def _compiler() -> Finding:
 
 def _cache() -> Finding:
     return _tried(
-        "cache", lambda: f"{next(writable_caches())}, at most {largest_size() / 1e6:g} MB"
+        "cache", lambda: f"{next(list_writable_caches())}, at most {read_largest_size() / 1e6:g} MB"
     )
 
 

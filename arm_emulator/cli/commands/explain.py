@@ -17,7 +17,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import RunNumber, SceneName, When
 from arm_emulator.cli.output import output
-from arm_emulator.machine.plant.build_facts import other_builds
+from arm_emulator.machine.plant.build_facts import list_differing_builds
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.runs.condition import Condition
@@ -95,7 +95,7 @@ def _compare(names: tuple[str, str], one: RecordedMachine, other: RecordedMachin
     """Print the first difference of two runs, and the moment from which it comes."""
     start = one.save()
     found, equal = find_first_difference(one, other)
-    builds = other_builds(names, one.topics.build, other.topics.build)
+    builds = list_differing_builds(names, one.topics.build, other.topics.build)
     output.facts({"sides": names, "equal_ticks": equal, "difference": None, "builds": builds})
     for sentence in builds:
         output.line(f"other builds: {sentence}")

@@ -14,7 +14,7 @@ from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.machine.scene.urdf_tree import names_of, read_joints, root_of
+from arm_emulator.machine.scene.urdf_tree import find_root, list_element_names, read_joints
 
 
 @command(keys="`file`, `panels`")
@@ -31,8 +31,8 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     known = MeasuredFields(machine, MotorState.get_fields_and_field_types())
     further = {one.name: one.unit for one in known.own if not one.per_unit}
     robot = ET.fromstring(machine.urdf)
-    links = names_of(robot, "link", scene)
-    root = root_of(links, read_joints(robot, links, scene), scene)
+    links = list_element_names(robot, "link", scene)
+    root = find_root(links, read_joints(robot, links, scene), scene)
     layout = foxglove_layout(root, machine.joint_names, further, namespace)
     try:
         with file.open("x", encoding="utf-8") as stream:

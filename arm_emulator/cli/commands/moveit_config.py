@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.config_files import config_folder, find_scene
+from arm_emulator.base.config_files import find_config_folder, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.ros2_control import compile_drives
@@ -32,7 +32,7 @@ def moveit_config(
     """
     file = find_scene(scene)
     machine, motion = load_scene(file), load_gains(file).motion
-    bringup = file.stem if file.parent == config_folder() else str(file)
+    bringup = file.stem if file.parent == find_config_folder() else str(file)
     folder = into / package_name(machine)
     texts = moveit_files(machine, motion, bringup)
     libraries = compile_drives(scene, machine, folder / MACHINE)

@@ -17,7 +17,7 @@ from arm_emulator.cli.output import output
 from arm_emulator.design import ros2_control as files
 from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.toolchain.unit import compile_units, stem_of
+from arm_emulator.toolchain.unit import compile_units, name_stem
 
 
 @command(keys="`libraries`, `description`, `controllers`, `update_rate`")
@@ -43,7 +43,7 @@ def compile_drives(scene: str, machine: Scene, into: Path) -> list[Path]:
     """
     libraries = compile_ahead(machine, "native", into)
     libraries += compile_units([servo_data_unit(scene)], "native", into)
-    ours = re.compile(re.escape(stem_of(machine.name)) + r"(-servo)?-[0-9a-f]+\.so")
+    ours = re.compile(re.escape(name_stem(machine.name)) + r"(-servo)?-[0-9a-f]+\.so")
     for file in into.iterdir():
         if ours.fullmatch(file.name) and file.name not in {library.name for library in libraries}:
             file.unlink()
@@ -57,7 +57,7 @@ def write_ros2_control(scene: str, into: Path) -> dict[str, Any]:
         Refusal: a scene with couplings, without gains, or a folder that cannot be written.
     """
     machine = load_scene(find_scene(scene))
-    compiled = str(into.resolve() / stem_of(machine.name))
+    compiled = str(into.resolve() / name_stem(machine.name))
     description, controllers = files.description(machine, compiled), files.controllers(machine)
     libraries = compile_drives(scene, machine, into)
     written = {

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.packages import page_entry
+from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
 from arm_emulator.base.warning import given, warn
@@ -76,7 +76,7 @@ def run(
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
     # A missing package is refused before the run.
-    serve = None if page is None else page_entry("run").load()
+    serve = None if page is None else find_page_entry("run").load()
     if bag is not None:
         check_new_bag("run", bag)
     one = load_offline_run(scene)

@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.base.escape import c_string
+from arm_emulator.base.escape import escape_c_string
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
@@ -91,7 +91,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
     joints = tuple(known[name] for name in joint_names)
     rows = servo_numbers(joints, config.period, config.supply_voltage).tolist()
     fields = SERVO.dtype("servo_joint").names or ()
-    names = ", ".join(c_string(name) for name in joint_names)
+    names = ", ".join(escape_c_string(name) for name in joint_names)
     bodies = ",\n".join(
         f"    {{{', '.join(_field(*pair) for pair in zip(fields, row, strict=True))}}}"
         for row in rows
@@ -113,7 +113,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
 
 #include "servo.h"
 
-#define SERVO_SCENE {c_string(scene_name)}
+#define SERVO_SCENE {escape_c_string(scene_name)}
 #define SERVO_JOINTS {len(joints)}
 {defined}
 

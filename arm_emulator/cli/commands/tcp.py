@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.address import host_and_port
+from arm_emulator.base.address import parse_address
 from arm_emulator.base.run_outputs import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
@@ -31,7 +31,7 @@ def tcp(
         listen: address that clients connect to.
     """
     kept.check("tcp")
-    host, port = host_and_port("tcp", "--listen", listen)
+    host, port = parse_address("tcp", "--listen", listen)
     return serve_clients(
         "tcp", load_scene(scene), clock, kept, page, lambda one: TcpServer(one, host, port)
     )

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.address import host_and_port
+from arm_emulator.base.address import parse_address
 from arm_emulator.base.run_outputs import NOTHING
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
@@ -40,7 +40,7 @@ def udp(
         header: print the datagrams as structs of C, and end.
     """
     kept.check("udp")
-    host, port = host_and_port("udp", "--listen", listen)
+    host, port = parse_address("udp", "--listen", listen)
     machine = load_scene(scene)
     layout = Datagrams(machine)
     if header:

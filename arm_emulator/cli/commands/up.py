@@ -16,7 +16,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName
 from arm_emulator.cli.output import output
-from arm_emulator.machine.session.pace import factor_of
+from arm_emulator.machine.session.pace import parse_factor
 from arm_emulator.page.page_address import VARIABLE, PageAddress, new_token
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ctrl_c import CtrlC
@@ -57,7 +57,7 @@ def up(
         params_file: ROS parameter file that overrides all other parameters.
     """
     output.facts({"scene": scene, "clock": clock, "record": record, "page": None, "ended": None})
-    factor = factor_of("up", pace)
+    factor = parse_factor("up", pace)
     if clock == "realtime" and factor != 1.0:
         rule = "be 1 with --clock realtime, which is never faster or slower"
         raise Refusal("up", "--pace", rule, pace)

@@ -10,24 +10,24 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine import faults
 from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.registry import kinds_of
+from arm_emulator.machine.parts.registry import list_kinds
 
 
-def _declared() -> Iterator[Fault]:
+def _list_declared() -> Iterator[Fault]:
     for one in pkgutil.iter_modules(faults.__path__):
         module = importlib.import_module(f"{faults.__name__}.{one.name}")
         yield from getattr(module, "FAULTS", ())
-    for kind in kinds_of(Part):
+    for kind in list_kinds(Part):
         yield from kind.faults()
 
 
-def _kinds() -> tuple[Fault, ...]:
+def _list_kinds() -> tuple[Fault, ...]:
     """Return all kinds, by their names."""
     found: dict[str, Fault] = {}
-    for one in _declared():
+    for one in _list_declared():
         if found.setdefault(one.name, one) != one:
             raise Refusal("faults", f"fault {one.name}", "have one meaning", one.text)
     return tuple(sorted(found.values(), key=lambda one: one.name))
 
 
-FAULTS = _kinds()
+FAULTS = _list_kinds()

@@ -33,7 +33,7 @@ class SceneFault:
         return self.varied.name.removeprefix("faults.")
 
 
-def faults_of(
+def list_scene_faults(
     kinds: Iterable[Fault],
     owners: Mapping[str, Iterable[str]],
     numbers: Mapping[str, float | None],
@@ -83,5 +83,5 @@ def put_faults(faults: Iterable[SceneFault], places: dict[str, str]) -> None:
         if magnitude is None:
             continue  # of a scene whose varied numbers were replaced
         for change in fault.changes:
-            value = places.get(change.number) or cxx_literals.number(change.value)
+            value = places.get(change.number) or cxx_literals.format_number(change.value)
             places[change.number] = f"({change.expression.format(x=value, m=magnitude)})"

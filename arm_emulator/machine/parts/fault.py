@@ -50,12 +50,12 @@ class Fault:
         return {place.rpartition(".")[0] for place in self.sets}
 
 
-def share(default: float = 1.0, at_most: float = 1.0) -> Number:
+def bound_share(default: float = 1.0, at_most: float = 1.0) -> Number:
     """Return a magnitude that is a share of the sound number."""
     return Number("magnitude", "1", at_least=0.0, at_most=at_most, default=default)
 
 
-def rise(unit: str, default: float, at_most: float, *, signed: bool = False) -> Number:
+def bound_rise(unit: str, default: float, at_most: float, *, signed: bool = False) -> Number:
     """Return a magnitude that is added to a number."""
     least = -at_most if signed else 0.0
     return Number("magnitude", unit, at_least=least, at_most=at_most, default=default)
@@ -68,17 +68,17 @@ STUCK = "readings are lost with a probability, and the one before stands; at 1 f
 GROWS = "{x} * (1.0 + {m})"
 
 
-def rising(*places: str) -> dict[str, str]:
+def declare_rise(*places: str) -> dict[str, str]:
     """Return a fault that raises numbers by the magnitude."""
     return dict.fromkeys(places, RISES)
 
 
-def falling(*places: str) -> dict[str, str]:
+def declare_fall(*places: str) -> dict[str, str]:
     """Return a fault that lowers numbers by the magnitude's share."""
     return dict.fromkeys(places, FALLS)
 
 
-def sensor_fault(
+def declare_sensor_fault(
     section: str, about: str, name: str, text: str, key: str, magnitude: Number, to: str = RISES,
     *, of: str = "joints", absent: float | None = 0.0,
 ) -> Fault:  # fmt: skip

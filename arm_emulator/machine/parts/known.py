@@ -13,33 +13,33 @@ from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.registry import kinds_of
+from arm_emulator.machine.parts.registry import list_kinds
 
 KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 
 # The first is meant where a scene gives no `motor.kind`.
-MOTORS = tuple(sorted(kinds_of(Motor), key=lambda one: not one.is_default))
+MOTORS = tuple(sorted(list_kinds(Motor), key=lambda one: not one.is_default))
 
 # Those that our servo drives, so that an arm can be sized with them.
 SIZED_MOTORS = tuple(motor for motor in MOTORS if motor.rules)
 
 
-def _by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
+def _select_by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
     return tuple(sorted(kinds, key=lambda one: (-len(one.named_by), one.__module__)))
 
 
 # A gear is the first of these whose keys it has all.
-GEARS = _by_keys(kinds_of(Gear))
+GEARS = _select_by_keys(list_kinds(Gear))
 
 # And so is friction.
-LINK_FRICTIONS = _by_keys(kinds_of(LinkFriction))
-ROTOR_FRICTIONS = _by_keys(kinds_of(OfRotor))
+LINK_FRICTIONS = _select_by_keys(list_kinds(LinkFriction))
+ROTOR_FRICTIONS = _select_by_keys(list_kinds(OfRotor))
 
 # Parts with an optional section of their own.
-EXTRAS = tuple(sorted(kinds_of(JointEffect), key=lambda one: one.rank))
+EXTRAS = tuple(sorted(list_kinds(JointEffect), key=lambda one: one.rank))
 
 # Decorators around a motor, innermost first.
-_DECORATORS = sorted(kinds_of(DriveStage), key=lambda one: one.layer)
+_DECORATORS = sorted(list_kinds(DriveStage), key=lambda one: one.layer)
 DECORATORS = tuple(one for one in _DECORATORS if not one.around_kind)
 
 # Those for motors of one kind, in the place of another.
@@ -57,7 +57,7 @@ PARTS: tuple[type[Part], ...] = (
 )
 
 
-def without(kinds: Iterable[type[Part]]) -> dict[str, None]:
+def remove_kind(kinds: Iterable[type[Part]]) -> dict[str, None]:
     """Return overrides of a scene that take parts of some kinds out of all joints."""
     return {f"joints.*.{kind.section}": None for kind in kinds}
 
@@ -86,7 +86,7 @@ def read_gear(section: Section) -> Gear:
     return gear
 
 
-def gear_of(**numbers: float) -> Gear:
+def find_gear(**numbers: float) -> Gear:
     """Return the gear that has these numbers."""
     return next(gear for gear in GEARS if set(gear.named_by) <= set(numbers))(**numbers)
 

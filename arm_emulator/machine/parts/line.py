@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, share
+from arm_emulator.machine.parts.fault import HOLDS, RISES, Fault, bound_share
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
 
@@ -13,12 +13,12 @@ LATEST = 16.0  # servo periods
 COMMANDED = ("command_", "silent")  # numbers that change no joint without a motor begin so
 
 
-def _probability(symbol: str) -> float | None:
+def _declare_probability(symbol: str) -> float | None:
     found: float | None = number(symbol, "1", ends=(0.0, 1.0), default=None)
     return found
 
 
-def _late(symbol: str) -> float | None:
+def _declare_lateness(symbol: str) -> float | None:
     found: float | None = number(symbol, "servo periods", ends=(0.0, LATEST), default=None)
     return found
 
@@ -31,18 +31,18 @@ class Line(Part):
     header = "line.hpp"
     cxx = "Line"
 
-    command_late: float | None = _late("command.late")
-    command_lost: float | None = _probability("command.lost")
-    command_repeated: float | None = _probability("command.repeated")
-    command_overtaken: float | None = _probability("command.overtaken")
-    command_corrupted: float | None = _probability("command.corrupted")
-    measurement_late: float | None = _late("measurement.late")
-    measurement_lost: float | None = _probability("measurement.lost")
-    measurement_repeated: float | None = _probability("measurement.repeated")
-    measurement_overtaken: float | None = _probability("measurement.overtaken")
-    measurement_corrupted: float | None = _probability("measurement.corrupted")
-    silent: float | None = _probability("silent")
-    swapped: float | None = _probability("swapped")
+    command_late: float | None = _declare_lateness("command.late")
+    command_lost: float | None = _declare_probability("command.lost")
+    command_repeated: float | None = _declare_probability("command.repeated")
+    command_overtaken: float | None = _declare_probability("command.overtaken")
+    command_corrupted: float | None = _declare_probability("command.corrupted")
+    measurement_late: float | None = _declare_lateness("measurement.late")
+    measurement_lost: float | None = _declare_probability("measurement.lost")
+    measurement_repeated: float | None = _declare_probability("measurement.repeated")
+    measurement_overtaken: float | None = _declare_probability("measurement.overtaken")
+    measurement_corrupted: float | None = _declare_probability("measurement.corrupted")
+    silent: float | None = _declare_probability("silent")
+    swapped: float | None = _declare_probability("swapped")
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:
@@ -60,27 +60,27 @@ class Line(Part):
                 kind(f"{way}_late", f"{receiver} receives each {way} whole periods late",
                      f"{way}_late", late, RISES),
                 kind(f"{way}_lost", f"{way}s are lost with a probability, and the one before "
-                     "stands", f"{way}_lost", share(0.3)),
+                     "stands", f"{way}_lost", bound_share(0.3)),
                 kind(f"{way}_repeated", f"the {way} before comes once more, behind the newest",
-                     f"{way}_repeated", share(0.3)),
+                     f"{way}_repeated", bound_share(0.3)),
                 kind(f"{way}_overtaken", f"{way}s come a period later, behind the one that follows",
-                     f"{way}_overtaken", share(0.3)),
+                     f"{way}_overtaken", bound_share(0.3)),
                 kind(f"{way}_corrupted", f"a bit of a {way} is received wrong",
-                     f"{way}_corrupted", share(0.1)),
+                     f"{way}_corrupted", bound_share(0.1)),
             )
         )  # fmt: skip
         return (
             *ways,
             kind("controller_frozen", "the controller stops, and its last command stands",
-                 "command_lost", share()),
+                 "command_lost", bound_share()),
             kind("controller_restarts", "no command comes, and the drive is disabled", "silent",
-                 share()),
+                 bound_share()),
             kind("encoders_swapped", "the plugs of its encoders and the next joint's are swapped",
-                 "swapped", share()),
+                 "swapped", bound_share()),
         )  # fmt: skip
 
 
-def line_numbers(joints: Mapping[str, bool]) -> dict[str, None]:
+def list_line_numbers(joints: Mapping[str, bool]) -> dict[str, None]:
     """Return the numbers of joints' lines that faults can change.
 
     Args:
@@ -95,7 +95,7 @@ def line_numbers(joints: Mapping[str, bool]) -> dict[str, None]:
     }
 
 
-def lines(seed: str, joints: Iterable[str], places: Mapping[str, str]) -> str:
+def write_lines(seed: str, joints: Iterable[str], places: Mapping[str, str]) -> str:
     """Return the function that makes the lines of a scene, empty where no fault is of them.
 
     Args:
@@ -106,7 +106,7 @@ def lines(seed: str, joints: Iterable[str], places: Mapping[str, str]) -> str:
     set_here = [
         f"    all.at[{j}].{member} = {value};"
         for j, name in enumerate(joints)
-        for member, value in Line().members(name, places)
+        for member, value in Line().list_members(name, places)
     ]
     if not set_here:
         return ""

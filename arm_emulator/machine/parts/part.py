@@ -21,9 +21,9 @@ from arm_emulator.base.validation.number import (
     REQUIRED,
     Ends,
     Number,
-    between,
-    field_of,
-    numbers_of,
+    build_bounds,
+    declare_field,
+    list_numbers,
 )
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
@@ -59,8 +59,8 @@ def number(
     symbol: str, unit: str, *, default: Any = REQUIRED, ends: Ends = (None, None), **declared: Any
 ) -> Any:
     """Return a dataclass field that is a number of a part, see `PartNumber`; `ends`: bounds."""
-    bounds = between(ends)
-    return field_of(PartNumber("", unit, symbol=symbol, default=default, **bounds, **declared))
+    bounds = build_bounds(ends)
+    return declare_field(PartNumber("", unit, symbol=symbol, default=default, **bounds, **declared))
 
 
 @dataclass_transform(
@@ -86,7 +86,7 @@ class Part(Declared):
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
 
     @classmethod
-    def owned_name(cls) -> str:
+    def name_place(cls) -> str:
         """Return the name of which a registered part is the only owner: its place in scenes."""
         return f"{cls.owners}.NAME.{cls.section}"
 
@@ -108,7 +108,7 @@ class Part(Declared):
     @classmethod
     def numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key."""
-        return numbers_of(cls)
+        return list_numbers(cls)
 
     @classmethod
     def read(cls, section: Section) -> Self:
@@ -153,16 +153,16 @@ class Part(Declared):
                 values[key] = ratio * values[one.follows]
         return dataclasses.replace(self, **values)
 
-    def could_vary(self, joint: str) -> list[Varied]:
+    def list_variable_numbers(self, joint: str) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
         of = f"{self.owners}.{joint}.{self.section}"
         return [
             Varied(self.numbers()[key].named(f"{of}.{key}"), value)
-            for key, value in self.own_numbers().items()
+            for key, value in self.list_own_numbers().items()
             if value is not None
         ]
 
-    def own_numbers(self) -> dict[str, float | None]:
+    def list_own_numbers(self) -> dict[str, float | None]:
         """Return the numbers that may be data of each machine, by key; None: it is left out."""
         return {
             key: getattr(self, key)
@@ -170,9 +170,9 @@ class Part(Declared):
             if one.varied and not one.whole and one.follows is None
         }
 
-    def fault_numbers(self) -> dict[str, float | None]:
+    def list_fault_numbers(self) -> dict[str, float | None]:
         """Return the numbers that faults may change, by key: its own, and states of no section."""
-        return self.own_numbers()
+        return self.list_own_numbers()
 
     def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:
         """Return the headers of the core that its C++ needs; arguments as of `initialiser`."""
@@ -183,17 +183,19 @@ class Part(Declared):
         """The C++ type."""
         return f"arm::{self.cxx}"
 
-    def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
+    def write_initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the part in C++.
 
         Args:
             joint: the joint's name.
             places: where the values of varied numbers stand, by their name.
         """
-        members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
+        members = ", ".join(
+            f".{name} = {value}" for name, value in self.list_members(joint, places)
+        )
         return f"{self.cxx_type}{{{members}}}"
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
         """Return the members of the C++ part and their values, in C++'s order."""
         members = []
         for key, one in self.numbers().items():
@@ -202,12 +204,12 @@ class Part(Declared):
             if value is None and (place is None or one.follows is not None):
                 continue
             if place is None:
-                text = cxx_literals.number(value)
+                text = cxx_literals.format_number(value)
             elif one.follows is None:
                 text = place
             else:
                 leader = getattr(self, one.follows)
                 ratio = value / leader if leader > 0.0 else 1.0
-                text = f"{cxx_literals.number(ratio)} * {place}"
+                text = f"{cxx_literals.format_number(ratio)} * {place}"
             members.append((one.symbol, text))
         return members

@@ -9,11 +9,11 @@ from arm_emulator.machine.parts.part import Part
 
 Kind = TypeVar("Kind", bound=Part)
 
-_PARTS = Registry[Part]("part", __package__ or "", lambda kind: str(kind.owned_name()))
+_PARTS = Registry[Part]("part", __package__ or "", lambda kind: str(kind.name_place()))
 register_part = _PARTS.register
 
 
-def kinds_of(base: type[Kind]) -> list[type[Kind]]:
+def list_kinds(base: type[Kind]) -> list[type[Kind]]:
     """Return the registered parts that inherit a class or are it, by their sections."""
     found = [kind for kind in _PARTS.kinds().values() if issubclass(kind, base)]
     return sorted(found, key=lambda kind: kind.section)

@@ -18,7 +18,7 @@ _PHASE = Number.within("phase", "rad", 1e4)
 Wave = tuple[float, float, float]
 
 
-def waves_key(name: str, unit: str, rule: str, text: str) -> Key:
+def declare_waves(name: str, unit: str, rule: str, text: str) -> Key:
     """Return the key of a list of waves; `rule`: of its amplitudes."""
     lists = f"up to {MOST} lists `[k, a]` or `[k, a, phi]`: k > 0, ≤ 1e5; {rule}; phi ±1e4 rad"
     return Key(name, unit=unit, range=lists, absent="`[]`", text=text)
@@ -49,7 +49,7 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
     return tuple(waves)
 
 
-def wave_sum(waves: tuple[Wave, ...], angle: Array) -> Array:
+def compute_wave_sum(waves: tuple[Wave, ...], angle: Array) -> Array:
     """Return the sum of waves at angles of the shaft."""
     total = np.zeros_like(angle)
     for order, amplitude, phase in waves:
@@ -57,15 +57,15 @@ def wave_sum(waves: tuple[Wave, ...], angle: Array) -> Array:
     return total
 
 
-def wave_slope(waves: tuple[Wave, ...], angle: Array) -> Array:
-    """Return the derivative of `wave_sum` in the angle."""
+def compute_wave_slope(waves: tuple[Wave, ...], angle: Array) -> Array:
+    """Return the derivative of `compute_wave_sum` in the angle."""
     total = np.zeros_like(angle)
     for order, amplitude, phase in waves:
         total += order * amplitude * np.cos(order * angle + phase)
     return total
 
 
-def cxx_waves(waves: tuple[Wave, ...]) -> str:
+def write_waves(waves: tuple[Wave, ...]) -> str:
     """Return waves in C++."""
-    numbers = ("{" + ", ".join(map(cxx_literals.number, one)) + "}" for one in waves)
+    numbers = ("{" + ", ".join(map(cxx_literals.format_number, one)) + "}" for one in waves)
     return "{{" + ", ".join(numbers) + "}}"

@@ -11,7 +11,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.joint_order import check_joint_names
 from arm_emulator.machine.plant.core_calls import ARM, PLACES
-from arm_emulator.machine.plant.inputs import modes_of
+from arm_emulator.machine.plant.inputs import list_modes
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.toolchain.c_header import CData, Library, text
 
@@ -21,7 +21,7 @@ PIECE = 2**20  # steps after which a long call checks for Ctrl-C
 Commands = ArrayLike | Mapping[str, ArrayLike]
 
 
-def by_joint(given: object, scene: Scene, where: str) -> object:
+def order_by_joint(given: object, scene: Scene, where: str) -> object:
     """Return values given by joint names as columns, base to tool; all else unchanged.
 
     Raises:
@@ -33,7 +33,9 @@ def by_joint(given: object, scene: Scene, where: str) -> object:
     return [given[name] for name in scene.joint_names]
 
 
-def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwise: str) -> Refusal:
+def build_refusal(
+    core: Library, machine: CData, scene: Scene, where: str, otherwise: str
+) -> Refusal:
     """Return the refusal of the newest call on a machine.
 
     Args:
@@ -50,20 +52,20 @@ def refusal_of(core: Library, machine: CData, scene: Scene, where: str, otherwis
     return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), got)
 
 
-def truth_at(**places: NDArray[Any]) -> CData:
+def make_truth(**places: NDArray[Any]) -> CData:
     """Return an ``arm_truth`` whose numbers go to arrays, by their names in `PlantState`."""
     return ARM.new("arm_truth", **{PLACES.get(name, name): at for name, at in places.items()})
 
 
-def commands_of(scene: Scene) -> NDArray[Any]:
+def make_commands(scene: Scene) -> NDArray[Any]:
     """Return commands of 0, as the joints' motors take them."""
     commands = ARM.rows("arm_joint_command", len(scene.joints))
-    commands["mode"] = modes_of(scene)
+    commands["mode"] = list_modes(scene)
     commands["enable"] = 1
     return commands
 
 
-def options_of(scene: Scene, values: Array) -> CData:
+def make_options(scene: Scene, values: Array) -> CData:
     """Return the options of a machine; `values` of the varied numbers must outlive them."""
     return ARM.new(
         "arm_options",

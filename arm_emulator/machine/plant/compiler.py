@@ -8,12 +8,12 @@ from pathlib import Path
 
 from arm_emulator.core import CORE
 from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS, SENSITIVITY
-from arm_emulator.machine.plant.scene_unit import scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import FOLDERS, REAL_TIME
 from arm_emulator.toolchain.c_header import Header, Library
 from arm_emulator.toolchain.flags import CPP_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_units, library
+from arm_emulator.toolchain.unit import Unit, compile_units, load_library
 
 # Directions of derivatives that one run follows. With 16, whose numbers fill more registers than
 # there are, one direction takes twice as long.
@@ -30,37 +30,37 @@ OF_LEADER = (
 )
 
 
-def library_of(scene: Scene) -> Library:
+def load_machine(scene: Scene) -> Library:
     """Return the scene's compiled machine, compiling it if no cached library fits.
 
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return library(machine_unit(scene))
+    return load_library(build_machine_unit(scene))
 
 
-def machine_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> Unit:
-    """Return the sources of `library_of`.
+def build_machine_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> Unit:
+    """Return the sources of `load_machine`.
 
     Args:
         scene: the scene.
         boundary: the header with the functions of the library; it includes the default.
     """
     about = f"scene {scene.name} ({len(scene.joints)} joints)"
-    unit = _unit(scene.name, scene_unit(scene, boundary), (ARM,), scene.where, about)
-    return replace(unit, data=_periods(scene))
+    unit = _build_unit(scene.name, write_scene_unit(scene, boundary), (ARM,), scene.where, about)
+    return replace(unit, data=_pack_periods(scene))
 
 
-def _periods(scene: Scene) -> dict[str, bytes]:
+def _pack_periods(scene: Scene) -> dict[str, bytes]:
     """Return ``arm_scene_periods`` of core/boundary/boundary.hpp."""
     numbers = scene.servo_period, scene.integrator.dt, scene.steps_per_period
     return {"arm_scene_periods": struct.pack("<ddq", *numbers)}
 
 
-def library_with(scene: Scene, name: str, source: str, header: Header) -> Library:
-    """Return the scene's compiled machine with more C++ in the same unit, see `library_of`.
+def load_machine_with(scene: Scene, name: str, source: str, header: Header) -> Library:
+    """Return the scene's compiled machine with more C++ in the same unit, see `load_machine`.
 
-    It restores what a machine of `library_of` has saved.
+    It restores what a machine of `load_machine` has saved.
 
     Args:
         scene: the scene.
@@ -68,8 +68,8 @@ def library_with(scene: Scene, name: str, source: str, header: Header) -> Librar
         source: C++ that may use core/boundary/arm.h.
         header: declares the functions that it adds.
     """
-    unit = machine_unit(scene)
-    return library(
+    unit = build_machine_unit(scene)
+    return load_library(
         replace(
             unit,
             name=f"{scene.name}-{name}",
@@ -82,24 +82,24 @@ def library_with(scene: Scene, name: str, source: str, header: Header) -> Librar
     )
 
 
-def equations_library_of(scene: Scene) -> Library:
-    """Return the compiled equations of a scene's machines, see `library_of`."""
-    return library(equations_unit(scene))
+def load_equations(scene: Scene) -> Library:
+    """Return the compiled equations of a scene's machines, see `load_machine`."""
+    return load_library(build_equations_unit(scene))
 
 
-def sensitivity_library_of(scene: Scene) -> Library:
-    """Return the scene's machine over dual numbers, see `library_of`."""
+def load_sensitivities(scene: Scene) -> Library:
+    """Return the scene's machine over dual numbers, see `load_machine`."""
     about = f"derivatives of {scene.name} ({len(scene.joints)} joints)"
-    source = scene_unit(scene, "boundary/sensitivity.hpp")
-    unit = _unit(f"{scene.name}-derivatives", source, (SENSITIVITY,), scene.where, about)
-    leader = OF_LEADER + scene_unit(scene, "boundary/primal_run.hpp")
+    source = write_scene_unit(scene, "boundary/sensitivity.hpp")
+    unit = _build_unit(f"{scene.name}-derivatives", source, (SENSITIVITY,), scene.where, about)
+    leader = OF_LEADER + write_scene_unit(scene, "boundary/primal_run.hpp")
     flags = (*FLAGS, f"-DARM_DIRECTIONS={DIRECTIONS}")
-    return library(replace(unit, flags=flags, beside=leader))
+    return load_library(replace(unit, flags=flags, beside=leader))
 
 
-def real_time_library() -> Library:
-    """Return the compiled loop of tick/c/real_time.h, see `library_of`."""
-    return library(real_time_unit())
+def load_real_time() -> Library:
+    """Return the compiled loop of tick/c/real_time.h, see `load_machine`."""
+    return load_library(build_real_time_unit())
 
 
 def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
@@ -114,23 +114,25 @@ def compile_ahead(scene: Scene, target: str, folder: Path | None) -> list[Path]:
     Raises:
         Refusal: see there.
     """
-    units = [machine_unit(scene), equations_unit(scene), real_time_unit()]
+    units = [build_machine_unit(scene), build_equations_unit(scene), build_real_time_unit()]
     return compile_units(units, target, folder)
 
 
-def equations_unit(scene: Scene) -> Unit:
-    """Return the sources of `equations_library_of`."""
+def build_equations_unit(scene: Scene) -> Unit:
+    """Return the sources of `load_equations`."""
     about = f"equations of {scene.name} ({len(scene.joints)} joints)"
-    source = scene_unit(scene, "boundary/equations.hpp")
-    return _unit(f"{scene.name}-equations", source, (EQUATIONS,), scene.where, about)
+    source = write_scene_unit(scene, "boundary/equations.hpp")
+    return _build_unit(f"{scene.name}-equations", source, (EQUATIONS,), scene.where, about)
 
 
-def real_time_unit() -> Unit:
-    """Return the sources of `real_time_library`."""
+def build_real_time_unit() -> Unit:
+    """Return the sources of `load_real_time`."""
     source, about = '#include "real_time.cpp"\n', "the real-time loop"
     headers, where, part = (REAL_TIME,), "real time", "real_time.cpp"
     return Unit("real_time", source, FLAGS, FOLDERS, headers, where, about, part)
 
 
-def _unit(name: str, source: str, headers: tuple[Header, ...], where: str, about: str) -> Unit:
+def _build_unit(
+    name: str, source: str, headers: tuple[Header, ...], where: str, about: str
+) -> Unit:
     return Unit(name, source, FLAGS, (CORE,), headers, where, about, "the scene's core")

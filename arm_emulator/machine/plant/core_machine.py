@@ -15,13 +15,13 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.validation.coerce import coerce_flag
-from arm_emulator.machine.plant.call_arguments import options_of, refusal_of, truth_at
-from arm_emulator.machine.plant.compiler import equations_library_of, library_of
+from arm_emulator.machine.plant.call_arguments import build_refusal, make_options, make_truth
+from arm_emulator.machine.plant.compiler import load_equations, load_machine
 from arm_emulator.machine.plant.core_calls import ARM, REFUSED
-from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, on_moving_link
-from arm_emulator.machine.plant.plant_state import ROWS, SET, PlantState, bounds_of
+from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, move_to_moving_link
+from arm_emulator.machine.plant.plant_state import ROWS, SET, PlantState, bound_state
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.varied import varied_number
+from arm_emulator.machine.varied import find_varied
 from arm_emulator.toolchain.c_header import NULL, CData, Library, pointer
 
 
@@ -48,7 +48,7 @@ class CoreMachine(Synchronized):
     Args:
         scene: the machine.
         of: a machine of this scene that belongs to a fleet; None: a new one.
-        core: its compiled core with something beside it, see `compiler.library_with`.
+        core: its compiled core with something beside it, see `compiler.load_machine_with`.
 
     Raises:
         Refusal: the scene's core cannot be compiled.
@@ -57,28 +57,28 @@ class CoreMachine(Synchronized):
     def __init__(self, scene: Scene, of: BorrowedMachine | None, core: Library | None) -> None:
         super().__init__(of.owner if of else None)
         self.scene = scene
-        self.core = of.core if of else core or library_of(scene)
+        self.core = of.core if of else core or load_machine(scene)
         self._N = N = len(scene.joints)
         self._owner = of.owner if of else None  # it must not go before
         self.machine = of.machine if of else self._new()
         self._rows = np.zeros((len(ROWS), N))
         self._energy = np.zeros(1)
         # Separate requests: quantities without an output array are not computed.
-        self._clock = truth_at()
-        self._energy_alone = truth_at(energy=self._energy)
-        self._truth = truth_at(**dict(zip(ROWS, self._rows, strict=True)))
-        self.bounds = bounds_of(scene)
+        self._clock = make_truth()
+        self._energy_alone = make_truth(energy=self._energy)
+        self._truth = make_truth(**dict(zip(ROWS, self._rows, strict=True)))
+        self.bounds = bound_state(scene)
 
     def _new(self) -> CData:
         values = np.array([one.value for one in self.scene.varied], np.float64)
-        return self.core.arm_new(options_of(self.scene, values))
+        return self.core.arm_new(make_options(self.scene, values))
 
     def __del__(self) -> None:
         machine, self.machine = getattr(self, "machine", NULL), NULL
         if machine and self._owner is None:
             self.core.arm_delete(machine)
 
-    def renew_threads(self) -> None:  # noqa: D102
+    def restart_threads(self) -> None:  # noqa: D102
         self.core.arm_begin_threads(self.machine)
 
     def equation(self, name: str, *arguments: Any) -> Any:
@@ -102,7 +102,7 @@ class CoreMachine(Synchronized):
     def _equations(self) -> tuple[Library, CData]:
         """The equations, and the place of the point at which they are taken."""
         size = self.core.arm_get_point(self.machine, NULL)
-        return equations_library_of(self.scene), ARM.ffi.new("double[]", size)
+        return load_equations(self.scene), ARM.ffi.new("double[]", size)
 
     @property
     @synchronized
@@ -118,7 +118,7 @@ class CoreMachine(Synchronized):
             Refusal: the scene does not list it as varied, or a value out of its range.
         """
         where = "Plant.set_parameter"
-        one = varied_number(self.scene.varied, name, where)
+        one = find_varied(self.scene.varied, name, where)
         taken = one.number.take(where, value)
         if self.core.arm_set_parameter(self.machine, name.encode(), taken) == REFUSED:
             raise self._refusal(where, "another value")
@@ -143,7 +143,7 @@ class CoreMachine(Synchronized):
                 finite or too large; nothing has changed.
         """
         where = "Plant.set_external_wrench"
-        place, wrench = on_moving_link(self.scene, where, link, wrench)
+        place, wrench = move_to_moving_link(self.scene, where, link, wrench)
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
         one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
         if self.core.arm_set_external_wrench(self.machine, place, one) == REFUSED:
@@ -243,7 +243,7 @@ class CoreMachine(Synchronized):
             raise Refusal(where, "given", rule, given, valid)
         for name, values in given.items():
             rows[name] = self.bounds[name].row(where, values, self._N)
-        if self.core.arm_set_truth(self.machine, truth_at(**rows)) == REFUSED:
+        if self.core.arm_set_truth(self.machine, make_truth(**rows)) == REFUSED:
             raise self._refusal(where, "another one")
 
     @property
@@ -269,7 +269,7 @@ class CoreMachine(Synchronized):
 
     def _refusal(self, where: str, otherwise: str) -> Refusal:
         """Return the refusal of a call."""
-        return refusal_of(self.core, self.machine, self.scene, where, otherwise)
+        return build_refusal(self.core, self.machine, self.scene, where, otherwise)
 
     def _look(self, truth: CData) -> CData:
         """Have what has a place in `truth` written there."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.products import applied
+from arm_emulator.base.products import apply_matrix
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import FORCE, MOMENT, POINT
 from arm_emulator.base.validation.number import Number
@@ -39,7 +39,7 @@ class ExternalWrench:
     axes: str = "link"
 
 
-def on_moving_link(
+def move_to_moving_link(
     scene: Scene, where: str, link: str, wrench: ExternalWrench, *arms: int
 ) -> tuple[int, ExternalWrench]:
     """Return the same wrench as one on a link of the chain, and that link's place in it.
@@ -60,22 +60,22 @@ def on_moving_link(
         raise Refusal(where, "wrench", "be an ExternalWrench", wrench)
     if not isinstance(wrench.axes, str) or wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
-    place, frame = _frame_of(scene, where, link)
+    place, frame = _find_frame(scene, where, link)
     force, moment, point = (
-        _vectors(where, bound, values, arms)
+        _check_vectors(where, bound, values, arms)
         for bound, values in (
             (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
         )
     )  # fmt: skip
     if wrench.axes == "link":
-        force, moment = (applied(frame.R, one) + 0.0 for one in (force, moment))
-    point = applied(frame.R, point) + frame.p
+        force, moment = (apply_matrix(frame.R, one) + 0.0 for one in (force, moment))
+    point = apply_matrix(frame.R, point) + frame.p
     if arms:
         return place, ExternalWrench(force, moment, point, wrench.axes)
     return place, ExternalWrench(tuple(force), tuple(moment), tuple(point), wrench.axes)
 
 
-def _vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
+def _check_vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
     """Return a vector (3,), or of a fleet a row for each arm (arms, 3)."""
     if not arms:
         return bound.row(where, values, 3)
@@ -87,7 +87,7 @@ def _vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]
     return np.array(np.broadcast_to(rows, (*arms, 3)))
 
 
-def _frame_of(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
+def _find_frame(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
     for place, one in enumerate(scene.chain.links):
         if isinstance(link, str) and link in one.links:
             return place, one.links[link]

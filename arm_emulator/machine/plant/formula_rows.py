@@ -22,7 +22,7 @@ from arm_emulator.core import BOUNDARY
 from arm_emulator.tick.c import FOLDER, FOLDERS
 from arm_emulator.toolchain.c_header import Header
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 
 Row = tuple[str, int, int, float]
 _KINDS = {
@@ -108,7 +108,7 @@ CONDITION = Header(FOLDER / "condition.h", FOLDERS)
 BREAKPOINT = Header(FOLDER / "breakpoint.h", FOLDERS)
 
 
-def formula_unit() -> Unit:
+def build_formula_unit() -> Unit:
     """Return the sources of formulas, tool positions, conditions and breakpoints."""
     parts = "formula.c", "tool_position.c", "condition.c", "breakpoint.c"
     source = "".join(f'#include "{part}"\n' for part in parts)
@@ -117,4 +117,4 @@ def formula_unit() -> Unit:
     return Unit("formula", source, C_FLAGS, FOLDERS, headers, "formula", about, parts[0])
 
 
-formula_library = compiled_once(formula_unit)
+formula_library = compile_once(build_formula_unit)

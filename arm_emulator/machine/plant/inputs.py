@@ -14,25 +14,25 @@ from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene
 
 
-def further_inputs(scene: Scene) -> tuple[str, ...]:
+def list_further_inputs(scene: Scene) -> tuple[str, ...]:
     """Return the names of motors' further inputs, a row each in arm.h."""
     found = (input.name for joint in scene.joints for input in joint.inputs[1:])
     return tuple(dict.fromkeys(found))
 
 
-def input_at(joint: Joint, name: str) -> Input | None:
+def find_input(joint: Joint, name: str) -> Input | None:
     """Return a further input of a joint's motor; None: it has none of that name."""
     return next((input for input in joint.inputs[1:] if input.name == name), None)
 
 
-def input_units(scene: Scene, name: str) -> tuple[str, ...]:
+def list_input_units(scene: Scene, name: str) -> tuple[str, ...]:
     """Return the unit of a further input at each joint; a joint without it has that of another."""
-    at = [input_at(joint, name) for joint in scene.joints]
+    at = [find_input(joint, name) for joint in scene.joints]
     other = next(one.unit for one in at if one)
     return tuple(one.unit if one else other for one in at)
 
 
-def modes_of(scene: Scene) -> list[int]:
+def list_modes(scene: Scene) -> list[int]:
     """Return the enum arm_mode of each joint's command."""
     return [ARM.constant(joint.inputs[0].mode) for joint in scene.joints]
 
@@ -43,14 +43,14 @@ def check_inputs(where: str, scene: Scene, given: Iterable[str]) -> None:
     Raises:
         Refusal: see above.
     """
-    known = further_inputs(scene)
+    known = list_further_inputs(scene)
     for name in given:
         if name not in known:
             rule = f"be a further input of {scene.name}"
             raise Refusal(where, "inputs", rule, name, ", ".join(known) or "none")
 
 
-def named_inputs(
+def name_inputs(
     where: str, names: Sequence[str], values: Sequence[float], joints: int
 ) -> dict[str, Sequence[float]]:
     """Return further inputs by name, of a message that has names, and a value per joint for each.
@@ -66,7 +66,9 @@ def named_inputs(
     return {name: values[k * joints : (k + 1) * joints] for k, name in enumerate(names)}
 
 
-def further_rows(where: str, scene: Scene, given: Mapping[str, Array], *shape: int) -> Array | None:
+def arrange_further_rows(
+    where: str, scene: Scene, given: Mapping[str, Array], *shape: int
+) -> Array | None:
     """Return further inputs as rows of arm.h, 0 of those that are not given; None if none are.
 
     Args:
@@ -82,11 +84,11 @@ def further_rows(where: str, scene: Scene, given: Mapping[str, Array], *shape: i
     if not given:
         return None
     check_inputs(where, scene, given)
-    names = further_inputs(scene)
+    names = list_further_inputs(scene)
     rows = np.zeros((*shape, len(names), len(scene.joints)))
     for name, row in given.items():
         for j, joint in enumerate(scene.joints):
-            if input_at(joint, name) is None and row[..., j].any():
+            if find_input(joint, name) is None and row[..., j].any():
                 rule, got = "be 0, its motor has no such input", row[..., j].tolist()
                 raise Refusal(where, f"{name} of {joint.name}", rule, got)
         rows[..., names.index(name), :] = row

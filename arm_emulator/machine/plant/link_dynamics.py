@@ -55,7 +55,7 @@ class LinkDynamics:
         rows = self._rows("accelerations", {"q": q, "v": v, "tau": tau})
         a = np.empty_like(rows[0])
         self._call("arm_forward_dynamics", a.size // self._N, *map(pointer, (*rows, a)))
-        return _finite(a, "accelerations", "a")
+        return _check_finite(a, "accelerations", "a")
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the joint torques tau [N m or N] that give the links accelerations.
@@ -66,7 +66,7 @@ class LinkDynamics:
         rows = self._rows("inverse_dynamics", {"q": q, "v": v, "a": a})
         tau = np.empty_like(rows[0])
         self._call("arm_inverse_dynamics", tau.size // self._N, *map(pointer, (*rows, tau)))
-        return _finite(tau, "inverse_dynamics", "tau")
+        return _check_finite(tau, "inverse_dynamics", "tau")
 
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), (N, N) or (K, N, N) [kg m2, kg m or kg].
@@ -84,7 +84,7 @@ class LinkDynamics:
             Refusal: see `LinkDynamics`.
         """
         at = self._rows("nle", {"q": q, "v": v})
-        return _finite(self._dynamics(*at)[1], "nle", "nle")
+        return _check_finite(self._dynamics(*at)[1], "nle", "nle")
 
     def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
         M, nle = np.empty((*q.shape, self._N)), np.empty_like(q)
@@ -121,6 +121,6 @@ class LinkDynamics:
         return rows
 
 
-def _finite(values: Array, of: str, quantity: str) -> Array:
+def _check_finite(values: Array, of: str, quantity: str) -> Array:
     ANSWERS[quantity].check(f"LinkDynamics.{of}", values)
     return values

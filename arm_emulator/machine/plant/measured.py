@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.machine.parts.output import FURTHER, READINGS, Output
 from arm_emulator.machine.plant.core_calls import ARM
-from arm_emulator.machine.plant.inputs import further_inputs
-from arm_emulator.machine.plant.outputs import KNOWN, input_of, outputs_of, readings_of
+from arm_emulator.machine.plant.inputs import list_further_inputs
+from arm_emulator.machine.plant.outputs import KNOWN, find_output_input, list_outputs, list_readings
 from arm_emulator.machine.scene.scene import Scene
 
 
@@ -72,7 +72,7 @@ class MeasuredPlace:
 
     def __init__(self, scene: Scene, *arms: int) -> None:
         N, M = len(scene.joints), len(scene.imus)
-        self._rows = rows_of(scene)
+        self._rows = list_rows(scene)
         kinds = {
             "joint": (ARM.dtype("arm_joint_measurement"), (*arms, N)),
             "sensors": (ARM.dtype("arm_joint_sensors"), (*arms, N)),
@@ -96,10 +96,14 @@ class MeasuredPlace:
         return Measured(self._record, self._rows)
 
 
-def rows_of(scene: Scene) -> dict[str, tuple[str, ...]]:
+def list_rows(scene: Scene) -> dict[str, tuple[str, ...]]:
     """Return the outputs that are rows of an array, by its name in ``arm_measurement``."""
-    of = {input_of(scene, one): one.name for one in outputs_of(scene) if one.symbol == FURTHER}
+    of = {
+        find_output_input(scene, one): one.name
+        for one in list_outputs(scene)
+        if one.symbol == FURTHER
+    }
     return {
-        READINGS: tuple(one.name for one in readings_of(scene)),
-        FURTHER: tuple(of[name] for name in further_inputs(scene)),
+        READINGS: tuple(one.name for one in list_readings(scene)),
+        FURTHER: tuple(of[name] for name in list_further_inputs(scene)),
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.plant.measured import Measured
-from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN, reported_by_parts
+from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN, list_reported_by_parts
 from arm_emulator.machine.scene.scene import Scene
 
 
@@ -34,7 +34,7 @@ class MeasuredFields:
 
     def __init__(self, scene: Scene, types: Mapping[str, str]) -> None:
         self.in_all = tuple(one.name for one in ALWAYS if one.name in types)
-        further = [part for part in reported_by_parts(scene) if part.name not in self.in_all]
+        further = [part for part in list_reported_by_parts(scene) if part.name not in self.in_all]
         self.own: tuple[Output, ...] = tuple(one for one in further if one.name in types)
         self.listed = tuple(one.name for one in further if one.name not in types)
         self._names = (*self.in_all, *(one.name for one in self.own))

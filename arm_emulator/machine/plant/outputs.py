@@ -10,7 +10,7 @@ from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.sensors import SENSORS
 from arm_emulator.machine.parts.output import COMMAND, FAULTS, FURTHER, READINGS, Output
 from arm_emulator.machine.plant.core_calls import ARM
-from arm_emulator.machine.plant.inputs import further_inputs, input_at, input_units
+from arm_emulator.machine.plant.inputs import find_input, list_further_inputs, list_input_units
 from arm_emulator.machine.scene.scene import Scene
 
 # Of every drive, whatever its parts.
@@ -40,7 +40,7 @@ class OutputSource(Protocol):
     outputs: ClassVar[tuple[Output, ...]]
 
 
-def _declared(owners: Iterable[type[OutputSource]]) -> list[Output]:
+def _list_declared(owners: Iterable[type[OutputSource]]) -> list[Output]:
     found: dict[Output, None] = {}
     for owner in owners:
         found |= dict.fromkeys(owner.outputs)
@@ -52,14 +52,14 @@ KNOWN: dict[str, Output] = {
     one.name: one
     for one in (
         *(_COUNTS, _CURRENT),
-        *_declared(MOTORS),
+        *_list_declared(MOTORS),
         *(_APPLIED, FAULTS),
-        *_declared((*PARTS, *SENSORS)),
+        *_list_declared((*PARTS, *SENSORS)),
     )
 }
 
 
-def _symbols() -> Iterator[str]:
+def _list_symbols() -> Iterator[str]:
     for name, field in ARM.ffi.typeof("arm_measurement").fields:
         if field.type.kind == "pointer":
             array = field.type.item
@@ -68,16 +68,16 @@ def _symbols() -> Iterator[str]:
             )
 
 
-SYMBOLS = set(_symbols())  # where arm.h has outputs
+SYMBOLS = set(_list_symbols())  # where arm.h has outputs
 
 
-def outputs_of(scene: Scene) -> tuple[Output, ...]:
+def list_outputs(scene: Scene) -> tuple[Output, ...]:
     """Return the outputs of a scene's parts.
 
     Raises:
         Refusal: an output that is declared without a place in arm.h.
     """
-    there = {*ALWAYS, *_reported(scene)}
+    there = {*ALWAYS, *_list_reported(scene)}
     for one in there:
         if KNOWN.get(one.name) != one or one.symbol not in SYMBOLS:
             rule = "be declared by its class, with a place in arm.h as its symbol"
@@ -86,7 +86,7 @@ def outputs_of(scene: Scene) -> tuple[Output, ...]:
     return tuple(value for value in KNOWN.values() if value in there)
 
 
-def _reported(scene: Scene) -> set[Output]:
+def _list_reported(scene: Scene) -> set[Output]:
     parts = (
         part for joint in scene.joints for part in (*joint.parts, *joint.sensors.parts.values())
     )
@@ -94,33 +94,33 @@ def _reported(scene: Scene) -> set[Output]:
     return {*of_units, *(output for part in parts for output in part.reports)}
 
 
-def reported_by_parts(scene: Scene) -> tuple[Output, ...]:
+def list_reported_by_parts(scene: Scene) -> tuple[Output, ...]:
     """Return the outputs that a part of a scene declares."""
-    there = _reported(scene)
-    return tuple(one for one in outputs_of(scene) if one in there)
+    there = _list_reported(scene)
+    return tuple(one for one in list_outputs(scene) if one in there)
 
 
-def readings_of(scene: Scene) -> tuple[Output, ...]:
+def list_readings(scene: Scene) -> tuple[Output, ...]:
     """Return the outputs in ``arm_measurement.readings``, a row each."""
-    return tuple(one for one in outputs_of(scene) if one.symbol == READINGS)
+    return tuple(one for one in list_outputs(scene) if one.symbol == READINGS)
 
 
-def input_of(scene: Scene, output: Output) -> str:
+def find_output_input(scene: Scene, output: Output) -> str:
     """Return the further input whose applied value an output reports."""
     return next(
         name
-        for name in further_inputs(scene)
+        for name in list_further_inputs(scene)
         for joint in scene.joints
-        if (one := input_at(joint, name)) and one.applied == output.name
+        if (one := find_input(joint, name)) and one.applied == output.name
     )
 
 
-def units_of(scene: Scene, output: Output) -> tuple[str, ...]:
+def list_units(scene: Scene, output: Output) -> tuple[str, ...]:
     """Return the unit of an output at each joint; none where its values have none."""
     if output.unit == COMMAND:
         return tuple(joint.unit for joint in scene.joints)
     if output.symbol == FURTHER:
-        return input_units(scene, input_of(scene, output))
+        return list_input_units(scene, find_output_input(scene, output))
     if not output.unit:
         return ()
     return tuple(output.unit_at(joint.kind) for joint in scene.chain.joints)

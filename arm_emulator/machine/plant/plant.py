@@ -21,17 +21,21 @@ from arm_emulator.machine.plant.call_arguments import (
     LARGEST_STEPS,
     PIECE,
     Commands,
-    by_joint,
-    commands_of,
+    make_commands,
+    order_by_joint,
 )
 from arm_emulator.machine.plant.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
 from arm_emulator.machine.plant.core_machine import BorrowedMachine, CoreMachine, Equations
 from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.inputs import check_inputs, further_inputs, further_rows
+from arm_emulator.machine.plant.inputs import (
+    arrange_further_rows,
+    check_inputs,
+    list_further_inputs,
+)
 from arm_emulator.machine.plant.link_dynamics import LinkDynamics
 from arm_emulator.machine.plant.measured import Measured, MeasuredPlace
-from arm_emulator.machine.plant.plant_state import link_angle_per_count, start_bounds
-from arm_emulator.machine.scene.scene import Scene, scene_of
+from arm_emulator.machine.plant.plant_state import bound_start, compute_count_angle
+from arm_emulator.machine.scene.scene import Scene, coerce_scene
 from arm_emulator.tick.c import TICK, tick_calls
 from arm_emulator.toolchain.c_header import NULL, Library, pointer
 
@@ -46,7 +50,7 @@ class Plant(CoreMachine):
 
     Attributes:
         scene: the machine.
-        link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
+        compute_count_angle: what one encoder count means at the link (N,) [rad or m].
         bounds: how large what is set may be, by its name in `PlantState`.
         core: the compiled core (core/boundary/arm.h); this and the next four are for doors in C.
         machine: the core's handle of this machine.
@@ -56,7 +60,7 @@ class Plant(CoreMachine):
     Args:
         scene: from `load_scene`, or what that takes: a name or a file.
         of: a machine of this scene that belongs to a fleet; None: a new one.
-        core: its compiled core with something beside it, see `compiler.library_with`.
+        core: its compiled core with something beside it, see `compiler.load_machine_with`.
 
     Raises:
         Refusal: the scene's core cannot be compiled.
@@ -69,15 +73,15 @@ class Plant(CoreMachine):
         of: BorrowedMachine | None = None,
         core: Library | None = None,
     ) -> None:
-        scene = scene_of(scene, "Plant")
+        scene = coerce_scene(scene, "Plant")
         super().__init__(scene, of, core)
         self._added = core is not None and of is None
         N = self._N
         self._shape = (N,)
         self._held = np.zeros(N)
         self._held_pointer = pointer(self._held)
-        self._commands = commands_of(scene)
-        self._further = np.zeros((len(further_inputs(scene)), N))
+        self._commands = make_commands(scene)
+        self._further = np.zeros((len(list_further_inputs(scene)), N))
         self._has_further = len(self._further) > 0
         places = {"joint": self._commands, "further": self._further}
         self.command = ARM.new("arm_command", tick=-1, **places)
@@ -95,8 +99,8 @@ class Plant(CoreMachine):
             measurement=self.measurement,
         )
         self._exchange = tick_calls().tick_exchange
-        self.link_angle_per_count = link_angle_per_count(scene)
-        self._start_bounds = start_bounds(scene)
+        self.link_angle_per_count = compute_count_angle(scene)
+        self._start_bounds = bound_start(scene)
         if not of:
             self.reset()
 
@@ -202,7 +206,7 @@ class Plant(CoreMachine):
         if further:
             check_inputs(where, self.scene, further)
         rows = {name: self._as_further(where, name, given) for name, given in further.items()}
-        others = further_rows(where, self.scene, rows)
+        others = arrange_further_rows(where, self.scene, rows)
         with self.turn:
             before = self._commands.tobytes(), self._further.tobytes()  # quicker than copies
             self._commands["value"] = row
@@ -223,14 +227,14 @@ class Plant(CoreMachine):
         if isinstance(command, np.ndarray) and command.shape == self._shape:
             if command.dtype == np.float64:
                 return command
-        given = by_joint(command, self.scene, where)
+        given = order_by_joint(command, self.scene, where)
         row = ANY_COMMAND.numbers(where, given)
         if row.shape != self._shape:
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
 
     def _as_further(self, where: str, name: str, given: Commands) -> Array:
-        return ANY_COMMAND.named(name).row(where, by_joint(given, self.scene, where), self._N)
+        return ANY_COMMAND.named(name).row(where, order_by_joint(given, self.scene, where), self._N)
 
     def exchange_in(self, loop: Callable[[], int]) -> None:
         """Go through servo periods in a loop in C, over `ticks`.
@@ -370,7 +374,7 @@ class Plant(CoreMachine):
             Refusal: wrong shape, not finite, or the scene has no `energy_flow`.
         """
         where, out = "Plant.powers", np.zeros((2, self._N))
-        u = ANY_COMMAND.row(where, by_joint(command, self.scene, where), self._N)
+        u = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), self._N)
         if self.core.arm_powers(self.machine, pointer(u), pointer(out)) == REFUSED:
             raise self._refusal(where, "false")
         return EnergyFlow(*out)
@@ -388,7 +392,7 @@ class Plant(CoreMachine):
         """
         where = "Plant.advance_metered"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        given = by_joint(command, self.scene, where)
+        given = order_by_joint(command, self.scene, where)
         self._held[:] = ANY_COMMAND.row(where, given, self._N)
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
@@ -428,7 +432,7 @@ class Plant(CoreMachine):
             Refusal: wrong shape or not finite.
         """
         where, N = "Plant.equations", self._N
-        given = ANY_COMMAND.row(where, by_joint(command, self.scene, where), N)
+        given = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), N)
         u = given.copy()  # to be put within its bounds
         slides = coerce_flag(slides, where, "slides")
         size = N * (self.equation("arm_linear_drives", False, NULL) + 2)

@@ -22,7 +22,7 @@ _UNITS_OF_LINKS = {
 }
 
 
-def unit_of(row: str, kind: str) -> str:
+def find_unit(row: str, kind: str) -> str:
     """Return the unit of one of `ROWS` at a revolute or prismatic joint."""
     return (_UNITS | _UNITS_OF_LINKS[kind])[row]
 
@@ -43,29 +43,29 @@ class PlantState(ArrayEquality):
     gear_torque: Array  # N m or N, on the link
 
 
-def link_angle_per_count(scene: Scene) -> Array:
+def compute_count_angle(scene: Scene) -> Array:
     """Return the link angle of an encoder count (N,) [rad or m]."""
     return np.array(
         [2.0 * math.pi / joint.counts_per_turn * joint.gear.ratio for joint in scene.joints]
     )
 
 
-def largest_position(scene: Scene) -> Array:
+def compute_largest_position(scene: Scene) -> Array:
     """Return the bound of link positions (N,) [rad or m], for exact encoder counts."""
-    return np.minimum(POSITION.most, LARGEST_COUNT * np.abs(link_angle_per_count(scene)))
+    return np.minimum(POSITION.most, LARGEST_COUNT * np.abs(compute_count_angle(scene)))
 
 
-def start_bounds(scene: Scene) -> tuple[Number, Number]:
+def bound_start(scene: Scene) -> tuple[Number, Number]:
     """Return bounds of positions and speeds at the start of a motion."""
     return (
-        Number.within("q", "rad or m", largest_position(scene)),
+        Number.within("q", "rad or m", compute_largest_position(scene)),
         Number.within("v", "rad/s or m/s", VELOCITY.most),
     )
 
 
-def bounds_of(scene: Scene) -> dict[str, Number]:
+def bound_state(scene: Scene) -> dict[str, Number]:
     """Return bounds of values that are set, by their names in `PlantState`."""
-    at_most = largest_position(scene)
+    at_most = compute_largest_position(scene)
     ratio = np.abs(scene.gear_ratios)
     return {
         "current": CURRENT,

@@ -8,24 +8,28 @@ from collections.abc import Mapping
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.escape import c_string
-from arm_emulator.base.products import applied
+from arm_emulator.base.escape import escape_c_string
+from arm_emulator.base.products import apply_matrix
 from arm_emulator.machine.chain import Body, Chain, ChainJoint
-from arm_emulator.machine.cxx_literals import fields, number, vector
+from arm_emulator.machine.cxx_literals import format_fields, format_number, format_vector
 from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.parts.drive_stages.drive_stage import Supply
-from arm_emulator.machine.parts.line import lines
-from arm_emulator.machine.parts.measuring.sensors import measured_kinds, quantities, suite
+from arm_emulator.machine.parts.line import write_lines
+from arm_emulator.machine.parts.measuring.sensors import (
+    list_measured_kinds,
+    write_quantities,
+    write_suite,
+)
 from arm_emulator.machine.parts.motors.motor import CxxMotor
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.plant.inputs import further_inputs, input_at
-from arm_emulator.machine.plant.outputs import readings_of
+from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
+from arm_emulator.machine.plant.outputs import list_readings
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.varied import AXES, TENSOR, Varied, expressions
+from arm_emulator.machine.varied import AXES, TENSOR, Varied, write_expressions
 
 
-def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
+def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
     """Return the C++ unit of a scene: its constants, then the core's C interface.
 
     Neither the step size nor the values of varied numbers, which stand as p[k], are part of it, so
@@ -36,24 +40,24 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
         boundary: the header of the core that has the functions of the library.
     """
     kind = "OneThread" if scene.threads == 1 else "TwoThreads"
-    places = _places(scene)
+    places = _name_places(scene)
     R_BW = scene.chain.R_BW
-    gravity = applied(R_BW, scene.gravity) if scene.gravity is not None else (0.0, 0.0, 0.0)
-    links = ",\n".join(map(_link, scene.chain.links, _bodies(scene, places)))
-    axes = _axes(scene.chain) if scene.external_wrench else ""
-    devices = ",\n".join(_device(joint) for joint in scene.joints)
-    drives = ",\n".join(_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
-    around = _surroundings(scene, places)
-    read, sensors = _sensors(scene, places)
+    gravity = apply_matrix(R_BW, scene.gravity) if scene.gravity is not None else (0.0, 0.0, 0.0)
+    links = ",\n".join(map(_write_link, scene.chain.links, _write_bodies(scene, places)))
+    axes = _write_axes(scene.chain) if scene.external_wrench else ""
+    devices = ",\n".join(_write_device(joint) for joint in scene.joints)
+    drives = ",\n".join(_write_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
+    around = _write_surroundings(scene, places)
+    read, sensors = _write_sensors(scene, places)
     braked = sum(joint.brake is not None for joint in scene.joints)
-    parameters = "".join(f"      {_parameter(one)},\n" for one in scene.varied)
+    parameters = "".join(f"      {_write_parameter(one)},\n" for one in scene.varied)
     return f"""\
-{_includes(scene, places)}
+{_write_includes(scene, places)}
 
 {read}struct Scene {{
   static constexpr int N = {len(scene.joints)};
   static constexpr int L = {len(scene.chain.links)};
-{_coupling(scene.chain)}\
+{_write_coupling(scene.chain)}\
   using Scheme = {scene.integrator.method.cxx_type()};
   template <class Stepper>
   using Threads = arm::{kind}<Scene, Stepper>;
@@ -63,11 +67,11 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
   static constexpr bool external_wrench = {"true" if scene.external_wrench else "false"};
 {axes}\
   static constexpr arm::Events events = arm::Events::{scene.integrator.events};
-  static constexpr arm::Real supply_voltage = {number(scene.supply_voltage)};
-  static constexpr arm::Vec3<arm::Real> gravity = {vector(gravity)};
+  static constexpr arm::Real supply_voltage = {format_number(scene.supply_voltage)};
+  static constexpr arm::Vec3<arm::Real> gravity = {format_vector(gravity)};
 {around}\
   static constexpr int brakes = {braked};
-{_brakes(scene)}\
+{_write_brakes(scene)}\
   static constexpr int parameters = {len(scene.varied)};
   static constexpr arm::Parameter parameter[parameters + 1] = {{
 {parameters}  }};
@@ -81,13 +85,13 @@ def scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
   }}
   static constexpr arm::Device device[N] = {{
 {devices}}};
-{_inputs(scene)}{_readings(scene)}{sensors}}};
+{_write_inputs(scene)}{_write_readings(scene)}{sensors}}};
 
 #include "{boundary}"
 """
 
 
-def _places(scene: Scene) -> dict[str, str]:
+def _name_places(scene: Scene) -> dict[str, str]:
     """Return what stands for the numbers that are data of a machine, by name."""
     places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
     braked = [joint for joint in scene.joints if joint.brake]
@@ -98,16 +102,16 @@ def _places(scene: Scene) -> dict[str, str]:
     return places
 
 
-def _bodies(scene: Scene, places: Mapping[str, str]) -> list[str]:
+def _write_bodies(scene: Scene, places: Mapping[str, str]) -> list[str]:
     """Return the bodies of the links, the one that carries the payload with it."""
-    bodies = [_link_body(geometry, places) for geometry in scene.chain.links]
+    bodies = [_write_link_body(geometry, places) for geometry in scene.chain.links]
     if (load := scene.load) is not None and "payload.mass" in places:
-        bare, per_kg = _body(load.bare), _body(load.per_kg)
+        bare, per_kg = _write_body(load.bare), _write_body(load.per_kg)
         bodies[load.link] = f"arm::loaded({bare}, {places['payload.mass']}, {per_kg})"
     return bodies
 
 
-def _includes(scene: Scene, places: Mapping[str, str]) -> str:
+def _write_includes(scene: Scene, places: Mapping[str, str]) -> str:
     """Return the headers of the parts, of the scheme and of the threads."""
     headers = sorted(
         {
@@ -119,36 +123,36 @@ def _includes(scene: Scene, places: Mapping[str, str]) -> str:
     )
     if scene.sensed:
         headers.append("mechanics/sensors.hpp")
-    if _lines(scene, places):
+    if _write_lines(scene, places):
         headers.append("parts/line.hpp")
     threads = {1: "one_thread", 2: "two_threads"}[scene.threads]
     headers += ["parts/device.hpp", "mechanics/scene.hpp", scene.integrator.method.header()]
     return "\n".join(f'#include "{one}"' for one in (*headers, f"schemes/{threads}.hpp"))
 
 
-def _sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:
+def _write_sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:
     """Return the quantities that sensors read, and the sensors and lines."""
     read, sensors = "", ""
     if scene.sensed:
-        read = quantities(measured_kinds(joint.sensors for joint in scene.joints))
+        read = write_quantities(list_measured_kinds(joint.sensors for joint in scene.joints))
         of_joints = {joint.name: joint.sensors for joint in scene.joints}
-        sensors = suite(_seed(scene, places), of_joints, scene.imus, places)
-    return read, sensors + _lines(scene, places)
+        sensors = write_suite(_write_seed(scene, places), of_joints, scene.imus, places)
+    return read, sensors + _write_lines(scene, places)
 
 
-def _lines(scene: Scene, places: Mapping[str, str]) -> str:
-    return lines(_seed(scene, places), scene.joint_names, places)
+def _write_lines(scene: Scene, places: Mapping[str, str]) -> str:
+    return write_lines(_write_seed(scene, places), scene.joint_names, places)
 
 
-def _seed(scene: Scene, places: Mapping[str, str]) -> str:
-    return places.get("seed") or number(scene.seed)
+def _write_seed(scene: Scene, places: Mapping[str, str]) -> str:
+    return places.get("seed") or format_number(scene.seed)
 
 
-def _surroundings(scene: Scene, places: Mapping[str, str]) -> str:
+def _write_surroundings(scene: Scene, places: Mapping[str, str]) -> str:
     """Return gravity and supply where faults change them."""
     text = ""
     if tilt := places.get("base.tilt"):
-        axis = vector(scene.chain.R_BW[:, 0])
+        axis = format_vector(scene.chain.R_BW[:, 0])
         text += f"""\
   static constexpr arm::Vec3<arm::Real> field(const arm::Real* p) {{
     return arm::turned(gravity, {axis}, {tilt});
@@ -161,15 +165,15 @@ def _surroundings(scene: Scene, places: Mapping[str, str]) -> str:
     return text
 
 
-def _inputs(scene: Scene) -> str:
+def _write_inputs(scene: Scene) -> str:
     """Return the motors' further inputs."""
-    names, rows = further_inputs(scene), []
+    names, rows = list_further_inputs(scene), []
     for name in names:
-        at = [input_at(joint, name) for joint in scene.joints]
+        at = [find_input(joint, name) for joint in scene.joints]
         pairs = zip(scene.joints, at, strict=True)
         of = ", ".join(str(joint.inputs[1:].index(one) if one else -1) for joint, one in pairs)
-        units = ", ".join(c_string(one.unit if one else "") for one in at)
-        rows.append(f"      {{{c_string(name)}, {{{of}}}, {{{units}}}}},\n")
+        units = ", ".join(escape_c_string(one.unit if one else "") for one in at)
+        rows.append(f"      {{{escape_c_string(name)}, {{{of}}}, {{{units}}}}},\n")
     return f"""\
   static constexpr int inputs = {len(names)};
   static constexpr arm::FurtherInput<N> input[inputs + 1] = {{
@@ -177,14 +181,12 @@ def _inputs(scene: Scene) -> str:
 """
 
 
-def _readings(scene: Scene) -> str:
-    rows = readings_of(scene)
+def _write_readings(scene: Scene) -> str:
+    rows = list_readings(scene)
     if not rows:
         return "  static constexpr int readings = 0;\n"
-    lines = ",\n".join(
-        f"      {{{', '.join(map(c_string, (row.name, row.unit, row.unit_at('prismatic'))))}}}"
-        for row in rows
-    )
+    texts = ((row.name, row.unit, row.unit_at("prismatic")) for row in rows)
+    lines = ",\n".join(f"      {{{', '.join(map(escape_c_string, row))}}}" for row in texts)
     return f"""\
   static constexpr int readings = {len(rows)};
   static constexpr arm::Reading reading[readings] = {{
@@ -192,60 +194,61 @@ def _readings(scene: Scene) -> str:
 """
 
 
-def _coupling(chain: Chain) -> str:
+def _write_coupling(chain: Chain) -> str:
     """Return the coupling of joints and shafts, if there is one."""
     coupling = chain.coupling
     if coupling.plain:
         return ""
-    rows = ",\n".join(f"      {{{', '.join(map(number, row))}}}" for row in coupling.C)
+    rows = ",\n".join(f"      {{{', '.join(map(format_number, row))}}}" for row in coupling.C)
+    offsets = ", ".join(map(format_number, coupling.offset))
     return f"""\
   static constexpr arm::Real coupling[L][N] = {{
 {rows}}};
-  static constexpr arm::Real coupling_offset[L] = {{{", ".join(map(number, coupling.offset))}}};
+  static constexpr arm::Real coupling_offset[L] = {{{offsets}}};
   static constexpr int link_of[N] = {{{", ".join(map(str, chain.link_of))}}};
 """
 
 
-def _axes(chain: Chain) -> str:
+def _write_axes(chain: Chain) -> str:
     """Return rotations of vectors from the URDF's links and the world to the core."""
-    links = ",\n".join(f"      {{{_matrix(joint.axes)}}}" for joint in chain.links)
+    links = ",\n".join(f"      {{{_write_matrix(joint.axes)}}}" for joint in chain.links)
     return f"""\
   static constexpr arm::Real link_axes[L][3][3] = {{
 {links}}};
-  static constexpr arm::Real world_axes[3][3] = {{{_matrix(chain.R_BW)}}};
+  static constexpr arm::Real world_axes[3][3] = {{{_write_matrix(chain.R_BW)}}};
 """
 
 
-def _matrix(rows: Array) -> str:
-    return ", ".join(f"{{{', '.join(map(number, row))}}}" for row in rows)
+def _write_matrix(rows: Array) -> str:
+    return ", ".join(f"{{{', '.join(map(format_number, row))}}}" for row in rows)
 
 
-def _parameter(one: Varied) -> str:
+def _write_parameter(one: Varied) -> str:
     least, most = one.number.ends
-    numbers = fields({"least": least, "most": most})
-    return f"{{.name = {c_string(one.name)}, {numbers}}}"
+    numbers = format_fields({"least": least, "most": most})
+    return f"{{.name = {escape_c_string(one.name)}, {numbers}}}"
 
 
-def _body(body: Body) -> str:
+def _write_body(body: Body) -> str:
     I = body.inertia  # noqa: E741
     tensor = dict(zip(("xx", "yy", "zz"), np.diag(I), strict=True))
     tensor |= {"xy": I[0, 1], "xz": I[0, 2], "yz": I[1, 2]}
-    m, h = number(body.mass), vector(body.moment)
-    return f"arm::Body<arm::Real>{{.m = {m}, .h = {h}, .I = {{{fields(tensor)}}}}}"
+    m, h = format_number(body.mass), format_vector(body.moment)
+    return f"arm::Body<arm::Real>{{.m = {m}, .h = {h}, .I = {{{format_fields(tensor)}}}}}"
 
 
-def _link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
-    of = expressions(geometry, places)
+def _write_link_body(geometry: ChainJoint, places: Mapping[str, str]) -> str:
+    of = write_expressions(geometry, places)
     if of is None:
-        return _body(geometry.body)
+        return _write_body(geometry.body)
     h = ", ".join(of[f"moment_{x}"] for x in AXES)
     tensor = ", ".join(f".{xx} = {of[f'inertia_{xx}']}" for xx in TENSOR)
     return f"arm::Body<arm::Real>{{.m = {of['mass']}, .h = {{{h}}}, .I = {{{tensor}}}}}"
 
 
-def _link(geometry: ChainJoint, body: str) -> str:
+def _write_link(geometry: ChainJoint, body: str) -> str:
     theta_0 = geometry.theta_0
-    gamma = fields({"cos_gamma": geometry.cos_gamma, "sin_gamma": geometry.sin_gamma})
+    gamma = format_fields({"cos_gamma": geometry.cos_gamma, "sin_gamma": geometry.sin_gamma})
     numbers = {
         "cos_alpha": geometry.cos_alpha,
         "sin_alpha": geometry.sin_alpha,
@@ -257,24 +260,27 @@ def _link(geometry: ChainJoint, body: str) -> str:
       {{.kind = arm::JointKind::{geometry.kind},
        .parent = {geometry.parent},
        {gamma},
-       {fields(numbers)},
-       .p = {vector(geometry.p)},
+       {format_fields(numbers)},
+       .p = {format_vector(geometry.p)},
        .body = {body}}}"""
 
 
-def _brakes(scene: Scene) -> str:
+def _write_brakes(scene: Scene) -> str:
     """Return the joints of the brakes, and the delays after which they close and open."""
     brakes = {j: joint.brake for j, joint in enumerate(scene.joints) if joint.brake}
-    delays = (f"{{{number(b.close_delay)}, {number(b.release_delay)}}}" for b in brakes.values())
+    delays = (
+        f"{{{format_number(b.close_delay)}, {format_number(b.release_delay)}}}"
+        for b in brakes.values()
+    )
     return f"""\
   static constexpr int braked[brakes + 1] = {{{", ".join(map(str, brakes))}}};
   static constexpr arm::Real brake_delays[brakes + 1][2] = {{{", ".join(delays)}}};
 """
 
 
-def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> str:
+def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> str:
     def part(one: Part) -> str:
-        return one.initialiser(joint.name, places)
+        return one.write_initialiser(joint.name, places)
 
     rotor = joint.rotor_friction
     kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
@@ -286,8 +292,8 @@ def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> st
         motor = CxxMotor(joint.motor.cxx_type, part(joint.motor))
         for one in joint.decorators:
             supply = Supply(supply_voltage, places.get("supply.share", ""))
-            motor = one.around(joint.motor, motor, part(one), supply)
-        motor = joint.motor.around(motor, joint.name, places)
+            motor = one.wrap_motor(joint.motor, motor, part(one), supply)
+        motor = joint.motor.wrap_motor(motor, joint.name, places)
     kinds = [
         motor.type,
         joint.gear.cxx_type,
@@ -305,6 +311,6 @@ def _drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> st
           .extras = {{{extras}}}}}"""
 
 
-def _device(joint: Joint) -> str:
-    counts_per_rad = number(joint.counts_per_turn / (2.0 * math.pi))
-    return f"      {{.name = {c_string(joint.name)}, .counts_per_rad = {counts_per_rad}}}"
+def _write_device(joint: Joint) -> str:
+    counts_per_rad = format_number(joint.counts_per_turn / (2.0 * math.pi))
+    return f"      {{.name = {escape_c_string(joint.name)}, .counts_per_rad = {counts_per_rad}}}"

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from arm_emulator.machine.chain import Chain
-from arm_emulator.machine.faults.scene_faults import SceneFault, faults_of
-from arm_emulator.machine.parts.line import line_numbers
+from arm_emulator.machine.faults.scene_faults import SceneFault, list_scene_faults
+from arm_emulator.machine.parts.line import list_line_numbers
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.scene.joint import Joint
-from arm_emulator.machine.varied import Varied, varied_body
+from arm_emulator.machine.varied import Varied, vary_body
 
 
-def variable_numbers(
+def list_variable_numbers(
     joints: tuple[Joint, ...], chain: Chain, imus: tuple[Imu, ...]
 ) -> list[Varied]:
     """Return the numbers of joints, measurement units and links that may be varied."""
@@ -20,14 +20,14 @@ def variable_numbers(
         one
         for joint in joints
         for part in (*joint.parts, *joint.sensors.parts.values())
-        for one in part.could_vary(joint.name)
+        for one in part.list_variable_numbers(joint.name)
     ]
-    of_imus = [one for imu in imus for one in imu.could_vary()]
-    of_links = [one for link in chain.links for one in varied_body(link)]
+    of_imus = [one for imu in imus for one in imu.list_variable_numbers()]
+    of_links = [one for link in chain.links for one in vary_body(link)]
     return of_joints + of_imus + of_links
 
 
-def fault_catalogue(
+def list_faults(
     joints: tuple[Joint, ...],
     chain: Chain,
     imus: tuple[Imu, ...],
@@ -64,11 +64,11 @@ def fault_catalogue(
     numbers = {
         place: value
         for name, part in parts
-        for key, value in part.fault_numbers().items()
+        for key, value in part.list_fault_numbers().items()
         if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
     }
-    numbers |= {one.name: one.value for link in chain.links for one in varied_body(link)}
-    numbers |= line_numbers({joint.name: joint.motor is not None for joint in joints})
+    numbers |= {one.name: one.value for link in chain.links for one in vary_body(link)}
+    numbers |= list_line_numbers({joint.name: joint.motor is not None for joint in joints})
     if any(joint.motor and joint.motor.has_winding for joint in joints):
         numbers["supply.share"] = 1.0
     if gravity is not None:
@@ -80,4 +80,4 @@ def fault_catalogue(
         "links": [link.link for link in chain.links],
         "imus": [imu.name for imu in imus],
     }
-    return faults_of(FAULTS, owners, numbers, varied)
+    return list_scene_faults(FAULTS, owners, numbers, varied)

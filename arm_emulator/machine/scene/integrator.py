@@ -54,7 +54,7 @@ class Integrator:
         )
 
 
-def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
+def format_mismatch(integrator: Integrator, threads: int) -> tuple[str, str, object, str] | None:
     """Return a conflict of an integrator's settings: key, rule, value, valid ones."""
     scheme = integrator.scheme
     if threads == 2 and integrator.method.evaluations > 1:
@@ -73,7 +73,7 @@ def odds(integrator: Integrator, threads: int) -> tuple[str, str, object, str] |
     return "integrator.events", rule, "located", valid
 
 
-def dividing(servo_period: float, dt: float, where: str) -> float:
+def suggest_divisors(servo_period: float, dt: float, where: str) -> float:
     """Return the step [s] of which whole steps make a servo period, for one that has few digits."""
     nanoseconds = servo_period * 1e9
     # Up to the rounding of a number of whole nanoseconds.

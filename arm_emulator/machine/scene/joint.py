@@ -20,7 +20,7 @@ from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.known import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
-    gear_of,
+    find_gear,
     link_friction_of,
     read_decorators,
     read_extras,
@@ -90,7 +90,7 @@ class Joint:
         """Bandwidth of its drive's current loop [Hz]; 0: it has none."""
         if self.motor is None:
             return 0.0
-        return max((one.bandwidth_around(self.motor) for one in self.decorators), default=0.0)
+        return max((one.compute_bandwidth(self.motor) for one in self.decorators), default=0.0)
 
     @property
     def servo_data(self) -> ServoData | None:
@@ -121,7 +121,7 @@ class Joint:
         """Command of the motor itself at rest, per unit of the joint's command."""
         if self.motor is None:
             return 1.0
-        return math.prod(one.inner_per_command(self.motor) for one in self.decorators)
+        return math.prod(one.convert_unit_command(self.motor) for one in self.decorators)
 
     @property
     def encoder(self) -> Encoder | None:
@@ -170,11 +170,11 @@ def read_joints(
                 "nothing",
                 "a section, or its position under `locked`",
             )
-        joints.append(_joint(name, kind, one, limits.get(name)))
+        joints.append(_read_joint(name, kind, one, limits.get(name)))
     return tuple(joints)
 
 
-def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
+def _read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
     brake = one.section(Brake.section)
@@ -186,7 +186,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
         name=name,
         **one.numbers(Joint),
         motor=driven,
-        gear=gear_of(ratio=1.0) if gear is None else read_gear(gear),
+        gear=find_gear(ratio=1.0) if gear is None else read_gear(gear),
         sensors=JointSensors.read(one, kind),
         friction=link_friction_of()
         if friction is None
@@ -206,7 +206,7 @@ def _joint(name: str, kind: str, one: Section, limits: tuple[float, float] | Non
 
 def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
     """Refuse a gear whose ratio makes numbers at the link too large or too small."""
-    for what, value in motor.felt_at_link(ratio).items():
+    for what, value in motor.reflect_to_link(ratio).items():
         if value > LARGEST:
             rule = f"make the {what} at the link at most {LARGEST:g}"
             raise one.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")

@@ -10,12 +10,12 @@ import numpy as np
 from arm_emulator.base.refusal import Refusal
 
 
-def override(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
+def override_keys(data: dict[str, Any], dotted: str, value: object, where: str) -> None:
     """Put a value into what a scene file holds, see `load_scene`."""
     places: list[tuple[dict[str, Any], list[str]]] = [(data, dotted.split("."))]
     while places:
         place, steps = places.pop()
-        for key, rest in _keys(place, steps):
+        for key, rest in _find_keys(place, steps):
             if not rest:
                 if value is None:
                     place.pop(key, None)
@@ -33,18 +33,18 @@ def override(data: dict[str, Any], dotted: str, value: object, where: str) -> No
             places.append((place[key], below))
 
 
-def plain(value: object) -> object:
+def convert_to_plain(value: object) -> object:
     """Return a value as a file would give it: numbers of Python, sequences as lists."""
     if isinstance(value, np.floating):
         return float(str(value))  # the digits that it stands for, whatever its width
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
-    return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+        return {key: convert_to_plain(one) for key, one in value.items()}
+    return [convert_to_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _keys(place: dict[str, Any], steps: list[str]) -> list[tuple[str, list[str]]]:
+def _find_keys(place: dict[str, Any], steps: list[str]) -> list[tuple[str, list[str]]]:
     """Return the keys that the first steps of a dotted path mean, with the steps that remain.
 
     Names of joints may have dots: the longest key that is there is meant.

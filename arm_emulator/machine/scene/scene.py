@@ -23,16 +23,16 @@ from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.validation.number import Number, number, numbers_of
+from arm_emulator.base.validation.number import Number, list_numbers, number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.measuring.sensors import SENSOR_PARTS
-from arm_emulator.machine.scene.fault_catalogue import fault_catalogue, variable_numbers
-from arm_emulator.machine.scene.integrator import Integrator, dividing, odds
+from arm_emulator.machine.scene.fault_catalogue import list_faults, list_variable_numbers
+from arm_emulator.machine.scene.integrator import Integrator, format_mismatch, suggest_divisors
 from arm_emulator.machine.scene.joint import Joint, read_joints
-from arm_emulator.machine.scene.overrides import override, plain
+from arm_emulator.machine.scene.overrides import convert_to_plain, override_keys
 from arm_emulator.machine.scene.payload import MASS, Load
 from arm_emulator.machine.scene.scene_links import SceneLinks
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
@@ -180,14 +180,14 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     for dotted, value in (overrides or {}).items():
         if not isinstance(dotted, str):
             raise Refusal("load_scene", "path of an override", "be text", repr(dotted))
-        override(data, dotted, plain(value), file.name)
+        override_keys(data, dotted, convert_to_plain(value), file.name)
     payload = data.get("payload")
     if isinstance(payload, int | float) and not isinstance(payload, bool):
         data["payload"] = {"mass": payload}
     return _build(Section(data, file.name), file)
 
 
-def scene_of(given: Scene | str | Path, where: str) -> Scene:
+def coerce_scene(given: Scene | str | Path, where: str) -> Scene:
     """Return a scene, loaded if it is given by its name or its file.
 
     Raises:
@@ -208,17 +208,17 @@ def _build(root: Section, file: Path) -> Scene:
     gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
     joints = read_joints(root, chain, links.urdf_file.name, links.limits)
     integrator = Integrator.read(root.required_section("integrator"))
-    dt = dividing(numbers["servo_period"], integrator.dt, where)
+    dt = suggest_divisors(numbers["servo_period"], integrator.dt, where)
     integrator = replace(integrator, dt=dt)
-    unfit = odds(integrator, numbers["threads"])
+    unfit = format_mismatch(integrator, numbers["threads"])
     if unfit is not None:
         raise root.refusal(*unfit)
-    imus = _imus(root, chain)
-    varied = _varied(root, variable_numbers(joints, chain, imus), mass, numbers["seed"])
+    imus = _read_imus(root, chain)
+    varied = _read_varied(root, list_variable_numbers(joints, chain, imus), mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
     if root.has("faults"):
         names = {one.name for one in varied}
-        possible = fault_catalogue(joints, chain, imus, mass, gravity, names)
+        possible = list_faults(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
     varied += tuple(fault.varied for fault in faults)
@@ -235,14 +235,14 @@ def _build(root: Section, file: Path) -> Scene:
         external_wrench=root.flag("external_wrench"),
         energy_flow=root.flag("energy_flow"),
         home_offset=root.choice("home_offset", HOME_OFFSETS, HOME_OFFSETS[0]),
-        cores=_cores(root),
+        cores=_read_cores(root),
         varied=varied,
-        load=_varied_load(links, varied, faults, where),
+        load=_read_varied_load(links, varied, faults, where),
         faults=faults,
         possible_faults=tuple(possible.values()),
         imus=imus,
-        assumed=_links_named(root, "assumed", links.robot),
-        trusted_inertias=_links_named(root, "trusted_inertias", links.robot),
+        assumed=_find_links(root, "assumed", links.robot),
+        trusted_inertias=_find_links(root, "trusted_inertias", links.robot),
         **numbers,
     )
     for key in BESIDE:
@@ -252,7 +252,7 @@ def _build(root: Section, file: Path) -> Scene:
     return scene
 
 
-def _varied(
+def _read_varied(
     root: Section, of_parts: list[Varied], mass: float | None, seed: float
 ) -> tuple[Varied, ...]:
     """Return the numbers that the scene lists as varied.
@@ -267,14 +267,14 @@ def _varied(
     if mass is not None:
         possible.append(Varied(MASS.named(MASS_NAME), mass))
     if root.has("seed") or "seed" in root.entries("varied"):
-        known = replace(numbers_of(Scene)["seed"], whole=False)  # one is as good as another
+        known = replace(list_numbers(Scene)["seed"], whole=False)  # one is as good as another
         possible.append(Varied(known, seed))
     by_name = {one.name: one for one in possible}
     rule = "name numbers of this scene that can be varied"
     return choose(root.entries("varied"), by_name, root.where, "varied", rule)
 
 
-def _varied_load(
+def _read_varied_load(
     links: SceneLinks, varied: Iterable[Varied], faults: Iterable[SceneFault], where: str
 ) -> Load | None:
     """Return the payload, where numbers or faults change its mass.
@@ -296,7 +296,7 @@ def _varied_load(
     return load
 
 
-def _links_named(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
+def _find_links(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
     """Return the links of the URDF that a list names."""
     known = [link.get("name") for link in robot.findall("link")]
     for name in root.entries(key):
@@ -305,7 +305,7 @@ def _links_named(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
     return tuple(map(str, root.entries(key)))
 
 
-def _cores(root: Section) -> tuple[int, int]:
+def _read_cores(root: Section) -> tuple[int, int]:
     cores = root.vector(CORES, size=2)
     if cores is None:
         return -1, -1
@@ -316,7 +316,7 @@ def _cores(root: Section) -> tuple[int, int]:
     return int(cores[0]), int(cores[1])
 
 
-def _imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
+def _read_imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
     section = root.section("imus")
     if section is None:
         return ()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from arm_emulator.base.urdf.shafts import shaft_limits
-from arm_emulator.base.urdf.urdf_text import limits_of, parse_urdf, read_urdf
+from arm_emulator.base.urdf.shafts import read_shaft_limits
+from arm_emulator.base.urdf.urdf_text import parse_urdf, read_limits, read_urdf
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
@@ -53,17 +53,17 @@ class SceneLinks:
         )
         body = None if self._payload is None else read_payload(self._payload)
         self.payload_mass = None if body is None else body.mass
-        _couple(root.section("couplings"), self.robot)
+        _apply_coupling(root.section("couplings"), self.robot)
         self.chain = self._chain(body)
         twice = None if body is None else self._chain(body.scaled(2.0))
-        self.bare = _bare(self.chain, twice)
+        self.bare = _remove_payload(self.chain, twice)
         locks = lock_joints(self.robot, self._locked, self.urdf_file.name)
         if locks or root.has("couplings"):
             self.urdf = ET.tostring(self.robot, encoding="unicode")
-        self.limits = limits_of(self.robot)
+        self.limits = read_limits(self.robot)
         coupling = self.chain.coupling
         if not coupling.plain:  # a stop of a shaft is where the first of its joints has one
-            of_shafts = shaft_limits(self.urdf, coupling.shafts)
+            of_shafts = read_shaft_limits(self.urdf, coupling.shafts)
             self.limits = {name: of_shafts[name] for name in coupling.apart & of_shafts.keys()}
 
     def load(self) -> Load | None:
@@ -83,7 +83,7 @@ class SceneLinks:
         )
 
 
-def _bare(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
+def _remove_payload(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
     """Return the bodies of the links without the payload.
 
     Args:
@@ -97,7 +97,7 @@ def _bare(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
     return tuple(one.body.scaled(2.0) + two.body.scaled(-1.0) for one, two in pairs)
 
 
-def _couple(section: Section | None, robot: ET.Element) -> None:
+def _apply_coupling(section: Section | None, robot: ET.Element) -> None:
     """Put the scene's couplings into the joints of its description, where all readers find them."""
     if section is None:
         return

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.products import applied, length, product
+from arm_emulator.base.products import apply_matrix, measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.couplings import Coupling, coupling_of, followers
+from arm_emulator.base.urdf.couplings import Coupling, followers, read_coupling
 from arm_emulator.base.urdf.urdf_text import complete_limits
 from arm_emulator.machine.chain import (
     Body,
@@ -21,8 +21,8 @@ from arm_emulator.machine.chain import (
     ChainJoint,
     Frame,
     clean,
-    cross,
-    exact_atan2,
+    compute_atan2,
+    compute_cross,
     rpy_of,
     turn,
 )
@@ -30,12 +30,12 @@ from arm_emulator.machine.scene.urdf_tree import (
     FREE_KINDS,
     MOVING_KINDS,
     UrdfJoint,
-    names,
-    names_of,
-    parsed_joints,
+    find_root,
+    list_element_names,
+    list_names,
+    parse_joints,
     read_bodies,
     read_joints,
-    root_of,
 )
 
 MOST_JOINTS = 200  # more are no arm, and would compile for hours
@@ -68,12 +68,12 @@ def read_chain(
     Raises:
         Refusal: it is no URDF, or its machine is no tree with sound inertias.
     """
-    moving = _with_bodies(robot, where, asks, locked, tool, payload)
+    moving = _add_bodies(robot, where, asks, locked, tool, payload)
     of_joints = followers(robot, where, list(locked))
-    coupling = coupling_of([one.joint.name for one in moving], of_joints, where, locked)
-    faults = [fault for one in moving if (fault := _fault_of_body(one, where)) is not None]
+    coupling = read_coupling([one.joint.name for one in moving], of_joints, where, locked)
+    faults = [fault for one in moving if (fault := _explain_bad_body(one, where)) is not None]
     if faults:
-        raise _all_of(faults, where)
+        raise _collect_links(faults, where)
     return _assemble(moving, coupling)
 
 
@@ -90,7 +90,7 @@ class MovedBody:
     """Reason for which the equations of motion are not solvable with it."""
 
 
-def moved_bodies(
+def collect_moved_bodies(
     robot: ET.Element, where: str, asks: str, *, locked: Mapping[str, float], tool: str
 ) -> list[MovedBody]:
     """Return what each moving joint of a URDF moves, base to tips; arguments as `read_chain`'s.
@@ -98,18 +98,18 @@ def moved_bodies(
     Raises:
         Refusal: it is no URDF, or its machine is no tree.
     """
-    moving = _with_bodies(robot, where, asks, locked, tool, None)
+    moving = _add_bodies(robot, where, asks, locked, tool, None)
     tips = [max((frame.p for frame in one.frames), key=lambda p: float(p @ p)) for one in moving]
     for one in moving[::-1]:
         if one.parent >= 0:
             tips[one.parent] = one.placement.p
     return [
-        MovedBody(one.joint.name, tuple(one.links), tip, _fault_of_body(one, where))
+        MovedBody(one.joint.name, tuple(one.links), tip, _explain_bad_body(one, where))
         for one, tip in zip(moving, tips, strict=True)
     ]
 
 
-def _all_of(faults: list[Refusal], where: str) -> Refusal:
+def _collect_links(faults: list[Refusal], where: str) -> Refusal:
     """Return one refusal of several bodies, with all causes and the remedy."""
     way_out = "`arm_emulator new` assumes bodies from shapes, or give links an <inertial>"
     if len(faults) == 1:
@@ -120,7 +120,7 @@ def _all_of(faults: list[Refusal], where: str) -> Refusal:
     return Refusal(where, f"bodies of {len(faults)} joints", rule, causes, f"{way_out}: {causes}")
 
 
-def _with_bodies(
+def _add_bodies(
     robot: ET.Element,
     where: str,
     asks: str,
@@ -129,17 +129,19 @@ def _with_bodies(
     payload: Body | None,
 ) -> list[_Moving]:
     """Return the moving joints with what they move."""
-    links = names_of(robot, "link", where)
+    links = list_element_names(robot, "link", where)
     joints = read_joints(robot, links, where)
     known = {joint.name for joint in joints}
     for name in locked:
         if name not in known:
-            raise Refusal(asks, f"locked.{name}", "be a joint of the URDF", name, names(joints))
+            raise Refusal(
+                asks, f"locked.{name}", "be a joint of the URDF", name, list_names(joints)
+            )
     for joint in joints:
         _check_kind(joint, locked, where)
     if tool not in links:
         raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
-    moving = _moving_joints(root_of(links, joints, where), links, joints, locked, where)
+    moving = _find_moving_joints(find_root(links, joints, where), links, joints, locked, where)
     bodies = read_bodies(robot, where)
     for one in moving:
         one.body = (
@@ -177,8 +179,8 @@ def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> b
         Whether anything was changed.
     """
     elements = [e for e in robot.findall("joint") if e.get("name") in locked]
-    for element, joint in zip(elements, parsed_joints(elements, where), strict=True):
-        held = _moved(joint, locked[joint.name])
+    for element, joint in zip(elements, parse_joints(elements, where), strict=True):
+        held = _move_joint(joint, locked[joint.name])
         for tag in _OF_MOVING:
             for old in element.findall(tag):
                 element.remove(old)
@@ -200,7 +202,7 @@ class _Moving:
     body: Body  # of all of them
 
 
-def _moving_joints(
+def _find_moving_joints(
     root: str,
     links: Mapping[str, int],
     joints: list[UrdfJoint],
@@ -218,7 +220,7 @@ def _moving_joints(
         for joint in below.get(link, []):
             reached.add(joint.child)
             if joint.kind == "fixed" or joint.name in locked:
-                at = frame @ _moved(joint, locked.get(joint.name, 0.0))
+                at = frame @ _move_joint(joint, locked.get(joint.name, 0.0))
                 if carrier >= 0:
                     moving[carrier].links.append(joint.child)
                     moving[carrier].frames.append(at)
@@ -235,10 +237,10 @@ def _moving_joints(
     if len(moving) > MOST_JOINTS:
         rule = f"have at most {MOST_JOINTS} moving joints that are not locked"
         raise Refusal(where, "robot", rule, len(moving))
-    return _in_order(moving)
+    return _sort_joints(moving)
 
 
-def _in_order(moving: list[_Moving]) -> list[_Moving]:
+def _sort_joints(moving: list[_Moving]) -> list[_Moving]:
     """Return the joints with all that each carries directly behind it, siblings as found."""
     carried: dict[int, list[int]] = {}
     for place, one in enumerate(moving):
@@ -252,15 +254,15 @@ def _in_order(moving: list[_Moving]) -> list[_Moving]:
     return [dataclasses.replace(moving[k], parent=places[moving[k].parent]) for k in order]
 
 
-def _moved(joint: UrdfJoint, position: float) -> Frame:
+def _move_joint(joint: UrdfJoint, position: float) -> Frame:
     """Return the child's frame in the parent's with the joint at `position`."""
     if joint.kind == "fixed" or joint.kind in FREE_KINDS:
         return joint.placement
     if joint.kind == "prismatic":
         return joint.placement @ Frame(p=position * joint.axis)
-    a = cross(joint.axis)
+    a = compute_cross(joint.axis)
     return joint.placement @ Frame(
-        np.eye(3) + math.sin(position) * a + product((1.0 - math.cos(position)) * a, a)
+        np.eye(3) + math.sin(position) * a + multiply_matrices((1.0 - math.cos(position)) * a, a)
     )
 
 
@@ -273,33 +275,35 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
     joints a turn about z comes before it, as in that of Khalil and Kleinfinger for trees.
     """
     # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
-    E = [_frame_with_z(one.joint.axis) for one in moving]
+    E = [_build_frame_with_z(one.joint.axis) for one in moving]
     gammas: list[float] = []
     for index, here in enumerate(E):
         if index + 1 == len(E) or moving[index + 1].parent != index:
             gammas.append(0.0)
             continue
         one = moving[index + 1]
-        z_next = clean(applied(product(here.T, one.placement.R), one.joint.axis))
-        gammas.append(exact_atan2(float(z_next[0]), -float(z_next[1])))
-    turned = [clean(product(e, turn(2, gamma))) for e, gamma in zip(E, gammas, strict=True)]
-    R_WB = clean(product(moving[0].placement.R, E[0]))
+        z_next = clean(apply_matrix(multiply_matrices(here.T, one.placement.R), one.joint.axis))
+        gammas.append(compute_atan2(float(z_next[0]), -float(z_next[1])))
+    turned = [
+        clean(multiply_matrices(e, turn(2, gamma))) for e, gamma in zip(E, gammas, strict=True)
+    ]
+    R_WB = clean(multiply_matrices(moving[0].placement.R, E[0]))
     joints = []
     for index, one in enumerate(moving):
         cos_gamma, sin_gamma = 1.0, 0.0
         if index == 0:
             # The base's turn is free: with z along the first joint, that joint needs no tilt.
-            R, p = turn(2, gammas[0]), applied(R_WB.T, one.placement.p)
+            R, p = turn(2, gammas[0]), apply_matrix(R_WB.T, one.placement.p)
         else:
             before = turned[one.parent] if one.parent >= 0 else R_WB
-            R = clean(product(before.T, one.placement.R, turned[index]))
-            p = applied(before.T, one.placement.p)
+            R = clean(multiply_matrices(before.T, one.placement.R, turned[index]))
+            p = apply_matrix(before.T, one.placement.p)
             if one.parent != index - 1:
                 x, y = float(R[0, 2]), -float(R[1, 2])
                 if (length := math.hypot(x, y)) > 0.0:
                     cos_gamma, sin_gamma = y / length, x / length
                 back = ((cos_gamma, sin_gamma, 0.0), (-sin_gamma, cos_gamma, 0.0), (0.0, 0.0, 1.0))
-                R = clean(product(np.array(back), R))
+                R = clean(multiply_matrices(np.array(back), R))
         # R = Rx(alpha) Rz(theta_0): its third column is (0, -sin alpha, cos alpha), its first row
         # (cos theta_0, -sin theta_0, 0).
         joints.append(
@@ -311,7 +315,7 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
                 sin_gamma=sin_gamma,
                 cos_alpha=float(R[2, 2]),
                 sin_alpha=float(-R[1, 2]),
-                theta_0=exact_atan2(-float(R[0, 1]), float(R[0, 0])),
+                theta_0=compute_atan2(-float(R[0, 1]), float(R[0, 0])),
                 p=p,
                 body=one.body.seen_from(Frame(turned[index].T)),
                 axes=turned[index].T,
@@ -326,7 +330,7 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
     return Chain(tuple(joints), coupling, R_WB.T, np.array([R.T for R in turned]), carried)
 
 
-def _fault_of_body(one: _Moving, where: str) -> Refusal | None:
+def _explain_bad_body(one: _Moving, where: str) -> Refusal | None:
     """Return why the equations of motion are not solvable with what a joint moves.
 
     The mass matrix is positive definite in every pose if no body has a negative principal moment
@@ -337,7 +341,7 @@ def _fault_of_body(one: _Moving, where: str) -> Refusal | None:
     if not body.mass >= SMALLEST_MASS:
         rule = "be > 0 kg" if body.mass <= 0.0 else f"be >= {SMALLEST_MASS:g} kg"
         return Refusal(where, f"mass {what}", rule, body.mass)
-    com_x = cross(body.moment / body.mass)
+    com_x = compute_cross(body.moment / body.mass)
     moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)
     rounding = 1e-12 * np.abs(body.inertia).max()
     thin = moments[0] <= 1e-9 * moments[2] + rounding
@@ -354,10 +358,10 @@ def _fault_of_body(one: _Moving, where: str) -> Refusal | None:
     return None
 
 
-def _frame_with_z(axis: Array) -> Array:
+def _build_frame_with_z(axis: Array) -> Array:
     """Return a rotation whose third column is `axis`, made of zeros and ones where possible."""
     z = axis
     helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-    x = helper - applied(helper[None], z) * z
-    x = x / length(x)
+    x = helper - apply_matrix(helper[None], z) * z
+    x = x / measure_length(x)
     return clean(np.column_stack([x, np.cross(z, x), z]))

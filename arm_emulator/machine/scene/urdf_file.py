@@ -6,11 +6,11 @@ import os
 import sys
 from pathlib import Path
 
-from arm_emulator.base.io.text_file import why_no_file
+from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.refusal import Refusal
 
 
-def example_robot_data() -> Path | None:
+def find_example_robot_data() -> Path | None:
     """Return the folder of robots of the package example-robot-data, None if not installed."""
     roots = [Path(entry) / "cmeel.prefix" for entry in sys.path if entry]
     roots += map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
@@ -29,7 +29,7 @@ def find_urdf(text: str, scene_file: Path) -> Path:
     """
     package, colon, rest = text.partition(":")
     if colon and package == "example-robot-data":
-        folder = example_robot_data()
+        folder = find_example_robot_data()
         if folder is None:
             raise Refusal(
                 scene_file.name,
@@ -45,7 +45,7 @@ def find_urdf(text: str, scene_file: Path) -> Path:
         file = folder / inside
     else:
         file = scene_file.parent / text
-    reason = why_no_file(file)
+    reason = explain_missing_file(file)
     if reason is not None:
         raise Refusal(scene_file.name, "urdf", "be a file", f"{text} ({reason})")
     return file

@@ -14,7 +14,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.name_rule import check_joint_name
-from arm_emulator.base.products import length, product
+from arm_emulator.base.products import measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.chain import (
     EYE,
@@ -48,7 +48,7 @@ class UrdfJoint:
     axis: Array
 
 
-def names_of(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
+def list_element_names(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
     """Return the names of the robot's links or joints, with their places."""
     names: dict[str, int] = {}
     for place, element in enumerate(robot.findall(tag)):
@@ -65,8 +65,8 @@ def names_of(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
 
 def read_joints(robot: ET.Element, links: Mapping[str, int], where: str) -> list[UrdfJoint]:
     """Return the joints of a robot, in their order."""
-    names_of(robot, "joint", where)
-    joints = parsed_joints(robot.findall("joint"), where)
+    list_element_names(robot, "joint", where)
+    joints = parse_joints(robot.findall("joint"), where)
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
@@ -75,10 +75,10 @@ def read_joints(robot: ET.Element, links: Mapping[str, int], where: str) -> list
     return joints
 
 
-def parsed_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
+def parse_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
     """Return what elements <joint> declare."""
     whats = [f"joint {element.get('name')}" for element in elements]
-    placements = _frames([e.find("origin") for e in elements], whats, "origin", where)
+    placements = _read_frames([e.find("origin") for e in elements], whats, "origin", where)
     joints = []
     for element, what, placement in zip(elements, whats, placements, strict=True):
         kind = element.get("type") or ""
@@ -87,7 +87,9 @@ def parsed_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
                 where, f"{what}: type", "be supported", kind or "nothing",
                 "revolute, continuous, prismatic, fixed",
             )  # fmt: skip
-        axis = X_AXIS if kind == "fixed" else _axis(element.find("axis"), f"{what}: axis", where)
+        axis = (
+            X_AXIS if kind == "fixed" else _read_axis(element.find("axis"), f"{what}: axis", where)
+        )
         parent, child = element.find("parent"), element.find("child")
         joints.append(
             UrdfJoint(
@@ -102,12 +104,12 @@ def parsed_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
     return joints
 
 
-def _axis(element: ET.Element | None, what: str, where: str) -> Array:
+def _read_axis(element: ET.Element | None, what: str, where: str) -> Array:
     if element is None:
         return X_AXIS
-    axis = np.array(_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
+    axis = np.array(_parse_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
     _check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
-    size = length(axis)
+    size = measure_length(axis)
     if size < 1e-6:
         raise Refusal(where, what, "have a direction", tuple(map(float, axis)))
     return axis / size
@@ -130,7 +132,7 @@ def read_bodies(robot: ET.Element, where: str) -> Bodies:
             rows.append([float(text) for text in texts])  # type: ignore[arg-type]
         except (TypeError, ValueError):
             for key, text in zip(("mass", *_TENSOR), texts, strict=True):
-                _numbers(text, 1, f"{what}: {key}", where)
+                _parse_numbers(text, 1, f"{what}: {key}", where)
         whats.append(what)
         origins.append(inertial.find("origin"))
         places.append(place)
@@ -139,14 +141,14 @@ def read_bodies(robot: ET.Element, where: str) -> Bodies:
     _check_size(values[:, 1:], LARGEST_INERTIA, whats, "inertia", where)
     for place in np.flatnonzero(values[:, 0] < 0.0).tolist():
         raise Refusal(where, f"{whats[place]}: mass", "be >= 0 kg", float(values[place, 0]))
-    frames = _frames(origins, whats, "inertial origin", where)
+    frames = _read_frames(origins, whats, "inertial origin", where)
     everywhere = Bodies(
         np.zeros(len(links)), np.zeros((len(links), 3)), np.zeros((len(links), 3, 3))
     )
     if not places:
         return everywhere
     R = np.array([frame.R for frame in frames])
-    inertia = product(R, values[:, 1:][:, _FULL_TENSOR], R.transpose(0, 2, 1))
+    inertia = multiply_matrices(R, values[:, 1:][:, _FULL_TENSOR], R.transpose(0, 2, 1))
     bodies = Bodies.from_center(values[:, 0], np.array([frame.p for frame in frames]), inertia)
     everywhere.mass[places] = bodies.mass
     everywhere.moment[places] = bodies.moment
@@ -164,7 +166,7 @@ def check_inertia(inertia: Array, what: str, where: str) -> None:
         )
 
 
-def _frames(
+def _read_frames(
     origins: list[ET.Element | None], whats: list[str], name: str, where: str
 ) -> list[Frame]:
     """Return the frames of elements <origin>."""
@@ -180,19 +182,19 @@ def _frames(
         except ValueError:
             words = []
         if len(words) != 6 or len(xyz.split()) != 3:  # name the one at fault
-            _numbers(xyz, 3, f"{what}: {name} xyz", where)
-            _numbers(rpy, 3, f"{what}: {name} rpy", where)
+            _parse_numbers(xyz, 3, f"{what}: {name} xyz", where)
+            _parse_numbers(rpy, 3, f"{what}: {name} rpy", where)
         rows.append((x, y, z, roll, pitch, yaw))
     values = np.array(rows).reshape(-1, 6)
     _check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
     _check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
-    R = clean(product(*(turns(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))))
+    R = clean(multiply_matrices(*(turns(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))))
     turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
     p = values[:, :3].copy()
     return [Frame(R[k] if turned[k] else EYE, p[k]) for k in range(len(rows))]
 
 
-def _numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
+def _parse_numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
     words = (text or "").split() if count > 1 else [text or ""]
     if len(words) != count:
         raise Refusal(where, what, "be three numbers", repr(text))
@@ -210,7 +212,7 @@ def _check_size(values: Array, largest: float, whats: list[str], name: str, wher
         raise Refusal(where, f"{whats[row]}: {name}", rule, value)
 
 
-def root_of(links: Mapping[str, int], joints: list[UrdfJoint], where: str) -> str:
+def find_root(links: Mapping[str, int], joints: list[UrdfJoint], where: str) -> str:
     """Return the only link that no joint moves."""
     parents: dict[str, str] = {}
     for joint in joints:
@@ -230,6 +232,6 @@ def root_of(links: Mapping[str, int], joints: list[UrdfJoint], where: str) -> st
     return roots[0]
 
 
-def names(joints: list[UrdfJoint]) -> str:
+def list_names(joints: list[UrdfJoint]) -> str:
     """Return the names of joints, for a refusal."""
     return ", ".join(joint.name for joint in joints)

@@ -23,7 +23,7 @@ class Extrapolated(Scheme):
     text = "second order and cheaper, for smooth motions"
 
     @staticmethod
-    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+    def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
         n = len(J)
         one = np.eye(n)
         W = one - GAMMA * dt * A

@@ -19,7 +19,7 @@ class Implicit(Scheme):
     text = "first order, stable with stiff drives"
 
     @staticmethod
-    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+    def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
         one = np.eye(len(J))
         step: Array = one + dt * np.linalg.solve(one - dt * A, J)
         return step

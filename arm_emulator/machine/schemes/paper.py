@@ -19,7 +19,7 @@ class Paper(Scheme):
     text = "the paper's, first order"
 
     @staticmethod
-    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+    def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
         m = motors
         of_motors, of_links = np.eye(len(J)), np.eye(len(J))
         of_motors[:m] = np.linalg.solve(

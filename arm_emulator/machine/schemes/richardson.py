@@ -18,8 +18,8 @@ class Richardson(Scheme):
     text = "third order, for small errors of smooth motions"
 
     @staticmethod
-    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
-        half = Rosenbrock.matrix(J, A, motors, 0.5 * dt)
+    def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+        half = Rosenbrock.build_step_matrix(J, A, motors, 0.5 * dt)
         twice = half @ half
-        step: Array = twice + (twice - Rosenbrock.matrix(J, A, motors, dt)) / 3.0
+        step: Array = twice + (twice - Rosenbrock.build_step_matrix(J, A, motors, dt)) / 3.0
         return step

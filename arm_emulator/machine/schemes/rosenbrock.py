@@ -25,7 +25,7 @@ class Rosenbrock(Scheme):
     default = True
 
     @staticmethod
-    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
+    def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
         one = np.eye(len(J))
         W = one - GAMMA * dt * A
         k1 = np.linalg.solve(W, J)

@@ -32,7 +32,7 @@ class Scheme:
         return f"arm::{cls.__name__}"
 
     @staticmethod
-    def matrix(J: Array, A: Array, motors: int, dt: float) -> Array:
+    def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:
         """Return the matrix of one step of a small motion dx/dt = J x.
 
         Of x, or of x and x one step ago where the scheme takes that.

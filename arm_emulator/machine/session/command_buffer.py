@@ -12,7 +12,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.base.validation.count import LARGEST, check_count
 from arm_emulator.base.validation.joint_order import JointOrder
-from arm_emulator.machine.plant.inputs import further_inputs, further_rows
+from arm_emulator.machine.plant.inputs import arrange_further_rows, list_further_inputs
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.tick.c import ANSWERS, tick_calls
 from arm_emulator.toolchain.c_header import pointer
@@ -50,7 +50,7 @@ class CommandBuffer:
     def __init__(self, scene: Scene, lockstep: bool) -> None:
         self._scene, self._lockstep = scene, lockstep
         self._order = JointOrder("motor_commands", scene.joint_names)
-        self.inputs = further_inputs(scene)
+        self.inputs = list_further_inputs(scene)
         shape = 1 + len(self.inputs), len(scene.joint_names)
         self._zero, self._newest, self._before = np.zeros((3, *shape))
         self._take = tick_calls().tick_answers_take
@@ -154,5 +154,5 @@ class CommandBuffer:
             name: self._order.arrange(joint_names, values, COMMAND.named(name))
             for name, values in further.items()
         }
-        others = further_rows("motor_commands", self._scene, given)
+        others = arrange_further_rows("motor_commands", self._scene, given)
         return np.vstack([row, self._zero[1:] if others is None else others])

@@ -17,7 +17,12 @@ from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, tick_calls
 from arm_emulator.toolchain.c_header import CData, Library, text
-from arm_emulator.toolchain.elf import address_in, called_functions, why_no_library, written_memory
+from arm_emulator.toolchain.elf import (
+    explain_no_library,
+    find_address,
+    list_called_functions,
+    list_written_memory,
+)
 
 ENTRY = "arm_firmware"
 VERSION = FIRMWARE.constant("FIRMWARE_VERSION")
@@ -77,7 +82,7 @@ class Firmware(ControlCode):
         self.name = file.name
         self.progress = progress or new_progress()
         content = read_bytes(file, LARGEST)
-        reason = why_no_library(content, (ENTRY,))
+        reason = explain_no_library(content, (ENTRY,))
         if reason:
             raise Refusal(self.name, "file", f"be a shared library with {ENTRY}", reason)
         self.progress.doing = RunningCode.LOADING
@@ -187,9 +192,9 @@ class LibraryMemory:
 
     def __init__(self, name: str, content: bytes, known: str, at: int) -> None:
         self._name = name
-        base = at - address_in(content, known)
-        self._pieces = [(base + begin, size) for begin, size in written_memory(content)]
-        self._others = called_functions(content) - _FORGETFUL
+        base = at - find_address(content, known)
+        self._pieces = [(base + begin, size) for begin, size in list_written_memory(content)]
+        self._others = list_called_functions(content) - _FORGETFUL
 
     def save(self) -> bytes:
         """Return the variables as they are now.

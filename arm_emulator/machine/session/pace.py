@@ -20,7 +20,7 @@ FASTEST = "max"
 LARGEST = 1000.0  # times real time
 
 
-def factor_of(where: str, text: str) -> float:
+def parse_factor(where: str, text: str) -> float:
     """Return the factor of a pace as people write it: a number above 0, or `FASTEST` (0).
 
     Raises:

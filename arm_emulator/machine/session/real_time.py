@@ -13,12 +13,12 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized
 from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.base.validation.count import LARGEST, check_count
-from arm_emulator.machine.plant.call_arguments import commands_of
-from arm_emulator.machine.plant.compiler import real_time_library
+from arm_emulator.machine.plant.call_arguments import make_commands
+from arm_emulator.machine.plant.compiler import load_real_time
 from arm_emulator.machine.plant.core_calls import ARM, PLACES
-from arm_emulator.machine.plant.inputs import further_inputs
+from arm_emulator.machine.plant.inputs import list_further_inputs
 from arm_emulator.machine.plant.measured import MeasuredPlace
-from arm_emulator.machine.plant.outputs import readings_of
+from arm_emulator.machine.plant.outputs import list_readings
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS
 from arm_emulator.machine.scene.scene import Scene
@@ -62,7 +62,7 @@ class RealTimeLoop(Clock, Synchronized):
         super().__init__(plant)  # which must outlive the loop
         self.running, self._spent_ns = False, 0
         self._N = N = len(plant.scene.joints)
-        self._calls = real_time_library()
+        self._calls = load_real_time()
         options = REAL_TIME.new(
             "arm_real_time_options",
             at=plant.ticks,
@@ -70,8 +70,8 @@ class RealTimeLoop(Clock, Synchronized):
             period=period_ns,
             core=core,
             imus=len(plant.scene.imus),
-            readings=len(readings_of(plant.scene)),
-            inputs=len(further_inputs(plant.scene)),
+            readings=len(list_readings(plant.scene)),
+            inputs=len(list_further_inputs(plant.scene)),
             readers=readers,
         )
         self.handle = self._calls.arm_real_time_new(options)
@@ -82,8 +82,8 @@ class RealTimeLoop(Clock, Synchronized):
         places = {PLACES.get(name, name): row for name, row in zip(ROWS, self._rows, strict=True)}
         truth = ARM.ffi.addressof(self._snapshot, "truth")
         ARM.fill(truth, energy=self._energy, **places)
-        self._commands = commands_of(plant.scene)
-        self._further = np.zeros((len(further_inputs(plant.scene)), N))
+        self._commands = make_commands(plant.scene)
+        self._further = np.zeros((len(list_further_inputs(plant.scene)), N))
         places = {"joint": self._commands, "further": self._further}
         self._command = ARM.new("arm_command", tick=-1, **places)
 
@@ -92,7 +92,7 @@ class RealTimeLoop(Clock, Synchronized):
         if loop:
             self._calls.arm_real_time_delete(loop)
 
-    def renew_threads(self) -> None:  # noqa: D102
+    def restart_threads(self) -> None:  # noqa: D102
         self.handle = NULL  # the thread is the parent's, and the machine may be within a period
 
     @property
@@ -179,7 +179,7 @@ class RealTimeLoop(Clock, Synchronized):
         return reached
 
 
-def real_time_session(
+def open_real_time_session(
     scene: Scene, start: str, *, standing: bool = False, readers: int = 1
 ) -> Session:
     """Return a session whose ticks come from the real-time loop, see `Session`."""

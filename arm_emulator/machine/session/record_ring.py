@@ -11,21 +11,21 @@ from arm_emulator.base.column import Rows
 from arm_emulator.tick.c import FOLDER, FOLDERS
 from arm_emulator.toolchain.c_header import Header, Library
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 
 RING = Header(FOLDER / "record_ring.h", FOLDERS)
 LISTENERS = Header(FOLDER / "listeners.h", FOLDERS)
 CAPACITY = 2**13  # rows: 8 s at 1 kHz
 
 
-def record_ring_unit() -> Unit:
+def build_record_ring_unit() -> Unit:
     """Return the ring as what is compiled."""
     name, part, about = "record_ring", "record_ring.c", "the ring of records"
     source, headers = f'#include "{part}"\n#include "listeners.c"\n', (RING, LISTENERS)
     return Unit(name, source, C_FLAGS, FOLDERS, headers, name, about, part)
 
 
-record_ring = compiled_once(record_ring_unit)
+record_ring = compile_once(build_record_ring_unit)
 
 
 class SharedRing:

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from arm_emulator.base.column import Column, Rows
 from arm_emulator.base.synchronized import Synchronized, synchronized
-from arm_emulator.machine.plant.call_arguments import truth_at
+from arm_emulator.machine.plant.call_arguments import make_truth
 from arm_emulator.machine.plant.core_calls import ARM
-from arm_emulator.machine.plant.measured import Measured, rows_of
-from arm_emulator.machine.plant.outputs import outputs_of, units_of
+from arm_emulator.machine.plant.measured import Measured, list_rows
+from arm_emulator.machine.plant.outputs import list_outputs, list_units
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.plant.plant_state import ROWS, unit_of
+from arm_emulator.machine.plant.plant_state import ROWS, find_unit
 from arm_emulator.machine.scene.scene import Scene
 
 STRUCTS = ("joint", "sensors", "imu")  # what `arm_measurement` has as structs
@@ -35,9 +35,9 @@ class RecordRow(Synchronized):
     def __init__(self, plant: Plant) -> None:
         super().__init__(plant)
         self._plant = plant
-        self.rows = rows = np.zeros(1, row_type(plant.scene))
-        self.truth = truth_at(energy=rows["energy"], **{name: rows[name][0] for name in ROWS})
-        places = {name: rows[name][0] for name in (*STRUCTS, "current_d", *rows_of(plant.scene))}
+        self.rows = rows = np.zeros(1, build_row_type(plant.scene))
+        self.truth = make_truth(energy=rows["energy"], **{name: rows[name][0] for name in ROWS})
+        places = {name: rows[name][0] for name in (*STRUCTS, "current_d", *list_rows(plant.scene))}
         self.measurement = ARM.new("arm_measurement", **places)
 
     @synchronized
@@ -51,7 +51,7 @@ class RecordRow(Synchronized):
         return np.frombuffer(bytearray(rows.tobytes()), rows.dtype)
 
 
-def row_type(scene: Scene) -> np.dtype[np.void]:
+def build_row_type(scene: Scene) -> np.dtype[np.void]:
     """Return a row as numpy has it: as tick/c/record_ring.h begins it, and then arrays."""
     N, M = len(scene.joints), len(scene.imus)
     counts = dict(zip(STRUCTS, (N, N, M), strict=True))
@@ -61,27 +61,27 @@ def row_type(scene: Scene) -> np.dtype[np.void]:
         *[(name, "f8", (N,)) for name in ROWS],
         *[(name, ARM.dtype(f"arm_{kind}"), (counts[name],)) for name, kind in kinds.items()],
         ("current_d", "f8", (N,)),
-        *[(array, "f8", (len(names), N)) for array, names in rows_of(scene).items()],
+        *[(array, "f8", (len(names), N)) for array, names in list_rows(scene).items()],
     ])  # fmt: skip
 
 
-def measured_in(rows: Rows, scene: Scene) -> Measured:
+def view_measured(rows: Rows, scene: Scene) -> Measured:
     """Return what rows (K,) have of `Plant.measured`, (K, N) each."""
-    return Measured(rows, rows_of(scene))
+    return Measured(rows, list_rows(scene))
 
 
-def columns_of(scene: Scene) -> list[Column]:
+def list_columns(scene: Scene) -> list[Column]:
     """Return all numbers of a scene's rows."""
     joints = list(enumerate(scene.chain.joints))
     columns = [Column(("t",), "s", "t"), Column(("tick",), "", "tick")]
     columns.append(Column(("energy",), "J", "energy"))
     for name in ROWS:
         columns += [
-            Column((name, joint.name), unit_of(name, joint.kind), name, "", (j,))
+            Column((name, joint.name), find_unit(name, joint.kind), name, "", (j,))
             for j, joint in joints
         ]
-    arrays = rows_of(scene)
-    for output in outputs_of(scene):
+    arrays = list_rows(scene)
+    for output in list_outputs(scene):
         array, _, member = output.symbol.partition(".")
         path = ("measured", output.name)
         if output.per_unit:
@@ -92,15 +92,15 @@ def columns_of(scene: Scene) -> list[Column]:
             ]
             continue
         row = (arrays[array].index(output.name),) if array in arrays else ()
-        units = units_of(scene, output) or ("",) * len(joints)
+        units = list_units(scene, output) or ("",) * len(joints)
         columns += [
             Column((*path, joint.name), units[j], array, member, (*row, j)) for j, joint in joints
         ]
     return columns
 
 
-def values_of(rows: Rows, name: str, scene: Scene) -> NDArray[Any]:
+def select_values(rows: Rows, name: str, scene: Scene) -> NDArray[Any]:
     """Return a quantity of rows (K,): of the truth, or one as ``measured.current``."""
     group, _, output = name.partition(".")
-    values: NDArray[Any] = getattr(measured_in(rows, scene), output) if output else rows[group]
+    values: NDArray[Any] = getattr(view_measured(rows, scene), output) if output else rows[group]
     return values

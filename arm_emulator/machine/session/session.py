@@ -19,11 +19,11 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.external_wrench import ExternalWrench, on_moving_link
+from arm_emulator.machine.plant.external_wrench import ExternalWrench, move_to_moving_link
 from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import PlantState
-from arm_emulator.machine.scene.scene import Scene, scene_of
+from arm_emulator.machine.scene.scene import Scene, coerce_scene
 from arm_emulator.machine.session.clock import Clock, RealTimeFigures
 from arm_emulator.machine.session.command_buffer import CommandBuffer
 from arm_emulator.machine.session.firmware_loop import FirmwareLoop
@@ -80,7 +80,7 @@ class Session(Synchronized):
         for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
             if not isinstance(value, str) or value not in known:
                 raise Refusal("Session", quantity, "be known", value, ", ".join(known))
-        self.scene = scene = scene_of(scene, "Session")
+        self.scene = scene = coerce_scene(scene, "Session")
         self.plant = Plant(scene)
         super().__init__(self.plant)
         self._powered = True
@@ -284,7 +284,7 @@ class Session(Synchronized):
         Raises:
             Refusal: see `Plant.set_external_wrench`.
         """
-        place, moved = on_moving_link(self.scene, "external wrench", link, wrench)
+        place, moved = move_to_moving_link(self.scene, "external wrench", link, wrench)
         return self.plant.external_wrenches[self.scene.chain.links[place].link] == moved
 
     @synchronized
@@ -452,11 +452,6 @@ class Session(Synchronized):
     def held(self) -> Array:
         """The newest commands and further inputs, 0 before the first ones (1 + I, N)."""
         return self._answers.rows
-
-    @property
-    def submit_command(self) -> int:
-        """The tick that the newest commands answer; -1: none."""
-        return self._answers.tick
 
     @property
     def answers(self) -> CData:

@@ -12,7 +12,7 @@ from arm_emulator.toolchain.c_header import pointer
 TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
 
 
-def tool_signals(scene: Scene) -> tuple[str, ...]:
+def list_tool_signals(scene: Scene) -> tuple[str, ...]:
     """Return the names of the tool's coordinates; none where no joint carries the tool."""
     return TOOL if scene.tool in scene.chain.carried else ()
 

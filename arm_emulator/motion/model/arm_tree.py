@@ -24,7 +24,7 @@ from arm_emulator.motion.model.kinematics import (
 from arm_emulator.motion.model.pinocchio_model import JOINT, WHERE
 from arm_emulator.toolchain.c_header import NULL, CData, Header, pointer
 from arm_emulator.toolchain.flags import CPP_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 
 
 class ArmTree(SharedObject):
@@ -169,4 +169,4 @@ def topp_unit() -> Unit:
     return Unit("way", source, CPP_FLAGS, (FOLDER, CORE), (WAY,), "motion", "the ways", "way.cpp")
 
 
-way_library = compiled_once(topp_unit)
+way_library = compile_once(topp_unit)

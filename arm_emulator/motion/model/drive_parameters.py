@@ -10,7 +10,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.number import number
-from arm_emulator.base.validation.parameters import numbers_in, tables_of
+from arm_emulator.base.validation.parameters import read_numbers, split_tables
 
 SECTION = "joints"  # of the motion controller's parameter file
 
@@ -63,8 +63,8 @@ def drives_of(given: object, where: str) -> dict[str, DriveParameters]:
         Refusal: an unknown key or an impossible value.
     """
     return {
-        name: DriveParameters(**numbers_in(table, DriveParameters, where, f"{SECTION}.{name}"))
-        for name, table in tables_of(given, where, SECTION).items()
+        name: DriveParameters(**read_numbers(table, DriveParameters, where, f"{SECTION}.{name}"))
+        for name, table in split_tables(given, where, SECTION).items()
     }
 
 

@@ -13,7 +13,7 @@ import pinocchio as pin
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.base.urdf.shafts import Shafts, shafts_of
+from arm_emulator.base.urdf.shafts import Shafts, read_shafts
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.base.validation.bound import POSITION, TOOL_POSITION
 from arm_emulator.base.validation.coerce import coerce_kind
@@ -291,7 +291,7 @@ def moving_joints(urdf_xml: str) -> tuple[str, ...]:
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.
     """
-    return shafts_of(_moving(whole_model(urdf_xml)), urdf_xml)
+    return read_shafts(_moving(whole_model(urdf_xml)), urdf_xml)
 
 
 def _rows(task: str, joints: int, where: str) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import Number
-from arm_emulator.base.validation.parameters import tables_of
+from arm_emulator.base.validation.parameters import split_tables
 
 OBSTACLES = "obstacles"  # the section's name
 _LENGTH = Number("", "m", above=0.0, at_most=1e3)
@@ -38,7 +38,7 @@ def obstacles_of(given: object, where: str) -> tuple[Obstacle, ...]:
     Raises:
         Refusal: an unknown key or an impossible value.
     """
-    tables = tables_of(given, where, OBSTACLES)
+    tables = split_tables(given, where, OBSTACLES)
     return tuple(_obstacle(name, table, where) for name, table in tables.items())
 
 

@@ -16,7 +16,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.c import MIDDLEWARE, middleware_unit
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.toolchain.c_header import CData, Library
-from arm_emulator.toolchain.unit import library
+from arm_emulator.toolchain.unit import load_library
 
 LIBRARIES = ("librcutils.so", "librcl.so")  # rclpy has loaded them, but for itself
 
@@ -36,7 +36,7 @@ def get_middleware() -> Library:
         except OSError as error:
             rule = "be that of the rclpy in use"
             raise Refusal("middleware", name, rule, error) from None
-    return library(middleware_unit())
+    return load_library(middleware_unit())
 
 
 class HotPath(Protocol):

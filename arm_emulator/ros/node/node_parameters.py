@@ -22,9 +22,9 @@ from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.parameters import (
     ROS_PARAMETERS,
     Parameters,
-    checked,
-    nearest_name_hint,
-    parameters_of,
+    check_parameter,
+    list_parameters,
+    suggest_nearest_name,
 )
 from arm_emulator.ros.node.managed_node import ManagedNode
 
@@ -37,14 +37,14 @@ def declare_parameters(node: ManagedNode, kind: type[Parameters]) -> Parameters:
     Raises:
         Refusal: a value of the wrong type or out of its range.
     """
-    where, fields = f"node {node.get_name()}", parameters_of(kind).values()
+    where, fields = f"node {node.get_name()}", list_parameters(kind).values()
     values = {}
     for field in fields:
         if not node.has_parameter(field.name):
             # A loose descriptor first: the check below refuses in our words, and takes 1 for 1.0.
             loose = ParameterDescriptor(dynamic_typing=True)
             node.declare_parameter(field.name, field.default, loose)
-        value = checked(node.get_parameter(field.name).value, field, where)
+        value = check_parameter(node.get_parameter(field.name).value, field, where)
         values[field.name] = value
         choices = field.metadata["choices"]
         descriptor = ParameterDescriptor(
@@ -69,11 +69,11 @@ def refuse_unknown_parameters(
     Raises:
         Refusal: a parameter is unknown, for example misspelt.
     """
-    known = [*parameters_of(type(config)), *beside]
+    known = [*list_parameters(type(config)), *beside]
     for name in node.get_parameters_by_prefix(""):
         if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
             where = f"node {node.get_name()}"
-            actual = f"an unknown one{nearest_name_hint(name, known)}"
+            actual = f"an unknown one{suggest_nearest_name(name, known)}"
             raise Refusal(where, f"parameter {name}", "be a known one", actual, ", ".join(known))
 
 
@@ -124,8 +124,8 @@ def replace_parameters(
     Raises:
         Refusal: a value of the wrong type or out of its range.
     """
-    fields, where = parameters_of(type(config)), f"node {node.get_name()}"
-    given = {name: checked(value, fields[name], where) for name, value in changes.items()}
+    fields, where = list_parameters(type(config)), f"node {node.get_name()}"
+    given = {name: check_parameter(value, fields[name], where) for name, value in changes.items()}
     return dataclasses.replace(config, **given)  # type: ignore[type-var]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from arm_emulator.core import BOUNDARY
 from arm_emulator.toolchain.c_header import Header
 from arm_emulator.toolchain.flags import C_FLAGS
-from arm_emulator.toolchain.unit import Unit, compiled_once
+from arm_emulator.toolchain.unit import Unit, compile_once
 
 FOLDER = Path(__file__).resolve().parent
 FOLDERS = (FOLDER, BOUNDARY)
@@ -23,4 +23,4 @@ def tick_unit() -> Unit:
     return Unit("tick", source, C_FLAGS, FOLDERS, headers, "tick", about, "tick.c")
 
 
-tick_calls = compiled_once(tick_unit)
+tick_calls = compile_once(tick_unit)

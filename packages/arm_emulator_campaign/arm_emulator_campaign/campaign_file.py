@@ -20,7 +20,7 @@ from arm_emulator.extension.base import (
     Section,
     find_beside,
     find_scene,
-    numbers_of,
+    list_numbers,
     read_bytes,
     read_yaml,
 )
@@ -438,7 +438,7 @@ def with_gain(servo: ServoConfig, name: str, value: object, where: str) -> Servo
     *path, key = name.split(".")
     joint = ".".join(path[2:])
     of_joint = next((one for one in servo.joints if one.name == joint), None)
-    numbers = {} if of_joint is None else numbers_of(type(of_joint))
+    numbers = {} if of_joint is None else list_numbers(type(of_joint))
     if path[:2] != ["controller", "joints"] or of_joint is None:
         valid = ", ".join(f"controller.joints.{name}" for name in servo.joint_names)
         raise Refusal(where, name, "be a number of the servo", name, valid)

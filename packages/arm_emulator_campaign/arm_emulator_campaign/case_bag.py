@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from arm_emulator.extension.base import read_yaml
-from arm_emulator.extension.machine import Change, Diverged, override
+from arm_emulator.extension.machine import Change, Diverged, override_keys
 from arm_emulator_campaign.campaign_file import Campaign, used_files
 from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.shrinking import path_from
@@ -60,7 +60,7 @@ def _scene_data(campaign: Campaign, overrides: Mapping[str, Any], folder: Path) 
     for name, value in overrides.items():
         if name == "payload.mass" and not isinstance(data.get("payload"), dict):
             name = "payload"  # a scene's short form
-        override(data, name, value, file.name)
+        override_keys(data, name, value, file.name)
     if (file.parent / data["urdf"]).is_file():
         data["urdf"] = path_from(folder, file.parent / data["urdf"])
     return data | {key: path_from(folder, used[key]) for key in ("servo", "motion")}

@@ -21,9 +21,9 @@ from arm_emulator.extension.base import (
     Refusal,
     Section,
     Signal,
-    array_of,
-    bound_to,
-    meant_by,
+    bind_signals,
+    coerce_array,
+    expand_stars,
     parse_expression,
     parse_formula,
 )
@@ -60,7 +60,7 @@ class Measure:
             raise Refusal(where, quantity, "be a measure", repr(text), valid)
         self.kind = found[1]
         whole = parse_expression(found[2], where, quantity)
-        self.of: list[Expression] = meant_by(whole, known, where, quantity)
+        self.of: list[Expression] = expand_stars(whole, known, where, quantity)
 
     def end(self, values: Array) -> Array:
         """Return the measure of several signals (runs,) from that of each (runs, signals)."""
@@ -114,7 +114,7 @@ class Checked:
             line = traceback.extract_tb(error.__traceback__)[-1]
             got = f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"
             raise self._section.refusal("python", "return a margin", got) from None
-        number = array_of(margin)
+        number = coerce_array(margin)
         if number is None or number.ndim:
             raise self._section.refusal("python", "return a margin, one number", margin)
         return float(number)
@@ -181,7 +181,7 @@ class Evaluators:
             if isinstance(text, str):
                 quantity = f"requirements.{name}"
                 formula = parse_formula(text, where, quantity)
-                formulas[name] = bound_to(formula, known, where, quantity)
+                formulas[name] = bind_signals(formula, known, where, quantity)
             else:
                 below = given.required_section(name)
                 self._checked[name] = Checked(below, known, campaign.file.parent)

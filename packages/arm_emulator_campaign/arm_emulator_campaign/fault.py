@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from arm_emulator.extension.base import Number, Registry, Section, number, numbers_of
+from arm_emulator.extension.base import Number, Registry, Section, list_numbers, number
 from arm_emulator.extension.machine import Change, NumberChange, Scene
 from arm_emulator_campaign.scenario import ticks_of
 
@@ -58,7 +58,7 @@ class Fault:
     @classmethod
     def unit_of(cls, key: str) -> str:
         """Return the unit of a number or a vector."""
-        one = numbers_of(cls).get(key) or cls.vectors.get(key)
+        one = list_numbers(cls).get(key) or cls.vectors.get(key)
         return one.unit if one else ""
 
     def with_numbers(self, numbers: Iterable[tuple[Sequence[str], float]]) -> Self | None:
@@ -72,7 +72,7 @@ class Fault:
             None: no such number, or a value out of its range, which `read` refuses.
         """
         changed: dict[str, Any] = {}
-        own = numbers_of(type(self))
+        own = list_numbers(type(self))
         for (key, *place), value in numbers:
             bound = self.vectors.get(key) if place else own.get(key)
             if bound is None or not bound.holds(value):

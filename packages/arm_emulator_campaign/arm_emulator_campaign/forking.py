@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import Formula, Refusal, Window, bound_to, parse_formula
+from arm_emulator.extension.base import Formula, Refusal, Window, bind_signals, parse_formula
 from arm_emulator.extension.machine import LARGEST_SEED, Change, Diverged, is_at_one_instant
 from arm_emulator.extension.runs import OfflineRun
 from arm_emulator_campaign.campaign_file import Campaign
@@ -198,7 +198,7 @@ def _margin_of(campaign: Campaign) -> tuple[Window, Formula]:
     if not isinstance(text, str):
         raise Refusal(where, quantity, rule, "a function of Python")
     known = list(units_of_signals(campaign.scene))
-    formula = bound_to(parse_formula(text, where, quantity), known, where, quantity)
+    formula = bind_signals(parse_formula(text, where, quantity), known, where, quantity)
     if isinstance(formula, Window) and formula.sign == "always":
         (of,) = formula.of
         if is_at_one_instant(of):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Constant, Operation, Signal
 from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
-from arm_emulator.extension.compiler import C_FLAGS, Header, Unit, compiled_once
+from arm_emulator.extension.compiler import C_FLAGS, Header, Unit, compile_once
 from arm_emulator.extension.compiler import C_NULL as NULL
 from arm_emulator.extension.compiler import c_pointer as pointer
 from arm_emulator.extension.machine import FORMULA_HEADER as FORMULA
@@ -33,7 +33,7 @@ def judges_unit() -> Unit:
     return Unit("judges", source, C_FLAGS, (HERE, BOUNDARY), headers, "campaign", about, parts[1])
 
 
-judges = compiled_once(judges_unit)
+judges = compile_once(judges_unit)
 
 
 class Rows(FormulaRows):

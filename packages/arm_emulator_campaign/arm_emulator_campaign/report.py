@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import atomic_write, html_text
+from arm_emulator.extension.base import escape_html, write_atomically
 from arm_emulator_campaign import pictures
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.results import (
@@ -84,10 +84,10 @@ def write_report(
         if one.bars and one.rows:
             drawn[one.title.lower()] = pictures.png(pictures.bars_of(one))
     for name, content in drawn.items():
-        atomic_write(results.folder / f"{name}.png", content)
+        write_atomically(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
     text = "\n".join(_page(campaign, results, summary, columns, ranks, drawn, findings))
-    atomic_write(file, text)
+    write_atomically(file, text)
     return file
 
 
@@ -122,14 +122,14 @@ def _page(
     drawn: dict[str, bytes],
     findings: Sequence[Finding],
 ) -> Iterable[str]:
-    scenario, name = campaign.nominal[0], html_text(campaign.file.stem)
+    scenario, name = campaign.nominal[0], escape_html(campaign.file.stem)
     yield f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title>"
     yield f"<meta name=viewport content='width=device-width'><style>{_STYLE}</style>"
     method = campaign.search
     of_all = "" if method else f"of {campaign.count} "
     runs = f"{summary.count} {of_all}runs" if summary.count else "Runs and forks of runs"
     yield f"<h1>{name}</h1><p class=lead>{runs} of the scene "
-    yield f"<b>{html_text(campaign.scene.name)}</b>, {scenario.seconds:g} s each; "
+    yield f"<b>{escape_html(campaign.scene.name)}</b>, {scenario.seconds:g} s each; "
     how = f"searched by {method.kind}" if method else campaign.variation.sampling
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
     if summary.count:
@@ -183,24 +183,24 @@ def _of_runs(
 
 
 def _finding(one: Finding) -> Iterable[str]:
-    yield f"<h2>{html_text(one.title)}</h2><p>{html_text(one.about)}</p>"
+    yield f"<h2>{escape_html(one.title)}</h2><p>{escape_html(one.about)}</p>"
     if not one.rows:
         return
     words = [isinstance(entry, str) for entry in one.rows[0]]
     kinds = ["" if word else " class=n" for word in words]
     yield "<div class=scroll><table><tr>"
     yield "".join(
-        f"<th{kind}>{html_text(head)}" for kind, head in zip(kinds, one.head, strict=True)
+        f"<th{kind}>{escape_html(head)}" for kind, head in zip(kinds, one.head, strict=True)
     )
     yield "</tr>"
     for row in one.texts():
         cells = zip(kinds, row, strict=True)
-        yield "<tr>" + "".join(f"<td{kind}>{html_text(entry)}" for kind, entry in cells) + "</tr>"
+        yield "<tr>" + "".join(f"<td{kind}>{escape_html(entry)}" for kind, entry in cells) + "</tr>"
     yield "</table></div>"
 
 
 def _card(value: str, text: str, kind: str = "") -> str:
-    return f"<div class='card {kind}'><b>{html_text(value)}</b><span>{text}</span></div>"
+    return f"<div class='card {kind}'><b>{escape_html(value)}</b><span>{text}</span></div>"
 
 
 def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
@@ -214,12 +214,12 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         given = campaign.requirements.get(one.name, "")
         text = given if isinstance(given, str) else str(given.get("python", ""))
         bad = " bad" if one.hits else ""
-        yield f"<tr><td class=formula><b>{html_text(one.name)}</b>"
-        yield f"<br><code>{html_text(text)}</code>" if text else ""
+        yield f"<tr><td class=formula><b>{escape_html(one.name)}</b>"
+        yield f"<br><code>{escape_html(text)}</code>" if text else ""
         yield f"<td class='n{bad}'>{one.hits}"
         yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
         known = one.worst >= 0
-        unit = html_text(units.get(f"{ROBUSTNESS}{one.name}", ""))
+        unit = escape_html(units.get(f"{ROBUSTNESS}{one.name}", ""))
         yield f"<td class='n{bad}'>{one.least:.4g} {unit}" if known else "<td>"
         yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"
     yield "</table></div>"
@@ -245,12 +245,12 @@ def _worst(
     command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
     yield "<h2>Worst runs</h2><p>The least margins of each requirement, in turns. This line prints "
     yield "the row of any run and records its motion:"
-    yield f"<br><code>{html_text(command)} INDEX --record run.mcap</code> or "
+    yield f"<br><code>{escape_html(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
     heads = {name: f"margin of {short}" for name, short in margins.items()}
     for name, head in (heads | {name: pictures.short(name) for name in shown}).items():
         unit = f" [{units[name]}]" if units[name] else ""
-        yield f"<th class=n>{html_text(head + unit)}"
+        yield f"<th class=n>{escape_html(head + unit)}"
     yield "<th>drive it again</tr>"
     for at in np.argsort(ranks, kind="stable")[:WORST]:
         index = int(columns[INDEX][at])
@@ -260,7 +260,7 @@ def _worst(
             yield f"<td class='n{'' if margin >= 0.0 else ' bad'}'>{margin:.4g}"
         yield "".join(f"<td class=n>{columns[name][at]:.4g}" for name in shown)
         line = f"{command} {index} --rerun run_{index}.rrd"
-        yield f"<td><code>{html_text(line)}</code></tr>"
+        yield f"<td><code>{escape_html(line)}</code></tr>"
     yield "</table></div>"
 
 
@@ -272,7 +272,7 @@ def _quantiles(summary: Summary) -> Iterable[str]:
     yield "that so few runs do not have is open.</p><div class=scroll><table><tr><th>"
     yield "".join(f"<th class=n>{100 * q:g} %" for q in heads) + "</tr>"
     for column in dict.fromkeys(one.column for one in summary.quantiles):
-        yield f"<tr><td>{html_text(column)}"
+        yield f"<tr><td>{escape_html(column)}"
         for one in (one for one in summary.quantiles if one.column == column):
             yield f"<td class=n>{one.value:.4g}<br><small>{one.interval}</small>"
         yield "</tr>"

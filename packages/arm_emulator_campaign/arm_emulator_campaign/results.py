@@ -27,13 +27,13 @@ from arm_emulator.extension.base import (
     Margin,
     Refusal,
     Signal,
-    atomic_write,
-    bound_to,
+    bind_signals,
     fold,
-    hidden_beside,
+    name_hidden_file,
     parse_formula,
     require_package,
     warn,
+    write_atomically,
 )
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.evaluators import Measure
@@ -84,7 +84,7 @@ def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
     for rows in (done.values, done.robustness, done.measures):
         columns += [np.ascontiguousarray(column) for column in rows.T]
     first, last = done.indices[0], done.indices[-1]
-    hidden = hidden_beside(folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet")
+    hidden = name_hidden_file(folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet")
     pq.write_table(pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema), hidden)
     with hidden.open("rb") as written:
         os.fsync(written.fileno())
@@ -125,7 +125,7 @@ class Results:
                     raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
             else:
                 facts = {"key": campaign.key.hex(), "file": str(campaign.file.absolute())}
-                atomic_write(about, json.dumps(facts))
+                write_atomically(about, json.dumps(facts))
         except (OSError, ValueError) as error:
             if isinstance(error, Refusal):
                 raise
@@ -225,7 +225,7 @@ def judged_units(campaign: Campaign) -> tuple[dict[str, str], dict[str, str]]:
         found = None
         if isinstance(text, str):
             formula = parse_formula(text, where, name)
-            found = of_formula(bound_to(formula, list(units), where, name), units)
+            found = of_formula(bind_signals(formula, list(units), where, name), units)
         robustness[name] = found or ""
     measures = {}
     for name, text in campaign.measures.items():

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Array, Refusal, atomic_write
+from arm_emulator.extension.base import Array, Refusal, write_atomically
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import case_at
 from arm_emulator_campaign.executor import failures_in
@@ -27,7 +27,7 @@ LEAST = "any requirement"
 
 def write_findings(results: Results, found: Sequence[Finding]) -> None:
     """Write what a search has found beside the results."""
-    atomic_write(results.folder / FOUND, json.dumps([asdict(one) for one in found], indent=1))
+    write_atomically(results.folder / FOUND, json.dumps([asdict(one) for one in found], indent=1))
 
 
 class Searcher:

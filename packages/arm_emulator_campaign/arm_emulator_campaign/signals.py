@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array
 from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
-from arm_emulator.extension.compiler import C_FLAGS, CData, Header, Unit, compiled_once
+from arm_emulator.extension.compiler import C_FLAGS, CData, Header, Unit, compile_once
 from arm_emulator.extension.compiler import C_NULL as NULL
 from arm_emulator.extension.compiler import c_pointer as pointer
 from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
@@ -22,9 +22,9 @@ from arm_emulator.extension.machine import (
     RecordRow,
     Scene,
     ToolChain,
-    columns_of,
-    tool_signals,
-    truth_at,
+    list_columns,
+    list_tool_signals,
+    make_truth,
 )
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import FLEET
@@ -43,16 +43,16 @@ def sampler_unit() -> Unit:
     return Unit("sampler", source, C_FLAGS, folders, (SAMPLER,), "campaign", about, part)
 
 
-_sampler = compiled_once(sampler_unit)
+_sampler = compile_once(sampler_unit)
 
 
 def units_of_signals(scene: Scene) -> dict[str, str]:
     """Return the names of all signals of a scene, with their units."""
-    columns = {one.name: one.unit for one in columns_of(scene)}
+    columns = {one.name: one.unit for one in list_columns(scene)}
     units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}
     columns |= {f"target.{joint}": unit for joint, unit in units.items()}
     columns |= {f"error.{joint}": unit for joint, unit in units.items()}
-    return columns | dict.fromkeys(tool_signals(scene), "m")
+    return columns | dict.fromkeys(list_tool_signals(scene), "m")
 
 
 class Samples:
@@ -78,7 +78,7 @@ class Samples:
             self._chain = ToolChain(scene)
             wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
-        own = {one.name: one for one in columns_of(scene)}
+        own = {one.name: one for one in list_columns(scene)}
         self._columns = {place: own[name] for place, name in enumerate(wanted) if name not in TOOL}
         kinds = {value.path[0] for value in self._columns.values()}
         self.measures, self.truth = "measured" in kinds, kinds - {"measured"}
@@ -136,7 +136,7 @@ class Sampler(Samples):
         super().__init__(plant.scene, names, 1, room)
         self._plant, self._row = plant, RecordRow(plant)
         rows = self._row.rows
-        self._at = truth_at(**{
+        self._at = make_truth(**{
             name: rows["energy"] if name == "energy" else rows[name][0] for name in self.truth
         })  # fmt: skip
         self._sampler = self.sampler(

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.extension.base import atomic_write
+from arm_emulator.extension.base import write_atomically
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results import Results, checksum_of
@@ -144,7 +144,7 @@ def split(file: str, key: bytes, folder: str, number: int) -> Done:
         content, runs = asdict(found), found.runs
     text = json.dumps(content)
     head = {"key": key.hex(), "checksum": checksum_of(text.encode()), "content": text}
-    atomic_write(_file(Path(folder), number), json.dumps(head))
+    write_atomically(_file(Path(folder), number), json.dumps(head))
     nothing = (0,) * (len(campaign.requirements) + 1)
     return Done(runs, nothing, time.process_time() - began, True)
 

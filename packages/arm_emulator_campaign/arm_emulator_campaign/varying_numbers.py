@@ -6,7 +6,7 @@ import fnmatch
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from arm_emulator.extension.base import Number, Refusal, Section, numbers_of
+from arm_emulator.extension.base import Number, Refusal, Section, list_numbers
 from arm_emulator.extension.machine import Scene
 from arm_emulator.extension.runs import ServoConfig
 from arm_emulator_campaign.distributions import parse_distribution
@@ -34,7 +34,7 @@ def varying_numbers(
         for name, value in leaves(data["faults"][fault]):
             known[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
     for joint in servo.joints:
-        for name, number in numbers_of(type(joint)).items():
+        for name, number in list_numbers(type(joint)).items():
             value = getattr(joint, name)
             known[f"controller.joints.{joint.name}.{name}"] = number.unit, value
     section_of_vary = root.section("vary")

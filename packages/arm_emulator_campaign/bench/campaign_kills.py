@@ -26,7 +26,7 @@ from typing import Protocol
 import numpy as np
 import yaml
 
-from arm_emulator.base.process import below, runs
+from arm_emulator.base.process import is_running, list_descendants
 from arm_emulator_campaign.batch_simulator import runs_of
 from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
@@ -97,7 +97,7 @@ class Here:
         """Kill a process of a kind."""
         if victim != "worker":
             return kill_client(victim, client)
-        workers = list(below(client.pid))
+        workers = list(list_descendants(client.pid))
         with contextlib.suppress(ProcessLookupError):
             if workers:
                 os.kill(int(rng.choice(workers)), signal.SIGKILL)
@@ -244,11 +244,11 @@ def one_moment(
         waited_for(lambda: len(parts_in(into)) >= parts or client.poll() is not None)
         with contextlib.suppress(subprocess.TimeoutExpired):
             client.wait(after)
-        processes, before = [client.pid, *below(client.pid)], parts_in(into)
+        processes, before = [client.pid, *list_descendants(client.pid)], parts_in(into)
         place.kill(victim, client, rng)
         if victim in ("client", "ctrl-c"):
             client.communicate(timeout=LONGEST)
-            if not waited_for(lambda: not any(map(runs, processes)), ENDING):
+            if not waited_for(lambda: not any(map(is_running, processes)), ENDING):
                 return Moment("", (len(before), 0), "somebody stays behind")
             client = begun(file, into, place)
         out, wrong = client.communicate(timeout=LONGEST)

@@ -16,7 +16,7 @@ import yaml
 from draws import FULL
 
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
-from arm_emulator.base.expression.formula import bound_to, parse_formula
+from arm_emulator.base.expression.formula import bind_signals, parse_formula
 from arm_emulator.machine.session.tool_chain import TOOL
 from arm_emulator_campaign.batch_simulator import BatchSimulator
 from arm_emulator_campaign.campaign_file import Campaign, load_campaign
@@ -276,7 +276,7 @@ def test_a_moving_machine_has_the_same_signals_in_conditions_and_campaigns(
 def test_walks_of_long_formulas_need_no_recursion() -> None:
     text = "+".join(["v.*"] * 990) + " > 1"
     known = [f"v.{joint}" for joint in SCENE.joint_names]
-    bound = bound_to(parse_formula(text, "c", "r"), known, "c", "r")
+    bound = bind_signals(parse_formula(text, "c", "r"), known, "c", "r")
     assert of_formula(bound, dict.fromkeys(known, "rad/s")) == "rad/s"
     assert not Breakpoint(Plant(SCENE), text).struct.held
 

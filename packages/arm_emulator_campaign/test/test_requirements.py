@@ -13,9 +13,9 @@ from arm_emulator.base.expression.formula import (
     Constant,
     Operation,
     Signal,
-    bound_to,
+    bind_signals,
+    list_signals,
     parse_formula,
-    signals_in,
 )
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
@@ -235,7 +235,7 @@ def test_long_windows_over_a_long_trace():
 def test_bad_formulas_are_refused_in_a_line(text, reason):
     with pytest.raises(Refusal) as refusal:
         formula = parse_formula(text, "c.yaml", "requirements.x")
-        Judged(bound_to(formula, NAMES, "c.yaml", "requirements.x"), 100, "requirements.x")
+        Judged(bind_signals(formula, NAMES, "c.yaml", "requirements.x"), 100, "requirements.x")
     assert reason in str(refusal.value) and "\n" not in str(refusal.value)
     assert str(refusal.value).startswith("c.yaml: requirements.x must ")
 
@@ -243,9 +243,9 @@ def test_bad_formulas_are_refused_in_a_line(text, reason):
 def test_stars_stand_for_all_joints():
     known = ["q.elbow", "q.waist", "target.elbow", "target.waist", "v.waist"]
     formula = parse_formula("always abs(q.* - target.*) < 1", "c", "r")
-    assert signals_in(bound_to(formula, known, "c", "r")) == set(known[:4])
+    assert list_signals(bind_signals(formula, known, "c", "r")) == set(known[:4])
     rows = Rows(["elbow", "waist"], PERIOD)
-    formula = bound_to(formula, known, "c", "r")
+    formula = bind_signals(formula, known, "c", "r")
     one = Robustness(judges(), formula, rows.of_formula, PERIOD, 3)
     program = Program(rows, [[one]], [], [], 3)
     program.begin()

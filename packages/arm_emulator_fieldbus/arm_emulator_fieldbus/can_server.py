@@ -13,7 +13,7 @@ import socket
 import time
 from collections import deque
 
-from arm_emulator.extension.base import not_free
+from arm_emulator.extension.base import refuse_taken_address
 from arm_emulator_fieldbus.canopen_node import Frame
 
 PORT = 29536  # of socketcand
@@ -50,7 +50,7 @@ class CanServer:
             self._listening.listen(MOST_CLIENTS)
         except (OSError, OverflowError) as error:
             self._listening.close()
-            raise not_free("canopen", host, port, error) from None
+            raise refuse_taken_address("canopen", host, port, error) from None
         self._listening.setblocking(False)
         self.address: tuple[str, int] = self._listening.getsockname()
         self.ignored = 0

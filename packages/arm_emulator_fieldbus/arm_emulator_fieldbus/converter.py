@@ -25,9 +25,9 @@ from arm_emulator.extension.machine import (
     Output,
     Scene,
     Session,
-    further_inputs,
-    outputs_of,
-    units_of,
+    list_further_inputs,
+    list_outputs,
+    list_units,
 )
 from arm_emulator_fieldbus.modbus_rtu import Code, ModbusException
 
@@ -77,7 +77,7 @@ def full_scale(scene: Scene, joint: Joint) -> float:
 
 def measured_outputs(scene: Scene) -> tuple[Output, ...]:
     """Return the measurements in the order of registers, those of every machine first."""
-    return tuple(dict.fromkeys((*ALWAYS, *outputs_of(scene))))
+    return tuple(dict.fromkeys((*ALWAYS, *list_outputs(scene))))
 
 
 # Words of a value and its type, by the kind of an output.
@@ -100,7 +100,7 @@ def measured_blocks(scene: Scene) -> list[Block]:
                 name = f"{unit_of_scene.name}: {output.about}, x, y, z"
                 rows.append(Block(0, per * AXES, 0, name, kind, unit))
         else:
-            units = " or ".join(dict.fromkeys(units_of(scene, output))) or unit
+            units = " or ".join(dict.fromkeys(list_units(scene, output))) or unit
             rows.append(Block(0, per * N, per, output.about, kind, units))
     return rows
 
@@ -124,7 +124,7 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
         Block(COMMANDED + 1, N, 1, "command", "int16", "full scale / 32768", True),
         *(
             Block(COMMANDED + 1 + (1 + k) * N, N, 1, name, "int16", "full scale / 32768", True)
-            for k, name in enumerate(further_inputs(scene))
+            for k, name in enumerate(list_further_inputs(scene))
         ),
         Block(SETTINGS, 1, 0, "watchdog, 0: none", "uint16", "ms", True),
         Block(FAULTS, 1, 0, "faults F", "uint16", "1"),
@@ -181,7 +181,7 @@ class Converter:
             rule = f"be at most {LARGEST_PERIOD / 1e9:g} s"
             raise Refusal(scene.where, "servo_period", rule, scene.servo_period)
         N = len(scene.joints)
-        self._inputs = further_inputs(scene)
+        self._inputs = list_further_inputs(scene)
         inputs = N * (1 + len(self._inputs))
         largest = SETTINGS - COMMANDED - 1
         if inputs > largest:

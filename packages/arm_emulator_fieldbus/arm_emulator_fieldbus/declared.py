@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Refusal, c_string
+from arm_emulator.extension.base import Refusal, escape_c_string
 from arm_emulator.extension.machine import COMMAND_OUTPUT as COMMAND
 from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
 from arm_emulator.extension.machine import (
@@ -16,10 +16,10 @@ from arm_emulator.extension.machine import (
     Output,
     Part,
     Scene,
-    further_inputs,
-    input_at,
-    outputs_of,
-    rows_of,
+    find_input,
+    list_further_inputs,
+    list_outputs,
+    list_rows,
 )
 
 FIRST, COUNT = 0x2100, 0xF00  # objects of a manufacturer
@@ -70,7 +70,7 @@ def source() -> str:
 
 def _texts(name: str, *units: str) -> str:
     unit = " or ".join(dict.fromkeys(filter(None, units)))
-    return ", ".join(map(c_string, (name.replace("_", " ").capitalize(), unit)))
+    return ", ".join(map(escape_c_string, (name.replace("_", " ").capitalize(), unit)))
 
 
 def _input(name: str) -> str:
@@ -115,7 +115,7 @@ def places(scene: Scene, units: int) -> NDArray[np.int32]:
             rule = f"be at most {units} on the link of {joint.name}, for drives on a field bus"
             raise Refusal(scene.where, "imus", rule, len(there))
     found = np.full((len(scene.joints), len(REPORTED), units), -1, np.int32)
-    rows, reported = rows_of(scene), outputs_of(scene)
+    rows, reported = list_rows(scene), list_outputs(scene)
     for k, one in enumerate(REPORTED):
         if one not in reported:
             continue
@@ -130,10 +130,10 @@ def places(scene: Scene, units: int) -> NDArray[np.int32]:
 
 def input_rows(scene: Scene) -> NDArray[np.int32]:
     """Return the row in C of each of `TAKEN` at each joint; -1: its motor has no such input."""
-    names = further_inputs(scene)
+    names = list_further_inputs(scene)
     return np.array(
         [
-            [names.index(name) if input_at(joint, name) else -1 for name in TAKEN]
+            [names.index(name) if find_input(joint, name) else -1 for name in TAKEN]
             for joint in scene.joints
         ],
         np.int32,

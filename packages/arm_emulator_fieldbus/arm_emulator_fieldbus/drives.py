@@ -6,14 +6,14 @@ import math
 import struct
 from dataclasses import dataclass, field
 
-from arm_emulator.extension.base import Refusal, shaft_limits
+from arm_emulator.extension.base import Refusal, read_shaft_limits
 from arm_emulator.extension.compiler import CData, Library
 from arm_emulator.extension.machine import (
     Joint,
     Plant,
     Scene,
-    further_inputs,
-    modes_of,
+    list_further_inputs,
+    list_modes,
     withheld_modes,
 )
 from arm_emulator.extension.runs import ServoConfig, check_servo, servo_numbers
@@ -94,7 +94,7 @@ class Drives:
             supply_voltage=scene.supply_voltage,
             device_name=names[-1],
             joint=self._joints,
-            further=len(further_inputs(scene)),
+            further=len(list_further_inputs(scene)),
             outputs=len(declared.REPORTED),
             inputs=len(declared.TAKEN),
             place=places,
@@ -275,8 +275,8 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
     reported = tuple(known[name] for name in scene.joint_names)
     rows = DRIVES.rows("drives_joint", len(reported))
     rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
-    limits = shaft_limits(scene.urdf, scene.joint_names)
-    for row, joint, takes in zip(rows, scene.joints, modes_of(scene), strict=True):
+    limits = read_shaft_limits(scene.urdf, scene.joint_names)
+    for row, joint, takes in zip(rows, scene.joints, list_modes(scene), strict=True):
         if not math.isfinite(known[joint.name].largest_command(servo.supply_voltage)):
             where = f"servo.joints.{joint.name}.current_limit"
             rule = "be given: the rated torque of its drive (0x6076) follows from it"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from arm_emulator.extension.compiler import SERVO_FOLDER as FOLDER
 from arm_emulator.extension.compiler import SHARED_FLAGS as SHARED
-from arm_emulator.extension.compiler import TICK_FOLDERS, Header, Unit, compiled_once
+from arm_emulator.extension.compiler import TICK_FOLDERS, Header, Unit, compile_once
 from arm_emulator_fieldbus import declared
 
 DRIVES_CORE = Path(__file__).resolve().parent / "core"
@@ -50,4 +50,4 @@ def drives_unit(
     )
 
 
-drives_library = compiled_once(drives_unit)
+drives_library = compile_once(drives_unit)

@@ -13,7 +13,7 @@ from arm_emulator.extension.compiler import (
     Header,
     Library,
     Unit,
-    compiled_once,
+    compile_once,
 )
 from arm_emulator.extension.machine import Plant, Scene
 from arm_emulator.extension.runs import ServoConfig
@@ -31,7 +31,7 @@ def ethercat_unit() -> Unit:
     return drives_unit("ethercat", '#include "ethercat.cpp"\n', (SEGMENT,), "the EtherCAT segment")
 
 
-ethercat_library = compiled_once(ethercat_unit)
+ethercat_library = compile_once(ethercat_unit)
 
 
 class Segment:

@@ -31,10 +31,10 @@ from arm_emulator.extension.machine import (
     Diverged,
     Plant,
     Scene,
+    arrange_further_rows,
     check_inputs,
-    commands_of,
-    further_rows,
-    scene_of,
+    coerce_scene,
+    make_commands,
 )
 from arm_emulator.extension.machine import STEPS_BETWEEN_CHECKS as PIECE
 from arm_emulator_fleet.fleet_control import FleetControl, FleetFrame
@@ -55,7 +55,7 @@ class Fleet(CoreMachines):
         scene: of all arms.
         lanes: arms that advance together; 1 for scenes with two threads, or with a drive that is
             never in its usual modes (play, dry friction of a rotor behind an elastic gear).
-        link_angle_per_count: what one encoder count means at the link (N,) [rad or m].
+        compute_count_angle: what one encoder count means at the link (N,) [rad or m].
 
     Args:
         scene: from `load_scene`, or what that takes: a name or a file.
@@ -83,12 +83,12 @@ class Fleet(CoreMachines):
         if workers is None:
             workers = len(os.sched_getaffinity(0))
         workers = check_count("Fleet", "workers", workers, 1, 4096)
-        super().__init__(scene_of(scene, "Fleet"), count)
+        super().__init__(coerce_scene(scene, "Fleet"), count)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = WorkThreads(self._count, self.lanes, workers)
         self._period_worth = self._count * self.scene.steps_per_period
         self._longest = max(1, PIECE * self.lanes // self._period_worth)  # periods of a piece
-        self._commands = np.tile(commands_of(self.scene), (self._count, 1))
+        self._commands = np.tile(make_commands(self.scene), (self._count, 1))
         self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
         self.reset(q=q, v=v, varied=varied)
 
@@ -101,7 +101,7 @@ class Fleet(CoreMachines):
         return f"<Fleet of {self._count} {self.scene.name}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (self.scene, self._count, self._shares.workers), self.__getstate__()
+        return _restore_fleet, (self.scene, self._count, self._shares.workers), self.__getstate__()
 
     def __copy__(self) -> Fleet:
         fleet = Fleet(self.scene, self._count, workers=self._shares.workers)
@@ -118,8 +118,8 @@ class Fleet(CoreMachines):
     def __deepcopy__(self, memo: dict[int, object]) -> Fleet:
         return self.__copy__()
 
-    def renew_threads(self) -> None:  # noqa: D102
-        self._shares.hire()
+    def restart_threads(self) -> None:  # noqa: D102
+        self._shares.start_threads()
         if self.scene.threads > 1:
             for arm in range(self._count):
                 self.core.arm_begin_threads(self.core.arm_fleet_machine(self._fleet, arm))
@@ -190,7 +190,7 @@ class Fleet(CoreMachines):
             name: self._arguments.commands(one, where, ANY_COMMAND.named(name))
             for name, one in further.items()
         }
-        others = further_rows(where, self.scene, given, self._count)
+        others = arrange_further_rows(where, self.scene, given, self._count)
         exchange = self.core.arm_fleet_exchange
         with self.turn:
             self._commands["value"] = rows
@@ -381,7 +381,7 @@ class Fleet(CoreMachines):
         self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
 
 
-def _again(scene: Scene, count: int, workers: int) -> Fleet:
+def _restore_fleet(scene: Scene, count: int, workers: int) -> Fleet:
     """Return a fleet like one that was pickled, before its state."""
     return Fleet(scene, count, workers=workers)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from arm_emulator.extension.base import Array, NonCopyable, check_count, coerce_flag
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
-from arm_emulator.extension.machine import Measured, MeasuredPlace, Scene, outputs_of
+from arm_emulator.extension.machine import Measured, MeasuredPlace, Scene, list_outputs
 from arm_emulator_fleet.unit import FLEET
 
 _LARGEST = 2**64 - 1  # address
@@ -97,7 +97,7 @@ class FleetFrame:
         self._rows = (*places.values(), self.faults, self.powered, *place.arrays.values())
         # For the core.
         # Outputs that the scene does not have stay 0.
-        there = {one.symbol.partition(".")[0] for one in outputs_of(scene)}
+        there = {one.symbol.partition(".")[0] for one in list_outputs(scene)}
         arrays = {name: rows for name, rows in place.arrays.items() if name in there}
         self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **arrays)
         self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)

@@ -34,15 +34,15 @@ from arm_emulator.extension.machine import (
     Measured,
     MeasuredPlace,
     Scene,
-    by_joint,
-    link_angle_per_count,
-    on_moving_link,
-    options_of,
-    refusal_of,
-    start_bounds,
-    varied_number,
+    bound_start,
+    build_refusal,
+    compute_count_angle,
+    find_varied,
+    make_options,
+    move_to_moving_link,
+    order_by_joint,
 )
-from arm_emulator_fleet.unit import FLEET, fleet_library_of
+from arm_emulator_fleet.unit import FLEET, load_fleet
 
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
@@ -56,7 +56,7 @@ class CoreMachines(Synchronized):
         scene: of all machines.
         core: the compiled core (core/arm_fleet.h).
         lanes: machines that advance together.
-        link_angle_per_count: meaning of one encoder count at the link (N,) [rad or m].
+        compute_count_angle: meaning of one encoder count at the link (N,) [rad or m].
 
     Args:
         scene: of all machines.
@@ -72,11 +72,11 @@ class CoreMachines(Synchronized):
         self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
         self._N = len(scene.joints)
         self._arguments = FleetArguments(scene, self._count)
-        self.core = fleet_library_of(scene)
+        self.core = load_fleet(scene)
         self.lanes = int(self.core.arm_fleet_lanes())
-        self.link_angle_per_count = link_angle_per_count(scene)
+        self.link_angle_per_count = compute_count_angle(scene)
         values = np.tile([one.value for one in scene.varied], (self._count, 1))
-        options = options_of(scene, np.ascontiguousarray(values, np.float64))
+        options = make_options(scene, np.ascontiguousarray(values, np.float64))
         self._fleet = self.core.arm_fleet_new(options, self._count)
         self._place = MeasuredPlace(scene, self._count)
         self._powered = np.zeros(self._count, np.uint8)
@@ -122,8 +122,8 @@ class CoreMachines(Synchronized):
             Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
                 arms are as before.
         """
-        where, mask = "Fleet.reset", arm_mask("Fleet.reset", arms, self._count)
-        of_q, of_v = start_bounds(self.scene)
+        where, mask = "Fleet.reset", choose_arms("Fleet.reset", arms, self._count)
+        of_q, of_v = bound_start(self.scene)
         at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
         speed = self._arguments.rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
         if not isinstance(varied, Mapping | None):
@@ -134,7 +134,7 @@ class CoreMachines(Synchronized):
         }
         for name, column in columns.items():
             self._set_parameter(name, column, mask)
-        self.core.arm_fleet_reset(self._fleet, mask_bytes(mask), pointer(at), pointer(speed))
+        self.core.arm_fleet_reset(self._fleet, get_mask_bytes(mask), pointer(at), pointer(speed))
 
     @property
     @synchronized
@@ -157,7 +157,7 @@ class CoreMachines(Synchronized):
             rule = f"be True or False, or ({self._count},) of them"
             raise Refusal("Fleet", "powered", rule, on)
         with self.turn:
-            self.core.arm_fleet_power(self._fleet, mask_bytes(flags))
+            self.core.arm_fleet_power(self._fleet, get_mask_bytes(flags))
 
     @property
     @synchronized
@@ -195,7 +195,7 @@ class CoreMachines(Synchronized):
                 nothing has changed.
         """
         where = "Fleet.set_parameter"
-        mask = arm_mask(where, arms, self._count)
+        mask = choose_arms(where, arms, self._count)
         self._set_parameter(name, self._arguments.column(where, name, values, mask), mask)
 
     @synchronized
@@ -216,7 +216,7 @@ class CoreMachines(Synchronized):
             raise self._refusal(where, "another value")
 
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
-        given = mask_bytes(mask), name.encode(), pointer(column)
+        given = get_mask_bytes(mask), name.encode(), pointer(column)
         if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
             raise self._refusal("Fleet.set_parameter", "another value")
 
@@ -236,13 +236,13 @@ class CoreMachines(Synchronized):
             Refusal: see there; nothing has changed.
         """
         where = "Fleet.set_external_wrench"
-        mask = arm_mask(where, arms, self._count)
-        place, moved = on_moving_link(self.scene, where, link, wrench, self._count)
+        mask = choose_arms(where, arms, self._count)
+        place, moved = move_to_moving_link(self.scene, where, link, wrench, self._count)
         rows = ARM.rows("arm_wrench", self._count)
         rows["size"], rows["axes"] = rows.itemsize, AXES.index(moved.axes)
         for name in ("point", "force", "moment"):
             rows[name] = getattr(moved, name)
-        places = mask_bytes(mask), place, ARM.pointer("arm_wrench", rows)
+        places = get_mask_bytes(mask), place, ARM.pointer("arm_wrench", rows)
         self.core.arm_fleet_set_external_wrench(self._fleet, *places)
 
     @synchronized
@@ -265,12 +265,12 @@ class CoreMachines(Synchronized):
             Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
                 nothing has changed.
         """
-        where, mask = "Fleet.restore", arm_mask("Fleet.restore", arms, self._count)
+        where, mask = "Fleet.restore", choose_arms("Fleet.restore", arms, self._count)
         size = self._count * self.core.arm_saved_size()
         if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
             raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
         if (
-            self.core.arm_fleet_restore(self._fleet, mask_bytes(mask), bytes(saved), size)
+            self.core.arm_fleet_restore(self._fleet, get_mask_bytes(mask), bytes(saved), size)
             == REFUSED
         ):
             raise self._refusal(where, "another one")
@@ -303,12 +303,12 @@ class CoreMachines(Synchronized):
         """Return the refusal of a call for one of the arms."""
         arm = self.core.arm_fleet_refused(self._fleet)
         machine = self.core.arm_fleet_machine(self._fleet, arm)
-        why = refusal_of(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
+        why = build_refusal(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
         self.core.arm_fleet_give_back(self._fleet, arm)
         return why
 
 
-def mask_bytes(mask: NDArray[np.bool_]) -> CData:
+def get_mask_bytes(mask: NDArray[np.bool_]) -> CData:
     """Return a mask of arms as the core takes it."""
     return pointer(np.ascontiguousarray(mask).view(np.uint8))
 
@@ -326,7 +326,7 @@ class FleetArguments:
 
     def column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
         """Return the values of a varied number (count,), checked for those of the mask."""
-        one = varied_number(self._scene.varied, name, where)
+        one = find_varied(self._scene.varied, name, where)
         given = one.number.numbers(where, values)
         column = np.full(self._count, one.value, np.float64)
         many = int(mask.sum())
@@ -339,7 +339,7 @@ class FleetArguments:
 
     def commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
         """Return commands (count, N), given for all arms, one each, or by names of joints."""
-        given = by_joint(command, self._scene, where)
+        given = order_by_joint(command, self._scene, where)
         if given is not command:
             columns = [bound.numbers(where, one) for one in given]  # type: ignore[attr-defined]
             if any(column.shape not in ((), (self._count,)) for column in columns):
@@ -382,7 +382,7 @@ class FleetState(ArrayEquality):
     gear_torque: Array  # N m or N, on the link
 
 
-def arm_mask(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bool_]:
+def choose_arms(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bool_]:
     """Return which arms are chosen, as a mask (count,).
 
     Args:

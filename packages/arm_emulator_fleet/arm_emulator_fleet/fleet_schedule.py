@@ -17,8 +17,8 @@ from arm_emulator.extension.machine import (
     PowerChange,
     Scene,
     WrenchChange,
-    on_moving_link,
-    varied_number,
+    find_varied,
+    move_to_moving_link,
 )
 from arm_emulator_fleet.fleet_machines import LARGEST_FLEET
 from arm_emulator_fleet.unit import FLEET
@@ -85,12 +85,12 @@ class FleetWay(NonCopyable):
                 before = tick
                 kind, place, value = _POWER, 0, 0.0
                 if isinstance(change, NumberChange):
-                    one = varied_number(scene.varied, change.name, where)
+                    one = find_varied(scene.varied, change.name, where)
                     kind, place = _PARAMETER, self._places[change.name]
                     value = one.number.take(where, change.value)
                 elif isinstance(change, WrenchChange):
                     kind = _WRENCH
-                    place, moved = on_moving_link(scene, where, change.link, change.wrench)
+                    place, moved = move_to_moving_link(scene, where, change.link, change.wrench)
                     wrenches.append((len(rows), AXES.index(moved.axes), moved))
                 elif isinstance(change, PowerChange):
                     value = float(coerce_flag(change.on, where, "power"))

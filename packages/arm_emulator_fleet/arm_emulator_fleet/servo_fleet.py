@@ -19,7 +19,7 @@ from arm_emulator.extension.base import (
     Number,
     Refusal,
     check_count,
-    whole_numbers,
+    check_whole_numbers,
 )
 from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
 from arm_emulator.extension.compiler import C_NULL as NULL
@@ -39,7 +39,7 @@ from arm_emulator.extension.runs import (
 from arm_emulator.extension.runs import ServoDrives as ServoArm
 from arm_emulator_fleet.fleet import Fleet
 from arm_emulator_fleet.fleet_control import FleetControl
-from arm_emulator_fleet.fleet_machines import arm_mask
+from arm_emulator_fleet.fleet_machines import choose_arms
 from arm_emulator_fleet.unit import FOLDER
 
 SERVOS = Header(FOLDER / "servo_fleet.h", (BOUNDARY, SERVO_FOLDER))
@@ -51,11 +51,11 @@ _FLAGS = (*"-std=c++20 -O2 -ffp-contract=off -fno-semantic-interposition".split(
 
 
 @cache
-def _calls(lanes: int) -> Library:
-    return library(servo_fleet_unit(lanes))
+def _load_servos(lanes: int) -> Library:
+    return library(build_servo_unit(lanes))
 
 
-def servo_fleet_unit(lanes: int) -> Unit:
+def build_servo_unit(lanes: int) -> Unit:
     """Return servo and loop for arms in so many lanes as what is compiled."""
     source = f'#define SERVO_FLEET_LANES {lanes}\n#include "servo_fleet.cpp"\n'
     about = f"the servos of a fleet in {lanes} lanes"
@@ -102,7 +102,7 @@ class ServoFleet(FleetControl):
         self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
         drives = [ServoArm(one) for one in read]
         self._drives = drives  # they own the numbers
-        N, count, self._calls = self._N, self._count, _calls(fleet.lanes)
+        N, count, self._calls = self._N, self._count, _load_servos(fleet.lanes)
         self._arms = SERVOS.ffi.new("servo[]", count)
         for k in range(count):
             self._arms[k] = drives[k % len(drives)].servo.arm[0]
@@ -190,8 +190,8 @@ class ServoFleet(FleetControl):
                 nothing has changed.
         """
         where = "ServoFleet.aim_at"
-        periods = whole_numbers(where, "since", since)
-        places = whole_numbers(where, "first", first)
+        periods = check_whole_numbers(where, "since", since)
+        places = check_whole_numbers(where, "first", first)
         rows = POSITION.named("q").numbers(where, q)
         POSITION.named("q").check(where, rows)
         shape = len(periods), self._N
@@ -250,7 +250,7 @@ class ServoFleet(FleetControl):
         Raises:
             Refusal: no such arms.
         """
-        mask = arm_mask("ServoFleet.reset", arms, self._count)
+        mask = choose_arms("ServoFleet.reset", arms, self._count)
         self._calls.servo_fleet_reset(self.struct, self._count, pointer(mask.view(np.uint8)))
 
     def begin(self, scene: Scene, count: int) -> None:

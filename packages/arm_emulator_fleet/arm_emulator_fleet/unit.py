@@ -12,25 +12,25 @@ from arm_emulator.extension.compiler import (
     Unit,
     compiled_library,
 )
-from arm_emulator.extension.machine import Scene, machine_unit
+from arm_emulator.extension.machine import Scene, build_machine_unit
 
 FOLDER = Path(__file__).resolve().parent / "core"
 FLEET = Header(FOLDER / "arm_fleet.h", (BOUNDARY_FOLDER,))
 
 
-def fleet_library_of(scene: Scene) -> Library:
+def load_fleet(scene: Scene) -> Library:
     """Return the scene's compiled fleet, compiling it if no cached library fits.
 
     Raises:
         Refusal: there is neither a sound cached library nor a working compiler.
     """
-    return compiled_library(fleet_unit(scene))
+    return compiled_library(build_fleet_unit(scene))
 
 
-def fleet_unit(scene: Scene) -> Unit:
-    """Return the sources of `fleet_library_of`."""
-    machine = machine_unit(scene)
-    unit = machine_unit(scene, "fleet_boundary.hpp")
+def build_fleet_unit(scene: Scene) -> Unit:
+    """Return the sources of `load_fleet`."""
+    machine = build_machine_unit(scene)
+    unit = build_machine_unit(scene, "fleet_boundary.hpp")
     return replace(
         unit,
         name=f"{scene.name}-fleet",

@@ -48,9 +48,9 @@ class WorkThreads:
         self._taken: dict[tuple[int, bool], float] = {}  # s of a unit of work, by size and way
         self._saved: dict[int, float] = {}  # s that trials may take, by size
         self._short = 0  # work that is shorter than SHORT in one thread
-        self.hire()
+        self.start_threads()
 
-    def hire(self) -> None:
+    def start_threads(self) -> None:
         """Start threads, whatever happened to earlier ones."""
         self._pool = ThreadPoolExecutor(self.workers - 1) if self.workers > 1 else None
 
@@ -79,14 +79,14 @@ class WorkThreads:
                 self._short = 0
             return
         size = min(worth.bit_length(), LARGEST)
-        shared = self._goes_shared(size, worth)
+        shared = self._is_shared_quicker(size, worth)
         if shared:
-            self._share(self._pool, work)
+            self._run_shared(self._pool, work)
         else:
             work(0, self._count)
         self._note(size, shared, worth, time.perf_counter() - began)
 
-    def _share(self, pool: ThreadPoolExecutor, work: Callable[[int, int], object]) -> None:
+    def _run_shared(self, pool: ThreadPoolExecutor, work: Callable[[int, int], object]) -> None:
         left = iter(self._shares)
 
         def take_shares() -> None:
@@ -101,7 +101,7 @@ class WorkThreads:
                 if not other.cancel():
                     other.result()
 
-    def _goes_shared(self, size: int, worth: int) -> bool:
+    def _is_shared_quicker(self, size: int, worth: int) -> bool:
         alone, shared = (self._taken.get((size, way)) for way in (False, True))
         if alone is None or shared is None:
             return worth > WORTH_A_THREAD if alone is shared else shared is None

@@ -15,7 +15,7 @@ from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from arm_emulator.toolchain.unit import compile_units
 from arm_emulator_fleet import Fleet
-from arm_emulator_fleet.unit import fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 from oracles.random_machines import machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
@@ -235,7 +235,7 @@ def test_processors_with_narrower_registers_have_fewer_lanes(
     cache = tmp_path / "cache"
     monkeypatch.setenv(CACHE_VARIABLE, str(cache))
     libraries = compile_ahead(scene, target, None)
-    libraries += compile_units([fleet_unit(scene)], target, None)
+    libraries += compile_units([build_fleet_unit(scene)], target, None)
     assert len(libraries) == 4, "machine, equations, real time, fleet"
     narrow = Fleet(scene, 5, varied=values, q=q, v=v)
     assert narrow.lanes == lanes, "lanes"

@@ -11,10 +11,10 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from arm_emulator.extension.base import Refusal, config_folder
+from arm_emulator.extension.base import Refusal, find_config_folder
 from arm_emulator.extension.compiler import CORE_FOLDER as CORE
 from arm_emulator.extension.compiler import TICK_FOLDERS as FOLDERS
-from arm_emulator.extension.compiler import compiled_bytes, fingerprint
+from arm_emulator.extension.compiler import compile_bytes, compute_fingerprint
 from arm_emulator.extension.machine import Scene
 from arm_emulator_fmu.model_description import (
     build_description,
@@ -58,10 +58,10 @@ def export(
         raise Refusal("fmu", "--out", "end in .fmu", out.name)
     listed = variables(scene) if version == "3" else scalars(scene)
     unit, token = unit_of(scene, listed, version)
-    library = compiled_bytes(unit, target)
+    library = compile_bytes(unit, target)
     name = identifier(scene.name)
     options = shlex.join([*unit.flags, f"-march={target}"])
-    definition = f"ARM_FINGERPRINT={fingerprint(unit)}"
+    definition = f"ARM_FINGERPRINT={compute_fingerprint(unit)}"
     command = f"g++ {options} -I. -D{definition} {' '.join(_SOURCES)} -o {name}.so"
     sources = dict(zip(_SOURCES, (unit.source, unit.beside), strict=True))
     sources |= _included(*sources.values())
@@ -75,7 +75,9 @@ def export(
     files = {
         **own,
         "documentation/index.html": page(scene, listed, command),
-        "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
+        "documentation/licenses/license.txt": (
+            find_config_folder().parent / "LICENSE"
+        ).read_bytes(),
         "documentation/externalDependencies.txt": _NEEDED,
         **{f"sources/{file}": text.encode() for file, text in sources.items()},
         f"binaries/{PLATFORMS[version]}/{name}.so": library,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from arm_emulator.extension.base import xml_text
+from arm_emulator.extension.base import escape_xml
 from arm_emulator.extension.machine import Scene
 from arm_emulator_fmu.names import convention, identifier, written
 from arm_emulator_fmu.units import BASE, DISPLAYED, OFFSETS, powers_of
@@ -107,9 +107,9 @@ def model_description_2(scene: Scene, variables: Sequence[Variable], token: str)
 
 def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
     """Add the parts that all versions share: origin, units, categories."""
-    joints = xml_text(", ".join(scene.joint_names))
+    joints = escape_xml(", ".join(scene.joint_names))
     root.attrib.update(
-        modelName=xml_text(scene.name) or "arm",
+        modelName=escape_xml(scene.name) or "arm",
         description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
         generationTool=TOOL,
         variableNamingConvention=convention(variable.name for variable in variables),
@@ -128,7 +128,7 @@ def _attributes(one: Variable, reference: int, naming: str) -> dict[str, str]:
     attributes = {
         "name": written(one.name, one.element, naming),
         "valueReference": str(reference),
-        "description": xml_text(one.description),
+        "description": escape_xml(one.description),
         "causality": _CAUSALITY.get(one.role, one.role),
         "variability": "continuous" if continuous else "discrete",
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from arm_emulator.extension.base import html_text
+from arm_emulator.extension.base import escape_html
 from arm_emulator.extension.machine import Scene
 from arm_emulator_fmu.names import convention, written
 from arm_emulator_fmu.variables import Variable
@@ -21,12 +21,12 @@ def page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
     naming = convention(variable.name for variable in variables)
     rows = "\n".join(
         "<tr>"
-        + "".join(f"<td>{html_text(text)}</td>" for text in _cells(variable, naming))
+        + "".join(f"<td>{escape_html(text)}</td>" for text in _cells(variable, naming))
         + "</tr>"
         for variable in variables
     )
-    name = html_text(scene.name)
-    joints = html_text(", ".join(scene.joint_names))
+    name = escape_html(scene.name)
+    joints = escape_html(", ".join(scene.joint_names))
     return f"""\
 <!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{name}</title></head><body>
@@ -46,7 +46,7 @@ steps and inputs give equal bits.</p>
 </table>
 <h2>Sources</h2>
 <p>In the folder <code>sources</code>:</p>
-<pre>{html_text(command)}</pre>
+<pre>{escape_html(command)}</pre>
 <p>With these options every compiler and processor gives the same bits.</p>
 <p>The emulator is under the Apache License 2.0, see <a href="licenses/license.txt">license.txt</a>.
 The robot's description and its numbers are their author's.</p>

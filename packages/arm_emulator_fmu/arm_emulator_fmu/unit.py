@@ -14,12 +14,12 @@ from arm_emulator.extension.base import VELOCITY
 from arm_emulator.extension.compiler import TICK_FOLDERS, Unit
 from arm_emulator.extension.machine import (
     Scene,
-    further_inputs,
-    input_at,
-    largest_position,
-    machine_unit,
-    modes_of,
-    readings_of,
+    build_machine_unit,
+    compute_largest_position,
+    find_input,
+    list_further_inputs,
+    list_modes,
+    list_readings,
 )
 from arm_emulator.extension.machine import cxx_number as number
 from arm_emulator_fmu.variables import Variable
@@ -38,7 +38,7 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
         variables: of it, in the order of their value references.
         version: of FMI, one of `VERSIONS`.
     """
-    machine = machine_unit(scene)
+    machine = build_machine_unit(scene)
     table = _table(scene, variables)
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {machine.source} {table}')}}}"
     unit = replace(
@@ -56,9 +56,9 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
 def _table(scene: Scene, variables: Sequence[Variable]) -> str:
     """Return the constants of instance.hpp; the namespace is left open."""
     rows = ",\n".join(map(_row, variables))
-    modes = ", ".join(map(str, modes_of(scene)))
-    names = further_inputs(scene)
-    at = [input_at(joint, name) for name in names for joint in scene.joints]
+    modes = ", ".join(map(str, list_modes(scene)))
+    names = list_further_inputs(scene)
+    at = [find_input(joint, name) for name in names for joint in scene.joints]
     has = ", ".join("true" if one else "false" for one in at)
     parameters = _numbers([*(one.value for one in scene.varied), 0.0])
     return f"""\
@@ -67,7 +67,7 @@ def _table(scene: Scene, variables: Sequence[Variable]) -> str:
 namespace fmu {{
 inline constexpr int kJoints = {len(scene.joints)}, kLinks = {len(scene.chain.links)};
 inline constexpr int kParameters = {len(scene.varied)};
-inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(readings_of(scene))};
+inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(list_readings(scene))};
 inline constexpr int kInputs = {len(names)};  // of motors beside their command
 inline constexpr bool kHasInput[kInputs * kJoints + 1] = {{{has}}};
 inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
@@ -76,7 +76,7 @@ inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s
 inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
 inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
 inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
-inline constexpr double kLargestQ[] = {{{_numbers(largest_position(scene))}}};
+inline constexpr double kLargestQ[] = {{{_numbers(compute_largest_position(scene))}}};
 inline constexpr double kLargestV = {_numbers(VELOCITY.most)};
 inline constexpr double kParameterStart[] = {{{parameters}}};
 }}

@@ -11,12 +11,12 @@ from arm_emulator.extension.machine import (
     Output,
     Scene,
     Varied,
-    further_inputs,
-    input_at,
-    input_units,
-    outputs_of,
-    rows_of,
-    units_of,
+    find_input,
+    list_further_inputs,
+    list_input_units,
+    list_outputs,
+    list_rows,
+    list_units,
 )
 from arm_emulator_fmu.names import Parts
 
@@ -132,9 +132,9 @@ def _inputs(scene: Scene) -> list[Variable]:
     commands = tuple(joint.unit for joint in scene.joints)
     what = "command to each motor, held over the step"
     found = [_input(scene, "command", "Float64", what, commands, zero, "command")]
-    for k, name in enumerate(further_inputs(scene)):
-        abouts = (one.about for joint in scene.joints if (one := input_at(joint, name)))
-        what, units = " or ".join(dict.fromkeys(abouts)), input_units(scene, name)
+    for k, name in enumerate(list_further_inputs(scene)):
+        abouts = (one.about for joint in scene.joints if (one := find_input(joint, name)))
+        what, units = " or ".join(dict.fromkeys(abouts)), list_input_units(scene, name)
         row = _input(scene, name, "Float64", what, units, zero, "further")
         found.append(replace(row, symbol="values.now.further[]", first=N * k))
     what = "whether each drive is enabled"
@@ -193,7 +193,7 @@ def _parameters(scene: Scene) -> list[Variable]:
 
 
 def _measured(scene: Scene) -> list[Variable]:
-    outputs = outputs_of(scene)
+    outputs = list_outputs(scene)
     found = [_output(scene, output) for output in outputs if not output.per_unit]
     what = "whether the drives have power"
     found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
@@ -210,7 +210,7 @@ def _measured(scene: Scene) -> list[Variable]:
 def _output(scene: Scene, output: Output) -> Variable:
     array, _, field = output.symbol.partition(".")
     symbol = f"shown.{array}[]" + (f".{field}" if field else "")
-    units = units_of(scene, output)
+    units = list_units(scene, output)
     one = _row(
         scene.joint_names,
         (output.name,),
@@ -221,7 +221,7 @@ def _output(scene: Scene, output: Output) -> Variable:
         units,
         None,
     )
-    rows = rows_of(scene).get(array)
+    rows = list_rows(scene).get(array)
     return one if rows is None else replace(one, first=len(scene.joints) * rows.index(output.name))
 
 

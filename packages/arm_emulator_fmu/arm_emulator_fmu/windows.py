@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator.extension.compiler import Unit, fingerprint, run_compiler
+from arm_emulator.extension.compiler import Unit, compute_fingerprint, run_compiler
 
 COMPILERS = ("x86_64-w64-mingw32-g++-posix", "x86_64-w64-mingw32-g++")
 # Windows aligns the stack for vectors of two numbers, and GCC counts on more for wider ones.
@@ -41,7 +41,7 @@ def windows_binary(unit: Unit) -> bytes:
             *(flag for flag in unit.flags if flag not in NOT_THERE),
             *OWN,
             f"-march={TARGET}",
-            f"-DARM_FINGERPRINT={fingerprint(unit)}",
+            f"-DARM_FINGERPRINT={compute_fingerprint(unit)}",
             *(f"-I{folder}" for folder in unit.folders),
             *(str(folder / name) for name in ("machine.cpp", "unit.cpp")),
             "-o",

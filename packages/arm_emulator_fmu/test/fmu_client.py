@@ -15,7 +15,7 @@ import numpy as np
 from machines import DC, PMSM, write_scene
 
 from arm_emulator import Plant, Scene
-from arm_emulator.machine.plant.compiler import machine_unit
+from arm_emulator.machine.plant.compiler import build_machine_unit
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.toolchain.c_header import Library
 from arm_emulator.toolchain.unit import compile_units
@@ -202,7 +202,7 @@ class Instance:
 
 def plant_for(scene: Scene, target: str) -> Plant:
     """A plant whose library is for a target, whatever else the cache has."""
-    (file,) = compile_units([machine_unit(scene)], target, None)
+    (file,) = compile_units([build_machine_unit(scene)], target, None)
     return Plant(scene, core=Library(file, (ARM,)))
 
 

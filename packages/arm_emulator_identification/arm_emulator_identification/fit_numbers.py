@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal, array_of
+from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal, coerce_array
 from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
 from arm_emulator.extension.machine import STATE_ROWS as ROWS
-from arm_emulator.extension.machine import Scene, outputs_of, scene_of, variable_numbers
+from arm_emulator.extension.machine import Scene, coerce_scene, list_outputs, list_variable_numbers
 from arm_emulator_fleet import Fleet
 from arm_emulator_identification.residual_effects import lasting
 
@@ -83,7 +83,7 @@ def fit_numbers(
     Raises:
         Refusal: unknown names, wrong shapes, numbers out of their ranges.
     """
-    scene = scene_of(scene, WHERE)
+    scene = coerce_scene(scene, WHERE)
     rows = ANY_COMMANDS.numbers(WHERE, commands)
     if rows.ndim != 2 or rows.shape[1] != len(scene.joints) or not len(rows):
         raise Refusal(WHERE, "commands", f"have shape (K, {len(scene.joints)})", rows.shape)
@@ -189,7 +189,7 @@ class _Fit:
 def _sought(name: str, one: object) -> tuple[float, float, float, float]:
     """Return value, width and range of an unknown."""
     of = (one.value, one.width, one.least, one.most) if isinstance(one, Sought) else None
-    row = None if of is None else array_of(of)
+    row = None if of is None else coerce_array(of)
     if row is not None and np.isfinite(row[:2]).all():
         value, width, least, most = row.tolist()
         if least <= value <= most and least < most and width > 0.0:
@@ -206,7 +206,7 @@ def _steps(x: Array, width: Array, least: Array, most: Array) -> Array:
 
 
 def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
-    reported = [one.name for one in outputs_of(scene) if not one.per_unit]
+    reported = [one.name for one in list_outputs(scene) if not one.per_unit]
     if name not in (*ROWS, *reported):
         raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*ROWS, *reported)))
     rows = ANY_STATE.named(name).numbers(WHERE, values)
@@ -219,7 +219,8 @@ def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Arra
 def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     """Return the scene with these numbers as data of each machine."""
     possible = {
-        number.name: number for number in variable_numbers(scene.joints, scene.chain, scene.imus)
+        number.name: number
+        for number in list_variable_numbers(scene.joints, scene.chain, scene.imus)
     }
     possible |= {one.name: one for one in scene.varied}
     for name in numbers:

@@ -27,7 +27,14 @@ from arm_emulator.extension.base import (
 from arm_emulator.extension.base import (
     yaml_nodes as nodes_of,
 )
-from arm_emulator.extension.machine import Body, Frame, Scene, inertial_of, load_scene, override
+from arm_emulator.extension.machine import (
+    Body,
+    Frame,
+    Scene,
+    inertial_of,
+    load_scene,
+    override_keys,
+)
 from arm_emulator_identification import inertia
 from arm_emulator_identification.filtered import Filtered
 from arm_emulator_identification.found import Found
@@ -252,7 +259,7 @@ def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
     if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
         data = read_yaml(file)
         for name, value in values.items():
-            override(data, name, value, file.name)
+            override_keys(data, name, value, file.name)
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
     edits = [
         (node.start_mark.index, node.end_mark.index, str(value))

@@ -22,10 +22,10 @@ from arm_emulator.machine.parts.frictions.friction import RotorFriction
 from arm_emulator.machine.parts.frictions.lugre import RotorLuGre
 from arm_emulator.machine.parts.frictions.stribeck import RotorStribeck
 from arm_emulator.machine.parts.input import TORQUE
-from arm_emulator.machine.parts.known import EXTRAS, MOTORS, without
-from arm_emulator.machine.scene.fault_catalogue import variable_numbers
+from arm_emulator.machine.parts.known import EXTRAS, MOTORS, remove_kind
+from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.joint import Joint
-from arm_emulator.machine.varied import of_child
+from arm_emulator.machine.varied import vary_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.found import numbers_found
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
@@ -54,7 +54,7 @@ def ur5() -> Scene:
     overrides |= {f"joints.{j}.motor.friction": friction for j in load_scene("ur5").joint_names}
     rigid = ("stiffness", "cubic_stiffness", "damping")
     overrides |= {f"joints.*.gear.{number}": None for number in rigid}
-    overrides |= without((Brake, *EXTRAS))
+    overrides |= remove_kind((Brake, *EXTRAS))
     return load_scene("ur5", overrides)
 
 
@@ -92,7 +92,7 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
     joints = tuple(driven(joint) for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
     varied = tuple(
-        number for number in variable_numbers(joints, scene.chain, ()) if number.name in sought
+        number for number in list_variable_numbers(joints, scene.chain, ()) if number.name in sought
     )
     return dataclasses.replace(
         scene, joints=joints, servo_period=period, varied=varied, load=None,
@@ -103,7 +103,7 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
 def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, float]]:
     """Return a scene with varied numbers, and values of a machine that differs from it."""
     links = [
-        f"links.{joint.link}.{name}" for joint in scene.chain.joints for name in of_child(joint)
+        f"links.{joint.link}.{name}" for joint in scene.chain.joints for name in vary_child(joint)
     ]
     inertias = [f"joints.{joint.name}.motor.rotor_inertia" for joint in scene.joints]
     of_friction = [f"joints.{joint.name}.motor.friction.{key}" for joint in scene.joints
@@ -114,7 +114,7 @@ def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, fl
         numbers = inertia.log_cholesky(joint.body)
         moved = numbers + OFF * inertia.widths(joint.body, 1.0) * rng.standard_normal(10)
         body = inertia.body_of(inertia.exponential(moved))
-        of = of_child(joint, body).items()
+        of = vary_child(joint, body).items()
         values |= {f"links.{joint.link}.{name}": value for name, value in of}
     for name in inertias:
         values[name] *= np.exp(0.5 * OFF * rng.standard_normal())
@@ -225,7 +225,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
 
 
 def _names(scene: Scene) -> set[str]:
-    return {number.name for number in variable_numbers(scene.joints, scene.chain, ())}
+    return {number.name for number in list_variable_numbers(scene.joints, scene.chain, ())}
 
 
 # Spoiled records: what is done to them, and which words must be in the answer.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.machine.varied import of_child
+from arm_emulator.machine.varied import vary_child
 from arm_emulator_identification.filtered import Filtered, filtered
 from arm_emulator_identification.found import numbers_found
 from arm_emulator_identification.torque_fit import fit_torques
@@ -56,7 +56,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     fitted = model.choose(["*"], "bench")
     true = {one.name: one.value for one in model.unknowns}
     for joint in scene.chain.joints:
-        true |= {f"links.{joint.link}.{name}": value for name, value in of_child(joint).items()}
+        true |= {f"links.{joint.link}.{name}": value for name, value in vary_child(joint).items()}
     rng = np.random.default_rng([seed, 1])
     known = model.start + model.widths * rng.standard_normal(len(model.start))
     least = np.array([one.least for one in model.unknowns])

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import Column, Refusal, markdown_text
+from arm_emulator.extension.base import Column, Refusal, escape_markdown
 from arm_emulator.extension.base import ColumnRows as Rows
-from arm_emulator.extension.machine import Scene, values_of
+from arm_emulator.extension.machine import Scene, select_values
 from arm_emulator.extension.page import Controls
 from arm_emulator_page.arm_scene import ArmScene
 from arm_emulator_page.machine_tab import TargetTab, machine_tab
@@ -81,7 +81,7 @@ class LivePage:
         self.arm = ArmScene(served.server, scene)
         served.look_from(self.arm.size)
         can = hands.can()
-        gui.add_markdown(f"**{markdown_text(scene.name)}**")
+        gui.add_markdown(f"**{escape_markdown(scene.name)}**")
         self._moment = gui.add_markdown("no tick yet")
         self._slider = gui.add_slider("Tick", 0, 1, 1, 0)
         self._slider.on_update(lambda _: None if self._changing else self.go(self._slider.value))
@@ -111,7 +111,7 @@ class LivePage:
                 gui.add_button("Set the breakpoint").on_click(lambda _: self._break())
             self._list = EventList(gui, self.go)
         if self.arm.missing:
-            gui.add_markdown(f"The arm's shapes are not shown. {markdown_text(self.arm.missing)}")
+            gui.add_markdown(f"The arm's shapes are not shown. {escape_markdown(self.arm.missing)}")
 
     @property
     def browsers(self) -> int:
@@ -190,8 +190,8 @@ class LivePage:
             v=row["v"][0],
             gear=row["gear_torque"][0],
             current=row["current"][0],
-            command=values_of(row, "measured.applied", scene)[0],
-            counts=values_of(row, "measured.encoder_counts", scene)[0],
+            command=select_values(row, "measured.applied", scene)[0],
+            counts=select_values(row, "measured.encoder_counts", scene)[0],
         )
         if self._at is None:
             self._plot()
@@ -233,7 +233,7 @@ class LivePage:
         except Refusal as reason:
             self._refused(str(reason))
             return ""
-        self.answer.content = markdown_text(answer)
+        self.answer.content = escape_markdown(answer)
         return answer
 
     def _refused(self, reason: str) -> None:
@@ -243,7 +243,7 @@ class LivePage:
                 (int(newest["tick"][0]) if len(newest) else 0, f"refused: {reason}")
             )
             self._list.show(self._events)
-            self.answer.content = markdown_text(reason)
+            self.answer.content = escape_markdown(reason)
 
     def _time_controls(self, gui: Any, can: frozenset[str]) -> None:
         if "pause" in can:

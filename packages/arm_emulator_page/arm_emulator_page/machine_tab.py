@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from arm_emulator.extension.base import Refusal, markdown_text
+from arm_emulator.extension.base import Refusal, escape_markdown
 from arm_emulator.extension.machine import Scene
 from arm_emulator_page.arm_scene import ArmScene
 
@@ -65,7 +65,7 @@ def _add_gains(page: Any, gui: Any) -> None:
             try:
                 known.update(page.hands.do("gains"))
             except Refusal as reason:
-                page.answer.content = markdown_text(str(reason))
+                page.answer.content = escape_markdown(str(reason))
                 return
             if known:
                 names = tuple(sorted(known))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import Refusal, markdown_text
+from arm_emulator.extension.base import Refusal, escape_markdown
 from arm_emulator.extension.machine import Session
 from arm_emulator.extension.page import Condition, TermsNow, Timeline
 from arm_emulator_page.arm_scene import ArmScene
@@ -72,7 +72,7 @@ class RunPage:
         self.gui: Any = server.gui
         self._build(server, scene.name)
         if self.arm.missing:
-            missing = markdown_text(self.arm.missing)
+            missing = escape_markdown(self.arm.missing)
             server.gui.add_markdown(f"The arm's shapes are not shown. {missing}")
         self.lay_over(over)
         self._thread = threading.Thread(target=self._play, name="page", daemon=True)
@@ -170,7 +170,7 @@ class RunPage:
 
     def _build(self, server: Any, name: str) -> None:
         gui, period = server.gui, self._session.scene.servo_period
-        gui.add_markdown(f"**{markdown_text(name)}**, {self.last * period:g} s")
+        gui.add_markdown(f"**{escape_markdown(name)}**, {self.last * period:g} s")
         self._moment = gui.add_markdown("")
         self._slider = gui.add_slider("Tick", 0, max(1, self.last), 1, 0)
         self._slider.on_update(lambda _: None if self.changing else self._go(self._slider.value))
@@ -234,7 +234,7 @@ class RunPage:
             try:
                 condition = Condition(self._condition.value, scene, "page")
             except Refusal as reason:
-                self._found.content = markdown_text(str(reason))
+                self._found.content = escape_markdown(str(reason))
                 return
             before = self.line.tick
             tick = self.line.find(lambda run: condition.holds(run.session), self.last)
@@ -254,7 +254,7 @@ class RunPage:
                 for side, rows in (("link", terms.link), ("rotor", terms.rotor))
             ]
             self._terms.content = "\n\n".join(
-                [*tables, *(f"- {markdown_text(one)}" for one in active)]
+                [*tables, *(f"- {escape_markdown(one)}" for one in active)]
             )
 
     # Pictures

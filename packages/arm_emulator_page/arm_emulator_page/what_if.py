@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from arm_emulator.extension.base import Refusal, markdown_text
+from arm_emulator.extension.base import Refusal, escape_markdown
 from arm_emulator.extension.machine import Diverged
 from arm_emulator.extension.page import (
     NO_VECTOR,
@@ -71,7 +71,7 @@ class WhatIf:
     def _push(self, link: str, force: Vector, moment: Vector) -> None:
         """Let a wrench act from the moment on at which the run goes on."""
         self._pushes[link] = order = Push(link, force, moment)
-        self._pushed.content = f"When it goes on (tab *What if*): {markdown_text(order.name)}"
+        self._pushed.content = f"When it goes on (tab *What if*): {escape_markdown(order.name)}"
 
     def _keep_all(self) -> None:
         """Write every timeline as a bag that names its parent's."""
@@ -86,9 +86,9 @@ class WhatIf:
                     assert self._keep is not None
                     self._keep(line, bag, bags.get(id(line.parent)))
                     bags[id(line)] = bag
-                answer = markdown_text(f"{len(bags)} bags in {folder.resolve()}")
+                answer = escape_markdown(f"{len(bags)} bags in {folder.resolve()}")
             except (Refusal, OSError) as reason:
-                answer = markdown_text(str(reason))
+                answer = escape_markdown(str(reason))
             self._page.line.go_to(self._page.line.tick)  # forks take turns in one machine
             self._answer.content = answer  # last: all that it reports is done
 
@@ -124,9 +124,9 @@ class WhatIf:
             try:
                 done = self._change(line)
                 line.advance(round(seconds / period))
-                answer = markdown_text(f"{name}: {done or 'as it was'}")
+                answer = escape_markdown(f"{name}: {done or 'as it was'}")
             except (Refusal, Diverged) as reason:
-                answer = markdown_text(str(reason))
+                answer = escape_markdown(str(reason))
             if line.newest == begin:  # refused at once: no other future
                 line = self._page.line
             elif forked:

@@ -19,24 +19,24 @@ from draws import FULL, some
 
 import arm_emulator
 from arm_emulator.machine.plant.compiler import (
-    equations_unit,
-    machine_unit,
-    real_time_unit,
+    build_equations_unit,
+    build_machine_unit,
+    build_real_time_unit,
 )
-from arm_emulator.machine.plant.formula_rows import formula_unit
+from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.machine.session.record_ring import record_ring_unit
+from arm_emulator.machine.session.record_ring import build_record_ring_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
 from arm_emulator.tick.c import tick_unit
-from arm_emulator.toolchain.compiler_command import identity
+from arm_emulator.toolchain.compiler_command import identify_compiler
 from arm_emulator.toolchain.unit import Unit
 from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
-from arm_emulator_fleet.unit import fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import unit_of
 from arm_emulator_fmu.variables import scalars, variables
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
@@ -51,7 +51,7 @@ def compilers(kind: str) -> list[str]:
     names = [*(f"{kind}-{version}" for version in reversed(KINDS[kind])), kind]
     found: dict[str, str] = {}
     for name in filter(shutil.which, names):
-        found.setdefault(identity([name]), name)
+        found.setdefault(identify_compiler([name]), name)
     return some(found.values(), 1)
 
 
@@ -83,12 +83,12 @@ def units(folder: Path) -> Iterator[Unit]:
     """Yield all that is compiled for shipped scenes and for random mixtures of parts."""
     for name in ("three_axis", "ur5", "panda"):
         scene = load_scene(name)
-        yield machine_unit(scene)
-        yield equations_unit(scene)
-        yield fleet_unit(scene)
+        yield build_machine_unit(scene)
+        yield build_equations_unit(scene)
+        yield build_fleet_unit(scene)
         yield unit_of(scene, variables(scene), "3")[0]
         yield unit_of(scene, scalars(scene), "2")[0]
-    yield machine_unit(load_scene("manutec_r3"))
+    yield build_machine_unit(load_scene("manutec_r3"))
     schemes = itertools.cycle(("rosenbrock", "implicit", "extrapolated", "paper"))
     for seed, scheme in zip(some(range(24), 4), schemes, strict=False):
         (folder / str(seed)).mkdir()
@@ -96,11 +96,11 @@ def units(folder: Path) -> Iterator[Unit]:
         events = "located" if scheme == "rosenbrock" else "step"
         integrator = {"integrator.scheme": scheme, "integrator.events": events}
         scene = load_scene(mixture, overrides=integrator)
-        yield machine_unit(scene)
-        yield equations_unit(scene)
-        yield fleet_unit(scene)
-    yield from (servo_unit(), servo_step_unit(), tick_unit(), real_time_unit())
-    yield from (record_ring_unit(), formula_unit(), judges_unit(), sampler_unit())
+        yield build_machine_unit(scene)
+        yield build_equations_unit(scene)
+        yield build_fleet_unit(scene)
+    yield from (servo_unit(), servo_step_unit(), tick_unit(), build_real_time_unit())
+    yield from (build_record_ring_unit(), build_formula_unit(), judges_unit(), sampler_unit())
     yield from (drives_unit(), ethercat_unit())
     yield from (
         middleware_unit(),

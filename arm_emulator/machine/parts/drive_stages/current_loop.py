@@ -69,26 +69,26 @@ class CurrentLoop(DriveStage):
                 raise section.refusal("bandwidth", rule, "nothing")
 
     @classmethod
-    def sized(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102
+    def size_part(cls, motor: Motor, rating: Rating) -> Self | None:  # noqa: D102
         return None if motor.circuit is None else cls(bandwidth=rating.bandwidth)
 
-    def inner_per_command(self, motor: Motor) -> float:  # noqa: D102
-        return _circuit(motor).resistance
+    def convert_unit_command(self, motor: Motor) -> float:  # noqa: D102
+        return _get_circuit(motor).resistance
 
-    def bandwidth_around(self, motor: Motor) -> float:  # noqa: D102
+    def compute_bandwidth(self, motor: Motor) -> float:  # noqa: D102
         if self.bandwidth is not None:
             return self.bandwidth
         assert self.proportional_gain is not None, "see check"
-        return self.proportional_gain / (2.0 * math.pi * _circuit(motor).inductance)
+        return self.proportional_gain / (2.0 * math.pi * _get_circuit(motor).inductance)
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
+    def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++, set up for the motor's winding."""
-        *known, most = map(cxx_literals.number, motor.data_sheet(supply.voltage))
+        *known, most = map(cxx_literals.format_number, motor.read_data_sheet(supply.voltage))
         most = f"{most} * {supply.share}" if supply.share else most
         kind = f"arm::{self.loop}<{inner.type}>"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{', '.join([*known, most])}}}}}")
 
 
-def _circuit(motor: Motor) -> Circuit:
+def _get_circuit(motor: Motor) -> Circuit:
     assert motor.circuit is not None, "see check_motor"
     return motor.circuit

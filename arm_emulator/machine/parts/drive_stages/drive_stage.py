@@ -33,19 +33,19 @@ class DriveStage(Part):
     needs_circuit: ClassVar[bool] = False  # a winding with an inductance
 
     @classmethod
-    def owned_name(cls) -> str:
+    def name_place(cls) -> str:
         """Return its section and the motors that it is for."""
-        return " of ".join([super().owned_name(), *[cls.around_kind] * bool(cls.around_kind)])
+        return " of ".join([super().name_place(), *[cls.around_kind] * bool(cls.around_kind)])
 
     @classmethod
     def of(cls, motor: Motor) -> type[DriveStage]:
         """Return the kind of it that goes around a motor, which may be for such motors alone."""
-        from arm_emulator.machine.parts.registry import kinds_of
+        from arm_emulator.machine.parts.registry import list_kinds
 
-        return next((one for one in kinds_of(cls) if one.around_kind == motor.kind), cls)
+        return next((one for one in list_kinds(cls) if one.around_kind == motor.kind), cls)
 
     @classmethod
-    def sized(cls, motor: Motor, rating: Rating) -> Self | None:
+    def size_part(cls, motor: Motor, rating: Rating) -> Self | None:
         """Return the part for a drive that is sized with a motor; None: without it."""
         return None
 
@@ -56,7 +56,7 @@ class DriveStage(Part):
             at_once = " without one" if motor.follows_speed_at_once else ""
             raise joint.refusal(self.section, rule, motor.kind + at_once)
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
+    def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++.
 
         Args:
@@ -67,10 +67,10 @@ class DriveStage(Part):
         """
         raise NotImplementedError
 
-    def inner_per_command(self, motor: Motor) -> float:
+    def convert_unit_command(self, motor: Motor) -> float:
         """Return the inner motor's command at rest per unit of command."""
         return 1.0
 
-    def bandwidth_around(self, motor: Motor) -> float:
+    def compute_bandwidth(self, motor: Motor) -> float:
         """Return how fast the current follows the command [Hz]; 0: it closes no loop."""
         return 0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supply
-from arm_emulator.machine.parts.fault import GROWS, Fault, rise
+from arm_emulator.machine.parts.fault import GROWS, Fault, bound_rise
 from arm_emulator.machine.parts.motors.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -34,8 +34,8 @@ class Inverter(DriveStage):
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         text = "the inverter's transistors switch later or conduct worse"
         sets = {"motor.inverter.voltage_error": GROWS}
-        return (Fault("inverter_ages", text, sets=sets, magnitude=rise("1", 1.0, 1e3)),)
+        return (Fault("inverter_ages", text, sets=sets, magnitude=bound_rise("1", 1.0, 1e3)),)
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
+    def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         kind = f"arm::InvertedMotor<{inner.type}>"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {own}}}")

@@ -10,7 +10,13 @@ from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supp
 from arm_emulator.machine.parts.motors.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
+from arm_emulator.machine.parts.waves import (
+    Wave,
+    compute_wave_sum,
+    declare_waves,
+    read_waves,
+    write_waves,
+)
 
 
 @register_part
@@ -24,7 +30,7 @@ class TorqueRipple(DriveStage):
     header = "drive_stages/torque_ripple.hpp"
     cxx = "RippledMotor"
     keys = (
-        waves_key(
+        declare_waves(
             "waves",
             "1",
             "amplitudes that sum up to 0.9 at most",
@@ -36,7 +42,7 @@ class TorqueRipple(DriveStage):
 
     def effort(self, motion: ShaftMotion) -> Array:
         """The torque that the ripple takes from the motor's."""
-        torque: Array = -wave_sum(self.waves, motion.angle) * motion.motor_torque
+        torque: Array = -compute_wave_sum(self.waves, motion.angle) * motion.motor_torque
         return torque
 
     @classmethod
@@ -54,8 +60,8 @@ class TorqueRipple(DriveStage):
             rule = "come with an inductance: the current would follow each wave at once"
             raise joint.refusal(self.section, rule, "none")
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
+    def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         if not self.waves:
             return inner
         kind = f"arm::{self.cxx}<{inner.type}, {len(self.waves)}>"
-        return CxxMotor(kind, f"{kind}{{{inner.value}, {cxx_waves(self.waves)}}}")
+        return CxxMotor(kind, f"{kind}{{{inner.value}, {write_waves(self.waves)}}}")

@@ -7,7 +7,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage, Supply
-from arm_emulator.machine.parts.fault import GROWS, Fault, rise, rising
+from arm_emulator.machine.parts.fault import GROWS, Fault, bound_rise, declare_rise
 from arm_emulator.machine.parts.motors.motor import CxxMotor, Motor
 from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import number
@@ -81,13 +81,13 @@ class Winding(DriveStage):
                 "cooling_fails",
                 "the winding's thermal resistance grows",
                 sets={"motor.winding.thermal_resistance": GROWS},
-                magnitude=rise("1", 9.0, 1e6),
+                magnitude=bound_rise("1", 9.0, 1e6),
             ),
             Fault(
                 "ambient_rises",
                 "the air around the motor is warmer",
-                sets=rising("motor.winding.ambient"),
-                magnitude=rise("K", 40.0, 300.0),
+                sets=declare_rise("motor.winding.ambient"),
+                magnitude=bound_rise("K", 40.0, 300.0),
             ),
         )
 
@@ -109,6 +109,6 @@ class Winding(DriveStage):
             rule = "come with an inductance: the current would follow the temperature at once"
             raise joint.refusal(self.section, rule, "none")
 
-    def around(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
+    def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:  # noqa: D102
         kind = f"arm::HeatedMotor<{inner.type}>"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {own}}}")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.fault import Fault, falling, share
+from arm_emulator.machine.parts.fault import Fault, bound_share, declare_fall
 from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
@@ -60,26 +60,26 @@ class Brake(Part):
             Fault(
                 "brake_slips",
                 "oil on the brake: it holds a smaller torque",
-                sets=falling("brake.torque"),
-                magnitude=share(0.9),
+                sets=declare_fall("brake.torque"),
+                magnitude=bound_share(0.9),
             ),
             Fault(
                 "brake_stays_open",
                 "the brake does not close, at a share of its way",
-                sets=falling("brake.closed"),
-                magnitude=share(),
+                sets=declare_fall("brake.closed"),
+                magnitude=bound_share(),
             ),
             Fault(
                 "brake_drags",
                 "the brake presses while it is open, at 1 as if closed",
                 sets={"brake.closed": "{x} + {m} * (1.0 - {x})"},
-                magnitude=share(),
+                magnitude=bound_share(),
             ),
         )
 
-    def fault_numbers(self) -> dict[str, float | None]:
+    def list_fault_numbers(self) -> dict[str, float | None]:
         """Its numbers, and whether it is closed, as it is before the drives get power."""
-        return {**super().fault_numbers(), "closed": 1.0}
+        return {**super().list_fault_numbers(), "closed": 1.0}
 
     def rotor(
         self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str
@@ -96,5 +96,5 @@ class Brake(Part):
         assert isinstance(friction, OfRotor)
         law, values = friction.law(joint, places)
         kind = f"arm::Braked<{law}>"
-        brake = self.initialiser(joint, places)
+        brake = self.write_initialiser(joint, places)
         return f"arm::RotorFriction<{kind}>", f"{{{kind}{{{values}, {brake}, {closed}}}}}"

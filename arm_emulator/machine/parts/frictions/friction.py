@@ -36,9 +36,9 @@ class Friction(Part):
     )
 
     @classmethod
-    def owned_name(cls) -> str:
+    def name_place(cls) -> str:
         """Return its section and the keys that distinguish it."""
-        return " with ".join([super().owned_name(), *sorted(cls.named_by)])
+        return " with ".join([super().name_place(), *sorted(cls.named_by)])
 
     def sliding(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""
@@ -73,13 +73,15 @@ class OfRotor(Friction):
     def cxx_type(self) -> str:  # noqa: D102
         return f"arm::RotorFriction<{super().cxx_type}>"
 
-    def initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
+    def write_initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
         return f"{self.cxx_type}{{{self.law(joint, places)[1]}}}"
 
     def law(self, joint: str, places: Mapping[str, str]) -> tuple[str, str]:
         """Return type and initialiser of the law alone."""
         kind = super().cxx_type
-        members = ", ".join(f".{name} = {value}" for name, value in self.members(joint, places))
+        members = ", ".join(
+            f".{name} = {value}" for name, value in self.list_members(joint, places)
+        )
         return kind, f"{kind}{{{members}}}"
 
 

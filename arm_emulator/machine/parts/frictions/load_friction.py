@@ -6,7 +6,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
-from arm_emulator.machine.parts.frictions.stribeck import stribeck_torque
+from arm_emulator.machine.parts.frictions.stribeck import compute_stribeck_torque
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -33,7 +33,7 @@ class LoadFriction(Friction):
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().sliding(motion)
         if self.stribeck is not None:
-            dry = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
+            dry = compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
         torque: Array = dry + self.load * np.abs(motion.gear_torque)
         return torque
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.fault import Fault, rise, rising
-from arm_emulator.machine.parts.frictions.stribeck import stribeck_torque
+from arm_emulator.machine.parts.fault import Fault, bound_rise, declare_rise
+from arm_emulator.machine.parts.frictions.stribeck import compute_stribeck_torque
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -38,7 +38,7 @@ class LuGre(JointEffect):
     def effort(self, motion: ShaftMotion) -> Array:
         """Bend the bristles along the motion, from straight ones."""
         w = motion.speed
-        g = stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
+        g = compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
         rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
         kept = np.exp(-np.gradient(motion.t) * rate)
         # Limit for bristles that slip at once.
@@ -58,8 +58,8 @@ class LuGre(JointEffect):
             Fault(
                 "seal_grips",
                 "friction of bristles rises",
-                sets=rising("lugre.coulomb", "motor.lugre.coulomb"),
-                magnitude=rise("N m", 1.0, 1e6),
+                sets=declare_rise("lugre.coulomb", "motor.lugre.coulomb"),
+                magnitude=bound_rise("N m", 1.0, 1e6),
             ),
         )
 

@@ -11,7 +11,9 @@ from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 
-def stribeck_torque(coulomb: float, breakaway: float, stribeck: float, speed: Array) -> Array:
+def compute_stribeck_torque(
+    coulomb: float, breakaway: float, stribeck: float, speed: Array
+) -> Array:
     """Return the torque against sliding that falls from `breakaway` to `coulomb` [N m]."""
     fallen = np.exp(-np.minimum((speed / stribeck) ** 2, 700.0))
     torque: Array = coulomb + (breakaway - coulomb) * fallen
@@ -34,7 +36,7 @@ class Stribeck(Friction):
     )
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
-        return stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
+        return compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
 
 
 @register_part

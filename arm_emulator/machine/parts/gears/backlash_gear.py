@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from arm_emulator.machine.parts.fault import Fault, rise, rising
+from arm_emulator.machine.parts.fault import Fault, bound_rise, declare_rise
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -29,8 +29,8 @@ class BacklashGear(ElasticGear):
             Fault(
                 "backlash_grows",
                 "the teeth wear, and the gear's play grows",
-                sets=rising("gear.backlash"),
-                magnitude=rise("rad", 1e-3, 1.0),
+                sets=declare_rise("gear.backlash"),
+                magnitude=bound_rise("rad", 1e-3, 1.0),
             ),
         )
 

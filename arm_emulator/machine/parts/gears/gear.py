@@ -40,9 +40,9 @@ class Gear(Part):
         return np.zeros_like(motion.t)
 
     @classmethod
-    def owned_name(cls) -> str:
+    def name_place(cls) -> str:
         """Return its section and the keys that distinguish it."""
-        return " with ".join([super().owned_name(), *sorted(cls.named_by)])
+        return " with ".join([super().name_place(), *sorted(cls.named_by)])
 
     def wind_up(self, torque: float) -> float:
         """Return the wind-up of the gear at rest [rad], at the link."""

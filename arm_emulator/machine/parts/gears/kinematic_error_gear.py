@@ -11,7 +11,7 @@ from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import MOST, Wave, cxx_waves, read_waves, wave_slope
+from arm_emulator.machine.parts.waves import MOST, Wave, compute_wave_slope, read_waves, write_waves
 
 
 @register_part
@@ -37,8 +37,8 @@ class KinematicErrorGear(ElasticGear):
 
     def effort(self, motion: ShaftMotion) -> Array:
         """Torque on the rotor from the gear's torque, beside that by the nominal ratio."""
-        by_motor = wave_slope(self.motor, motion.angle) / self.ratio
-        by_link = wave_slope(self.link, motion.angle * self.ratio)
+        by_motor = compute_wave_slope(self.motor, motion.angle) / self.ratio
+        by_link = compute_wave_slope(self.link, motion.angle * self.ratio)
         torque: Array = motion.gear_torque * ((1.0 + by_motor) / (1.0 - by_link) - 1.0)
         return torque
 
@@ -62,10 +62,10 @@ class KinematicErrorGear(ElasticGear):
     def cxx_type(self) -> str:  # noqa: D102
         return f"arm::{self.cxx}<{len(self.motor)}, {len(self.link)}>"
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         waves = [
-            (shaft, cxx_waves(getattr(self, shaft)))
+            (shaft, write_waves(getattr(self, shaft)))
             for shaft in ("motor", "link")
             if getattr(self, shaft)
         ]
-        return super().members(joint, places) + waves
+        return super().list_members(joint, places) + waves

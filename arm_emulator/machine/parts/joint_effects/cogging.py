@@ -10,7 +10,13 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import Wave, cxx_waves, read_waves, wave_sum, waves_key
+from arm_emulator.machine.parts.waves import (
+    Wave,
+    compute_wave_sum,
+    declare_waves,
+    read_waves,
+    write_waves,
+)
 
 
 @register_part
@@ -23,12 +29,14 @@ class Cogging(JointEffect):
     shaft = "rotor"
     header = "joint_effects/cogging.hpp"
     cxx = "Cogging"
-    keys = (waves_key("waves", "N m", "a ±1e3", "waves per turn of the motor, amplitude, phase"),)
+    keys = (
+        declare_waves("waves", "N m", "a ±1e3", "waves per turn of the motor, amplitude, phase"),
+    )
 
     waves: tuple[Wave, ...] = ()  # N m
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
-        return wave_sum(self.waves, motion.angle)
+        return compute_wave_sum(self.waves, motion.angle)
 
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
@@ -38,5 +46,5 @@ class Cogging(JointEffect):
     def cxx_type(self) -> str:  # noqa: D102
         return f"arm::{self.cxx}<{len(self.waves)}>"
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
-        return [("waves", cxx_waves(self.waves))] if self.waves else []
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        return [("waves", write_waves(self.waves))] if self.waves else []

@@ -6,7 +6,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.fault import Fault, falling, share
+from arm_emulator.machine.parts.fault import Fault, bound_share, declare_fall
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -82,8 +82,8 @@ class Counterbalance(JointEffect):
             Fault(
                 "counterbalance_weakens",
                 "the counterbalance loses a share of its force",
-                sets=falling("counterbalance.force", "counterbalance.stiffness"),
-                magnitude=share(0.5),
+                sets=declare_fall("counterbalance.force", "counterbalance.stiffness"),
+                magnitude=bound_share(0.5),
             ),
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.fault import Fault, rise, rising
+from arm_emulator.machine.parts.fault import Fault, bound_rise, declare_rise
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -34,8 +34,8 @@ class Drag(JointEffect):
             Fault(
                 "drag_grows",
                 "something that drags has been caught at the link",
-                sets=rising("drag.coefficient"),
-                magnitude=rise("N m s2/rad2", 1.0, 1e6),
+                sets=declare_rise("drag.coefficient"),
+                magnitude=bound_rise("N m s2/rad2", 1.0, 1e6),
             ),
         )
 

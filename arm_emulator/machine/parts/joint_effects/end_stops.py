@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.validation.number import Number, between
+from arm_emulator.base.validation.number import Number, build_bounds
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.fault import Fault, falling, rise, rising, share
+from arm_emulator.machine.parts.fault import (
+    Fault,
+    bound_rise,
+    bound_share,
+    declare_fall,
+    declare_rise,
+)
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.part import number
@@ -19,7 +25,7 @@ _BEYOND = Number(
     "rad",
     default=0.0,
     text="distance of both stops from the limits, outwards; refused without `at`",
-    **between((0.0, 1e4)),
+    **build_bounds((0.0, 1e4)),
 )
 
 
@@ -68,14 +74,14 @@ class EndStops(JointEffect):
             Fault(
                 "stop_softens",
                 "the end stops' stiffness falls",
-                sets=falling("end_stops.stiffness"),
-                magnitude=share(0.9, 0.999),
+                sets=declare_fall("end_stops.stiffness"),
+                magnitude=bound_share(0.9, 0.999),
             ),
             Fault(
                 "stop_moves",
                 "the end stops turn on their shaft",
-                sets=rising("end_stops.lower", "end_stops.upper"),
-                magnitude=rise("rad", 0.1, 10.0, signed=True),
+                sets=declare_rise("end_stops.lower", "end_stops.upper"),
+                magnitude=bound_rise("rad", 0.1, 10.0, signed=True),
             ),
         )
 

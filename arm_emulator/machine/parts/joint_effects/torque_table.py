@@ -86,17 +86,19 @@ class TorqueTable(JointEffect):
         periodic = "true" if self.periodic else "false"
         return f"arm::{self.cxx}<{len(self.angles) - 1}, {periodic}>"
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         q, T = np.array(self.angles), self.coefficients()
         h = np.diff(q)
         works = h * (T[0] + h * (T[1] / 2.0 + h * (T[2] / 3.0 + h * T[3] / 4.0)))
         U = [0.0, *np.cumsum(-works)]
         rows = zip(q[:-1], *T, U[:-1], strict=True)
-        pieces = ", ".join("{" + ", ".join(map(cxx_literals.number, row)) + "}" for row in rows)
+        pieces = ", ".join(
+            "{" + ", ".join(map(cxx_literals.format_number, row)) + "}" for row in rows
+        )
         return [
             ("pieces", "{{" + pieces + "}}"),
-            ("end", cxx_literals.number(q[-1])),
-            ("U_end", cxx_literals.number(U[-1])),
+            ("end", cxx_literals.format_number(q[-1])),
+            ("U_end", cxx_literals.format_number(U[-1])),
         ]
 
     def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102

@@ -9,7 +9,15 @@ from functools import partial
 from typing import ClassVar, Self
 
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.fault import FALLS, HOLDS, STUCK, Fault, rise, sensor_fault, share
+from arm_emulator.machine.parts.fault import (
+    FALLS,
+    HOLDS,
+    STUCK,
+    Fault,
+    bound_rise,
+    bound_share,
+    declare_sensor_fault,
+)
 from arm_emulator.machine.parts.measuring.encoder import DELAY
 from arm_emulator.machine.parts.part import Part, PartNumber, number
 
@@ -65,22 +73,23 @@ class Converter(Part):
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         about = cls.section.replace("_", " ")
-        kind = partial(sensor_fault, cls.section, about, of=cls.owners)
+        kind = partial(declare_sensor_fault, cls.section, about, of=cls.owners)
         return (
             kind("offset", "the amplifier's zero moves", cls.zero,
-                 rise(cls.unit, 0.5, LARGEST_ERROR, signed=True)),
+                 bound_rise(cls.unit, 0.5, LARGEST_ERROR, signed=True)),
             kind("drifts", "the amplifier's zero drifts", "drift",
-                 rise(f"{cls.unit}/s", 0.5, LARGEST_ERROR, signed=True)),
+                 bound_rise(f"{cls.unit}/s", 0.5, LARGEST_ERROR, signed=True)),
             kind("gain", "the amplifier's gain is off", "gain_error",
-                 rise("1", 0.1, 1.0, signed=True)),
-            kind("stuck", STUCK, "held", share(), HOLDS),
-            kind("noisy", "the shield is broken", "noise", rise(cls.unit, 0.1, LARGEST_ERROR)),
-            kind("saturates", "the amplifier's range falls", "range", share(0.9, 0.999), FALLS,
-                 absent=None),
+                 bound_rise("1", 0.1, 1.0, signed=True)),
+            kind("stuck", STUCK, "held", bound_share(), HOLDS),
+            kind("noisy", "the shield is broken", "noise",
+                 bound_rise(cls.unit, 0.1, LARGEST_ERROR)),
+            kind("saturates", "the amplifier's range falls", "range",
+                 bound_share(0.9, 0.999), FALLS, absent=None),
         )  # fmt: skip
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
-        return [("present", "true"), *super().members(joint, places)]
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        return [("present", "true"), *super().list_members(joint, places)]
 
 
 class AnalogSensor(Converter):
@@ -117,5 +126,5 @@ class AnalogSensor(Converter):
     def read(cls, section: Section) -> Self:  # noqa: D102
         return cls(delay=section.integer(DELAY), **cls.read_numbers(section))
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
-        return [*super().members(joint, places), ("delay", str(self.delay))]
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+        return [*super().list_members(joint, places), ("delay", str(self.delay))]

@@ -11,7 +11,14 @@ from typing import ClassVar, Self
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import LARGEST_COUNT, Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.parts.fault import HOLDS, STUCK, Fault, rise, sensor_fault, share
+from arm_emulator.machine.parts.fault import (
+    HOLDS,
+    STUCK,
+    Fault,
+    bound_rise,
+    bound_share,
+    declare_sensor_fault,
+)
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
@@ -207,19 +214,19 @@ class Encoder(Part):
 
     @classmethod
     def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
-        kind = partial(sensor_fault, cls.section, cls.about)
+        kind = partial(declare_sensor_fault, cls.section, cls.about)
         return (
             kind("slips", "the disc turns on its shaft", "offset",
-                 rise("rad", 0.1, 1e3, signed=True)),
+                 bound_rise("rad", 0.1, 1e3, signed=True)),
             kind("misses_edges", "edges, or words of an absolute encoder, are missed", "missed",
-                 share(0.1, 0.5), "{x} + {m} * (1.0 - 2.0 * {x})"),
-            kind("stuck", STUCK, "held", share(), HOLDS),
-            kind("flips_bits", "a bit of a reading is wrong", "flips", share(0.1), HOLDS),
-            kind("noisy", "the shield is broken", "noise", rise("rad", 1e-3, 1.0)),
+                 bound_share(0.1, 0.5), "{x} + {m} * (1.0 - 2.0 * {x})"),
+            kind("stuck", STUCK, "held", bound_share(), HOLDS),
+            kind("flips_bits", "a bit of a reading is wrong", "flips", bound_share(0.1), HOLDS),
+            kind("noisy", "the shield is broken", "noise", bound_rise("rad", 1e-3, 1.0)),
             kind("off_centre", "the disc has lost its centre", "eccentricity",
-                 rise("rad", 0.01, 1.0)),
+                 bound_rise("rad", 0.01, 1.0)),
             kind("ripples", "the sine and cosine signals differ", "ripple",
-                 rise("rad", 1e-3, 1.0)),
+                 bound_rise("rad", 1e-3, 1.0)),
         )  # fmt: skip
 
     @property
@@ -242,18 +249,18 @@ class Encoder(Part):
         """Counts after which its word wraps; 0 if it never does."""
         return 2**self.bits if self.bits is not None else 0
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
         whole = {
             "kind": f"arm::EncoderKind::{self.kind}",
-            "counts_per_turn": cxx_literals.number(self.counts_per_turn),
-            "counts_per_rad": cxx_literals.number(self.counts_per_rad),
-            "turns_per_rad": cxx_literals.number(1.0 / self.turn),
+            "counts_per_turn": cxx_literals.format_number(self.counts_per_turn),
+            "counts_per_rad": cxx_literals.format_number(self.counts_per_rad),
+            "turns_per_rad": cxx_literals.format_number(1.0 / self.turn),
             "index": f"arm::Index::{self.index}",
             "bits": str(self.bits or 0),
             "delay": str(self.delay),
-            "ripple_order": cxx_literals.number(self.ripple_order),
+            "ripple_order": cxx_literals.format_number(self.ripple_order),
         }
-        return [*whole.items(), *super().members(joint, places)]
+        return [*whole.items(), *super().list_members(joint, places)]
 
 
 @register_part

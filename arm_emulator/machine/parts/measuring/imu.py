@@ -24,7 +24,7 @@ _RPY = Number.within("rpy", "rad", 100.0)
 BIASES = ("bias_x", "bias_y", "bias_z")
 
 
-def _bias() -> Any:
+def _declare_bias() -> Any:
     ends = -LARGEST_ERROR, LARGEST_ERROR
     return number("offset", "", ends=ends, default=None, text="added on this axis")
 
@@ -35,18 +35,18 @@ class Axes(Converter):
     owners = "imus"
     zero = "bias_x"
 
-    bias_x: float | None = _bias()
-    bias_y: float | None = _bias()
-    bias_z: float | None = _bias()
+    bias_x: float | None = _declare_bias()
+    bias_y: float | None = _declare_bias()
+    bias_z: float | None = _declare_bias()
 
-    def initialiser(self, joint: str, places: Mapping[str, str]) -> str:
+    def write_initialiser(self, joint: str, places: Mapping[str, str]) -> str:
         """Return the three sensors in C++."""
         axes = []
         for own in BIASES:
             others = [key for key in BIASES if key != own]
             alone = replace(self, **dict.fromkeys(others))
             its = {name: at for name, at in places.items() if name.split(".")[-1] not in others}
-            members = alone.members(joint, its)
+            members = alone.list_members(joint, its)
             axes.append("{" + ", ".join(f".{name} = {value}" for name, value in members) + "}")
         return "{" + ", ".join(axes) + "}"
 
@@ -145,24 +145,24 @@ class Imu:
             gyroscope=None if gyroscope is None else Gyroscope.read(gyroscope),
         )
 
-    def could_vary(self) -> list[Varied]:
+    def list_variable_numbers(self) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
-        return [one for three in self.parts for one in three.could_vary(self.name)]
+        return [one for three in self.parts for one in three.list_variable_numbers(self.name)]
 
     @property
     def parts(self) -> tuple[Axes, ...]:
         """Its sensors that are not ideal."""
         return tuple(one for one in (self.accelerometer, self.gyroscope) if one is not None)
 
-    def initialiser(self, places: Mapping[str, str]) -> str:
+    def write_initialiser(self, places: Mapping[str, str]) -> str:
         """Return the unit in C++; `places` as for a part."""
         members = {
             "link": str(self.place),
-            "p": cxx_literals.vector(self.frame.p),
-            "axis": "{" + ", ".join(map(cxx_literals.vector, self.frame.R.T)) + "}",
+            "p": cxx_literals.format_vector(self.frame.p),
+            "axis": "{" + ", ".join(map(cxx_literals.format_vector, self.frame.R.T)) + "}",
             "delay": str(self.delay),
         }
         for three in self.parts:
-            members[three.section] = three.initialiser(self.name, places)
+            members[three.section] = three.write_initialiser(self.name, places)
         text = ", ".join(f".{name} = {value}" for name, value in members.items())
         return f"arm::Imu{{{text}}}"

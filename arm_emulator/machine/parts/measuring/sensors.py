@@ -12,16 +12,16 @@ from arm_emulator.machine.parts.measuring.current_sensor import CurrentSensor
 from arm_emulator.machine.parts.measuring.encoder import IDEAL_COUNTS_PER_TURN, Encoder, LinkEncoder
 from arm_emulator.machine.parts.measuring.imu import Accelerometer, Gyroscope, Imu
 from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.parts.registry import kinds_of
+from arm_emulator.machine.parts.registry import list_kinds
 
 
-def _analog() -> tuple[type[AnalogSensor], ...]:
+def _list_analog() -> tuple[type[AnalogSensor], ...]:
     """Return the kinds of analog sensors, which are those that are registered."""
     last = math.inf  # behind those that have a channel of their own
-    return tuple(sorted(kinds_of(AnalogSensor), key=lambda one: one.channel or last))
+    return tuple(sorted(list_kinds(AnalogSensor), key=lambda one: one.channel or last))
 
 
-ANALOG = _analog()
+ANALOG = _list_analog()
 
 # Sensors of joints and of links.
 SENSORS: tuple[type[Part] | type[Imu], ...] = (Encoder, LinkEncoder, *ANALOG, Imu)
@@ -71,7 +71,7 @@ class JointSensors:
         return there | {one.section: one for one in self.analog}
 
     @classmethod
-    def with_counts(cls, counts_per_turn: int) -> JointSensors:
+    def add_counts(cls, counts_per_turn: int) -> JointSensors:
         """Return sensors of which the encoder at the motor is the only one."""
         return cls(encoder=Encoder(counts_per_turn=counts_per_turn))
 
@@ -98,13 +98,13 @@ class JointSensors:
         )
 
 
-def measured_kinds(joints: Iterable[JointSensors]) -> tuple[type[AnalogSensor], ...]:
+def list_measured_kinds(joints: Iterable[JointSensors]) -> tuple[type[AnalogSensor], ...]:
     """Return the kinds of analog sensors of some joints; a current is always measured."""
     there = {type(sensor) for sensors in joints for sensor in sensors.analog}
     return tuple(kind for kind in ANALOG if kind in there or kind is CurrentSensor)
 
 
-def quantities(kinds: Iterable[type[AnalogSensor]]) -> str:
+def write_quantities(kinds: Iterable[type[AnalogSensor]]) -> str:
     """Return the quantities that kinds of sensors read, as structs in C++."""
     return "".join(
         f"""\
@@ -121,7 +121,7 @@ struct {kind.__name__} {{
     )
 
 
-def suite(
+def write_suite(
     seed: str,
     joints: Mapping[str, JointSensors],
     imus: Sequence[Imu],
@@ -135,7 +135,7 @@ def suite(
         imus: inertial measurement units.
         places: where the values of varied numbers stand, by their name.
     """
-    kinds = measured_kinds(joints.values())
+    kinds = list_measured_kinds(joints.values())
     quantities = "".join(f", {kind.__name__}" for kind in kinds)
     lines = [
         f"arm::SensorSuite<N, {len(imus)}{quantities}> all;",
@@ -149,8 +149,8 @@ def suite(
     members = {"encoder": "all.encoder", "link_encoder": "all.link_encoder", **rows}
     for j, (name, sensors) in enumerate(joints.items()):
         for section, part in sensors.measuring.items():
-            lines.append(f"{members[section]}[{j}] = {part.initialiser(name, places)};")
-    lines += [f"all.imu[{m}] = {imu.initialiser(places)};" for m, imu in enumerate(imus)]
+            lines.append(f"{members[section]}[{j}] = {part.write_initialiser(name, places)};")
+    lines += [f"all.imu[{m}] = {imu.write_initialiser(places)};" for m, imu in enumerate(imus)]
     body = "\n".join(f"    {line}" for line in [*lines, "return all;"])
     return f"""\
   static constexpr auto sensors([[maybe_unused]] const double* p) {{

@@ -10,7 +10,7 @@ from arm_emulator.machine.parts.motors.motor import (
     Motor,
     Rating,
     ServoData,
-    inertia_of_rotor,
+    declare_rotor_inertia,
 )
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -36,7 +36,7 @@ class CurrentMotor(Motor):
         default=0.0,
         text="R, for the power that the winding takes: it changes no motion",
     )
-    rotor_inertia: float = inertia_of_rotor()
+    rotor_inertia: float = declare_rotor_inertia()
     bandwidth: float | None = number(
         "bandwidth", "Hz", above=0.0, default=None, text="f; without it the current has no delay"
     )
@@ -45,7 +45,7 @@ class CurrentMotor(Motor):
     )
 
     @classmethod
-    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+    def size_part(cls, rating: Rating) -> Self:  # noqa: D102
         return cls(
             torque_constant=rating.torque_constant,
             resistance=rating.resistance,
@@ -66,7 +66,7 @@ class CurrentMotor(Motor):
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return self.current_limit
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+    def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,
             "torque per current": self.torque_constant / abs(ratio),

@@ -9,7 +9,7 @@ from arm_emulator.machine.parts.motors.motor import (
     Motor,
     Rating,
     ServoData,
-    inertia_of_rotor,
+    declare_rotor_inertia,
 )
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -42,7 +42,7 @@ class DcMotor(Motor):
         at_least=0.0,
         text="Kb; equals Kt in SI units if the motor has no other losses",
     )
-    rotor_inertia: float = inertia_of_rotor()
+    rotor_inertia: float = declare_rotor_inertia()
     current_limit: float | None = number(
         "current_limit",
         "A",
@@ -52,7 +52,7 @@ class DcMotor(Motor):
     )
 
     @classmethod
-    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+    def size_part(cls, rating: Rating) -> Self:  # noqa: D102
         return cls(
             resistance=rating.resistance,
             inductance=rating.inductance,
@@ -76,7 +76,7 @@ class DcMotor(Motor):
             return None
         return Circuit(self.resistance, self.inductance, self.back_emf_constant)
 
-    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
+    def read_data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
         return self.resistance, self.inductance, self.back_emf_constant, supply_voltage
 
     @property
@@ -95,7 +95,7 @@ class DcMotor(Motor):
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return supply_voltage
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+    def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,
             "torque per current": self.torque_constant / abs(ratio),

@@ -69,7 +69,7 @@ class Rating:
         return self.torque / self.torque_constant
 
 
-def inertia_of_rotor() -> Any:
+def declare_rotor_inertia() -> Any:
     """Return the declaration of the inertia of a motor's rotor."""
     text = "Mm, rotor and primary side of the gear"
     return number("Mm", "kg m2", above=0.0, sought="known", text=text)
@@ -92,12 +92,12 @@ class Motor(Part):
     """Rules of `sized`, for people who read a scene; empty if no drive is sized with it."""
 
     @classmethod
-    def owned_name(cls) -> str:
+    def name_place(cls) -> str:
         """Return its section and its kind."""
-        return f"{super().owned_name()} of kind {cls.kind}"
+        return f"{super().name_place()} of kind {cls.kind}"
 
     @classmethod
-    def sized(cls, rating: Rating) -> Self:
+    def size_part(cls, rating: Rating) -> Self:
         """Return a motor of this kind that gives what is asked for."""
         raise NotImplementedError
 
@@ -106,7 +106,7 @@ class Motor(Part):
         torque: Array = self.inertia * motion.acceleration
         return torque
 
-    def around(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
+    def wrap_motor(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
         """Return the motor in C++ with what its faults put around it and its decorators.
 
         Args:
@@ -124,9 +124,9 @@ class Motor(Part):
         opened = self.regulated and self._opened(joint, places)
         return (self.header, *(["drive_stages/open_winding.hpp"] if opened else []))
 
-    def members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
+    def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
         """Its numbers, and the resistance of a contact or an open wire if a voltage drives it."""
-        members = super().members(joint, places)
+        members = super().list_members(joint, places)
         if self.regulated:
             return members
         series = []
@@ -136,13 +136,13 @@ class Motor(Part):
             series.append(f"{OPEN:g} * {dict(members)['R']} * {opened}")
         return [*members, ("R_contact", " + ".join(series))] if series else members
 
-    def fault_numbers(self) -> dict[str, float | None]:
+    def list_fault_numbers(self) -> dict[str, float | None]:
         """Its numbers, how far its winding is open, and the resistance of its contacts.
 
         A current that is regulated by an ideal drive does not depend on a resistance.
         """
         contact = {} if self.regulated else {"contact": 0.0}
-        return {**super().fault_numbers(), **contact, "open": 0.0}
+        return {**super().list_fault_numbers(), **contact, "open": 0.0}
 
     def _opened(self, joint: str, places: Mapping[str, str]) -> str | None:
         """Return how far its winding is open, in C++; None: no fault of it is listed."""
@@ -164,7 +164,7 @@ class Motor(Part):
         """Return the winding that a drive can close a current loop around, if it has one."""
         return None
 
-    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:
+    def read_data_sheet(self, supply_voltage: float) -> tuple[float, ...]:
         """Return the numbers by which its drive's current loop is set up, in the order of C++.
 
         Args:
@@ -183,7 +183,7 @@ class Motor(Part):
         """Return its data for a servo; None: our servo cannot drive it."""
         return None
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:
+    def reflect_to_link(self, ratio: float) -> dict[str, float]:
         """Return its largest torques at the link through a gear, by their causes."""
         raise NotImplementedError
 

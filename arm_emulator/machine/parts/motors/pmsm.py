@@ -8,7 +8,7 @@ from typing import Self
 
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.parts.fault import RISES, Fault, share
+from arm_emulator.machine.parts.fault import RISES, Fault, bound_share
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motors.motor import (
     Circuit,
@@ -16,7 +16,7 @@ from arm_emulator.machine.parts.motors.motor import (
     Motor,
     Rating,
     ServoData,
-    inertia_of_rotor,
+    declare_rotor_inertia,
 )
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
@@ -59,7 +59,7 @@ class Pmsm(Motor):
         text="psi, amplitude of the magnets' flux linkage; 0: a reluctance motor",
     )
     pole_pairs: int = number("p", "pairs", ends=(1.0, 1000.0), whole=True, text="p")
-    rotor_inertia: float = inertia_of_rotor()
+    rotor_inertia: float = declare_rotor_inertia()
     current_limit: float | None = number(
         "current_limit",
         "A",
@@ -75,7 +75,7 @@ class Pmsm(Motor):
             raise section.refusal("current_limit", rule, self.current_limit)
 
     @classmethod
-    def sized(cls, rating: Rating) -> Self:
+    def size_part(cls, rating: Rating) -> Self:
         """As a dc motor at the inverter's voltage."""
         flux = rating.back_emf_constant / AMPLITUDE / POLE_PAIRS
         resistance = 1.5 * rating.resistance / AMPLITUDE**2
@@ -97,20 +97,20 @@ class Pmsm(Motor):
                 "phase_lost",
                 "one of three phases carries no current, with the star point connected",
                 sets={"motor.flux": "{x} * (1.0 - {m} / 3.0)", "motor.phase_lost": RISES},
-                magnitude=share(),
+                magnitude=bound_share(),
                 needs="motor.phase_lost",
             ),
         )
 
-    def fault_numbers(self) -> dict[str, float | None]:
+    def list_fault_numbers(self) -> dict[str, float | None]:
         """Its numbers, and how far one of its phases is lost."""
-        return {**super().fault_numbers(), "phase_lost": 0.0}
+        return {**super().list_fault_numbers(), "phase_lost": 0.0}
 
     def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
         ripple = ["drive_stages/torque_ripple.hpp"] if self._lost(joint, places) else []
         return (*super().headers(joint, places), *ripple)
 
-    def around(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
+    def wrap_motor(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
         """Return it with the ripple of a lost phase.
 
         The other two carry what they carried, their star point being connected. Of the torque
@@ -122,7 +122,9 @@ class Pmsm(Motor):
         if not lost:
             return inner
         kind = f"arm::RippledMotor<{inner.type}, 1>"
-        order, quarter = (cxx_literals.number(x) for x in (2.0 * self.pole_pairs, 0.5 * math.pi))
+        order, quarter = (
+            cxx_literals.format_number(x) for x in (2.0 * self.pole_pairs, 0.5 * math.pi)
+        )
         wave = f"{{{order}, {lost} / (3.0 - {lost}), {quarter}}}"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {{{{{wave}}}}}}}")
 
@@ -135,7 +137,7 @@ class Pmsm(Motor):
         """Return the winding across the flux."""
         return Circuit(self.resistance, self.inductance_q, self.pole_pairs * self.flux)
 
-    def data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
+    def read_data_sheet(self, supply_voltage: float) -> tuple[float, ...]:  # noqa: D102
         inductances = self.inductance_d, self.inductance_q
         amplitude = supply_voltage / AMPLITUDE
         return (self.resistance, *inductances, self.flux, self.pole_pairs, amplitude)
@@ -157,7 +159,7 @@ class Pmsm(Motor):
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return supply_voltage / AMPLITUDE
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+    def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,
             "torque per current": 1.5 * self.pole_pairs * self.flux / abs(ratio),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.motors.motor import Motor, inertia_of_rotor
+from arm_emulator.machine.parts.motors.motor import Motor, declare_rotor_inertia
 from arm_emulator.machine.parts.output import FURTHER, Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -36,7 +36,7 @@ class Stepper(Motor):
         text="R of a phase, for the power that it takes: it changes no motion",
     )
     teeth: int = number("p", "teeth", ends=(1.0, 1000.0), whole=True, text="p; 50 of 1.8° a step")
-    rotor_inertia: float = inertia_of_rotor()
+    rotor_inertia: float = declare_rotor_inertia()
     bandwidth: float = number("bandwidth", "Hz", above=0.0, text="f, of its drivers")
     current_limit: float | None = number(
         "current_limit", "A", above=0.0, default=None, text="of each phase, in either direction"
@@ -55,7 +55,7 @@ class Stepper(Motor):
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return self.current_limit
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+    def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {
             "rotor inertia": self.rotor_inertia / ratio**2,
             "torque per current": self.torque_per_current / abs(ratio),

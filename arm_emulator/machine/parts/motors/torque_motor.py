@@ -10,7 +10,7 @@ from arm_emulator.machine.parts.motors.motor import (
     Motor,
     Rating,
     ServoData,
-    inertia_of_rotor,
+    declare_rotor_inertia,
 )
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
@@ -29,7 +29,7 @@ class TorqueMotor(Motor):
     limit = "torque_limit"
     rules = ("limit at the peak torque, bandwidth of drives that sample at 16 kHz",)
 
-    rotor_inertia: float = inertia_of_rotor()
+    rotor_inertia: float = declare_rotor_inertia()
     bandwidth: float | None = number(
         "bandwidth", "Hz", above=0.0, default=None, text="f; without it the torque has no delay"
     )
@@ -42,7 +42,7 @@ class TorqueMotor(Motor):
     )
 
     @classmethod
-    def sized(cls, rating: Rating) -> Self:  # noqa: D102
+    def size_part(cls, rating: Rating) -> Self:  # noqa: D102
         return cls(
             rotor_inertia=rating.rotor_inertia,
             bandwidth=rating.bandwidth,
@@ -60,5 +60,5 @@ class TorqueMotor(Motor):
     def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return self.torque_limit
 
-    def felt_at_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
+    def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102
         return {"rotor inertia": self.rotor_inertia / ratio**2}

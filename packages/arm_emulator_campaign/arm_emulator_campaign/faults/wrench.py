@@ -18,7 +18,7 @@ from arm_emulator.extension.machine import (
     ExternalWrench,
     Scene,
     WrenchChange,
-    on_moving_link,
+    move_to_moving_link,
 )
 from arm_emulator_campaign.fault import Fault, register_fault
 from arm_emulator_campaign.scenario import ticks_of
@@ -58,7 +58,7 @@ class OnLink(Fault):
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse a link that does not move."""
-        on_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
+        move_to_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
 
     def begins(self, scene: Scene) -> Change:
         """Return what acts."""

@@ -11,7 +11,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Refusal, find_scene, host_and_port, warn
+from arm_emulator.extension.base import Refusal, find_scene, parse_address, warn
 from arm_emulator.extension.commands import Clock, Keep, PageAt, SceneName, command, output, watched
 from arm_emulator.extension.machine import Plant, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
@@ -55,7 +55,7 @@ def opened(
     for name, value in (("channel", channel), ("bitrate", bitrate)):
         if value is not None:
             raise Refusal("canopen", name, "come with --bus", value)
-    server = CanServer(*host_and_port("canopen", "--listen", listen))
+    server = CanServer(*parse_address("canopen", "--listen", listen))
     with contextlib.closing(server):
         yield server, "socketcand on {}:{}".format(*server.address)
 

@@ -15,7 +15,7 @@ from canopen_master import put
 from draws import some
 
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.scene.urdf_file import example_robot_data
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator_fieldbus.commands.canopen import load_segment, write_eds
 from oracles.own_robots import OWN
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 needs_robots = pytest.mark.skipif(
-    example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
+    find_example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
 )
 # All scenes with gains.
 SCENES = ["three_axis", *(pytest.param(name, marks=needs_robots) for name in ("ur5", "panda"))]

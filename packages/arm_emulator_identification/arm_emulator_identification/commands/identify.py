@@ -16,7 +16,7 @@ from arm_emulator.extension.bags import Bag, RecordedTopics
 from arm_emulator.extension.base import Refusal, find_scene
 from arm_emulator.extension.base import given_warnings as given
 from arm_emulator.extension.commands import SceneName, command, output, plain
-from arm_emulator.extension.machine import Scene, link_angle_per_count, load_scene
+from arm_emulator.extension.machine import Scene, compute_count_angle, load_scene
 from arm_emulator_identification.found import Found, bodies_of, numbers_found
 from arm_emulator_identification.identified import (
     Asked,
@@ -214,7 +214,7 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
             into.append([of[k] if len(of) else 0 for k in order])
     if not t:
         raise Refusal(str(path), "bag", "have motor_states", "none")
-    q_motor = (np.array(counts, np.float64) + 0.5) * link_angle_per_count(scene)
+    q_motor = (np.array(counts, np.float64) + 0.5) * compute_count_angle(scene)
     units = np.array([joint.unit == "N m" for joint in scene.joints])
     Kt = np.array([getattr(joint.motor, "torque_constant", np.nan) for joint in scene.joints])
     tau = np.array(current, np.float64) * np.nan_to_num(Kt)

@@ -12,7 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from arm_emulator.extension.base import Array, config_folder
+from arm_emulator.extension.base import Array, find_config_folder
 from arm_emulator.extension.machine import Scene, load_scene
 from arm_emulator_identification.filtered import Filtered, filtered, smooth_motion
 from arm_emulator_identification.free_run import Starts, drift, free_runs, starts
@@ -23,7 +23,7 @@ from arm_emulator_identification.torque_model import TorqueModel
 from arm_emulator_identification.validation.figure import Figure, table_of
 from arm_emulator_identification.wind_up import WindUp, wind_up
 
-DATA = config_folder() / "validation" / "kuka_kr300"
+DATA = find_config_folder() / "validation" / "kuka_kr300"
 SHIPPED = (DATA / "run_A.npz", DATA / "run_B.npz")
 # Found once on run A, the same for every axis and run.
 DELAYS = {"tau": 2e-3, "q_link": 3e-3}  # s

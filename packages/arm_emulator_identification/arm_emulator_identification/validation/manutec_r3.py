@@ -15,12 +15,12 @@ from rich.progress import track
 from rich.table import Table
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from arm_emulator.extension.base import Array, config_folder
+from arm_emulator.extension.base import Array, find_config_folder
 from arm_emulator.extension.compiler import TICK_FOLDERS as FOLDERS
 from arm_emulator.extension.compiler import Header
 from arm_emulator.extension.compiler import c_pointer as pointer
 from arm_emulator.extension.machine import ARM_OK as OK
-from arm_emulator.extension.machine import SCHEMES, Plant, library_with, load_scene
+from arm_emulator.extension.machine import SCHEMES, Plant, load_machine_with, load_scene
 
 AXES = 6
 END = 1.8560450019  # s
@@ -68,7 +68,7 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     Runge-Kutta with located events, by a program of others; 2e-11 is the error of a step. It agrees
     with Dymola's published one to 4.7e-9 rad.
     """
-    data = np.load(config_folder() / "validation" / "manutec_r3" / "solution.npz")
+    data = np.load(find_config_folder() / "validation" / "manutec_r3" / "solution.npz")
     turns = turns_of_motors()
     theta_m, omega_m = data["q"] * turns, data["v"] * turns
     theta_m[:, ELASTIC], omega_m[:, ELASTIC] = data["motor_angle"], data["motor_speed"]
@@ -91,7 +91,9 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
     integrator = {"scheme": scheme, "dt": period, "events": events}
     scene = load_scene("manutec_r3", {"servo_period": period, "integrator": integrator})
     header = Header(CONTROLLERS.with_suffix(".h"), FOLDERS)
-    plant = Plant(scene, core=library_with(scene, "controllers", CONTROLLERS.read_text(), header))
+    plant = Plant(
+        scene, core=load_machine_with(scene, "controllers", CONTROLLERS.read_text(), header)
+    )
     truth, _, x, C = solution()
     plant.put("manutec_r3", {
         "current": truth.current[0], "theta_m": truth.theta_m[0], "omega_m": truth.omega_m[0],

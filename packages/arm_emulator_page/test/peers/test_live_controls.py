@@ -29,7 +29,7 @@ from browser import (
 from machines import own_three_axis
 
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.session.record_row import RecordRow, columns_of
+from arm_emulator.machine.session.record_row import RecordRow, list_columns
 from arm_emulator.page.control_server import MachineControls
 from arm_emulator_page import live_page
 from arm_emulator_page.live_page import LivePage
@@ -57,7 +57,7 @@ class Live:
         self.plant = plant = Plant(str(scene))
         self.hands = MachineControls(plant, steps=True)
         self._row = RecordRow(plant)
-        kind, columns = self._row.rows.dtype, columns_of(plant.scene)
+        kind, columns = self._row.rows.dtype, list_columns(plant.scene)
         self.page = LivePage(plant.scene, columns, kind, self.hands, 0, dict(plant.parameters))
         self.url = self.page.url
         self.take()
