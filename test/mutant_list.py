@@ -164,8 +164,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MACHINE}/plant/external_wrench.py",
-        "point = applied(frame.R, point) + frame.p",
-        "point = applied(frame.R, point)",
+        "point = apply_matrix(frame.R, point) + frame.p",
+        "point = apply_matrix(frame.R, point)",
         "test_external_wrench.py",
     ),
     Mutant(

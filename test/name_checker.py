@@ -68,7 +68,8 @@ VERBS = set(
     simulate size skip sleep slow smooth solve sort spawn spin split start state step stop store
     subtract suggest sum sweep switch synchronise take terminate test tick track transform
     translate transmit trigger truncate try tune turn undo unite unlock unpack unregister update
-    upload use validate vary verify visit wait wake warn watch weigh wrap write yield zero""".split()
+    upload use validate vary verify visit wait wake warn watch weigh wrap write yield
+    zero""".split()
 )
 TYPE_LINE = re.compile(
     r"^[ \t]*(?:(?:static|inline|constexpr|extern|virtual|const|explicit|struct|class)\s+)*"
