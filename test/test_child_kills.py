@@ -72,7 +72,7 @@ def test_a_process_that_has_answered_is_not_waited_for(noisy: str) -> None:
     process = RowProcess(Plant("three_axis"), noisy, task, "test", waits=False, patience=30.0)
     begun = time.monotonic()
     assert process.close() == "over"
-    assert time.monotonic() - begun < 0.5 * LONGEST and not runs(process.process_id)
+    assert time.monotonic() - begun < 0.5 * LONGEST and not is_running(process.process_id)
 
 
 def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_further_signals_give_no_further_time(noisy: str) -> None:
         Plant("three_axis"), noisy, {"hangs": True}, "test", waits=False, patience=30.0
     )
     begun = time.monotonic()
-    while runs(process.process_id):
+    while is_running(process.process_id):
         os.kill(process.process_id, signal.SIGTERM)
         assert time.monotonic() - begun < LONGEST, "each signal gives it time"
         time.sleep(0.1)

@@ -26,6 +26,7 @@ from arm_emulator.machine.scene.list_faults import list_variable_numbers
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_fleet import Fleet
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, MotorState
+from oracles.part_samples import draw_part
 from oracles.random_chain import LINK
 
 NAMES = ("shoulder", "elbow", "wrist")
@@ -58,7 +59,7 @@ def everything(folder: Path, **more: Any) -> Scene:
     heated = {"winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0}}
     rng = np.random.default_rng(0)
     around = {
-        kind.section.partition(".")[2]: kind.drawn(rng) for kind in DECORATORS if kind.faults()
+        kind.section.partition(".")[2]: draw_part(kind, rng) for kind in DECORATORS if kind.faults()
     }
     friction = {"viscous": 0.1, "coulomb": 0.3, "load": 0.02}
     shoulder = {
@@ -85,7 +86,7 @@ def everything(folder: Path, **more: Any) -> Scene:
         **encoders, **sensors,
     }  # fmt: skip
     further = {
-        kind.section: kind.drawn(rng)
+        kind.section: draw_part(kind, rng)
         for kind in EXTRAS
         if kind.faults() and kind.shaft == "link" and kind.section not in {**shoulder, **elbow}
     }
