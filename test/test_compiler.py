@@ -46,7 +46,7 @@ def quick_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that gives three_axis' library, or that of its periods, without the work."""
     for name, compiled in (
         ("made", load_machine(load_scene("three_axis"))),
-        ("tick", unit.library(tick_unit())),
+        ("tick", unit.load_library(tick_unit())),
     ):
         (tmp_path / name).write_bytes(Path(compiled.file).read_bytes()[:-SEAL_SIZE])
     of_ticks = 'grep -q tick.c "${out%.so}.cpp"'

@@ -38,7 +38,10 @@ def growing() -> set[str]:
     return {
         name
         for name, scheme in KNOWN.items()
-        if any(np.abs(np.linalg.eigvals(scheme.matrix(J, J, 0, h))).max() > 1.001 for h in steps)
+        if any(
+            np.abs(np.linalg.eigvals(scheme.build_step_matrix(J, J, 0, h))).max() > 1.001
+            for h in steps
+        )
     }
 
 

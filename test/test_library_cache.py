@@ -46,7 +46,7 @@ class Sound:
 
     @property
     def stored(self) -> bytes:
-        return self.body + library_cache._seal(self.name, self.body)
+        return self.body + library_cache._compute_seal(self.name, self.body)
 
     def put(self, folder: Path) -> Path:
         folder.mkdir(exist_ok=True)
@@ -117,7 +117,7 @@ def change(rng: np.random.Generator, file: Path, sound: Sound) -> str:
     elif damage == "another ELF":
         file.write_bytes(Path(sys.executable).read_bytes()[:1_000_000])
     elif damage == "under a wrong name":
-        file.write_bytes(sound.body + library_cache._seal("another.so", sound.body))
+        file.write_bytes(sound.body + library_cache._compute_seal("another.so", sound.body))
     elif damage == "no seal":
         file.write_bytes(sound.body)
     elif damage == "longer":
@@ -270,7 +270,7 @@ def test_the_longest_unused_libraries_are_removed(
         monkeypatch.setenv(CACHE_VARIABLE, str(folder))
         with contextlib.ExitStack() as holding:
             for file in busy:
-                holding.enter_context(library_cache.locked(file))
+                holding.enter_context(library_cache.lock_library(file))
             load_machine(sound.scene)
         size = len(sound.stored) + sum(sizes.values())
         stay = {file for _, file in sizes}
@@ -286,7 +286,7 @@ def test_libraries_in_use_are_not_removed(cache: Path, sound: Sound) -> None:
     file = sound.put(cache)
     os.utime(file, (0.0, 0.0))
     load_machine(sound.scene)
-    (entry,) = library_cache.entries(cache)
+    (entry,) = library_cache.list_entries(cache)
     result = (entry.file, entry.scene, entry.size)
     assert result == (file, "one_link", len(sound.stored)), "file, scene, size"
     assert abs(entry.used - time.time()) < 60.0, "when it was used, and now [s]"
