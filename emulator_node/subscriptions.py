@@ -79,7 +79,7 @@ class Subscriptions:
         try:
             names = command.joint_names
             given = (command.input_names, command.inputs)
-            further = named_inputs("motor_commands", *given, len(names))
+            further = name_inputs("motor_commands", *given, len(names))
             self._session.offer(command.tick, names, command.command, further)
         except DuplicateCommand as reason:
             self._diagnostics.count(f"motor_commands {reason.kind}")

@@ -21,8 +21,8 @@ from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.parts.measuring.thermometer import Thermometer
 from arm_emulator.machine.plant.outputs import KNOWN
-from arm_emulator.machine.plant.write_scene_unit import write_scene_unit
-from arm_emulator.machine.scene.list_faults import list_variable_numbers
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
+from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator_fleet import Fleet
 from arm_emulator_msgs.msg import MachineEvent, MotorCommand, MotorState

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from arm_emulator.base.process import runs
+from arm_emulator.base.process import is_running
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ros_domain import own_domain
 

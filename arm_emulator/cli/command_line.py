@@ -65,7 +65,7 @@ def _printed(work: Callable[[], int], as_json: bool) -> int:
     except BrokenPipeError:
         if not _reader_is_gone():
             raise
-        drop(1)  # for output not flushed yet
+        drop_descriptor(1)  # for output not flushed yet
         return get_exit_code(signal.SIGPIPE, None)
     except Refusal as closed:
         return _refused(closed)

@@ -20,7 +20,12 @@ from arm_emulator.base.validation.count import check_count
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS
-from arm_emulator.machine.session.record_row import RecordRow, list_columns, build_row_type, select_values
+from arm_emulator.machine.session.record_row import (
+    RecordRow,
+    build_row_type,
+    list_columns,
+    select_values,
+)
 from arm_emulator.runs.view_of import get_view
 
 TRUTH = (*ROWS, "energy")

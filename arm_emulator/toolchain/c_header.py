@@ -261,8 +261,8 @@ def _preprocess(lines: list[str]) -> Iterator[str]:
 def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
     parts = _load_stored(text)
     if parts is None:
-        parts = read_parts(_parser(text))
-        _keep(text, parts)
+        parts = read_parts(_build_parser(text))
+        _store_parts(text, parts)
     functions = parts.pop("functions")
     included = tuple(header.ffi for header in text.included)
     return _cffi_backend.FFI(text.path.stem, **parts, _includes=included), functions
@@ -288,7 +288,7 @@ def _store_parts(text: _Text, parts: dict[str, Any]) -> None:
 _PARSERS: dict[Path, Any] = {}
 
 
-def _parser(text: _Text) -> Any:
+def _build_parser(text: _Text) -> Any:
     """Return cffi's parser of a header, after it has read the included headers."""
     from cffi import FFI as Parser
 

@@ -32,7 +32,7 @@ from arm_emulator.machine.plant.outputs import (
     list_readings,
     list_reported_by_parts,
 )
-from arm_emulator.machine.plant.write_scene_unit import write_scene_unit
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware

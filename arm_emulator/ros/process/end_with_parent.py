@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 
-from arm_emulator.base.process import runs, signal_at_end_of_parent
+from arm_emulator.base.process import signal_at_end_of_parent
 
 VARIABLE = "ARM_EMULATOR_PARENT"
 
@@ -27,5 +27,5 @@ def end_with_parent() -> None:
         return
     if os.getppid() == int(launcher):
         signal_at_end_of_parent(signal.SIGINT)
-    if not runs(int(launcher)):  # it ended before that
+    if not is_running(int(launcher)):  # it ended before that
         sys.exit(0)
