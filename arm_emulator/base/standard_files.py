@@ -48,7 +48,7 @@ def drop_descriptor(number: int) -> None:
         os.close(nowhere)
 
 
-def test_stdout() -> OSError | None:
+def find_stdout_error() -> OSError | None:
     """Return the error of stdout when it takes no more; what its stream holds is lost then.
 
     A stream forgets what it could not write, so that another line shows whether it can.

@@ -13,7 +13,7 @@ from functools import partial
 from arm_emulator.base.memory import is_out_of_memory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import refuse_missing_module
-from arm_emulator.base.standard_files import check_stdout, drop_descriptor, test_stdout
+from arm_emulator.base.standard_files import check_stdout, drop_descriptor, find_stdout_error
 from arm_emulator.cli.command import (
     Command,
     command_groups,
@@ -70,7 +70,7 @@ def _printed(work: Callable[[], int], as_json: bool) -> int:
     except Refusal as closed:
         return _refused(closed)
     except OSError as error:
-        of_stdout = test_stdout()
+        of_stdout = find_stdout_error()
         if of_stdout is None and error.errno not in DISK_ERRORS:
             raise
         what = "stdout" if of_stdout else f"file {error.filename}" if error.filename else "disk"

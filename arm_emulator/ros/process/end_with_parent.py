@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 
-from arm_emulator.base.process import signal_at_end_of_parent
+from arm_emulator.base.process import is_running, signal_at_end_of_parent
 
 VARIABLE = "ARM_EMULATOR_PARENT"
 
