@@ -56,16 +56,14 @@ from emulator_node.outgoing_messages import (
     subscribe_to_others,
     take_rest,
 )
-from emulator_node.pacer import LockstepPacer, LoopPacer, Pacer
+from emulator_node.pacer import REPEAT_AFTER, LockstepPacer, LoopPacer, Pacer, Retransmitter
 from emulator_node.real_time_ticks import READERS, RealTimeCommands
 from emulator_node.recorder_gate import RecorderGate
 from emulator_node.reports import Reports
-from emulator_node.retransmitter import REPEAT_AFTER, Retransmitter
 from emulator_node.services import Services
 from emulator_node.simulation_services import SimulationServices, is_installed
-from emulator_node.stepper import Stepper
 from emulator_node.subscriptions import Subscriptions
-from emulator_node.time_control import TimeControl
+from emulator_node.time_control import Stepper, TimeControl
 from emulator_node.view import View
 
 STATUS_PERIOD = 0.5  # s, wall

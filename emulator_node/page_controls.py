@@ -24,13 +24,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.page.controls import Controls, News, Vector
+from arm_emulator.ros.messages.event_words import describe_change, describe_motion
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds
 from arm_emulator.ros.node.barrier import guard
 from arm_emulator.ros.node.node_parameters import SETTABLE
 from arm_emulator.ros.node.node_shell import EVENT_QOS, STATE_SUB_QOS
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
 from arm_emulator_msgs.srv import BreakWhen, RestoreState, SaveState, SetVaried
-from emulator_node.event_words import describe_change, describe_motion
 
 PATIENCE = 5.0  # s, wall: for an answer
 ASK_AGAIN = 1.0  # s, wall, after which a node that is to be met is asked once more

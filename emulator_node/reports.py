@@ -14,13 +14,13 @@ from std_msgs.msg import String
 from arm_emulator.machine.plant.call_arguments import make_truth
 from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.measured_fields import MeasuredFields
+from arm_emulator.ros.messages.event_words import describe_change
 from arm_emulator.ros.messages.middleware import Numbers, Outgoing
 from arm_emulator.ros.messages.time_stamp import set_stamp, to_stamp
 from arm_emulator.ros.node.duplicate_nodes import get_start_time
 from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS, EVENT_QOS, STATE_PUB_QOS
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 from emulator_node.context import Context
-from emulator_node.event_words import describe_change
 
 TRUTH = ("position", "velocity", "effort")  # fields of emulator/joint_states
 

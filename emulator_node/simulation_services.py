@@ -18,8 +18,7 @@ from arm_emulator_msgs.msg import MachineEvent
 from emulator_node.changes import Changes
 from emulator_node.context import Context
 from emulator_node.entities import Entities
-from emulator_node.stepper import Stepper
-from emulator_node.time_control import TimeControl
+from emulator_node.time_control import Stepper, TimeControl
 
 try:
     from rclpy.action import ActionServer, CancelResponse

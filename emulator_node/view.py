@@ -5,11 +5,11 @@ from __future__ import annotations
 from geometry_msgs.msg import PoseStamped
 
 from arm_emulator.machine.session.session import Session
+from arm_emulator.ros.messages.event_words import describe_motion
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds
 from arm_emulator.runs.view_of import get_view
 from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import MotionStatus
-from emulator_node.event_words import describe_motion
 
 
 class View:

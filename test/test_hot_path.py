@@ -24,7 +24,7 @@ TICKS = 150
 HEADERS = ("wait", "subscription", "publisher", "guard_condition", "types")  # of rcl
 # Modules that repeat or report something after some wall time.
 TIMED = (
-    "emulator_node.reports", "emulator_node.retransmitter", "emulator_node.answered_ticks",
+    "emulator_node.reports", "emulator_node.pacer", "emulator_node.answered_ticks",
     "emulator_node.recorder_gate", "servo_node.node",
 )  # fmt: skip
 

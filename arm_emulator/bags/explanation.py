@@ -17,7 +17,7 @@ from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.plant import EnergyFlow, Plant
 from arm_emulator.machine.plant.plant_state import PlantState
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.ros.messages.event_words import describe_motion
 
 AT_LIMIT = 1.0 - 1e-9  # share of the largest command from which a drive is at its limit
 
@@ -103,7 +103,7 @@ def _find_newest(
         if name == "joint_targets":
             q_target = _arrange(message.name, message.position, names, q_target)
         elif name == "motion/status":
-            orders = _describe_report(message)
+            orders = describe_motion(message)
         elif message.tick == tick and at >= published:
             commanded = _arrange(message.joint_names, message.command, names, commanded)
     return commanded, q_target, orders
@@ -116,15 +116,6 @@ def _arrange(
     if sorted(given) != sorted(names) or len(values) != len(names):
         return before
     return np.array([values[list(given).index(name)] for name in names], np.float64)
-
-
-def _describe_report(message: Any) -> str:
-    try:
-        what = f"{Kind(message.kind).name} {message.number} {State(message.state).name}"
-    except ValueError:
-        return ""
-    text = what.lower().replace("_", " ")
-    return f"{text}: {message.reason}" if message.reason else text
 
 
 def _list_changes(machine: RecordedMachine, tick: int) -> Iterator[str]:

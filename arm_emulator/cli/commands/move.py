@@ -24,8 +24,9 @@ from arm_emulator.cli.output import output
 from arm_emulator.motion.executor.goal_status import left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose
+from arm_emulator.ros.messages.event_words import STATES
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
-from arm_emulator.ros.node.network_client import STATES, NetworkClient, join_network
+from arm_emulator.ros.node.network_client import NetworkClient, join_network
 from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
     DESCRIPTION_QOS,

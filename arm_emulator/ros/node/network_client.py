@@ -16,17 +16,6 @@ from rclpy.qos import QoSProfile
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.process.ctrl_c import CtrlC
-from arm_emulator_msgs.msg import MotionStatus
-
-STATES = {
-    MotionStatus.STATE_ACCEPTED: "accepted",
-    MotionStatus.STATE_MOVING: "moving",
-    MotionStatus.STATE_REACHED: "reached",
-    MotionStatus.STATE_UNREACHABLE: "unreachable",
-    MotionStatus.STATE_REFUSED: "refused",
-    MotionStatus.STATE_REPLACED: "replaced",
-    MotionStatus.STATE_ABORTED: "aborted",
-}
 
 ASK_AGAIN = 2.0  # s, after which a service that has not answered is called once more
 

@@ -17,8 +17,9 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.ros.messages.event_words import STATES
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
-from arm_emulator.ros.node.network_client import STATES, NetworkClient
+from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
     EVENT_QOS,

@@ -17,7 +17,7 @@ from typing import IO
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.process.ctrl_c import END_SIGNALS
+from arm_emulator.ros.process.ctrl_c import block_signals
 from arm_emulator.ros.process.end_with_parent import get_parent_environment
 from arm_emulator.ros.process.node_forks import ForkedNode, get_forks, get_python_path
 
@@ -126,7 +126,7 @@ class Bringup:
                 stdout=log,
                 stderr=subprocess.STDOUT if log is not None else None,
                 process_group=0,  # takes no signals from the terminal: `stop` passes them on
-                preexec_fn=_hold_signals_back,  # noqa: PLW1509 - one system call, no lock
+                preexec_fn=block_signals,  # noqa: PLW1509 - one system call, no lock
                 env={**os.environ, **get_parent_environment(), **get_python_path()},
             )
         if log is not None:
@@ -181,8 +181,3 @@ def _list_common_arguments(
         read_yaml(params_file)  # invalid YAML is refused here, not by each node
         arguments += ["--params-file", str(params_file.resolve())]
     return arguments
-
-
-def _hold_signals_back() -> None:
-    """In the child: hold signals until the node handles them; Python would print a traceback."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)

@@ -18,7 +18,7 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def block_signals() -> None:
-    """Hold signals until `end_at_once`: too little is imported so far to handle them."""
+    """Hold signals until `end_at_once`, before a process can handle them without a traceback."""
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.process.ctrl_c import END_SIGNALS, end_at_once
+from arm_emulator.ros.process.ctrl_c import block_signals, end_at_once
 from arm_emulator.ros.process.end_with_parent import VARIABLE
 
 LARGEST = 1 << 17  # bytes of a request: the environment is the most of it
@@ -203,7 +203,7 @@ def _set_up_process(request: dict[str, Any], descriptors: Sequence[int], parent:
 
 def main() -> None:
     """Import the modules, and fork nodes until the process that asks for them ends."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
+    block_signals()
     control = socket.socket(fileno=int(sys.argv[1]))
     nodes = {name: importlib.import_module(name) for name in sys.argv[2:]}
     gc.freeze()

@@ -1,4 +1,4 @@
-"""Messages on events in words, for pages and viewers."""
+"""Events and states of motions in words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def _name_constants(message: type, begin: str) -> dict[int, str]:
 
 
 _CHANGES = _name_constants(MachineEvent, "KIND_")
-_STATES = _name_constants(MotionStatus, "STATE_")
+STATES = _name_constants(MotionStatus, "STATE_")
 _MOTIONS = _name_constants(MotionStatus, "KIND_")
 
 
@@ -30,4 +30,4 @@ def describe_motion(status: MotionStatus) -> str:
     """Return the state of a target, trajectory or path."""
     what = f"{_MOTIONS.get(status.kind, status.kind)} {status.number}"
     reason = f": {status.reason}" if status.reason else ""
-    return f"{what} {_STATES.get(status.state, status.state)}{reason}"
+    return f"{what} {STATES.get(status.state, status.state)}{reason}"
