@@ -1,4 +1,4 @@
-"""Readings to the last bit: seeds, pieces of time, restored machines, lanes, real time."""
+"""Readings to the last bit: seeds, pieces of time, restored machines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensors: what they has a known motion, their noise, their faults, and the same bits always."""
+"""Sensors: readings of a known motion, noise, faults, and the same bits always."""
 
 from __future__ import annotations
 
