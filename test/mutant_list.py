@@ -425,7 +425,7 @@ MUTANTS = (
         "test_session.py",
     ),
     Mutant(
-        "arm_emulator/tick/c/breakpoint.c",
+        "arm_emulator/tick/c/condition.c",
         "  one->held = holds;\n",
         "  one->held |= holds;\n",
         "test_breakpoint.py",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from arm_emulator.base.validation.coerce import coerce_kind
-from arm_emulator.machine.plant.formula_rows import BREAKPOINT, formula_library
+from arm_emulator.machine.plant.formula_rows import CONDITION, formula_library
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.listeners import leave, listen
 from arm_emulator.runs.condition import Condition, WatchedCondition
@@ -31,7 +31,7 @@ class Breakpoint:
         plant = coerce_kind(plant, Plant, where, "plant", "be a Plant")
         self.condition = Condition(text, plant.scene, where)
         self._plant, self._watched = plant, WatchedCondition(self.condition.formula, plant)
-        self.struct = BREAKPOINT.new("breakpoint", what=self._watched.struct, tick=-1)
+        self.struct = CONDITION.new("breakpoint", what=self._watched.struct, tick=-1)
         with plant.turn:  # it stops where it begins to hold
             self.struct.held = self._watched.holds()
             listen(plant, formula_library().breakpoint_take, self.struct)
@@ -52,7 +52,7 @@ class Breakpoint:
     @property
     def stop(self) -> Any:
         """Pointer to a flag by which loops stop."""
-        return BREAKPOINT.ffi.addressof(self.struct, "hit")
+        return CONDITION.ffi.addressof(self.struct, "hit")
 
     def take_hit(self) -> bool:
         """Return whether it has begun to hold since the last call."""

@@ -22,7 +22,6 @@ from arm_emulator.machine.plant.compiler import (
 )
 from arm_emulator.machine.plant.core_calls import ARM, EQUATIONS
 from arm_emulator.machine.plant.formula_rows import (
-    BREAKPOINT,
     CONDITION,
     FORMULA,
     TOOL_POSITION,
@@ -95,7 +94,6 @@ def main() -> None:
         (FORMULA, formula_library()),
         (TOOL_POSITION, formula_library()),
         (CONDITION, formula_library()),
-        (BREAKPOINT, formula_library()),
         (SERVO, servo_law()),
         (DRIVES, segment.drives.calls),
         (SEGMENT, segment.drives.calls),

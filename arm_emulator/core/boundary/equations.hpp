@@ -54,54 +54,58 @@ ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std
   linear.write_structure(out + Linear::rows * (Linear::numbers + Scene::N + 1));
 }
 
+namespace {
+
+// body(row, its links' part at q and v) for rows of joints.
+void for_each_links(const double* point, std::int64_t count, const double* q, const double* v,
+                    auto&& body) {
+  const arm::EquationPoint<Scene> at(point);
+  for (std::int64_t row = 0; row < count; ++row, q += Scene::N, v += Scene::N) {
+    arm::Links<Scene>::Dynamics links;
+    arm::Links<Scene>::dynamics_apart(at.numbers, q, v, links);
+    body(row, links);
+  }
+}
+
+}  // namespace
+
 void arm_forward_dynamics(const double* point, std::int64_t count, const double* q, const double* v,
                           const double* tau, double* a) {
   constexpr int N = Scene::N;
-  using Links = arm::Links<Scene>;
   if (!point || !q || !v || !tau || !a) return;
-  const arm::EquationPoint<Scene> at(point);
-  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, tau += N, a += N) {
-    Links::Dynamics links;
+  for_each_links(point, count, q, v, [&](std::int64_t row, auto& links) {
     double x[N];
-    Links::dynamics_apart(at.numbers, q, v, links);
-    for (int j = 0; j < N; ++j) x[j] = tau[j] - links.nle[j];
+    for (int j = 0; j < N; ++j) x[j] = tau[row * N + j] - links.nle[j];
     arm::MassFactors<Scene> factors;
     factors.factor(links.M.at);
     factors.solve(x);
-    for (int j = 0; j < N; ++j) a[j] = x[j];
-  }
+    for (int j = 0; j < N; ++j) a[row * N + j] = x[j];
+  });
 }
 
 void arm_inverse_dynamics(const double* point, std::int64_t count, const double* q, const double* v,
                           const double* a, double* tau) {
   constexpr int N = Scene::N;
-  using Links = arm::Links<Scene>;
   if (!point || !q || !v || !a || !tau) return;
-  const arm::EquationPoint<Scene> at(point);
-  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, a += N, tau += N) {
-    Links::Dynamics links;
-    Links::dynamics_apart(at.numbers, q, v, links);
+  for_each_links(point, count, q, v, [&](std::int64_t row, const auto& links) {
     for (int i = 0; i < N; ++i) {
-      tau[i] = links.nle[i];
-      for (int j = 0; j < N; ++j) tau[i] += links.M.at[i < j ? i : j][i < j ? j : i] * a[j];
+      double sum = links.nle[i];
+      for (int j = 0; j < N; ++j) sum += links.M.entry(i, j) * a[row * N + j];
+      tau[row * N + i] = sum;
     }
-  }
+  });
 }
 
 void arm_link_dynamics(const double* point, std::int64_t count, const double* q, const double* v,
                        double* M, double* nle) {
   constexpr int N = Scene::N;
-  using Links = arm::Links<Scene>;
   if (!point || !q || !v || !M || !nle) return;
-  const arm::EquationPoint<Scene> at(point);
-  for (std::int64_t row = 0; row < count; ++row, q += N, v += N, M += N * N, nle += N) {
-    Links::Dynamics links;
-    Links::dynamics_apart(at.numbers, q, v, links);
+  for_each_links(point, count, q, v, [&](std::int64_t, const auto& links) {
     for (int i = 0; i < N; ++i) {
-      nle[i] = links.nle[i];
-      for (int j = 0; j < N; ++j) M[i * N + j] = links.M.at[i < j ? i : j][i < j ? j : i];
+      *nle++ = links.nle[i];
+      for (int j = 0; j < N; ++j) *M++ = links.M.entry(i, j);
     }
-  }
+  });
 }
 
 std::int32_t arm_torque_terms(const double* point, const double* command, double* out) {

@@ -197,10 +197,13 @@ class Machine {
     if constexpr (locates) threads_.watch(&meter);
     int joint = fault_;
     for (; joint < 0 && steps > 0; --steps) {
-      const State<S> before = x_;
+      State<S> before = x_;
       joint = advance(command, 1);
       if constexpr (!locates)
-        if (joint < 0) meter.part(before, x_, u, modes_at(before, u), h_);
+        if (joint < 0) {
+          const Modes<S> modes = Modes<S>::at(numbers_, before, u);
+          meter.part(before, x_, u, modes, h_);
+        }
     }
     if constexpr (locates) threads_.watch(static_cast<EnergyMeter<S>*>(nullptr));
     flow.add(meter.total, 1.0);
@@ -253,8 +256,8 @@ class Machine {
     for (int j = 0; j < N; ++j) u[j] = command[j];
     bound(u);
     State<S> at = x_;
-    follow_at_once(numbers_, at, u);
-    return powers_of(numbers_, at, u, modes_at(at, u));
+    const Modes<S> modes = Modes<S>::at(numbers_, at, u);
+    return powers_of(numbers_, at, u, modes);
   }
 
   // Whether the state of joint j is finite, and one step turns it by so little that the result has
@@ -349,9 +352,9 @@ class Machine {
     if constexpr (S::Scheme::extrapolates) {
       auto& kept = scheme_of(past);
       Real before[N], after[N];
-      torques_for(kept.a, before);
+      torques_for<S>(numbers_, x_.q, x_.v, kept.a, before);
       set();
-      torques_for(kept.a, after);
+      torques_for<S>(numbers_, x_.q, x_.v, kept.a, after);
       for (int j = 0; j < N; ++j) kept.torque[j] += after[j] - before[j];
     } else {
       set();
@@ -363,20 +366,6 @@ class Machine {
       return past.stepper;
     else
       return past;
-  }
-  // Torques of links and rotors for the accelerations `a`.
-  void torques_for(const Real* a, Real (&torque)[N]) const {
-    typename Links<S>::Kinematics kinematics;
-    Links<S>::kinematics(x_.q, kinematics);
-    Links<S>::inverse_dynamics(numbers_, kinematics, x_.v, a, torque);
-    for (int j = 0; j < N; ++j) torque[j] += numbers_.carried(j) * a[j];
-  }
-
-  Modes<S> modes_at(State<S> x, const Real* u) const {
-    typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(numbers_, x.q, x.v, links);
-    follow_at_once(numbers_, x, u);
-    return Modes<S>(numbers_, x, u, links);
   }
 
   static constexpr Real kLargestTurn = 3.14159265358979;  // rad (or m) in one step

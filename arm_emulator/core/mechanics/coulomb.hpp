@@ -295,7 +295,6 @@ class Coulomb {
     X Dc[N] = {}, Ds[N] = {};
     X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then
   };
-  struct Nothing {};
 
   ARM_INLINE auto Dc(int j) const {
     if constexpr (varies)

@@ -14,6 +14,7 @@
 // Non-smooth behaviour is a mode of its part (mode.hpp).
 #pragma once
 
+#include <initializer_list>
 #include <tuple>
 #include <type_traits>
 #include <utility>
@@ -41,7 +42,6 @@ struct Drive {
   static constexpr bool elastic = driven && !Gear::rigid;
   static constexpr bool carries_rotor = driven && Gear::rigid;
   // Indices of the states: those of the motor, then tm and wm, then those of the extras.
-  static constexpr int i = 0;
   static constexpr int tm = Motor::states, wm = Motor::states + 1;
   static constexpr int own = Motor::states + (elastic ? Gear::states : 0);
   static constexpr int states = own + (0 + ... + Extras::states);
@@ -79,11 +79,7 @@ struct Drive {
   using LinearOf = std::remove_cvref_t<decltype(std::declval<Part>().linear())>;
   using Linear = Drive<LinearOf<Motor>, LinearOf<Gear>, LinearOf<LinkFriction>, LinearOf<Rotor>,
                        LinearOf<Extras>...>;
-  static constexpr bool is_linear = std::is_same_v<LinearOf<Motor>, Motor> &&
-                                    std::is_same_v<LinearOf<Gear>, Gear> &&
-                                    std::is_same_v<LinearOf<LinkFriction>, LinkFriction> &&
-                                    std::is_same_v<LinearOf<Rotor>, Rotor> &&
-                                    (true && ... && std::is_same_v<LinearOf<Extras>, Extras>);
+  static constexpr bool is_linear = std::is_same_v<Linear, Drive>;
   constexpr Linear linear() const {
     static_assert(Linear::states == states && Linear::modes == modes);
     return {motor.linear(), gear.linear(), friction.linear(), rotor.linear(),
@@ -129,11 +125,6 @@ struct Drive {
   }
 
   static constexpr int extra_count = sizeof...(Extras);
-  // Whether each extra acts on the rotor.
-  static constexpr bool on_the_rotor(int which) {
-    const bool rotors[] = {Extras::place == Place::rotor..., false};
-    return rotors[which];
-  }
 
   // Whether the gear's torque beyond that of the linear one is all of `rest`.
   static constexpr bool only_gear_bends =
@@ -295,15 +286,17 @@ struct Drive {
     return where(is_ever_usual(), usual);
   }
   // Whether such an x exists.
-  constexpr bool is_ever_usual() const { return may_be_usual && is_rotor_usual(); }
+  constexpr bool is_ever_usual() const {
+    if constexpr (elastic && Rotor::modes > 0) return may_be_usual && rotor.is_usual();
+    return may_be_usual;
+  }
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<Real>& x) const {
     Modes at;
     if constexpr (driven && Motor::modes > 0) at.at[0] = motor.mode_at(x.z, x.u, felt_speed(x));
     put_modes_of_state(x, at);
-    if constexpr (elastic && Rotor::modes > 0) {
+    if constexpr (elastic && Rotor::modes > 0)
       at.at[of_rotor] = rotor.mode_at(x.z[wm], shaft(x, at));
-    }
     return at;
   }
   // Those that x, the end of a step in `now` that began at `start`, calls for: `now` if they hold.
@@ -312,9 +305,8 @@ struct Drive {
     if constexpr (driven && Motor::modes > 0)
       at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
     put_modes_of_state(x, at);
-    if constexpr (elastic && Rotor::modes > 0) {
+    if constexpr (elastic && Rotor::modes > 0)
       at.at[of_rotor] = rotor.wanted(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
-    }
     return at;
   }
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
@@ -330,9 +322,8 @@ struct Drive {
       if constexpr (Extra::modes > 0)
         at_most(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
     });
-    if constexpr (elastic && Rotor::modes > 0) {
+    if constexpr (elastic && Rotor::modes > 0)
       at_most(rotor.margin(x.z[wm], shaft(x, now), now.at[of_rotor]));
-    }
     return least;
   }
   // Set x to the values that its modes hold, against rounding.
@@ -362,8 +353,7 @@ struct Drive {
   ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
     if constexpr (requires { motor.ripple(x.q); })
       return motor.ripple(motor_angle(x)) * motor_speed(x);
-    else
-      return motor_speed(x);
+    return motor_speed(x);
   }
   static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
   template <class X>
@@ -376,8 +366,7 @@ struct Drive {
   ARM_INLINE constexpr X on_rotor(const Input<X>& x, X T) const {
     if constexpr (requires { gear.on_rotor(x.z[0], x.q, T); })
       return gear.on_rotor(x.z[tm], x.q, T);
-    else
-      return gear.Ng * T;
+    return gear.Ng * T;
   }
   // Torque of the gear on its link; for a rigid gear, the motor's torque.
   template <class X>
@@ -409,13 +398,12 @@ struct Drive {
   // body(extra, index of its first state, index of its mode) for all extras.
   template <class Body>
   ARM_INLINE constexpr void for_each_extra(Body&& body) const {
-    if constexpr (sizeof...(Extras) > 0) {
-      [&]<int... e>(std::integer_sequence<int, e...>) __attribute__((always_inline)) {
-        (body(std::get<e>(extras), std::integral_constant<int, state_of(e)>{},
-              std::integral_constant<int, mode_of(e)>{}),
-         ...);
-      }(std::make_integer_sequence<int, sizeof...(Extras)>{});
-    }
+    [&]<int... e>(std::integer_sequence<int, e...>) __attribute__((always_inline)) {
+      (body(std::get<e>(extras),
+            std::integral_constant<int, place_of(e, own, {Extras::states...})>{},
+            std::integral_constant<int, place_of(e, of_extras, {Extras::modes...})>{}),
+       ...);
+    }(std::make_integer_sequence<int, extra_count>{});
   }
 
  private:
@@ -436,10 +424,6 @@ struct Drive {
       (true && ... && (Extras::modes == 0 || requires(const Extras& part, const Real* z, Real x) {
          part.is_usual(x, x, z);
        }));
-  constexpr bool is_rotor_usual() const {
-    if constexpr (elastic && Rotor::modes > 0) return rotor.is_usual();
-    return true;
-  }
 
   constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
     const Input<Real> x = with(at, now);
@@ -454,15 +438,11 @@ struct Drive {
     return on;
   }
 
-  static constexpr int state_of(int which) {
-    int at = own, e = 0;
-    ((e++ < which ? at += Extras::states : at), ...);
-    return at;
-  }
-  static constexpr int mode_of(int which) {
-    int at = of_extras, e = 0;
-    ((e++ < which ? at += Extras::modes : at), ...);
-    return at;
+  // `first` and the counts of so many extras.
+  static constexpr int place_of(int extras, int first, std::initializer_list<int> counts) {
+    for (const int count : counts)
+      if (extras-- > 0) first += count;
+    return first;
   }
 };
 

@@ -69,10 +69,7 @@ class Linearisation {
   }
 
   Modes<S> modes_at(State<S> x, const Real* u, bool slides) const {
-    typename Links<S>::Dynamics links;
-    Links<S>::dynamics_apart(n, x.q, x.v, links);
-    follow_at_once(n, x, u);
-    Modes<S> at(n, x, u, links);
+    Modes<S> at = Modes<S>::at(n, x, u);
     if (!slides) return at;
     at.friction = {};
     n.for_each_drive([&]<class Drive>(const Drive&, int j) {

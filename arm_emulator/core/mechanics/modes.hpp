@@ -44,6 +44,14 @@ class Modes {
     }
   }
 
+  // Those of a state x, of which the algebraic states are set first.
+  static Modes at(const Numbers<S>& numbers, State<S>& x, const Real* u) {
+    Dynamics links;
+    Links<S>::dynamics_apart(numbers, x.q, x.v, links);
+    follow_at_once(numbers, x, u);
+    return Modes(numbers, x, u, links);
+  }
+
   // Those of the drive of joint j alone.
   template <class Drive>
   DriveModes<Drive::modes> of(const Drive&, int j) const {

@@ -52,28 +52,18 @@ constexpr Sheet<S> sheet_with(int changed) {
   return Sheet<S>(values.p);
 }
 
-// Mask of a body's numbers that depend on varied ones.
-struct BodyMask {
-  bool m = false, hx = false, hy = false, hz = false;
-  bool xx = false, yy = false, zz = false, xy = false, xz = false, yz = false;
-};
-
+// Which numbers of the links depend on varied ones.
 template <class S>
 struct VariedBodies {
-  BodyMask at[S::L] = {};
+  Body<bool> at[S::L] = {};
 
   constexpr VariedBodies() {
     const Sheet<S> one = sheet_with<S>(-1);
     for (int k = 0; k < S::parameters; ++k) {
       const Sheet<S> other = sheet_with<S>(k);
-      for (int j = 0; j < S::L; ++j) {
-        const Body<Real>&a = one.base.body[j], &b = other.base.body[j];
-        BodyMask& mask = at[j];
-        mask.m |= a.m != b.m;
-        mask.hx |= a.h.x != b.h.x, mask.hy |= a.h.y != b.h.y, mask.hz |= a.h.z != b.h.z;
-        mask.xx |= a.I.xx != b.I.xx, mask.yy |= a.I.yy != b.I.yy, mask.zz |= a.I.zz != b.I.zz;
-        mask.xy |= a.I.xy != b.I.xy, mask.xz |= a.I.xz != b.I.xz, mask.yz |= a.I.yz != b.I.yz;
-      }
+      for (int j = 0; j < S::L; ++j)
+        for_each_number_of([](bool& varied, const Real& a, const Real& b) { varied |= a != b; },
+                           at[j], one.base.body[j], other.base.body[j]);
     }
   }
 };
@@ -87,17 +77,13 @@ struct Constants {
   // A link of which `own` has what may vary.
   template <class X, class Index>
   ARM_INLINE static constexpr Body<X> body(Index i, const Body<X>& own) {
-    const Body<Real>& constant = sheet.base.body[i];
-    const BodyMask& mask = varied.at[i];
-    const auto choose = [](bool mine, const X& a, Real b) { return mine ? a : X{} + b; };
-    const Vec3<Real>& h = constant.h;
-    const Sym3<Real>& I = constant.I;
-    return {choose(mask.m, own.m, constant.m),
-            {choose(mask.hx, own.h.x, h.x), choose(mask.hy, own.h.y, h.y),
-             choose(mask.hz, own.h.z, h.z)},
-            {choose(mask.xx, own.I.xx, I.xx), choose(mask.yy, own.I.yy, I.yy),
-             choose(mask.zz, own.I.zz, I.zz), choose(mask.xy, own.I.xy, I.xy),
-             choose(mask.xz, own.I.xz, I.xz), choose(mask.yz, own.I.yz, I.yz)}};
+    Body<X> body = own;
+    for_each_number_of(
+        [](X& number, const bool& varies, const Real& constant) __attribute__((always_inline)) {
+          if (!varies) number = X{} + constant;
+        },
+        body, varied.at[i], sheet.base.body[i]);
+    return body;
   }
 };
 
@@ -265,13 +251,8 @@ class Numbers {
     if constexpr (varied) {
       for (int j = 0; j < S::L; ++j) {
         const Body<Real> from = one.body(j);
-        Body<X>& to = bodies_[j];
-        set_lane(to.m, lane, from.m);
-        set_lane(to.h.x, lane, from.h.x), set_lane(to.h.y, lane, from.h.y);
-        set_lane(to.h.z, lane, from.h.z);
-        set_lane(to.I.xx, lane, from.I.xx), set_lane(to.I.yy, lane, from.I.yy);
-        set_lane(to.I.zz, lane, from.I.zz), set_lane(to.I.xy, lane, from.I.xy);
-        set_lane(to.I.xz, lane, from.I.xz), set_lane(to.I.yz, lane, from.I.yz);
+        for_each_number_of([lane](X& to, const Real& number) { set_lane(to, lane, number); },
+                           bodies_[j], from);
       }
       for (int j = 0; j < N; ++j) {
         set_lane(rotor_[j], lane, one.carried(j));

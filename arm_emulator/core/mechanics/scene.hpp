@@ -24,13 +24,18 @@ struct Body {
   Sym3<X> I;  // kg m2
 };
 
+// number(...) of each of their numbers in turn, for bodies side by side.
+ARM_INLINE constexpr void for_each_number_of(auto&& number, auto&... body) {
+  number(body.m...);
+  number(body.h.x...), number(body.h.y...), number(body.h.z...);
+  number(body.I.xx...), number(body.I.yy...), number(body.I.zz...);
+  number(body.I.xy...), number(body.I.xz...), number(body.I.yz...);
+}
+
 // A body that carries m times what 1 kg of load is.
-constexpr Body<Real> loaded(const Body<Real>& bare, Real m, const Body<Real>& per_kg) {
-  const auto &I = bare.I, &J = per_kg.I;
-  return {bare.m + m * per_kg.m,
-          bare.h + m * per_kg.h,
-          {I.xx + m * J.xx, I.yy + m * J.yy, I.zz + m * J.zz, I.xy + m * J.xy, I.xz + m * J.xz,
-           I.yz + m * J.yz}};
+constexpr Body<Real> loaded(Body<Real> bare, Real m, const Body<Real>& per_kg) {
+  for_each_number_of([m](Real& sum, const Real& share) { sum = sum + m * share; }, bare, per_kg);
+  return bare;
 }
 
 // A joint's place and the link that it moves. The link's frame has its origin on the joint axis, z
@@ -90,7 +95,7 @@ inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
 template <class S>
 inline constexpr auto kLinks = S::links(SomeValues<S>().p);
 
-// Whether joints go with several drives or a drive with several joints (coupled_links.hpp).
+// Whether joints go with several drives or a drive with several joints (links.hpp).
 template <class S>
 inline constexpr bool kCoupled = requires { S::coupling; };
 

@@ -2,10 +2,48 @@
 // included, up to rounding: the equations of motion as they are solved.
 #pragma once
 
-#include "mechanics/drive_torques.hpp"
+#include "mechanics/drive.hpp"
 #include "mechanics/modes.hpp"
 
 namespace arm {
+
+// The torques that the rates of a drive sum up, each in the direction of its shaft.
+template <int extras>
+struct DriveTorques {
+  Real motor, gear_on_rotor, rotor_friction;  // on a rotor behind an elastic gear
+  Real gear, viscous;                         // on the link
+  Real extra[extras + 1];                     // on either
+  bool on_the_rotor[extras + 1];              // whether each of these is
+};
+
+template <class Drive, int n, int M>
+constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
+  DriveTorques<Drive::extra_count> on = {};
+  on.viscous = -drive.friction.Dv * x.v;
+  Real shaft = 0.0;
+  if constexpr (Drive::driven) on.motor = shaft = drive.motor.torque(x.z, drive.motor_angle(x));
+  int which = 0;
+  drive.for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
+    on.extra[which] = drive.template torque_of<state, mode>(extra, x, held);
+    on.on_the_rotor[which] = Extra::place == Place::rotor;
+    if (on.on_the_rotor[which]) shaft += on.extra[which];
+    ++which;
+  });
+  if constexpr (Drive::elastic) {
+    on.gear = drive.gear_on_link(x, held);
+    on.gear_on_rotor = -drive.on_rotor(x, on.gear);
+    if constexpr (Drive::rotor_modes > 0)
+      on.rotor_friction =
+          is_held(held, Drive::of_rotor)
+              ? -(shaft + on.gear_on_rotor)
+              : -drive.rotor.against(x.z[Drive::wm], -on.gear_on_rotor, x.offset[Drive::of_rotor]);
+  } else if constexpr (Drive::driven) {
+    if constexpr (Drive::rotor_modes > 0)
+      on.rotor_friction = -drive.rotor.law.Dv * drive.motor_speed(x);
+    on.gear = (shaft + on.rotor_friction) / drive.gear.Ng;
+  }
+  return on;
+}
 
 template <class S>
 class TorqueTerms {
@@ -45,7 +83,7 @@ class TorqueTerms {
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
       const auto on = torques_in(drive, at, now.held());
       Real inertia = 0.0;
-      for (int k = 0; k < N; ++k) inertia -= links.M.at[j < k ? j : k][j < k ? k : j] * a[k];
+      for (int k = 0; k < N; ++k) inertia -= links.M.entry(j, k) * a[k];
       const Real no = no_number();
       Real row[rows] = {inertia,
                         still.nle[j] - links.nle[j],
@@ -66,7 +104,7 @@ class TorqueTerms {
       for (int e = 0; e < extras; ++e) {
         const bool there = e < Drive::extra_count;
         row[fixed + e] = there ? on.extra[e] : no;
-        row[fixed + extras + e] = there && Drive::on_the_rotor(there ? e : 0) ? 1.0 : 0.0;
+        row[fixed + extras + e] = there && on.on_the_rotor[e] ? 1.0 : 0.0;
       }
       for (int k = 0; k < rows; ++k) out[k * N + j] = row[k];
     });

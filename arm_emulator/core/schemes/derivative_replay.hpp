@@ -149,7 +149,7 @@ class DerivativeReplay {
     const double h = length.value;
     if (values.of_one)
       return slopes.move_alone(own, n_, n, common.links, modes ? *modes : *common.usual,
-                               common.start, x_, u_, own.own_memory(), own_, h);
+                               common.start, x_, u_, own.past(), own_, h);
     if (!common.stepped) {
       alignas(64) Real u[row] = {};
       put_commands(u);
@@ -163,7 +163,7 @@ class DerivativeReplay {
       };
       common.usual ? take(*common.usual) : take(modes_of(n_, common.start, u_, piece, next));
     }
-    slopes.move(x_, own.own_memory(), own_, h);
+    slopes.move(x_, own.past(), own_, h);
   }
 
   // The modes in which it was taken. Where rounding lets the state at its start

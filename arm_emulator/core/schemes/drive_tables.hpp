@@ -1,6 +1,7 @@
 // The drives' parts of a step for all joints, side by side in vectors (drive_table.hpp).
 #pragma once
 
+#include "numerics/finite.hpp"
 #include "schemes/drive_tables_by_mode.hpp"
 
 namespace arm {
@@ -96,6 +97,29 @@ class DriveTables : public ServedDrives<S, X> {
     const unsigned held = modes.held();
     if (held != this->served(j).held()) change_table(j, held);
     this->note(j, modes);
+  }
+  // Put all joints into the modes that the state x calls for.
+  void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
+    this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0)
+        this->serve(j, resized<Served::M>(drive.modes_at(input_of(drive, j, x, u[j]))));
+    });
+  }
+  // Change the modes that do not hold at the end y of a step from x. Returns whether all hold.
+  bool correct_modes(const State<S>& x, const State<S>& y, const Real (&u)[row]) {
+    if (!is_finite(y.v[0])) return true;  // diverged, whatever its modes
+    bool hold = true;
+    this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
+      if constexpr (Drive::modes > 0) {
+        const Modes& now = this->served(j);
+        const Modes wanted = resized<Served::M>(drive.wanted(
+            input_of(drive, j, x, u[j]), input_of(drive, j, y, u[j]), resized<Drive::modes>(now)));
+        if (wanted == now) return;
+        hold = false;
+        this->serve(j, wanted);
+      }
+    });
+    return hold;
   }
   // State of joint j after a step of the paper's scheme from `start`, in the modes in use.
   template <class TheDrive, class Input>

@@ -32,7 +32,6 @@
 #include "mechanics/links/links.hpp"
 #include "mechanics/modes.hpp"
 #include "mechanics/regular_mode.hpp"
-#include "numerics/finite.hpp"
 #include "schemes/drive_tables.hpp"
 #include "schemes/scheme.hpp"
 #include "schemes/trial_drives.hpp"
@@ -56,8 +55,7 @@ class LinearlyImplicit {
   // For steps of another length in these modes, by `step_in`.
   void retime(Real step, const Modes<S>& modes) {
     h_ = step;
-    if constexpr (Tables::modal)
-      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
+    serve(modes);
     tables_.retime({step, stages});
   }
 
@@ -94,7 +92,7 @@ class LinearlyImplicit {
     Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past().torque);
   }
   const Memory& memory() const { return past_[newest_]; }
-  Memory& own_memory() { return past(); }
+  Memory& past() { return past_[newest_]; }
   Tables& tables() { return tables_; }
   // That before the newest step, of lanes.
   const Memory& memory_before() const { return past_[kept - 1 - newest_]; }
@@ -106,8 +104,7 @@ class LinearlyImplicit {
   // A step in the given modes, whether they hold or not (event_location.hpp).
   void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], const Dynamics& links,
                Past from) {
-    if constexpr (Tables::modal)
-      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
+    serve(modes);
     step_in(modes.friction, x, u, links, from);
   }
   // The same with the drives in the modes that the tables serve.
@@ -136,13 +133,8 @@ class LinearlyImplicit {
     if constexpr (extrapolates) {
       X a[N];
       Modes<S>(n_, x, u, links).accelerations(x, u, links, a, coulomb_);
-      typename Links<S, X>::Kinematics kinematics;
-      Links<S, X>::kinematics(start.q, kinematics);
-      Links<S, X>::inverse_dynamics(n_, kinematics, start.v, a, past().torque);
-      for (int j = 0; j < N; ++j) {
-        past().a[j] = a[j];
-        past().torque[j] += n_.carried(j) * a[j];
-      }
+      torques_for<S>(n_, start.q, start.v, a, past().torque);
+      for (int j = 0; j < N; ++j) past().a[j] = a[j];
     }
   }
 
@@ -174,10 +166,12 @@ class LinearlyImplicit {
   static constexpr bool locates = kLocates<S>;
   static constexpr int stages = S::Scheme::stages;
   static constexpr double gamma = gamma_of(stages);
-
   using Numbers = Row<N, X>;
 
-  Memory& past() { return past_[newest_]; }
+  void serve(const Modes<S>& modes) {
+    if constexpr (Tables::modal)
+      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
+  }
   Accelerations& place_of_next(Accelerations& own) {
     if constexpr (kept == 2)
       return past_[1 - newest_];
@@ -360,21 +354,17 @@ class LinearlyImplicit {
     constexpr int most = 2 * N * Tables::M;
     const Memory memory = past();
     const bool begins_usual = usual_ && is_usual(n_, x, u);
-    if (!begins_usual) serve_modes_at(x, u);
+    if (!begins_usual) tables_.serve_modes_at(x, u);
     State<S> y;
     for (int round = 0;; ++round) {
       past() = memory;
-      // Last places of motions depend on where it is compiled: each scheme keeps those of before.
-      if constexpr (locates)
-        attempt(x, u, links, in, y);
-      else
-        attempt_apart(x, u, links, in, y);
+      attempt(x, u, links, in, y);
       if (begins_usual && round == 0 && is_usual(n_, y, u)) {
         x = y;
         return;
       }
       const bool keeps = round > most;  // those of the start, whether they hold or not
-      if (keeps || modes_hold(x, y, u)) {
+      if (keeps || tables_.correct_modes(x, y, u)) {
         x = y;
         tables_.settle(x, u);
         usual_ = !keeps && tables_.serves_usual();
@@ -382,7 +372,7 @@ class LinearlyImplicit {
       }
       if (round < most) continue;
       if (halvings_ < kMostHalvings) break;
-      serve_modes_at(x, u);
+      tables_.serve_modes_at(x, u);
     }
     usual_ = false;
     tables_.settle(y, u);
@@ -391,12 +381,7 @@ class LinearlyImplicit {
   }
 
   // From x to y in the modes that the tables serve.
-  void attempt_apart(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in,
-                     State<S>& y) {
-    attempt(x, u, links, in, y);
-  }
-  ARM_INLINE void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in,
-                          State<S>& y) {
+  void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in, State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -404,13 +389,6 @@ class LinearlyImplicit {
     stages_of(y, u, links, in, k1);
     move_links(y, in);
     move_drives(y, in);
-  }
-
-  void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
-    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-      if constexpr (Drive::modes > 0)
-        tables_.serve(j, resized<Tables::M>(drive.modes_at(input_of(drive, j, x, u[j]))));
-    });
   }
 
   void halve(State<S>& x, const Real (&u)[row]) {
@@ -427,23 +405,6 @@ class LinearlyImplicit {
       half_->step_in_modes(x, u, links, in);
     }
     past() = half_->past();
-  }
-
-  // Whether all modes hold at the end y of a step from x; those that do not are changed.
-  bool modes_hold(const State<S>& x, const State<S>& y, const Real (&u)[row]) {
-    if (!is_finite(y.v[0])) return true;  // diverged, whatever its modes
-    bool hold = true;
-    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-      if constexpr (Drive::modes > 0) {
-        const auto& now = tables_.served(j);
-        const auto wanted = resized<Tables::M>(drive.wanted(
-            input_of(drive, j, x, u[j]), input_of(drive, j, y, u[j]), resized<Drive::modes>(now)));
-        if (wanted == now) return;
-        hold = false;
-        tables_.serve(j, wanted);
-      }
-    });
-    return hold;
   }
 
   static constexpr int kMostHalvings = 12;
@@ -465,8 +426,21 @@ class LinearlyImplicit {
     const typename Coulomb<S, X>::Modes* modes = nullptr;
     Past past = Past::used;
   };
-  struct Nothing {};
   [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given_;
+};
+
+struct Implicit : AnyScheme {
+  static constexpr int stages = 1;
+  template <class S, class X>
+  using Method = LinearlyImplicit<S, X>;
+};
+struct Rosenbrock : AnyScheme {
+  static constexpr int stages = 2;
+  template <class S, class X>
+  using Method = LinearlyImplicit<S, X>;
+};
+struct Extrapolated : Rosenbrock {
+  static constexpr bool extrapolates = true;
 };
 
 }  // namespace arm

@@ -268,7 +268,7 @@ class StepSlopes {
   static void put_links(const auto& of, const double* a, double of_nle, Row (&to)[N]) {
     for (int j = 0; j < N; ++j) {
       to[j] += of_nle * of.nle[j].by;
-      for (int k = 0; k < N; ++k) to[j] += a[k] * of.M.at[j < k ? j : k][j < k ? k : j].by;
+      for (int k = 0; k < N; ++k) to[j] += a[k] * of.M.entry(j, k).by;
     }
   }
   // W x = rhs, of joints that are not locked.

@@ -105,14 +105,13 @@ def is_at_one_instant(what: Formula) -> bool:
 FORMULA = Header(BOUNDARY / "formula.h")
 TOOL_POSITION = Header(BOUNDARY / "tool_position.h")
 CONDITION = Header(FOLDER / "condition.h", FOLDERS)
-BREAKPOINT = Header(FOLDER / "breakpoint.h", FOLDERS)
 
 
 def build_formula_unit() -> Unit:
     """Return the sources of formulas, tool positions, conditions and breakpoints."""
-    parts = "formula.c", "tool_position.c", "condition.c", "breakpoint.c"
+    parts = "formula.c", "tool_position.c", "condition.c"
     source = "".join(f'#include "{part}"\n' for part in parts)
-    headers = FORMULA, TOOL_POSITION, CONDITION, BREAKPOINT
+    headers = FORMULA, TOOL_POSITION, CONDITION
     about = "formulas and conditions"
     return Unit("formula", source, C_FLAGS, FOLDERS, headers, "formula", about, parts[0])
 

@@ -126,8 +126,9 @@ def _write_includes(scene: Scene, places: Mapping[str, str]) -> str:
     if _write_lines(scene, places):
         headers.append("parts/line.hpp")
     threads = {1: "one_thread", 2: "two_threads"}[scene.threads]
-    headers += ["parts/device.hpp", "mechanics/scene.hpp", scene.integrator.method.header()]
-    return "\n".join(f'#include "{one}"' for one in (*headers, f"schemes/{threads}.hpp"))
+    headers += ["parts/device.hpp", "mechanics/scene.hpp"]
+    headers += [f"schemes/{scene.integrator.method.header}", f"schemes/{threads}.hpp"]
+    return "\n".join(f'#include "{one}"' for one in headers)
 
 
 def _write_sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:

@@ -14,6 +14,7 @@ class Paper(Scheme):
     """The motors step with the links held."""
 
     name = "paper"
+    header = "paper.hpp"
     order = 1
     evaluations = 1
     text = "the paper's, first order"

@@ -1,7 +1,7 @@
 """Base of all schemes: each declares what the others need to know of it.
 
-A scheme is a class in a file of this package, called as the scheme, beside a header of that name in
-`core/schemes/`, and registered there (`register_scheme`).
+A scheme is a class in a file of this package, called as the scheme, and registered there
+(`register_scheme`). A header in `core/schemes/` has the C++ struct of that name.
 """
 
 from __future__ import annotations
@@ -15,16 +15,12 @@ class Scheme:
     """An integration method of the core. It is not instantiated."""
 
     name: ClassVar[str]  # `integrator.scheme` in the scene
+    header: ClassVar[str] = "linearly_implicit.hpp"  # of the core that has it
     order: ClassVar[int]  # of the error between events
     evaluations: ClassVar[int]  # of the links in a step
     locates: ClassVar[bool] = False  # whether it may cut steps at events
     text: ClassVar[str]  # for people who choose
     default: ClassVar[bool] = False  # whether scenes have it that name no scheme
-
-    @classmethod
-    def header(cls) -> str:
-        """Return the header of the core that has it."""
-        return f"schemes/{cls.name}.hpp"
 
     @classmethod
     def cxx_type(cls) -> str:

@@ -1,4 +1,4 @@
-/* A formula about a machine behind arm.h, as the machine is now. C99. */
+/* A formula about a machine behind arm.h, as the machine is now, and breakpoints on it. C99. */
 #ifndef CONDITION_H
 #define CONDITION_H
 
@@ -42,6 +42,19 @@ typedef struct condition {
 
 /* Whether the condition holds for the machine as it is now: 1 or 0. */
 int condition_holds(condition* one, const arm_machine* machine);
+
+/* A condition that is evaluated at the end of each exchange: a breakpoint on physics. */
+typedef struct breakpoint {
+  uint32_t size;
+  int32_t held; /* 1: it held at the newest tick */
+  int32_t hit;  /* 1: it began to hold. Loops stop there; the owner clears it */
+  int32_t reserved;
+  condition* what;
+  int64_t tick; /* where it began to hold last */
+} breakpoint;
+
+/* Look at the machine; a listener of arm_listen, `with` being the breakpoint. */
+void breakpoint_take(void* with, const arm_machine* machine);
 
 #ifdef __cplusplus
 }

@@ -122,6 +122,16 @@ class Ring {
   }
   void publish() { written_.fetch_add(1, std::memory_order_release); }
 
+  // Copy the arrays of a measurement, or of a snapshot; those of `to` may be null.
+  void copy_measured(const auto& from, arm_snapshot& to) const {
+    const auto copy = [](const auto* numbers, std::size_t count, auto* out) {
+      if (out) std::copy_n(numbers, count, out);
+    };
+    copy(from.joint, N, to.joint), copy(from.sensors, N, to.sensors), copy(from.imu, M, to.imu);
+    copy(from.current_d, N, to.current_d), copy(from.readings, R * N, to.readings);
+    copy(from.further, I * N, to.further);
+  }
+
   bool has(int reader) const {
     return reader >= 0 && static_cast<std::size_t>(reader) < taken_.size();
   }
@@ -147,12 +157,7 @@ class Ring {
     if (out.truth.energy) *out.truth.energy = *from.truth.energy;
     for (const auto row : kRows)
       if (out.truth.*row) std::copy_n(from.truth.*row, N, out.truth.*row);
-    if (out.joint) std::copy_n(from.joint, N, out.joint);
-    if (out.sensors) std::copy_n(from.sensors, N, out.sensors);
-    if (out.imu) std::copy_n(from.imu, M, out.imu);
-    if (out.current_d) std::copy_n(from.current_d, N, out.current_d);
-    if (out.readings) std::copy_n(from.readings, R * N, out.readings);
-    if (out.further) std::copy_n(from.further, I * N, out.further);
+    copy_measured(from, out);
     taken.store(t + 1, std::memory_order_release);
     return true;
   }
@@ -316,13 +321,7 @@ struct arm_real_time {
     out->tick = at.tick, out->answered = answered;
     out->lateness = lateness, out->spent = spent;
     at.get_truth(at.machine, &out->truth);
-    const arm_measurement& measured = *at.measurement;
-    std::copy_n(measured.joint, at.joints, out->joint);
-    std::copy_n(measured.sensors, at.joints, out->sensors);
-    std::copy_n(measured.imu, options.imus, out->imu);
-    std::copy_n(measured.current_d, at.joints, out->current_d);
-    std::copy_n(measured.readings, options.readings * at.joints, out->readings);
-    std::copy_n(measured.further, options.inputs * at.joints, out->further);
+    ring.copy_measured(*at.measurement, *out);
     ring.publish();
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);

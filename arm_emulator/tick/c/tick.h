@@ -28,7 +28,8 @@ typedef struct tick_machine {
   int64_t period;               /* ns */
   arm_measurement* measurement; /* newest */
   int64_t tick;                 /* present one */
-  /* Not 0, as a breakpoint.h sets it at the end of a period: loops end behind that; null: never. */
+  /* Not 0, as a breakpoint (condition.h) sets it at the end of a period: loops end behind that;
+   * null: never. */
   const int32_t* stop;
 } tick_machine;
 

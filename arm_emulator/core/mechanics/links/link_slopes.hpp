@@ -33,7 +33,7 @@ class LinkSlopes {
   }
   // At the state taken, without derivatives.
   double nle(int j) const { return at_.nle[j].value; }
-  double M(int j, int k) const { return at_.M.at[j < k ? j : k][j < k ? k : j].value; }
+  double M(int j, int k) const { return at_.M.entry(j, k).value; }
   // The derivatives of M a + share nle by q, and of nle by v, a row for each
   // joint.
   void by_q(const double* a, double share, double (&out)[N][N]) const {

@@ -12,6 +12,20 @@
 
 namespace arm {
 
+template <int N, class X>
+struct MassMatrix {
+  alignas(64) Symmetric<N, X> at;
+
+  ARM_INLINE const X& entry(int i, int j) const { return at[i < j ? i : j][i < j ? j : i]; }
+};
+
+// M and nle of the links at one (q, v).
+template <int N, class X>
+struct LinkDynamics {
+  alignas(64) X nle[N];
+  MassMatrix<N, X> M;
+};
+
 template <class S, class X = Real>
 struct LinkTree {
   static constexpr int N = S::L;
@@ -24,15 +38,8 @@ struct LinkTree {
     Placement link[N];
   };
 
-  struct MassMatrix {
-    alignas(64) Symmetric<N, X> at;
-  };
-
-  // M and nle of the links at one (q, v).
-  struct Dynamics {
-    alignas(64) X nle[N];
-    MassMatrix M;
-  };
+  using MassMatrix = arm::MassMatrix<N, X>;
+  using Dynamics = LinkDynamics<N, X>;
 
   static ARM_INLINE constexpr bool revolute(int i) {
     return kLinks<S>.at[i].kind == JointKind::revolute;

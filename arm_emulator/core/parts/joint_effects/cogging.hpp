@@ -11,14 +11,10 @@
 namespace arm {
 
 template <int n>
-struct Cogging {
+struct Cogging : NoTorque<Place::rotor> {
   constexpr bool operator==(const Cogging&) const = default;
 
   std::array<Harmonic, n> waves;  // N m
-
-  static constexpr Place place = Place::rotor;
-  static constexpr int states = 0, modes = 0;
-  constexpr NoTorque<place> linear() const { return {}; }
 
   template <class X>
   ARM_INLINE constexpr X torque(X tm, X, const X*, X, bool) const {
@@ -35,7 +31,6 @@ struct Cogging {
     }
     return sum;
   }
-  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 };
 
 }  // namespace arm

@@ -20,7 +20,8 @@
 
 namespace arm {
 
-struct Counterbalance {
+// It is soft against the inertia that it balances.
+struct Counterbalance : NoTorque<Place::link> {
   constexpr bool operator==(const Counterbalance&) const = default;
 
   Real a, b;  // m
@@ -29,11 +30,6 @@ struct Counterbalance {
   Real l0;    // m
   Real k;     // N/m
   Real h;     // m; 0: a straight characteristic
-
-  static constexpr Place place = Place::link;
-  static constexpr int states = 0, modes = 0;
-  // It is soft against the inertia that it balances.
-  constexpr NoTorque<place> linear() const { return {}; }
 
   template <class X>
   ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {
@@ -45,7 +41,6 @@ struct Counterbalance {
   ARM_INLINE constexpr X stored(X q, const X*) const {
     return work(length(sincos(q - phi).cos)) - work(relaxed());
   }
-  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 
  private:
   constexpr Real compressing() const { return F0 < 0.0 ? -1.0 : 1.0; }

@@ -7,23 +7,14 @@
 
 namespace arm {
 
-struct Drag {
+struct Drag : NoTorque<Place::link> {
   constexpr bool operator==(const Drag&) const = default;
 
   Real c;  // N m s2/rad2
 
-  static constexpr Place place = Place::link;
-  static constexpr int states = 0, modes = 0;
-  // It vanishes at rest.
-  constexpr NoTorque<place> linear() const { return {}; }
-
   template <class X>
   ARM_INLINE constexpr X torque(X, X v, const X*, X, bool) const {
     return -c * magnitude(v) * v;
-  }
-  template <class X>
-  ARM_INLINE constexpr X stored(X, const X*) const {
-    return X{};
   }
   constexpr Real dissipated(Real, Real v, const Real*, bool) const {
     return c * magnitude(v) * v * v;

@@ -1,4 +1,5 @@
-// Replaces a soft part without states in the matrix A of the schemes, which it does not stiffen.
+// Replaces a soft part without states in the matrix A of the schemes, which it does not stiffen;
+// and base of such parts, which need to declare their torque only.
 #pragma once
 
 #include "numerics/number.hpp"

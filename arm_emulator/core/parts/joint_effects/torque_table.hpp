@@ -16,7 +16,7 @@
 namespace arm {
 
 template <int n, bool periodic>
-struct TorqueTable {
+struct TorqueTable : NoTorque<Place::link> {
   struct Piece {
     constexpr bool operator==(const Piece&) const = default;
 
@@ -30,10 +30,6 @@ struct TorqueTable {
 
   constexpr bool operator==(const TorqueTable&) const = default;
 
-  static constexpr Place place = Place::link;
-  static constexpr int states = 0, modes = 0;
-  constexpr NoTorque<place> linear() const { return {}; }
-
   template <class X>
   ARM_INLINE constexpr X torque(X q, X, const X*, X, bool) const {
     return at(q).torque;
@@ -42,11 +38,6 @@ struct TorqueTable {
   ARM_INLINE constexpr X potential(X q) const {
     return at(q).potential;
   }
-  template <class X>
-  ARM_INLINE constexpr X stored(X, const X*) const {
-    return X{};
-  }
-  constexpr Real dissipated(Real, Real, const Real*, bool) const { return 0.0; }
 
  private:
   template <class X>

@@ -98,7 +98,7 @@ class AnalogSensor(Converter):
     A class that inherits it and is registered (`register_part`) is a section of joints.
     """
 
-    reads: ClassVar[str]  # the values measured, by joint, in C++: see sensor_input.hpp
+    reads: ClassVar[str]  # the values measured, by joint, in C++: see sensors.hpp
     field: ClassVar[str] = "reading"  # where arm.h has the readings, of `Field` there
     of: ClassVar[str] = "motor"  # the section of a joint that it needs; none: it stands alone
     channel: ClassVar[int | None] = None  # its place among the draws of a joint, if it has one
