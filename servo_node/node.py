@@ -50,7 +50,7 @@ from arm_emulator.ros.node.node_shell import (
 from arm_emulator.ros.process.priority import raise_priority
 from arm_emulator.servo.servo import Servo
 from arm_emulator.servo.servo_arm import ServoArm
-from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, declared
+from arm_emulator.servo.servo_config import SETTABLE, ServoConfig, find_declared_number
 from arm_emulator.servo.watchdog import WatchdogState
 from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState
 from servo_node.answered_states import AnsweredStates, answered_states
@@ -58,7 +58,7 @@ from servo_node.c import ANSWERED_STATES
 
 PARAMETERS = "parameters of node servo"
 SILENCE_CHECK = 0.1  # s, wall
-REPEATED, ANEW, STATE_OFF_TIME, OF_ANOTHER = map(
+REPEATED, RESTARTED, STATE_OFF_TIME, OF_ANOTHER = map(
     ANSWERED_STATES.constant,
     ("STATE_REPEATED", "STATE_ANEW", "STATE_OFF_TIME", "STATE_OF_ANOTHER"),
 )
@@ -93,7 +93,7 @@ class ServoNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("servo")
         self._own = declare_parameters(self, ServoNodeParameters)
-        given = self._servo_parameters({})
+        given = self._read_servo_parameters({})
         if not given:
             raise Refusal(
                 "node servo",
@@ -104,12 +104,12 @@ class ServoNode(ManagedNode):
             )
         self._config = ServoConfig.from_mapping(given, PARAMETERS)
         for name in given:
-            one = declared(name)
-            words = one.described if one else name.replace("_", " ")
+            number = find_declared_number(name)
+            words = number.described if number else name.replace("_", " ")
             descriptor = ParameterDescriptor(description=words, dynamic_typing=True)
             if name.rsplit(".", 1)[-1] in SETTABLE:
                 self.settable.add(name)
-            describe(self, name, descriptor, one)
+            describe(self, name, descriptor, number)
         self._next_config: ServoConfig | None = None  # from the next tick on
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "servo drives")
@@ -138,7 +138,7 @@ class ServoNode(ManagedNode):
             report_ticks=max(1, round(own.joint_states_period / self._config.period)),
         )
         self._at, self._calls = hot.at, answered_states()
-        self._at.heard = now_ns()
+        self._at.heard = read_clock()
         zeros = array("d", bytes(8 * len(names)))
         create, subscribe = self.create_publisher, self.create_subscription
         self.outgoing = (
@@ -170,7 +170,7 @@ class ServoNode(ManagedNode):
         target = subscribe(
             JointState,
             "joint_targets",
-            self._on_target,
+            self._take_target,
             COMMAND_SUB_QOS,
             only_from="motion controller",
             raw=True,
@@ -182,7 +182,7 @@ class ServoNode(ManagedNode):
         )
         self.hot = self
         self.create_service(Trigger, "~/reset", self._on_reset)
-        create_wall_timer(self, SILENCE_CHECK, self._on_silence_check)
+        create_wall_timer(self, SILENCE_CHECK, self._check_silence)
         self._diagnostics.report_ok("inactive: no commands")
 
     def activate(self) -> None:
@@ -199,10 +199,10 @@ class ServoNode(ManagedNode):
         self._doubles.end()
         self._diagnostics.report_ok("inactive: no commands")
 
-    def _servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+    def _read_servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the servo's parameters, with some changed."""
         others = (*ROS_PARAMETERS, *vars(self._own))
-        declared = {name: one.value for name, one in self._parameters.items()}
+        declared = {name: number.value for name, number in self._parameters.items()}
         return {
             name: value
             for name, value in {**declared, **changes}.items()
@@ -211,7 +211,7 @@ class ServoNode(ManagedNode):
 
     def _changed(self, changes: Mapping[str, Any]) -> tuple[ServoNodeParameters, ServoConfig]:
         own = {name: value for name, value in changes.items() if name in vars(self._own)}
-        config = ServoConfig.from_mapping(self._servo_parameters(changes), PARAMETERS)
+        config = ServoConfig.from_mapping(self._read_servo_parameters(changes), PARAMETERS)
         Servo(config)  # refuses invalid parameters
         return replace_parameters(self, self._own, own), config
 
@@ -231,7 +231,7 @@ class ServoNode(ManagedNode):
         """Take over the results of C, see `HotPath`."""
         at = self._at
         if at.states:
-            at.heard = now_ns()
+            at.heard = read_clock()
         if at.answers:
             self._drives.commanded(bool(at.powered))
             self._report_drives()
@@ -247,9 +247,9 @@ class ServoNode(ManagedNode):
 
     def _on_state(self, data: bytes) -> None:
         at, calls, diagnostics = self._at, self._calls, self._diagnostics
-        at.now = now_ns()
+        at.now = read_clock()
         verdict = calls.answered_states_judge(at, data, len(data))
-        if refusal := self._refusal_of_state(verdict, data):
+        if refusal := self._find_refusal(verdict, data):
             diagnostics.refuse("motor_states", refusal)
             return
         at.heard = at.now
@@ -257,10 +257,10 @@ class ServoNode(ManagedNode):
             calls.answered_states_repeat(at)
             if at.waiting:
                 diagnostics.report_warning(
-                    f"waiting for the joint targets that answer t = {_s(at.cycle)}"
+                    f"waiting for the joint targets that answer t = {_format_seconds(at.cycle)}"
                 )
             return
-        if verdict == ANEW:
+        if verdict == RESTARTED:
             diagnostics.report_ok("the emulator began anew")
             self._start_over()
         if self._next_config is not None:
@@ -270,24 +270,26 @@ class ServoNode(ManagedNode):
         calls.answered_states_go_on(at)
         self.end()
 
-    def _refusal_of_state(self, verdict: int, data: bytes) -> Refusal | None:
+    def _find_refusal(self, verdict: int, data: bytes) -> Refusal | None:
         at = self._at
         if verdict == STATE_OFF_TIME:
             rule = f"be tick x servo period, {at.state_tick} x {self._config.period:g} s"
-            return Refusal("motor_states", "header.stamp", rule, _s(at.state_time))
+            return Refusal("motor_states", "header.stamp", rule, _format_seconds(at.state_time))
         if verdict == OF_ANOTHER:
             rule = f"be {at.machine}, the emulator that was started first"
             return Refusal("motor_states", "machine", rule, at.state_machine)
         return self._hot.states.refusal(data)
 
-    def _on_target(self, data: bytes) -> None:
+    def _take_target(self, data: bytes) -> None:
         at, calls, diagnostics = self._at, self._calls, self._diagnostics
         verdict = calls.answered_states_judge_target(at, data, len(data))
         if verdict in LATE:
             diagnostics.count(f"joint_targets {LATE[verdict]}")
         elif verdict == TARGET_OFF_TIME:
-            rule = f"be that of the joint states it answers, {_s(at.cycle)}"
-            refusal = Refusal("joint_targets", "header.stamp", rule, _s(at.target_time))
+            rule = f"be that of the joint states it answers, {_format_seconds(at.cycle)}"
+            refusal = Refusal(
+                "joint_targets", "header.stamp", rule, _format_seconds(at.target_time)
+            )
             diagnostics.refuse("joint_targets", refusal)
         elif malformed := self._hot.targets.refusal(data):
             diagnostics.refuse("joint_targets", malformed)
@@ -309,12 +311,12 @@ class ServoNode(ManagedNode):
         else:
             diagnostics.error(drives.reason)
 
-    def _on_silence_check(self) -> None:
+    def _check_silence(self) -> None:
         """Cut the power when a running machine falls silent.
 
         In lock-step silence means that logical time stands still, and with it the arm.
         """
-        silence = (now_ns() - self._at.heard) / NANOSECONDS
+        silence = (read_clock() - self._at.heard) / NANOSECONDS
         if self._at.tick < 0 or silence < self._config.cut_after:
             return
         self._diagnostics.report_warning(f"no motor state for {silence:.0f} s")
@@ -334,12 +336,12 @@ class ServoNode(ManagedNode):
         return response
 
 
-def now_ns() -> int:
+def read_clock() -> int:
     """Return the monotonic wall time [ns]."""
     return round(time.monotonic() * NANOSECONDS)
 
 
-def _s(nanoseconds: int) -> str:
+def _format_seconds(nanoseconds: int) -> str:
     return f"{nanoseconds / NANOSECONDS:g} s"
 
 

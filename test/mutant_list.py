@@ -308,8 +308,8 @@ MUTANTS = (
         "test_located.py",
     ),
     Mutant(
-        f"{SCHEMES}/linearly_implicit.hpp",
-        "        past().torque[j] += n_.carried(j) * a[j];\n",
+        f"{MECHANICS}/links/links.hpp",
+        "  for (int j = 0; j < S::N; ++j) torque[j] += n.carried(j) * a[j];\n",
         "",
         "test_located.py::test_a_rotor_reverses_with_its_link_on_parabolas",
     ),

@@ -25,7 +25,7 @@ from arm_emulator.design.joint_gains import (
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import JointServo
-from arm_emulator.servo.zoh_motor import discretise_zoh, zoh_motor
+from arm_emulator.servo.zoh_motor import compute_zoh_motor, discretise_zoh
 
 Rng = np.random.Generator
 
@@ -89,7 +89,7 @@ def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
         y = 0.0
     period, R, Kt, Mm = (log_uniform(rng, 1e-4, 1.0) for _ in range(4))
     Kb, L = x * R * Mm / (Kt * period), y * R * period
-    motor = zoh_motor(R, L, Kt, Kb, Mm, period)
+    motor = compute_zoh_motor(R, L, Kt, Kb, Mm, period)
     i, omega, V, load = rng.normal(size=4)
     if L:
         A = np.array([[-R / L, -Kb / L, 0.0], [Kt / Mm, 0.0, 0.0], [0.0, 1.0, 0.0]])

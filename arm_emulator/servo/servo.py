@@ -70,7 +70,7 @@ class Servo(Synchronized):
         self.config = config
         self._law = servo_law()
         self._N = len(config.joints)
-        self._joint = self._numbers_of(config)
+        self._joint = self._compute_numbers(config)
         self.state: Rows = SERVO.rows("servo_state", self._N)
         self.arm = SERVO.new("servo", joints=self._N, joint=self._joint, state=self.state)
         self._counts = config.counts.named("counts")
@@ -109,7 +109,7 @@ class Servo(Synchronized):
         return copy.deepcopy(self)
 
     @staticmethod
-    def _numbers_of(config: ServoConfig) -> Rows:
+    def _compute_numbers(config: ServoConfig) -> Rows:
         return servo_numbers(config.joints, config.period, config.supply_voltage)
 
     @property
@@ -132,7 +132,7 @@ class Servo(Synchronized):
         now = self.config
         check_joints("Servo.retune", config, now.joint_names)
         if (now.period, now.supply_voltage) != (config.period, config.supply_voltage):
-            self._joint[:] = self._numbers_of(config)
+            self._joint[:] = self._compute_numbers(config)
         else:  # most often a few joints of many are other ones
             pairs = zip(now.joints, config.joints, strict=True)
             places = [place for place, (one, other) in enumerate(pairs) if one is not other]
@@ -144,21 +144,21 @@ class Servo(Synchronized):
     @synchronized
     def q_measured(self) -> Array:
         """Link angles by the encoders, the middle of the count, (N,) [rad]; NaN before any."""
-        return self._at_links(0)
+        return self._read_at_links(0)
 
     @property
     @synchronized
     def v_measured(self) -> Array:
         """Link speeds by the observer, (N,) [rad/s]; NaN before any count."""
-        return self._at_links(1)
+        return self._read_at_links(1)
 
     @property
     @synchronized
     def tau_measured(self) -> Array:
         """Loads of the motors by the observer, at the links, (N,) [N m]; NaN before any count."""
-        return self._at_links(2)
+        return self._read_at_links(2)
 
-    def _at_links(self, row: int) -> Array:
+    def _read_at_links(self, row: int) -> Array:
         self._law.servo_report(self.arm, 1, *self._reported)
         measured: Array = self._measured[row]
         return measured.copy() if self._is_known[0] else measured * np.nan
@@ -184,10 +184,10 @@ class Servo(Synchronized):
             Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
                 then.
         """
-        measured = self.measurement(counts, current, applied)
-        wanted = self.targets(q_target, v_target, tau_feedforward)
+        measured = self.take_measurement(counts, current, applied)
+        wanted = self.take_targets(q_target, v_target, tau_feedforward)
         self._law.servo_observe(self.arm, *measured)
-        return self._control(wanted)
+        return self._compute_command(wanted)
 
     @synchronized
     def observe(
@@ -208,7 +208,7 @@ class Servo(Synchronized):
             Refusal: a wrong length, or a value that is not finite or too large. Nothing has changed
                 then.
         """
-        self._law.servo_observe(self.arm, *self.measurement(counts, current, applied))
+        self._law.servo_observe(self.arm, *self.take_measurement(counts, current, applied))
 
     @synchronized
     def control(
@@ -231,17 +231,17 @@ class Servo(Synchronized):
             Refusal: a wrong length, a value that is not finite or too large, or nothing was
                 measured yet. Nothing has changed then.
         """
-        wanted = self.targets(q_target, v_target, tau_feedforward)
+        wanted = self.take_targets(q_target, v_target, tau_feedforward)
         if not self._is_known[0]:
             raise Refusal("servo", "control", "follow a measurement", "none since the reset")
-        return self._control(wanted)
+        return self._compute_command(wanted)
 
     @synchronized
     def release(self) -> None:
         """Report that the motors get no command; control will start without an integral again."""
         self._law.servo_release(self.arm)
 
-    def _control(self, wanted: Places) -> Array:
+    def _compute_command(self, wanted: Places) -> Array:
         self._law.servo_control(self.arm, *wanted, self.places[6])
         return self.command
 
@@ -258,7 +258,7 @@ class Servo(Synchronized):
         command: Array = self._rows[5].copy()
         return command
 
-    def measurement(
+    def take_measurement(
         self, counts: npt.ArrayLike, current: npt.ArrayLike, applied: npt.ArrayLike | None
     ) -> Places:
         """Return where counts, currents and what was applied lie for the law.
@@ -266,14 +266,18 @@ class Servo(Synchronized):
         Raises:
             Refusal: see `observe`.
         """
-        given = self.vector(counts, self._counts)
+        given = self.check_vector(counts, self._counts)
         self._whole[:] = given
         if (self._whole != given).any():
             raise Refusal("servo", "counts", "be whole numbers", given.tolist())
-        got = None if applied is None else self.vector(applied, _APPLIED)
-        return self.places[0], self._row(0, self.vector(current, CURRENT)), self._row(1, got)
+        got = None if applied is None else self.check_vector(applied, _APPLIED)
+        return (
+            self.places[0],
+            self._fill_row(0, self.check_vector(current, CURRENT)),
+            self._fill_row(1, got),
+        )
 
-    def targets(
+    def take_targets(
         self,
         q_target: npt.ArrayLike,
         v_target: npt.ArrayLike | None,
@@ -284,17 +288,17 @@ class Servo(Synchronized):
         Raises:
             Refusal: see `control`.
         """
-        q = self.vector(q_target, _Q_TARGET)
-        v = None if v_target is None else self.vector(v_target, _V_TARGET)
-        tau = None if tau_feedforward is None else self.vector(tau_feedforward, _TAU)
-        return self._row(2, q), self._row(3, v), self._row(4, tau)
+        q = self.check_vector(q_target, _Q_TARGET)
+        v = None if v_target is None else self.check_vector(v_target, _V_TARGET)
+        tau = None if tau_feedforward is None else self.check_vector(tau_feedforward, _TAU)
+        return self._fill_row(2, q), self._fill_row(3, v), self._fill_row(4, tau)
 
-    def _row(self, row: int, values: Array | None) -> CData:
+    def _fill_row(self, row: int, values: Array | None) -> CData:
         if values is None:
             return NULL
         self._rows[row] = values
         return self.places[row + 1]
 
-    def vector(self, values: npt.ArrayLike, bound: Number) -> Array:
+    def check_vector(self, values: npt.ArrayLike, bound: Number) -> Array:
         """Return `values` as N numbers within the bound."""
         return bound.row("servo", values, self._N)

@@ -97,9 +97,9 @@ class ServoArm:
             Refusal: see `Servo.observe`. Nothing has changed then.
         """
         servo = self.servo
-        places = servo.measurement(counts, current, applied)
+        places = servo.take_measurement(counts, current, applied)
         if closed is not None:
-            closed = servo.vector(closed, BRAKE_CLOSED).astype(np.int64)
+            closed = servo.check_vector(closed, BRAKE_CLOSED).astype(np.int64)
         brakes = NULL if closed is None else pointer(closed)
         self._law.servo_measure(servo.arm, time_ns, *places, brakes)
 
@@ -117,7 +117,7 @@ class ServoArm:
             Refusal: see `Servo.control`. Nothing has changed then.
         """
         servo = self.servo
-        places = servo.targets(target.q, target.v, target.tau)
+        places = servo.take_targets(target.q, target.v, target.tau)
         self._law.servo_aim(servo.arm, *places)
 
     def command(self, powered: bool) -> Array:

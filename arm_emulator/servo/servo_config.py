@@ -211,14 +211,14 @@ class ServoConfig(SharedObject):
         Raises:
             Refusal: an unknown, missing or impossible value.
         """
-        given = _dotted(mapping, where)
+        given = _flatten_names(mapping, where)
         for name in given:
             if any(name.startswith(f"{other}.") for other in _SCALARS if other in given):
                 raise Refusal(where, name, "be given once", given[name])
         for name in list(given):
             if name.split(".")[0] in ROS_PARAMETERS:
                 del given[name]
-        names = _joint_names(given.pop("joint_names", None), where)
+        names = _check_joint_names(given.pop("joint_names", None), where)
         below = [key for key in given if key.startswith("joints.")]
         rest = {key.removeprefix("joints."): given.pop(key) for key in below}
         tables = split_tables(given.pop("joints", rest), where, "joints")
@@ -260,7 +260,7 @@ SETTABLE = (
 )
 
 
-def declared(name: str) -> Number | None:
+def find_declared_number(name: str) -> Number | None:
     """Return what the parameter of a dotted name may be, None if it is no number."""
     leaf = name.rsplit(".", 1)[-1]
     one: Number | None = (_FIELDS | _SCALARS).get(leaf)
@@ -288,14 +288,14 @@ def check_joints(where: str, config: object, joint_names: Sequence[str]) -> None
         raise Refusal(where, "config", "have the servo's joints in its order", got, valid)
 
 
-def _dotted(mapping: object, where: str, path: str = "") -> dict[str, Any]:
+def _flatten_names(mapping: object, where: str, path: str = "") -> dict[str, Any]:
     """Return nested mappings as one of dotted names, as ROS has them."""
     if not isinstance(mapping, Mapping):
         raise Refusal(where, path or "the parameters", "be a mapping", mapping)
     flat: dict[str, Any] = {}
     for key, value in mapping.items():
         name = f"{path}.{key}" if path else str(key)
-        below = _dotted(value, where, name) if isinstance(value, Mapping) else {name: value}
+        below = _flatten_names(value, where, name) if isinstance(value, Mapping) else {name: value}
         for one in below:
             if one in flat:
                 raise Refusal(where, one, "be given once", value)
@@ -303,7 +303,7 @@ def _dotted(mapping: object, where: str, path: str = "") -> dict[str, Any]:
     return flat
 
 
-def _joint_names(value: object, where: str) -> tuple[str, ...]:
+def _check_joint_names(value: object, where: str) -> tuple[str, ...]:
     if (
         not isinstance(value, list | tuple)
         or not value

@@ -11,9 +11,9 @@ import numpy as np
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.servo_config import JointServo
 from arm_emulator.servo.servo_law import SERVO, Rows
-from arm_emulator.servo.zoh_motor import Sum, ZohMotor, zoh_motor
+from arm_emulator.servo.zoh_motor import Sum, ZohMotor, compute_zoh_motor
 
-_MOST_KEPT = 0.9  # of a current error over a period
+_LARGEST_REMAINDER = 0.9  # of a current error over a period
 _HALVINGS = 30  # of a period, in search of one that holds
 
 
@@ -24,18 +24,18 @@ def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage:
         Refusal: coefficients that are not finite, or a winding and a rotor that swing together so
             fast that a voltage held for a period cannot control the current.
     """
-    rows = [_row(joint, period, supply_voltage) for joint in joints]
+    rows = [_compute_row(joint, period, supply_voltage) for joint in joints]
     return np.array(rows, SERVO.dtype("servo_joint"))
 
 
 @lru_cache(256)  # of an arm whose numbers vary one by one
-def _row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, ...]:
-    known = _coefficients(joint, period)
+def _compute_row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, ...]:
+    known = _compute_coefficients(joint, period)
     if known is None:
         rule = "have data that finite coefficients of the control law follow from"
         raise Refusal("servo", f"joint {joint.name}", rule, joint)
     coefficients, kept = known
-    if kept > _MOST_KEPT:
+    if kept > _LARGEST_REMAINDER:
         rule = (
             f"have a winding and a rotor that do not swing together faster than a period of "
             f"{period:g} s can control"
@@ -43,9 +43,9 @@ def _row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, 
         winding = joint.commanded
         got = (
             f"L / R = {winding.inductance / winding.resistance:.3g} s, R Mm / (Kt Kb) = "
-            f"{_time_constant(joint):.3g} s"
+            f"{_compute_time_constant(joint):.3g} s"
         )
-        raise Refusal("servo", f"joint {joint.name}", rule, got, _period_that_holds(joint, period))
+        raise Refusal("servo", f"joint {joint.name}", rule, got, _find_stable_period(joint, period))
     row = coefficients | {
         "wrap": 2**joint.encoder_bits if joint.encoder_bits else 0,
         "unsensed": int(joint.torque_bandwidth > 0.0),
@@ -55,23 +55,23 @@ def _row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, 
     return tuple(row[name] for name in SERVO.dtype("servo_joint").names or ())
 
 
-def _time_constant(joint: JointServo) -> float:
+def _compute_time_constant(joint: JointServo) -> float:
     """Return how fast the motor runs up by itself [s]."""
     winding = joint.commanded
     torque_per_speed = joint.torque_constant * winding.back_emf_constant / winding.resistance
     return joint.inertia / torque_per_speed if torque_per_speed else math.inf
 
 
-def _period_that_holds(joint: JointServo, period: float) -> str:
+def _find_stable_period(joint: JointServo, period: float) -> str:
     for _ in range(_HALVINGS):
         period /= 2.0
-        known = _coefficients(joint, period)
-        if known is not None and known[1] <= _MOST_KEPT:
+        known = _compute_coefficients(joint, period)
+        if known is not None and known[1] <= _LARGEST_REMAINDER:
             return f"a period of {period:.3g} s"
     return "another motor"
 
 
-def _coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], float] | None:
+def _compute_coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], float] | None:
     """Return what the law multiplies by, and the share of a current error that a period leaves.
 
     The former are the fields of ``servo_joint`` but for its word and its limits. None: they are not
@@ -79,7 +79,7 @@ def _coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], flo
     """
     winding, ratio, torque_constant = joint.commanded, joint.gear_ratio, joint.torque_constant
     try:
-        motor = zoh_motor(
+        motor = compute_zoh_motor(
             winding.resistance,
             winding.inductance,
             torque_constant,
@@ -87,7 +87,7 @@ def _coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], flo
             joint.inertia,
             period,
         )
-        loop, kept = _current_loop(joint, motor, period)
+        loop, kept = _compute_current_loop(joint, motor, period)
         found = {
             "count_angle": 2.0 * math.pi / joint.counts_per_turn,
             "ratio": ratio,
@@ -108,14 +108,14 @@ def _coefficients(joint: JointServo, period: float) -> tuple[dict[str, Any], flo
             "turn_per_surplus": motor.turn_per_surplus,
             "voltage_per_surplus": motor.voltage_per_surplus,
             **loop,
-            **_observer(motor, math.exp(-joint.observer_bandwidth * period)),
+            **_compute_observer(motor, math.exp(-joint.observer_bandwidth * period)),
         }
     except ArithmeticError:
         return None
     return (found, kept) if np.isfinite([kept, *np.hstack([*found.values()])]).all() else None
 
 
-def _current_loop(
+def _compute_current_loop(
     joint: JointServo, motor: ZohMotor, period: float
 ) -> tuple[dict[str, Any], float]:
     """Return what the voltage follows from, and the share of a current error that a period leaves.
@@ -153,7 +153,7 @@ def _current_loop(
     }, kept
 
 
-def _observer(motor: ZohMotor, p: float) -> dict[str, float]:
+def _compute_observer(motor: ZohMotor, p: float) -> dict[str, float]:
     """Return the gains of the observer for the poles p = exp(-observer_bandwidth T).
 
     Its errors in angle, speed and load go on by a matrix of rows (1, b, c), (0, a, d) and

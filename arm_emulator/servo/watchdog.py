@@ -14,8 +14,6 @@ from arm_emulator.servo.servo_law import (
     HOLDS,
     LATE_TARGET,
     NO_TARGET,
-    SERVO,
-    servo_law,
 )
 from arm_emulator.toolchain.c_header import CData
 
@@ -37,23 +35,18 @@ DOES = {FOLLOWS: WatchdogState.OK, HOLDS: WatchdogState.HOLD, CUT: WatchdogState
 class Watchdog:
     """The watchdog of arm_emulator/servo/c/servo.h, in words.
 
-    Time is that of any clock that all calls share, logical or wall. States stop logical time, so
-    only a wall clock notices their silence.
-
     Args:
         hold_after: silence that leads to HOLD [s].
         cut_after: silence that leads to CUT, longer than `hold_after` [s].
-        of: pointer to that of a servo, which must outlive this; None: one of its own.
+        dog: pointer to that of a servo, which must outlive this.
 
     Raises:
         Refusal: times that are not positive or not in this order.
     """
 
-    def __init__(self, hold_after: float, cut_after: float, of: CData | None = None) -> None:
-        self._law = servo_law()
-        self._dog = SERVO.new("servo_watchdog") if of is None else of
+    def __init__(self, hold_after: float, cut_after: float, dog: CData) -> None:
+        self._dog = dog
         self.retune(hold_after, cut_after)
-        self.reset()
 
     def retune(self, hold_after: float, cut_after: float) -> None:
         """Go on with other times.
@@ -65,27 +58,8 @@ class Watchdog:
         hold_after = numbers["hold_after"].take("watchdog", hold_after)
         cut_after = replace(numbers["cut_after"], above=hold_after).take("watchdog", cut_after)
         self._hold_after, self._cut_after = hold_after, cut_after
-        self._dog.hold_after, self._dog.cut_after = (
-            nanoseconds(hold_after),
-            nanoseconds(cut_after),
-        )
-
-    def reset(self) -> None:
-        """Forget everything, a cut too."""
-        self._law.servo_watchdog_reset(self._dog)
-
-    def target_came(self, now: float) -> None:
-        """Take note of a joint target at time `now` [s]."""
-        self._law.servo_watchdog_target(self._dog, nanoseconds(now))
-
-    def state_came(self, now: float) -> None:
-        """Take note of a motor state at time `now` [s]."""
-        self._law.servo_watchdog_state(self._dog, nanoseconds(now))
-
-    def check(self, now: float) -> WatchdogState:
-        """Return what to do at time `now` [s]; `reason` is the reason in words."""
-        self._law.servo_watchdog_check(self._dog, nanoseconds(now))
-        return self.state
+        self._dog.hold_after = count_nanoseconds(hold_after)
+        self._dog.cut_after = count_nanoseconds(cut_after)
 
     @property
     def state(self) -> WatchdogState:
@@ -107,6 +81,6 @@ class Watchdog:
         return f"{silence} hold_after = {self._hold_after:g} s"
 
 
-def nanoseconds(seconds: float) -> int:
+def count_nanoseconds(seconds: float) -> int:
     """Return a time as the law in C counts it."""
     return min(round(seconds * _NANOSECONDS), _LONGEST)

@@ -58,7 +58,7 @@ class ZohMotor:
 
 
 @lru_cache(1024)
-def zoh_motor(
+def compute_zoh_motor(
     resistance: float,
     inductance: float,
     torque_constant: float,
@@ -76,7 +76,7 @@ def zoh_motor(
     g = torque_constant * period / rotor_inertia
     x = back_emf_constant * g / resistance
     y = inductance / resistance / period
-    rows = _one_period(x, y)  # i, w, turn by i, w, v, l
+    rows = _integrate_period(x, y)  # i, w, turn by i, w, v, l
     i_v, i_l = rows[0, 2:].tolist()
     size = math.hypot(i_v, i_l)
     if size == 0.0:
@@ -94,14 +94,14 @@ def zoh_motor(
 _AT_ONCE = 1e-6  # of a period: a winding that is faster than this is taken as one at once
 
 
-def _one_period(x: float, y: float) -> Array:
+def _integrate_period(x: float, y: float) -> Array:
     """Return current, speed and turn (3,) after a period by current, speed, voltage, load (4,)."""
     # Held quantities are states that do not change.
     if y < _AT_ONCE:  # i = v - x w, also before
         A = np.zeros((4, 4))  # w, turn, v, l
         A[0] = -x, 0.0, 1.0, -1.0
         A[1, 0] = 1.0
-        (w_w, _, w_v, w_l), (t_w, _, t_v, t_l) = exponential(A)[:2].tolist()
+        (w_w, _, w_v, w_l), (t_w, _, t_v, t_l) = compute_exponential(A)[:2].tolist()
         return np.array(
             [
                 [0.0, -x * w_w, 1.0 - x * w_v, -x * w_l],
@@ -113,7 +113,7 @@ def _one_period(x: float, y: float) -> Array:
     A[0] = -1.0 / y, -x / y, 0.0, 1.0 / y, 0.0
     A[1, [0, 4]] = 1.0, -1.0
     A[2, 1] = 1.0
-    return exponential(A)[:3, [0, 1, 3, 4]]
+    return compute_exponential(A)[:3, [0, 1, 3, 4]]
 
 
 _TERMS = 14  # of the series; of a matrix of size 1/2 the rest is below 1e-16
@@ -130,24 +130,24 @@ def discretise_zoh(A: Array, B: Array, period: float) -> tuple[Array, Array]:
     n, m = B.shape
     whole = np.zeros((n + m, n + m))
     whole[:n, :n], whole[:n, n:] = A, B
-    out = exponential(whole * period)
+    out = compute_exponential(whole * period)
     return out[:n, :n], out[:n, n:]
 
 
-def exponential(A: Array) -> Array:
+def compute_exponential(A: Array) -> Array:
     """Return exp(A): a series of A / 2**n, and n squarings (Moler and Van Loan 2003, method 3).
 
     Raises:
         OverflowError: it has numbers beyond those of a computer.
     """
     with np.errstate(all="ignore"):
-        out = _exponential(A)
+        out = _sum_series(A)
     if not np.isfinite(out).all():
         raise OverflowError("the exponential of a matrix is too large")
     return out
 
 
-def _exponential(A: Array) -> Array:
+def _sum_series(A: Array) -> Array:
     size = float(np.abs(A).sum(axis=1).max())
     squarings = max(0, int(np.frexp(size)[1]) + 1)
     step = A / 2.0**squarings
