@@ -237,8 +237,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/sensors.hpp",
-        "is_held(imu.gyroscope[k].held, of_channel(3 + k), tick)",
-        "is_held(imu.gyroscope[k].held, of_channel(k), tick)",
+        "repeats_reading(imu.gyroscope[k].held, of_channel(3 + k), tick)",
+        "repeats_reading(imu.gyroscope[k].held, of_channel(k), tick)",
         "test_sensors.py",
     ),
     Mutant(
@@ -285,7 +285,7 @@ MUTANTS = (
     ),
     Mutant(
         f"{CORE_PARTS}/drive_stages/current_loop.hpp",
-        "held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);",
+        "active ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);",
         "I() * (u - z[0]);",
         "test_current_loop.py",
     ),
@@ -321,8 +321,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/coulomb.hpp",
-        "return Ds(j) * (1.0 + kRounding) - magnitude(held_[j]);",
-        "return Dc(j) * (1.0 + kRounding) - magnitude(held_[j]);",
+        "return Ds(j) * (1.0 + kRounding) - magnitude(lock_torque_[j]);",
+        "return Dc(j) * (1.0 + kRounding) - magnitude(lock_torque_[j]);",
         "test_breakaway.py test_located.py",
     ),
     Mutant(

@@ -45,9 +45,9 @@ void ask(int joint, int open, int count, int* usual) {
         x->q = draw(1.0), x->v = draw(2.0), x->u = draw(24.0);
       }
       const decltype(drive.modes_at(end)) none = {};
-      const bool all = drive.modes_at(end) == none && drive.wanted(start, end, none) == none;
+      const bool all = drive.modes_at(end) == none && drive.required(start, end, none) == none;
       usual[2] += all;
-      if (!drive.is_usual(end)) continue;
+      if (!drive.is_regular(end)) continue;
       usual[0] += 1;
       usual[1] += !all;
     }

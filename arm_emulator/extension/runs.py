@@ -20,7 +20,7 @@ from arm_emulator.servo.servo_config import (
 )
 from arm_emulator.servo.servo_law import Rows as ServoRows
 from arm_emulator.servo.servo_numbers import servo_numbers
-from arm_emulator.servo.watchdog import nanoseconds
+from arm_emulator.servo.watchdog import count_nanoseconds
 
 __all__ = [
     "Breakpoint",
@@ -41,12 +41,12 @@ __all__ = [
     "check_servo",
     "check_targets",
     "compute_tool_error",
+    "count_nanoseconds",
     "find_last_target",
     "find_missed_target",
     "load_gains",
     "load_motion_config",
     "load_servo_config",
     "load_target_table",
-    "nanoseconds",
     "servo_numbers",
 ]

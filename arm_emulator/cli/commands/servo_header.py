@@ -20,7 +20,7 @@ from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator.servo.servo_law import SERVO
 from arm_emulator.servo.servo_numbers import servo_numbers
-from arm_emulator.servo.watchdog import nanoseconds
+from arm_emulator.servo.watchdog import count_nanoseconds
 from arm_emulator.toolchain.c_header import Header
 from arm_emulator.toolchain.flags import C_FLAGS
 from arm_emulator.toolchain.unit import Unit
@@ -103,7 +103,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
         "CUT_AFTER": config.cut_after,
     }
     defined = "\n".join(
-        f"#define SERVO_{name} INT64_C({nanoseconds(value)}) /* ns */"
+        f"#define SERVO_{name} INT64_C({count_nanoseconds(value)}) /* ns */"
         for name, value in times.items()
     )
     return f"""\

@@ -74,7 +74,7 @@ struct arm_machine {
 
   // Saved numbers, eight bytes each in a fixed order: a digest of the library, then the machine.
   template <class Number>
-  static void for_each_saved_number(arm_machine& one, Machine::Whole& whole, Values& values,
+  static void for_each_saved_number(arm_machine& one, Machine::FullState& whole, Values& values,
                                     Number&& number) {
     number(one.step);
     number(one.steps_per_period);

@@ -11,7 +11,7 @@
 #pragma GCC visibility push(default)
 
 ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded, double* out) {
-  constexpr int K = arm::most_states<Scene>();
+  constexpr int K = arm::max_states<Scene>();
   if (!out) return K;
   if (!point) return 0;
   const arm::EquationPoint<Scene> at(point);
@@ -19,8 +19,8 @@ ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded
     for (int k = 0; k < count; ++k) *out++ = from[k];
   };
   at.numbers.for_each_drive([&](const auto& drive, int) {
-    const auto linear = arm::LinearDrive<K, arm::most_modes<Scene>()>::of(
-        drive, loaded ? drive.held_under_load : 0);
+    const auto linear = arm::LinearDrive<K, arm::max_modes<Scene>()>::of(
+        drive, loaded ? drive.active_under_load : 0);
     *out++ = drive.states;
     *out++ = drive.carried();
     copy(linear.D, K);

@@ -121,8 +121,8 @@ class IoLinks<S> {
 
   static constexpr int kCommand = 2 + S::inputs;
   static constexpr int kMeasured = 11 + S::readings;
-  using Command = typename LineWay<kCommand>::Frame;
-  using Measured = typename LineWay<kMeasured>::Frame;
+  using Command = typename LineDirection<kCommand>::Frame;
+  using Measured = typename LineDirection<kMeasured>::Frame;
 
   template <class Machine>
   static auto now(const Machine& machine) {
@@ -187,8 +187,8 @@ class IoLinks<S> {
   }
 
   std::int64_t newest_ = 0;
-  LineWay<kCommand> commands_[N];
-  LineWay<kMeasured> measurements_[N];
+  LineDirection<kCommand> commands_[N];
+  LineDirection<kMeasured> measurements_[N];
 };
 
 }  // namespace arm

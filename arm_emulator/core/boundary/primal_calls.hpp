@@ -6,11 +6,11 @@
 #include <cstdint>
 
 struct arm_sensitive_run;
-struct arm_leader;
+struct arm_primal;
 
-arm_leader* arm_leader_new(const arm_sensitive_run* run);
-void arm_leader_delete(arm_leader* leader);
+arm_primal* arm_primal_new(const arm_sensitive_run* run);
+void arm_primal_delete(arm_primal* primal);
 // Take the steps of a row of commands; false if the machine diverged.
-bool arm_leader_advance(arm_leader* leader, const double* command, std::int64_t steps);
+bool arm_primal_advance(arm_primal* primal, const double* command, std::int64_t steps);
 // The `Piece`s of these steps, `count` of them, and one that begins at their end.
-const void* arm_leader_pieces(const arm_leader* leader, std::int64_t* count);
+const void* arm_primal_pieces(const arm_primal* primal, std::int64_t* count);

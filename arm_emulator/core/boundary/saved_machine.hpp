@@ -42,10 +42,10 @@ ARM_ONCE std::int64_t arm_saved_size(void) {
   static const std::int64_t size = [] {
     const arm::SomeValues<Scene> some;
     arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
-    arm_machine::Machine::Whole whole = {};
+    arm_machine::Machine::FullState full_state = {};
     arm_machine::Values values = {};
     std::int64_t words = 2;  // the fingerprint, the sum
-    arm_machine::for_each_saved_number(none, whole, values, [&](const auto&) { ++words; });
+    arm_machine::for_each_saved_number(none, full_state, values, [&](const auto&) { ++words; });
     return words * kWord;
   }();
   return size;
@@ -57,10 +57,10 @@ ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) 
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
   Words words = {static_cast<unsigned char*>(out)};
   words.write(std::uint64_t{ARM_FINGERPRINT});
-  auto whole = machine->machine.whole();
+  auto full_state = machine->machine.full_state();
   arm_machine::Values values = {};
   for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) values[k] = machine->machine.parameter(k);
-  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), whole, values,
+  arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), full_state, values,
                                      [&](const auto& number) { words.write(number); });
   words.write(std::uint64_t{words.sum});
   return ARM_OK;
@@ -93,15 +93,15 @@ int check_saved(const arm_machine* machine, const void* saved) {
 
 void take_saved(arm_machine* machine, const void* saved) {
   Words words = {const_cast<unsigned char*>(static_cast<const unsigned char*>(saved)) + kWord};
-  arm_machine::Machine::Whole whole = {};
+  arm_machine::Machine::FullState full_state = {};
   arm_machine::Values values = {};
-  arm_machine::for_each_saved_number(*machine, whole, values,
+  arm_machine::for_each_saved_number(*machine, full_state, values,
                                      [&](auto& number) { words.read(number); });
   for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) machine->machine.set_parameter(k, values[k]);
   if constexpr (Scene::external_wrench)
     for (int link = 0; link < Scene::L; ++link)
       machine->set_external_wrench(link, machine->given[link]);
-  machine->machine.restore(whole);
+  machine->machine.restore(full_state);
 }
 
 }  // namespace

@@ -87,8 +87,8 @@ std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
 template <class S>
 std::int64_t run_following(const arm_sensitive_run& run) {
   using DerivativeReplay = arm::DerivativeReplay<S>;
-  const std::unique_ptr<arm_leader, void (*)(arm_leader*)> leader(arm_leader_new(&run),
-                                                                  arm_leader_delete);
+  const std::unique_ptr<arm_primal, void (*)(arm_primal*)> primal(arm_primal_new(&run),
+                                                                  arm_primal_delete);
   std::vector<std::unique_ptr<DerivativeReplay>> followers;
   for (std::int64_t part = 0; part < run.parts; ++part) {
     const Begin begin(run, part);
@@ -100,10 +100,10 @@ std::int64_t run_following(const arm_sensitive_run& run) {
   std::vector<typename DerivativeReplay::Common> common;
   for (std::int64_t row = 0; row < run.rows; ++row) {
     const double* command = run.commands + row * Scene::N;
-    if (!arm_leader_advance(leader.get(), command, run.steps)) return row;
+    if (!arm_primal_advance(primal.get(), command, run.steps)) return row;
     std::int64_t count;
     const auto* pieces = static_cast<const typename DerivativeReplay::Piece*>(
-        arm_leader_pieces(leader.get(), &count));
+        arm_primal_pieces(primal.get(), &count));
     common.resize(count);
     for (auto& of_piece : common) of_piece.begun = false;
     for (std::int64_t part = 0; part < run.parts; ++part) {

@@ -17,15 +17,15 @@ class Brakes {
   Brakes() { put(false); }
 
   // Whether brake k is wanted closed.
-  bool wants(int k) const { return wanted_[k] != 0; }
+  bool wants(int k) const { return requested_[k] != 0; }
   // Request brake k to close or open `delay` steps after step `now`.
   void want(int k, bool closed, bool is_closed, std::int64_t now, std::int64_t delay) {
-    wanted_[k] = closed;
+    requested_[k] = closed;
     at_[k] = closed == is_closed ? never : now + delay;
   }
   // Set all of them as requested, without delay.
   void put(bool closed) {
-    for (int k = 0; k < B; ++k) wanted_[k] = closed, at_[k] = never;
+    for (int k = 0; k < B; ++k) requested_[k] = closed, at_[k] = never;
   }
 
   // Step of the next change.
@@ -40,18 +40,18 @@ class Brakes {
     for (int k = 0; k < B; ++k) {
       if (at_[k] > now) continue;
       at_[k] = never;
-      change(k, wanted_[k] != 0);
+      change(k, requested_[k] != 0);
     }
   }
 
   // number(x) for everything that is remembered, in a fixed order.
   template <class Number>
   void for_each_number(Number&& number) {
-    for (int k = 0; k < B; ++k) number(wanted_[k]), number(at_[k]);
+    for (int k = 0; k < B; ++k) number(requested_[k]), number(at_[k]);
   }
 
  private:
-  std::int64_t wanted_[B + 1] = {};
+  std::int64_t requested_[B + 1] = {};
   std::int64_t at_[B + 1];
 };
 

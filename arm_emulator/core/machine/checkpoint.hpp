@@ -35,7 +35,7 @@ struct Checkpoint {
 
 // With the state to which it returns if the energy check fails.
 template <class S, class Checkpoint>
-struct Whole {
+struct FullState {
   Checkpoint now, checked;
   std::int64_t fault;
   Brakes<S> brakes;

@@ -34,18 +34,18 @@ class CommandSchedule {
   // from those before.
   ARM_INLINE Mask<X> begin_row(const Numbers<S, X>& numbers, const State<S, X>& x, X (&u)[row]) {
     Mask<X> differ = {};
-    X wanted[N];
+    X bounded[N];
     if (width > 1 && apart_ == width)
-      __builtin_memcpy(wanted, command_[0], sizeof wanted);
+      __builtin_memcpy(bounded, command_[0], sizeof bounded);
     else
       for_each<N>([&](auto j) __attribute__((always_inline)) {
         for (int lane = 0; lane < width; ++lane)
-          set_lane(wanted[j], lane, command_[lane][j * apart_]);
+          set_lane(bounded[j], lane, command_[lane][j * apart_]);
       });
-    bound_commands(numbers, x, wanted);
+    bound_commands(numbers, x, bounded);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
-      differ |= wanted[j] != u[j];
-      u[j] = wanted[j];
+      differ |= bounded[j] != u[j];
+      u[j] = bounded[j];
     });
     for (const Real*& next : command_) {
       next += step_over_;
@@ -79,7 +79,7 @@ class CommandSchedule {
         }
       }
       threads.step(y, u);
-      if constexpr (any_drive<S>([](const auto& drive) { return drive.given_by_speed; })) {
+      if constexpr (any_drive<S>([](const auto& drive) { return drive.supply_grows_with_speed; })) {
         const X now = EnergyBalance<S>::largest_power(numbers, y, u);
         given = h * select(power < now, now, power);
         power = now;

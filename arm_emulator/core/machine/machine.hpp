@@ -58,19 +58,19 @@ class Machine {
   void begin_thread() { threads_.begin_thread(); }
 
   using Checkpoint = arm::Checkpoint<S, typename Threads::Memory, Stepper::row>;
-  using Whole = arm::Whole<S, Checkpoint>;
+  using FullState = arm::FullState<S, Checkpoint>;
 
   Checkpoint instant() const {
     Checkpoint instant = {x_, threads_.memory(), balance_, work_, {}, power_, steps_taken_};
     for (int j = 0; j < Stepper::row; ++j) instant.u[j] = applied_[j];
     return instant;
   }
-  Whole whole() const { return {instant(), checked_, fault_, brakes_}; }
-  ARM_ONCE void restore(const Whole& whole) {
-    go_back(whole.now);
-    checked_ = whole.checked;
-    fault_ = static_cast<int>(whole.fault);
-    brakes_ = whole.brakes;
+  FullState full_state() const { return {instant(), checked_, fault_, brakes_}; }
+  ARM_ONCE void restore(const FullState& full_state) {
+    go_back(full_state.now);
+    checked_ = full_state.checked;
+    fault_ = static_cast<int>(full_state.fault);
+    brakes_ = full_state.brakes;
   }
 
   // Set a varied number, between two steps. The motion goes on from where it is.
@@ -147,15 +147,15 @@ class Machine {
 
   // The same for `rows` rows of commands. The links' positions after each row go to `q`.
   int follow(const Real* command, std::int64_t rows, std::int64_t steps, Real* q) {
-    CommandSchedule course({command}, {q}, N, steps);
+    CommandSchedule schedule({command}, {q}, N, steps);
     if (steps == 0 && fault_ < 0)
-      for (std::int64_t row = 0; row < rows; ++row) course.end_row(x_);
-    return follow(course, rows * steps);
+      for (std::int64_t row = 0; row < rows; ++row) schedule.end_row(x_);
+    return follow(schedule, rows * steps);
   }
 
   // The same for the next `count` steps of a course.
   using CommandSchedule = arm::CommandSchedule<S, Real, Stepper::row>;
-  int follow(CommandSchedule& course, std::int64_t count) {
+  int follow(CommandSchedule& schedule, std::int64_t count) {
     if (fault_ >= 0) return fault_;
     renew();
     threads_.begin(count, x_);
@@ -165,7 +165,7 @@ class Machine {
       [[maybe_unused]] const std::int64_t to_brakes = steps_to_brakes();
       if constexpr (S::brakes > 0)
         if (to_brakes < chunk) chunk = static_cast<int>(to_brakes);
-      if (run(course, chunk) >= 0) return fault_ = creep_to_the_fault(course, chunk);
+      if (run(schedule, chunk) >= 0) return fault_ = creep_to_the_fault(schedule, chunk);
       count -= chunk;
       if (chunk == due) {
         account_for_work();
@@ -373,9 +373,9 @@ class Machine {
   // Take `count` steps. Returns -1, or the joint that went out of bounds: then the state is
   // unchanged. Neither inlined nor cloned: every step runs the same instructions and gives the same
   // bits.
-  ARM_APART int run(CommandSchedule& course, int count) {
+  ARM_APART int run(CommandSchedule& schedule, int count) {
     const typename Threads::Memory past = threads_.memory();
-    CommandSchedule there = course;
+    CommandSchedule there = schedule;
     State<S> y = x_;  // local, so that the compiler may keep it in registers
     alignas(64) Real u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
@@ -388,7 +388,7 @@ class Machine {
       threads_.restore(past);
       return joint;
     }
-    course = there;
+    schedule = there;
     x_ = y;
     for (int j = 0; j < Stepper::row; ++j) applied_[j] = u[j];
     power_ = given;
@@ -409,10 +409,10 @@ class Machine {
   }
 
   // Repeat a chunk one step at a time, up to the last state within bounds.
-  ARM_ONCE int creep_to_the_fault(CommandSchedule& course, int chunk) {
+  ARM_ONCE int creep_to_the_fault(CommandSchedule& schedule, int chunk) {
     for (int s = 0; s < chunk; ++s) {
       threads_.begin(1, x_);
-      const int joint = run(course, 1);
+      const int joint = run(schedule, 1);
       if (joint >= 0) return joint;
       threads_.end();
     }
@@ -422,11 +422,11 @@ class Machine {
   // The first joint whose state is not finite, or that turns so far in one step that the result
   // means nothing; -1 without such a joint.
   int joint_out_of_bounds(const State<S>& s) const {
-    int found = -1;
+    int result = -1;
     for_each_drive<S>([&](const auto& drive, int j) {
-      if (found < 0 && !within_bounds(drive, j, s, h_)) found = j;
+      if (result < 0 && !within_bounds(drive, j, s, h_)) result = j;
     });
-    return found;
+    return result;
   }
 
   Real h_;

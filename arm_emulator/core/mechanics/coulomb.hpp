@@ -46,8 +46,8 @@ class Coulomb {
           const auto at = [&](const State<S, X>& state) {
             return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
           };
-          set_lane(of_.Dc[j], lane, drive.sliding(at(x), now.held()));
-          set_lane(of_.Ds[j], lane, drive.holding(at(pulled), now.held()));
+          set_lane(of_.Dc[j], lane, drive.sliding(at(x), now.active()));
+          set_lane(of_.Ds[j], lane, drive.holding(at(pulled), now.active()));
           set_lane(of_.dry[j], lane, drive.is_dry());
         });
     }
@@ -62,7 +62,7 @@ class Coulomb {
           return;
         const auto now = modes(drive, j, lane);
         const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
-        const Real more = drive.sliding(at, now.held()) - lane_of(of_.Dc[j], lane);
+        const Real more = drive.sliding(at, now.active()) - lane_of(of_.Dc[j], lane);
         set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction_[j], lane));
       });
   }
@@ -91,9 +91,9 @@ class Coulomb {
     begin(v);
     Mask<X> slide = X{} == X{}, rest = slide;
     for (int j = 0; j < N; ++j) {
-      held_[j] = rhs[j];
+      lock_torque_[j] = rhs[j];
       slide &= negated(locked_[j]);
-      rest &= where(locked_[j], negated(magnitude(held_[j]) > Ds(j)));
+      rest &= where(locked_[j], negated(magnitude(lock_torque_[j]) > Ds(j)));
     }
     if (all(slide | rest)) return;
     auto M = mass();
@@ -108,9 +108,9 @@ class Coulomb {
 
     // Whether any joint is locked.
     bool lock() const {
-      Mask<X> found = {};
-      for (const Mask<X>& one : locked) found |= one;
-      return any(found);
+      Mask<X> result = {};
+      for (const Mask<X>& one : locked) result |= one;
+      return any(result);
     }
   };
   Modes modes() const {
@@ -141,7 +141,8 @@ class Coulomb {
     solve_again(x);
     if (!lock) return;
     for (int j = 0; j < N; ++j)
-      if (any(locked_[j])) held_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), held_[j]);
+      if (any(locked_[j]))
+        lock_torque_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), lock_torque_[j]);
   }
   // The torques of locks alone, with the modes fixed.
   void hold_in(const Modes& modes, auto&& mass, X* x) {
@@ -151,7 +152,7 @@ class Coulomb {
       auto M = mass();
       return solve_in(modes, M.at, x);
     }
-    for (int j = 0; j < N; ++j) held_[j] = x[j];
+    for (int j = 0; j < N; ++j) lock_torque_[j] = x[j];
   }
 
   // Whether `decide` finds these modes again at the state of the newest `hold_in` with them, of
@@ -161,13 +162,13 @@ class Coulomb {
     Mask<X> same = X{} == X{};
     for (int j = 0; j < N; ++j) {
       same &= (direction_[j] == modes.direction[j]) & ~(locked_[j] ^ modes.locked[j]);
-      same &= ~where(locked_[j], magnitude(held_[j]) > Ds(j));
+      same &= ~where(locked_[j], magnitude(lock_torque_[j]) > Ds(j));
     }
     return all(same);
   }
 
   // Remaining capacity of the lock of joint j, below 0 if it does not hold [N m].
-  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(held_[j]); }
+  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(lock_torque_[j]); }
 
   ARM_INLINE void solve_again(X* x) const {
     if constexpr (present)
@@ -178,7 +179,7 @@ class Coulomb {
   // Torque against the motion of joint j, or of the lock that holds it.
   ARM_INLINE X force(int j) const {
     if constexpr (present)
-      return select(locked_[j], held_[j], Dc(j) * direction_[j]);
+      return select(locked_[j], lock_torque_[j], Dc(j) * direction_[j]);
     else
       return X{};
   }
@@ -230,7 +231,7 @@ class Coulomb {
     X x[N] = {};             // their accelerations, none against its joint's direction
     int rounds = 0;          // rounds that have freed joints
   };
-  static constexpr int kMostRounds = 4 * N;  // rounding might prevent an end
+  static constexpr int kMaxRounds = 4 * N;  // rounding might prevent an end
 
   // If joints that have broken away would move backward: lock the first that comes to rest between
   // the previous point of the descent and x; false if none would. In lanes without such a joint the
@@ -259,7 +260,7 @@ class Coulomb {
   bool free_one(const Matrix& W, Descent& down, const X* x) {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
-      const X torque = held_[j] = torque_of_lock(j, W, down.rhs, x);
+      const X torque = lock_torque_[j] = torque_of_lock(j, W, down.rhs, x);
       const X most = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
       const X over = select(locked_[j], magnitude(torque) - most, X{});
       const auto more = over > excess;
@@ -267,7 +268,7 @@ class Coulomb {
       excess = select(more, over, excess);
       way = select(more, select(torque < 0.0, X{} - 1.0, X{} + 1.0), way);
     }
-    if (!any(worst >= 0.0) || down.rounds++ == kMostRounds) return false;
+    if (!any(worst >= 0.0) || down.rounds++ == kMaxRounds) return false;
     for (int j = 0; j < N; ++j) {
       const auto freed = worst == static_cast<Real>(j);
       locked_[j] = locked_[j] & ~as_bits(freed);
@@ -322,7 +323,7 @@ class Coulomb {
   MassFactors<S, X> factors_;
   Mask<X> locked_[N] = {};
   X direction_[N] = {};
-  X held_[N] = {};  // torque of a lock [N m]
+  X lock_torque_[N] = {};  // torque of a lock [N m]
 };
 
 }  // namespace arm

@@ -51,7 +51,7 @@ struct Drive {
   static constexpr int modes = of_extras + (0 + ... + Extras::modes);
   static constexpr int gear_modes = Gear::modes, rotor_modes = Rotor::modes;
   // Parts that are held while the gear carries a load.
-  static constexpr unsigned held_under_load = elastic && Gear::modes > 0 ? 1u << of_gear : 0u;
+  static constexpr unsigned active_under_load = elastic && Gear::modes > 0 ? 1u << of_gear : 0u;
 
   template <class X>
   using Input = DriveInput<states, modes, X>;
@@ -61,14 +61,14 @@ struct Drive {
   constexpr Real carried() const { return carries_rotor ? motor.Mm / (gear.Ng * gear.Ng) : 0.0; }
 
   // D, with these parts held.
-  constexpr DriveRates<states, Real> D(unsigned held) const {
+  constexpr DriveRates<states, Real> D(unsigned active) const {
     DriveRates<states, Real> D;
     if constexpr (driven)
-      for (int k = 0; k < Motor::states; ++k) D.f[k] = motor.inertia(k, motor_held(held));
+      for (int k = 0; k < Motor::states; ++k) D.f[k] = motor.inertia(k, is_motor_active(active));
     if constexpr (elastic) {
       D.f[tm] = 1.0, D.f[wm] = motor.Mm;
       if constexpr (Rotor::modes > 0)
-        if (is_held(held, of_rotor)) D.f[wm] = 0.0;
+        if (is_active(active, of_rotor)) D.f[wm] = 0.0;
     }
     for (int k = own; k < states; ++k) D.f[k] = 1.0;
     return D;
@@ -88,17 +88,18 @@ struct Drive {
 
   // f and g, eq. (1), (2) and the drive's part of (4), without the friction of coulomb.hpp.
   template <class X>
-  ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, unsigned held) const {
+  ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, unsigned active) const {
     DriveRates<states, X> r;
     r.g = -friction.Dv * x.v;
     X shaft{};  // torque on the rotor, without its friction and the gear
     if constexpr (driven) {
-      motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], motor_held(held), r.f);
+      motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], is_motor_active(active),
+                  r.f);
       shaft = motor.torque(x.z, motor_angle(x));
     }
     for_each_extra(
         [&]<class Extra>(const Extra& extra, auto state, auto mode) __attribute__((always_inline)) {
-          const X torque = torque_of<state, mode>(extra, x, held);
+          const X torque = torque_of<state, mode>(extra, x, active);
           if constexpr (Extra::states > 0)
             extra.rates(angle_of(extra, x), speed_of(extra, x), x.z + state, r.f + state);
           if constexpr (Extra::place == Place::rotor)
@@ -107,10 +108,10 @@ struct Drive {
             r.g += torque;
         });
     if constexpr (elastic) {
-      const X T = gear_on_link(x, held);
+      const X T = gear_on_link(x, active);
       r.f[tm] = x.z[wm];
       if constexpr (Rotor::modes > 0)
-        r.f[wm] = is_held(held, of_rotor)
+        r.f[wm] = is_active(active, of_rotor)
                       ? -x.z[wm]
                       : shaft - on_rotor(x, T) -
                             rotor.against(x.z[wm], on_rotor(x, T), x.offset[of_rotor]);
@@ -137,24 +138,24 @@ struct Drive {
   }
   // Difference between `rates` and those of the linear drive, which may be known.
   template <class X>
-  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held,
+  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned active,
                                                   const Linear& linear) const {
-    DriveRates<states, X> all = rates(x, held);
-    const DriveRates<states, X> of_linear = linear.rates(x, held);
+    DriveRates<states, X> all = rates(x, active);
+    const DriveRates<states, X> of_linear = linear.rates(x, active);
     for (int k = 0; k < states; ++k) all.f[k] -= of_linear.f[k];
     all.g -= of_linear.g;
     return all;
   }
   template <class X>
-  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned held) const {
+  ARM_INLINE constexpr DriveRates<states, X> rest(const Input<X>& x, unsigned active) const {
     if constexpr (only_gear_bends && !kDifferentiates)
-      if (held == 0) {
+      if (active == 0) {
         DriveRates<states, X> of_gear = {};
         of_gear.g = gear.beyond_linear(x.z[tm], x.q);
         of_gear.f[wm] = -on_rotor(x, of_gear.g);
         return of_gear;
       }
-    return rest(x, held, linear());
+    return rest(x, active, linear());
   }
 
   // Dry friction at the link, with that of a rotor that turns with it. Load friction follows the
@@ -170,8 +171,8 @@ struct Drive {
     return friction.is_dry();
   }
   template <class X>
-  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned held) const {
-    return sliding_under(x, load_on_link(x, held));
+  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned active) const {
+    return sliding_under(x, load_on_link(x, active));
   }
   // The same under the torque T of the gear on its link.
   template <class X>
@@ -182,8 +183,8 @@ struct Drive {
     return dry;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned held) const {
-    const X T = load_on_link(x, held);
+  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned active) const {
+    const X T = load_on_link(x, active);
     X dry = friction.holding(T);
     if constexpr (carries_rotor && Rotor::modes > 0)
       dry += rotor.law.holding(gear.Ng * T) / magnitude(gear.Ng);
@@ -223,13 +224,13 @@ struct Drive {
   // Torque of the gear on its link, which accelerates at `a` [N m].
   constexpr Real gear_torque(const Input<Real>& x, Real a) const {
     const Modes now = modes_at(x);
-    return load_on_link(with(x, now), now.held()) - carried() * a;
+    return load_on_link(with(x, now), now.active()) - carried() * a;
   }
 
   // Whether extras have potential energy, and whether the power that the supply gives grows with
   // the speed at a constant command.
   static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
-  static constexpr bool given_by_speed = requires { Motor::given_by_speed; };
+  static constexpr bool supply_grows_with_speed = requires { Motor::supply_grows_with_speed; };
 
   // Whether commands are bounded by the supply alone, as voltages are; and the command of x within
   // its bounds.
@@ -271,24 +272,24 @@ struct Drive {
     return false;
   }
 
-  // Whether x, as start and end of a step, surely calls for the usual modes of all parts. If false,
-  // the modes must be determined.
+  // Whether x, as start and end of a step, surely calls for the regular modes of all parts. If
+  // false, the modes must be determined.
   template <class X>
-  ARM_INLINE constexpr Mask<X> is_usual(const Input<X>& x) const {
-    Mask<X> usual = X{} == X{};
-    if constexpr (may_be_usual && driven && Motor::modes > 0)
-      usual &= motor.is_usual(x.z, x.u, felt_speed(x));
+  ARM_INLINE constexpr Mask<X> is_regular(const Input<X>& x) const {
+    Mask<X> regular = X{} == X{};
+    if constexpr (may_be_regular && driven && Motor::modes > 0)
+      regular &= motor.is_regular(x.z, x.u, felt_speed(x));
     for_each_extra(
         [&]<class Extra>(const Extra& extra, auto state, auto) __attribute__((always_inline)) {
-          if constexpr (may_be_usual && Extra::modes > 0)
-            usual &= extra.is_usual(angle_of(extra, x), speed_of(extra, x), x.z + state);
+          if constexpr (may_be_regular && Extra::modes > 0)
+            regular &= extra.is_regular(angle_of(extra, x), speed_of(extra, x), x.z + state);
         });
-    return where(is_ever_usual(), usual);
+    return where(is_ever_regular(), regular);
   }
   // Whether such an x exists.
-  constexpr bool is_ever_usual() const {
-    if constexpr (elastic && Rotor::modes > 0) return may_be_usual && rotor.is_usual();
-    return may_be_usual;
+  constexpr bool is_ever_regular() const {
+    if constexpr (elastic && Rotor::modes > 0) return may_be_regular && rotor.is_regular();
+    return may_be_regular;
   }
   // The modes that x calls for.
   constexpr Modes modes_at(const Input<Real>& x) const {
@@ -300,13 +301,13 @@ struct Drive {
     return at;
   }
   // Those that x, the end of a step in `now` that began at `start`, calls for: `now` if they hold.
-  constexpr Modes wanted(const Input<Real>& start, const Input<Real>& x, const Modes& now) const {
+  constexpr Modes required(const Input<Real>& start, const Input<Real>& x, const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
-      at.at[0] = motor.wanted(x.z, x.u, felt_speed(x), now.at[0]);
+      at.at[0] = motor.required(x.z, x.u, felt_speed(x), now.at[0]);
     put_modes_of_state(x, at);
     if constexpr (elastic && Rotor::modes > 0)
-      at.at[of_rotor] = rotor.wanted(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
+      at.at[of_rotor] = rotor.required(start.z[wm], x.z[wm], shaft(x, now), now.at[of_rotor]);
     return at;
   }
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
@@ -355,11 +356,13 @@ struct Drive {
       return motor.ripple(motor_angle(x)) * motor_speed(x);
     return motor_speed(x);
   }
-  static constexpr bool motor_held(unsigned held) { return Motor::modes > 0 && is_held(held, 0); }
+  static constexpr bool is_motor_active(unsigned active) {
+    return Motor::modes > 0 && is_active(active, 0);
+  }
   template <class X>
-  ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned held) const {
+  ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned active) const {
     return gear.torque(x.z[tm], x.z[wm], x.q, x.v, x.offset[Gear::modes > 0 ? of_gear : 0],
-                       is_held(held, of_gear) && Gear::modes > 0);
+                       is_active(active, of_gear) && Gear::modes > 0);
   }
   // Torque on the rotor from the torque T of an elastic gear on its link.
   template <class X>
@@ -370,9 +373,9 @@ struct Drive {
   }
   // Torque of the gear on its link; for a rigid gear, the motor's torque.
   template <class X>
-  ARM_INLINE constexpr X load_on_link(const Input<X>& x, unsigned held) const {
+  ARM_INLINE constexpr X load_on_link(const Input<X>& x, unsigned active) const {
     if constexpr (elastic)
-      return gear_on_link(x, held);
+      return gear_on_link(x, active);
     else if constexpr (driven)
       return motor.torque(x.z, motor_angle(x)) / gear.Ng;
     return X{};
@@ -389,10 +392,10 @@ struct Drive {
     return x.v;
   }
   template <int state, int mode, class X>
-  ARM_INLINE constexpr X torque_of(const auto& extra, const Input<X>& x, unsigned held) const {
+  ARM_INLINE constexpr X torque_of(const auto& extra, const Input<X>& x, unsigned active) const {
     return extra.torque(angle_of(extra, x), speed_of(extra, x), x.z + state,
                         x.offset[extra.modes > 0 ? mode : 0],
-                        extra.modes > 0 && is_held(held, mode));
+                        extra.modes > 0 && is_active(active, mode));
   }
 
   // body(extra, index of its first state, index of its mode) for all extras.
@@ -417,22 +420,22 @@ struct Drive {
     });
   }
 
-  static constexpr bool may_be_usual =
+  static constexpr bool may_be_regular =
       (!driven || Motor::modes == 0 ||
-       requires(const Motor& part, const Real* z, Real x) { part.is_usual(z, x, x); }) &&
+       requires(const Motor& part, const Real* z, Real x) { part.is_regular(z, x, x); }) &&
       (!elastic || Gear::modes == 0) &&
       (true && ... && (Extras::modes == 0 || requires(const Extras& part, const Real* z, Real x) {
-         part.is_usual(x, x, z);
+         part.is_regular(x, x, z);
        }));
 
   constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
     const Input<Real> x = with(at, now);
-    const unsigned held = now.held();
-    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, held)),
+    const unsigned active = now.active();
+    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, active)),
                   kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
       if constexpr (Extra::place == Place::rotor)
-        on.torque += torque_of<state, mode>(extra, x, held);
+        on.torque += torque_of<state, mode>(extra, x, active);
     });
     on.torque -= on.of_gear;
     return on;

@@ -34,30 +34,30 @@ constexpr Real potential_of(const Drive& drive, const DriveInput<n, M, Real>& x)
 
 // In the given modes, which need not be those of x at the end of a part of a step.
 template <class Drive, int n, int M>
-constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
+constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
   constexpr int tm = Drive::tm, wm = Drive::wm;
-  const Real T = drive.load_on_link(x, held);
+  const Real T = drive.load_on_link(x, active);
   Real P = drive.friction.Dv * x.v * x.v + drive.sliding_under(x, T) * magnitude(x.v);
   if constexpr (Drive::driven) P += drive.motor.dissipated(x.z);
   if constexpr (Drive::elastic)
     P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v,
-                               Drive::gear_modes > 0 && is_held(held, Drive::of_gear));
+                               Drive::gear_modes > 0 && is_active(active, Drive::of_gear));
   if constexpr (Drive::elastic && Drive::rotor_modes > 0)
     P += drive.rotor.dissipated(x.z[wm], drive.on_rotor(x, T));
   if constexpr (Drive::carries_rotor && Drive::rotor_modes > 0)
     P += drive.rotor.law.Dv * drive.motor_speed(x) * drive.motor_speed(x);
   drive.for_each_extra([&](const auto& extra, auto state, auto mode) {
     P += extra.dissipated(drive.angle_of(extra, x), drive.speed_of(extra, x), x.z + state,
-                          extra.modes > 0 && is_held(held, mode));
+                          extra.modes > 0 && is_active(active, mode));
   });
   return P;
 }
 
 template <class Drive, int n, int M>
-constexpr Real given_to(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
+constexpr Real given_to(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
   if constexpr (Drive::driven)
     return drive.motor.given(x.z, x.u, drive.motor_angle(x), drive.felt_speed(x),
-                             Drive::motor_held(held));
+                             Drive::is_motor_active(active));
   return 0.0;
 }
 template <class Drive, int n, int M, class X>

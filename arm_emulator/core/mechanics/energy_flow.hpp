@@ -32,8 +32,8 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
   n.for_each_drive([&](const auto& drive, int j) {
     const auto now = modes.of(drive, j);
     const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-    power.given[j] = given_to(drive, at, now.held());
-    power.dissipated[j] = dissipated_in(drive, at, now.held());
+    power.given[j] = given_to(drive, at, now.active());
+    power.dissipated[j] = dissipated_in(drive, at, now.active());
   });
   if constexpr (S::external_wrench) {
     typename Links<S>::Kinematics kinematics;
@@ -91,8 +91,8 @@ class EnergyMeter {
   State<S> rates_of(const State<S>& x, const Real* u, const Modes<S>& modes) const {
     State<S> rates = {};
     modes.for_each_rate(
-        x, u, [&](const auto& drive, int j, const auto&, unsigned held, const Real* f, Real a) {
-          const auto D = drive.D(held);
+        x, u, [&](const auto& drive, int j, const auto&, unsigned active, const Real* f, Real a) {
+          const auto D = drive.D(active);
           for (int k = 0; k < drive.states; ++k)
             if (D.f[k] > 0.0) rates.z[k][j] = f[k] / D.f[k];
           rates.q[j] = x.v[j];

@@ -47,7 +47,7 @@ class Linearisation {
   // D by state and joint, whether each joint sticks, and how many states its drive has.
   ARM_ONCE void write_structure(Real* out) const {
     n.for_each_drive([&](const auto& drive, int j) {
-      const auto D = drive.D(modes.of(drive, j).held());
+      const auto D = drive.D(modes.of(drive, j).active());
       for (int k = 0; k < drive.states; ++k) out[k * N + j] = D.f[k];
       out[K * N + j] = modes.friction.locked[j] ? 1.0 : 0.0;
       out[(K + 1) * N + j] = drive.states;

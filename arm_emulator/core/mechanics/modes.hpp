@@ -13,7 +13,7 @@ namespace arm {
 template <class S>
 class Modes {
  public:
-  static constexpr int N = S::N, M = most_modes<S>();
+  static constexpr int N = S::N, M = max_modes<S>();
   using Dynamics = typename Links<S>::Dynamics;
   using Friction = Coulomb<S, Real>;
 
@@ -79,7 +79,7 @@ class Modes {
     n_->for_each_drive([&](const auto& drive, int j) {
       const auto now = of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-      body(drive, j, at, now.held(), drive.rates(at, now.held()).f, a[j]);
+      body(drive, j, at, now.active(), drive.rates(at, now.active()).f, a[j]);
     });
   }
 
@@ -146,7 +146,7 @@ class Modes {
     n_->for_each_drive([&](const auto& drive, int j) {
       const auto modes = of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
-      rhs[j] = drive.rates(at, modes.held()).g - links.nle[j];
+      rhs[j] = drive.rates(at, modes.active()).g - links.nle[j];
     });
   }
 };

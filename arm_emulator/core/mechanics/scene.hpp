@@ -119,7 +119,7 @@ constexpr void for_each_drive(Body&& body) {
 
 // The states that a joint's drive has at most: the arrays of all drives have as many rows.
 template <class S>
-constexpr int most_states() {
+constexpr int max_states() {
   int most = 0;
   for_each_drive<S>(
       [&](const auto& drive, int) { most = most < drive.states ? drive.states : most; });
@@ -128,7 +128,7 @@ constexpr int most_states() {
 
 // The parts with modes that a joint's drive has at most.
 template <class S>
-constexpr int most_modes() {
+constexpr int max_modes() {
   int most = 0;
   for_each_drive<S>(
       [&](const auto& drive, int) { most = most < drive.modes ? drive.modes : most; });
@@ -138,9 +138,9 @@ constexpr int most_modes() {
 // Whether a property holds for the drive of any joint.
 template <class S, class Property>
 constexpr bool any_drive(Property&& property) {
-  bool found = false;
-  for_each_drive<S>([&](const auto& drive, int) { found = found || property(drive); });
-  return found;
+  bool result = false;
+  for_each_drive<S>([&](const auto& drive, int) { result = result || property(drive); });
+  return result;
 }
 
 }  // namespace arm

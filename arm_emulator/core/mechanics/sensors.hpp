@@ -194,7 +194,7 @@ class Sensors<S> {
     const auto noises = [&](int who) { return Noise::of(suite.seed, who); };
     double current[N], angle[N], speed[N];
     machine.report(current, angle, speed);
-    const SensorInput<Machine> glance = {machine, current, angle, speed};
+    const SensorInput<Machine> input = {machine, current, angle, speed};
     const auto& x = machine.state();
     // Since the tick before, in which the machine has gone on.
     const double period = looks_back ? machine.time() / static_cast<double>(tick) : 0.0;
@@ -213,13 +213,13 @@ class Sensors<S> {
     for_each_kind([&]<int k>(std::integral_constant<int, k>) {
       constexpr const auto& row = std::get<k>(structure.analog);
       double truth[N];
-      std::tuple_element_t<k, Rows>::Quantity::of(glance, truth);
+      std::tuple_element_t<k, Rows>::Quantity::of(input, truth);
       for (int j = 0; j < N; ++j)
         if (row.reads(j)) {
           AnalogSensor& sensor = std::get<k>(suite.analog).at[j];
           drift(sensor, drifted_.analog[k][j], period);
           const Noise draws = noises(row.first + row.stride * j);
-          now.analog[k][j] = looks_back && is_held(sensor.held, draws, tick)
+          now.analog[k][j] = looks_back && repeats_reading(sensor.held, draws, tick)
                                  ? before.analog[k][j]
                                  : sensor.read(truth[j], draws, tick);
         }
@@ -239,9 +239,9 @@ class Sensors<S> {
         const ImuReading held = before.imu[m];
         now.imu[m] = imu.read(motion.force_at(imu.p), motion.omega, of_channel, tick);
         for (int k = 0; looks_back && k < 3; ++k) {
-          if (is_held(imu.accelerometer[k].held, of_channel(k), tick))
+          if (repeats_reading(imu.accelerometer[k].held, of_channel(k), tick))
             now.imu[m].specific_force[k] = held.specific_force[k];
-          if (is_held(imu.gyroscope[k].held, of_channel(3 + k), tick))
+          if (repeats_reading(imu.gyroscope[k].held, of_channel(3 + k), tick))
             now.imu[m].angular_rate[k] = held.angular_rate[k];
         }
       }

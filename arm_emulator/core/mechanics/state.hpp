@@ -10,7 +10,7 @@ namespace arm {
 // [rad/s] (m and m/s for prismatic joints).
 template <class S, class X = Real>
 struct State {
-  static constexpr int K = most_states<S>();
+  static constexpr int K = max_states<S>();
   static constexpr int row = kRow<S::N, X>;
   alignas(64) X z[K > 0 ? K : 1][row] = {};
   alignas(64) X q[row] = {}, v[row] = {};

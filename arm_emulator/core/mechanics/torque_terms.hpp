@@ -17,24 +17,24 @@ struct DriveTorques {
 };
 
 template <class Drive, int n, int M>
-constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned held) {
+constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
   DriveTorques<Drive::extra_count> on = {};
   on.viscous = -drive.friction.Dv * x.v;
   Real shaft = 0.0;
   if constexpr (Drive::driven) on.motor = shaft = drive.motor.torque(x.z, drive.motor_angle(x));
   int which = 0;
   drive.for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-    on.extra[which] = drive.template torque_of<state, mode>(extra, x, held);
+    on.extra[which] = drive.template torque_of<state, mode>(extra, x, active);
     on.on_the_rotor[which] = Extra::place == Place::rotor;
     if (on.on_the_rotor[which]) shaft += on.extra[which];
     ++which;
   });
   if constexpr (Drive::elastic) {
-    on.gear = drive.gear_on_link(x, held);
+    on.gear = drive.gear_on_link(x, active);
     on.gear_on_rotor = -drive.on_rotor(x, on.gear);
     if constexpr (Drive::rotor_modes > 0)
       on.rotor_friction =
-          is_held(held, Drive::of_rotor)
+          is_active(active, Drive::of_rotor)
               ? -(shaft + on.gear_on_rotor)
               : -drive.rotor.against(x.z[Drive::wm], -on.gear_on_rotor, x.offset[Drive::of_rotor]);
   } else if constexpr (Drive::driven) {
@@ -81,7 +81,7 @@ class TorqueTerms {
     n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       const auto now = modes.of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-      const auto on = torques_in(drive, at, now.held());
+      const auto on = torques_in(drive, at, now.active());
       Real inertia = 0.0;
       for (int k = 0; k < N; ++k) inertia -= links.M.entry(j, k) * a[k];
       const Real no = no_number();
@@ -98,7 +98,7 @@ class TorqueTerms {
                         no,
                         Drive::driven ? on.rotor_friction : no};
       if constexpr (Drive::elastic) {
-        row[8] = -drive.motor.Mm * rotor_acceleration(drive, at, now.held());
+        row[8] = -drive.motor.Mm * rotor_acceleration(drive, at, now.active());
         row[10] = on.gear_on_rotor;
       }
       for (int e = 0; e < extras; ++e) {
@@ -113,9 +113,9 @@ class TorqueTerms {
  private:
   template <class Drive>
   static Real rotor_acceleration(const Drive& drive, const typename Drive::template Input<Real>& x,
-                                 unsigned held) {
-    const Real D = drive.D(held).f[Drive::wm];
-    return D > 0.0 ? drive.rates(x, held).f[Drive::wm] / D : 0.0;
+                                 unsigned active) {
+    const Real D = drive.D(active).f[Drive::wm];
+    return D > 0.0 ? drive.rates(x, active).f[Drive::wm] / D : 0.0;
   }
 };
 

@@ -118,9 +118,9 @@ ARM_INLINE constexpr X constant(const X& x) {
 constexpr bool has_derivatives(double) { return false; }
 template <int directions>
 bool has_derivatives(const Dual<directions>& x) {
-  bool found = false;
-  for (int d = 0; d < directions; ++d) found = found || x.by[d] != 0.0;
-  return found;
+  bool result = false;
+  for (int d = 0; d < directions; ++d) result = result || x.by[d] != 0.0;
+  return result;
 }
 
 }  // namespace arm

@@ -43,7 +43,7 @@ struct Noise {
 
 // Whether the sample of that number repeats the previous reading; its draws are independent of all
 // others.
-inline bool is_held(double probability, const Noise& noises, std::int64_t number) {
+inline bool repeats_reading(double probability, const Noise& noises, std::int64_t number) {
   return probability > 0.0 && Noise{mixed(noises.key + 1)}.uniform(number) <= probability;
 }
 

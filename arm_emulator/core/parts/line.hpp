@@ -36,7 +36,7 @@ struct LineSuite {
 
 // One way of a line. A frame is `words` words of 64 bits.
 template <int words>
-class LineWay {
+class LineDirection {
  public:
   using Frame = std::int64_t[words];
 

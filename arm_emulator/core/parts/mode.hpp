@@ -8,8 +8,8 @@
 //   wanted(...)          the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
 //   settle(...)          and puts a state where its mode holds it, against rounding.
-//   is_usual(...)        Optional and faster: whether a state, as the start
-//                        and as the end of a step, surely calls for the usual mode, number 0.
+//   is_regular(...)        Optional and faster: whether a state, as the start
+//                        and as the end of a step, surely calls for the regular mode, number 0.
 #pragma once
 
 #include "numerics/real.hpp"
@@ -17,8 +17,8 @@
 namespace arm {
 
 struct Mode {
-  bool held = false;  // the equation that takes the place of the usual one
-  Real offset = 0.0;  // the number that enters
+  bool active = false;  // the equation that takes the place of the usual one
+  Real offset = 0.0;    // the number that enters
 
   constexpr bool operator==(const Mode&) const = default;
 };
@@ -31,14 +31,14 @@ struct DriveModes {
   constexpr bool operator==(const DriveModes&) const = default;
 
   // A bit for each part that is held.
-  constexpr unsigned held() const {
+  constexpr unsigned active() const {
     unsigned bits = 0;
-    for (int m = 0; m < M; ++m) bits |= at[m].held ? 1u << m : 0u;
+    for (int m = 0; m < M; ++m) bits |= at[m].active ? 1u << m : 0u;
     return bits;
   }
 };
 
-// The first m of them, or all of them and more that are in their usual modes: a drive has as many
+// The first m of them, or all of them and more that are in their regular modes: a drive has as many
 // as its parts, and a scene as many as any of its drives.
 template <int m, int M>
 constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
@@ -47,7 +47,7 @@ constexpr DriveModes<m> resized(const DriveModes<M>& modes) {
   return some;
 }
 
-constexpr bool is_held(unsigned held, int m) { return held >> m & 1u; }
+constexpr bool is_active(unsigned active, int m) { return active >> m & 1u; }
 
 // Tolerance for rounding.
 inline constexpr double kRounding = 1e-12;

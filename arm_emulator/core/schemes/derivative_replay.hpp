@@ -27,12 +27,12 @@ class DerivativeReplay {
   using SlopesOfPart = StepSlopes<S, Part, false>;
 
   DerivativeReplay(Real step, const Real* parameters, const State<S>& start)
-      : h_(step), n_(parameters), whole_(step, n_), part_(step, n_), x_(start) {
+      : h_(step), n_(parameters), full_(step, n_), part_(step, n_), x_(start) {
     static const ChangedDrives<S> changed;
-    whole_.reset(x_);
+    full_.reset(x_);
     own_.links = LinkSlopes<S>::own(n_, x_);
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int) {
-      ever_usual_ = ever_usual_ && (Drive::modes == 0 || drive.is_ever_usual());
+      ever_regular_ = ever_regular_ && (Drive::modes == 0 || drive.is_ever_regular());
     });
     for (int k = 0; k < S::parameters; ++k)
       for (int j = 0; j < N; ++j)
@@ -65,7 +65,7 @@ class DerivativeReplay {
     bool begun = false, stepped = false, moved = false;
     State<S> start;
     LinkSlopes<S> links;
-    std::optional<Modes<S>> usual;  // where its modes depend on nothing
+    std::optional<Modes<S>> regular;  // where its modes depend on nothing
     SlopesOfStep of_step;
     SlopesOfPart of_part;
     // The change of its end, and of the condition of an event, with its length.
@@ -78,19 +78,19 @@ class DerivativeReplay {
     if (piece.end == PieceEnd::cut) {
       Dynamics links;
       Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
-      whole_.remember(start_, x_, u_, links);
+      full_.remember(start_, x_, u_, links);
       cut_ = false;
       return;
     }
     follow_at_once(n_, x_, u_);
     if (!common.begun) begin(piece, next, values, common);
     std::optional<Modes<S>> modes;
-    if (!common.usual || !piece.whole) {
+    if (!common.regular || !piece.whole) {
       put_values(piece, x_);
       modes = modes_of(n_, x_, u_, piece, next);
     }
     if (piece.whole) {
-      move(piece, next, values, values.method, whole_, h_, modes, common.of_step, common);
+      move(piece, next, values, values.method, full_, h_, modes, common.of_step, common);
     } else {
       if (!cut_) start_ = x_, left_ = h_, cut_ = true;
       if (piece.end == PieceEnd::unlocated) return finish();
@@ -116,10 +116,10 @@ class DerivativeReplay {
   using Past = typename Part::Past;
 
   // Whether no joint is held by anything, so that nothing settles.
-  static bool is_usual(const Piece& piece) {
-    bool usual = true;
-    for (int j = 0; j < N; ++j) usual = usual && !piece.locked[j] && !piece.held[j];
-    return usual;
+  static bool is_regular(const Piece& piece) {
+    bool regular = true;
+    for (int j = 0; j < N; ++j) regular = regular && !piece.locked[j] && !piece.active[j];
+    return regular;
   }
   // Put the values of a state in the place of those here.
   static void put_values(const Piece& of, State<S>& x) {
@@ -134,9 +134,9 @@ class DerivativeReplay {
   void begin(const Piece& piece, const Piece& next, Values& values, Common& common) const {
     put_values(piece, common.start);
     common.links.take(values.n, common.start);
-    common.usual.reset();
-    if (ever_usual_ && is_usual(piece))
-      common.usual = modes_of(values.n, common.start, u_, piece, next);
+    common.regular.reset();
+    if (ever_regular_ && is_regular(piece))
+      common.regular = modes_of(values.n, common.start, u_, piece, next);
     common.begun = true, common.stepped = common.moved = false;
   }
 
@@ -148,7 +148,7 @@ class DerivativeReplay {
     const Numbers<S>& n = values.n;
     const double h = length.value;
     if (values.of_one)
-      return slopes.move_alone(own, n_, n, common.links, modes ? *modes : *common.usual,
+      return slopes.move_alone(own, n_, n, common.links, modes ? *modes : *common.regular,
                                common.start, x_, u_, own.past(), own_, h);
     if (!common.stepped) {
       alignas(64) Real u[row] = {};
@@ -161,7 +161,7 @@ class DerivativeReplay {
       const auto take = [&](const Modes<S>& modes) {
         slopes.take_own(own, n_, modes, common.start, u_, h, own_);
       };
-      common.usual ? take(*common.usual) : take(modes_of(n_, common.start, u_, piece, next));
+      common.regular ? take(*common.regular) : take(modes_of(n_, common.start, u_, piece, next));
     }
     slopes.move(x_, own.past(), own_, h);
   }
@@ -176,14 +176,14 @@ class DerivativeReplay {
     Modes<S> modes(n, friction);
     n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
-        if (!piece.held[j] && drive.is_ever_usual()) return;
+        if (!piece.active[j] && drive.is_ever_regular()) return;
         auto at = input_of(drive, j, x, u[j]);
         auto now = drive.modes_at(at);
-        if (now.held() != piece.held[j]) {
+        if (now.active() != piece.active[j]) {
           for (int k = 0; k < Drive::states; ++k) at.z[k].value = next.z[k][j];
           at.q.value = next.q[j], at.v.value = next.v[j];
           now = drive.modes_at(at);
-          for (int m = 0; m < Drive::modes; ++m) now.at[m].held = is_held(piece.held[j], m);
+          for (int m = 0; m < Drive::modes; ++m) now.at[m].active = is_active(piece.active[j], m);
         }
         modes.drive[j] = resized<Modes<S>::M>(now);
       }
@@ -231,24 +231,24 @@ class DerivativeReplay {
     }
   }
   void finish() {
-    NullExchange nobody;
+    NullExchange no_exchange;
     Dynamics links;
     Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
     Method part(left_, n_);
     part.reset(x_);
-    part.step(x_, u_, links, nobody);
+    part.step(x_, u_, links, no_exchange);
     follow_at_once(n_, x_, u_);
   }
 
   Real h_, left_ = 0.0;
   const Numbers<S> n_;
-  Method whole_;
+  Method full_;
   Part part_;
   State<S> x_, start_;
   alignas(64) Real u_[row] = {};
   bool cut_ = false;
-  bool own_drive_[N] = {};  // has derivatives
-  bool ever_usual_ = true;  // all drives are, in some states
+  bool own_drive_[N] = {};    // has derivatives
+  bool ever_regular_ = true;  // all drives are, in some states
   OwnSlopes<S> own_;
 };
 

@@ -39,7 +39,7 @@ class DriveSteps {
     for (int m = 0; m < Tables::M; ++m) in[In::offset + m].at[0] = modes.at[m].offset;
     if constexpr (Tables::R > 0) {
       Real rest[Tables::R] = {};
-      tables_.rest_of(drive, linear, input(drive, in, in), modes.held(), rest);
+      tables_.rest_of(drive, linear, input(drive, in, in), modes.active(), rest);
       for (int r = 0; r < Tables::R; ++r) in[In::rest + r].at[0] = rest[r];
     }
     return tables_.first_at(j, in) - friction(drive, j, in, in);
@@ -56,7 +56,7 @@ class DriveSteps {
       y[In::q].at[0] = in[In::q].at[0] + h * (v + gamma_of(2) * h * k1);
       y[In::v].at[0] = v + h * k1;
       Real there[Tables::R] = {};
-      tables_.rest_of(drive, linear, input(drive, y, in), tables_.served(j).held(), there);
+      tables_.rest_of(drive, linear, input(drive, y, in), tables_.served(j).active(), there);
       for (int r = 0; r < Tables::R; ++r)
         in[In::change + r].at[0] = there[r] - in[In::rest + r].at[0];
       if constexpr (Coulomb<S, Real>::varies)
@@ -83,7 +83,8 @@ class DriveSteps {
   // Torque of dry friction against the motion of a link that slides.
   Real friction(const auto& drive, int j, const One* at, const Inputs& in) const {
     if constexpr (Coulomb<S, Real>::varies)
-      return drive.sliding(input(drive, at, in), tables_.served(j).held()) * friction_.direction[j];
+      return drive.sliding(input(drive, at, in), tables_.served(j).active()) *
+             friction_.direction[j];
     else if constexpr (Coulomb<S, Real>::present)
       return n_.Dc(j) * friction_.direction[j];
     return 0.0;

@@ -106,10 +106,10 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
       for (int k = 0; k < K; ++k) f[k] += x[In::rest + k];
       g += x[In::rest + K];
     }
-    const auto one = whole.stage(drive, f, x[In::v], g);
+    const auto first = whole.stage(drive, f, x[In::v], g);
     X k_z[n] = {};
-    for (int k = 0; k < K; ++k) k_z[k] = one.z[k] + e[k] * x[In::k1];
-    table.rhs_1[input] = one.rhs;
+    for (int k = 0; k < K; ++k) k_z[k] = first.z[k] + e[k] * x[In::k1];
+    table.rhs_1[input] = first.rhs;
     if constexpr (R > 0)
       for (int k = 0; k < K; ++k) table.k_z[k][input] = k_z[k];
     if (stages == 1) {
@@ -118,15 +118,15 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
     }
     X r_z[n] = {};
     for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * drive.D[k] * k_z[k];
-    X r_v = kSqrt2 * (one.rhs - s * b * x[In::k1]);
+    X r_v = kSqrt2 * (first.rhs - s * b * x[In::k1]);
     if constexpr (R > 0) {
       for (int k = 0; k < K; ++k) r_z[k] += x[In::change + k];
       r_v += x[In::change + K];
     }
-    const auto two = whole.stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
-    table.rhs_2[input] = two.rhs;
+    const auto second = whole.stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
+    table.rhs_2[input] = second.rhs;
     for (int k = 0; k < K; ++k)
-      table.dz[k][input] = h * (gamma_of(2) * k_z[k] + 0.5 * (two.z[k] + e[k] * x[In::k2]));
+      table.dz[k][input] = h * (gamma_of(2) * k_z[k] + 0.5 * (second.z[k] + e[k] * x[In::k2]));
   }
   return table;
 }

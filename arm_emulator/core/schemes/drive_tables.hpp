@@ -38,12 +38,12 @@ struct TableRows<inputs, row, Dual<directions>> {
     if (has_derivatives(number)) slopes[j][slope_count[j]++] = {input, number.by};
   }
   Number number(int input, int j) const {
-    Number found = 0.0;
+    Number result = 0.0;
     for (int e = 0; e < entry_count[j]; ++e)
-      if (entries[j][e].input == input) found.value = entries[j][e].value;
+      if (entries[j][e].input == input) result.value = entries[j][e].value;
     for (int e = 0; e < slope_count[j]; ++e)
-      if (slopes[j][e].input == input) found.by = slopes[j][e].by;
-    return found;
+      if (slopes[j][e].input == input) result.by = slopes[j][e].by;
+    return result;
   }
   // The sum of the products with the inputs before `end`.
   ARM_INLINE Number answer(int j, int end, auto&& x) const {
@@ -84,7 +84,7 @@ class DriveTables : public ServedDrives<S, X> {
     this->take_linear();
     for (int lane = 0; lane < (own ? kWidth<X> : 1); ++lane) fill_lane(lane);
   }
-  // The same for one lane. All parts are in their usual modes.
+  // The same for one lane. All parts are in their regular modes.
   void fill_lane(int lane) {
     this->n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
       if constexpr (Served::modal) this->note(j, Modes{});
@@ -94,8 +94,8 @@ class DriveTables : public ServedDrives<S, X> {
 
   // Put joint j into these modes.
   void serve(int j, const Modes& modes) {
-    const unsigned held = modes.held();
-    if (held != this->served(j).held()) change_table(j, held);
+    const unsigned active = modes.active();
+    if (active != this->served(j).active()) change_table(j, active);
     this->note(j, modes);
   }
   // Put all joints into the modes that the state x calls for.
@@ -112,11 +112,11 @@ class DriveTables : public ServedDrives<S, X> {
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         const Modes& now = this->served(j);
-        const Modes wanted = resized<Served::M>(drive.wanted(
+        const Modes required = resized<Served::M>(drive.required(
             input_of(drive, j, x, u[j]), input_of(drive, j, y, u[j]), resized<Drive::modes>(now)));
-        if (wanted == now) return;
+        if (required == now) return;
         hold = false;
-        this->serve(j, wanted);
+        this->serve(j, required);
       }
     });
     return hold;
@@ -136,7 +136,7 @@ class DriveTables : public ServedDrives<S, X> {
     }
     if constexpr (!TheDrive::is_linear) {
       const auto rest =
-          drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.held());
+          drive.rest(drive.with(start, resized<TheDrive::modes>(modes)), modes.active());
       for (int k = 0; k < TheDrive::states; ++k) {
         for (int r = 0; r < TheDrive::states; ++r) add(k, In::rest + r, rest.f[r]);
         add(k, In::rest + K, rest.g);
@@ -160,7 +160,7 @@ class DriveTables : public ServedDrives<S, X> {
   template <int stages>
   ARM_INLINE void add(const Inputs& in, arm::Row<N, X>* z) const {
     for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
-      for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+      for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
         constexpr int inputs = stages == 2 ? In::count : In::change;
         z[k].at[g] = in[k].at[g] + answer_of<inputs>(dz[k], in, g, k);
       });
@@ -197,7 +197,7 @@ class DriveTables : public ServedDrives<S, X> {
     if constexpr (kDifferentiates) {
       return numbers.answer(g, inputs, [&](int input) -> const X& { return x[input].at[g]; });
     } else {
-      for_each<inputs, kMostInputs>([&](auto input) __attribute__((always_inline)) {
+      for_each<inputs, kMaxInputs>([&](auto input) __attribute__((always_inline)) {
         if (matters(input) && (k < 0 || enters(k, input)))
           out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
       });
@@ -220,12 +220,12 @@ class DriveTables : public ServedDrives<S, X> {
   }
 
   template <class TheDrive>
-  ARM_APART void put_table(const TheDrive& drive, unsigned held, int j, int lane) {
-    copy(make_.template operator()<R>(LinearDrive<K, M>::of(drive, held)), j, lane);
+  ARM_APART void put_table(const TheDrive& drive, unsigned active, int j, int lane) {
+    copy(make_.template operator()<R>(LinearDrive<K, M>::of(drive, active)), j, lane);
   }
-  ARM_APART void change_table(int joint, unsigned held) {
+  ARM_APART void change_table(int joint, unsigned active) {
     this->n_.for_each_drive([&](const auto& drive, int j) {
-      if (j == joint) put_table(drive, held, j, 0);
+      if (j == joint) put_table(drive, active, j, 0);
     });
   }
   void copy(const DriveTable<K, M, R>& table, int j, int lane) {

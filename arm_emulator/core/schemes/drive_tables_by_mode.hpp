@@ -6,15 +6,15 @@
 namespace arm {
 
 // Loops over states and inputs of a drive are unrolled up to these.
-inline constexpr int kMostStates = 16, kMostInputs = 64;
+inline constexpr int kMaxStates = 16, kMaxInputs = 64;
 
 template <class S, class X>
 class ServedDrives {
  public:
-  static constexpr int N = S::N, K = most_states<S>(), row = kRow<N, X>;
+  static constexpr int N = S::N, K = max_states<S>(), row = kRow<N, X>;
   static constexpr int width = kWidth<X>;
-  // Lanes have the usual modes only (lane_drives.hpp).
-  static constexpr int M = width == 1 ? most_modes<S>() : 0;
+  // Lanes have the regular modes only (lane_drives.hpp).
+  static constexpr int M = width == 1 ? max_modes<S>() : 0;
   static constexpr bool linear = !any_drive<S>([](const auto& d) { return !d.is_linear; });
   static constexpr int R = linear ? 0 : K + 1;
   using In = StepInput<K, M, R>;
@@ -41,16 +41,16 @@ class ServedDrives {
         return typename Drive::Modes{};
     };
   }
-  // Whether all joints are served in their usual modes.
-  bool serves_usual() const {
-    bool usual = true;
-    for (const Modes& modes : now_) usual = usual && modes == Modes{};
-    return usual;
+  // Whether all joints are served in their regular modes.
+  bool serves_regular() const {
+    bool regular = true;
+    for (const Modes& modes : now_) regular = regular && modes == Modes{};
+    return regular;
   }
 
   // The numbers of the modes that are in use.
   ARM_INLINE void put_modes(Inputs& in) const {
-    for_each<M, kMostInputs>([&](auto m) __attribute__((always_inline)) {
+    for_each<M, kMaxInputs>([&](auto m) __attribute__((always_inline)) {
       in[In::offset + m] = arm::Row<N, X>::load(offsets_[m]);
     });
   }
@@ -60,7 +60,7 @@ class ServedDrives {
     alignas(64) X at[R][row] = {};
 
     ARM_INLINE void put(Inputs& in) const {
-      for_each<R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
+      for_each<R, kMaxInputs>([&](auto r) __attribute__((always_inline)) {
         if (matters(In::rest + r)) in[In::rest + r] = arm::Row<N, X>::gather(at[r]);
       });
     }
@@ -99,17 +99,17 @@ class ServedDrives {
   // The rest of one drive, of numbers with derivatives, in the rows that `bends` names.
   template <class Drive>
   ARM_APART static void rest_of(const Drive& drive, const typename Drive::Linear& linear,
-                                const typename Drive::template Input<X>& at, unsigned held,
+                                const typename Drive::template Input<X>& at, unsigned active,
                                 X* rest) {
     if constexpr (!Drive::is_linear) {
       const auto put = [&](const auto& is) __attribute__((always_inline)) {
-        for_each<Drive::states, kMostStates>([&](auto k) {
+        for_each<Drive::states, kMaxStates>([&](auto k) {
           if constexpr (Drive::bends(k)) rest[k] = is.f[k];
         });
         rest[K] = is.g;
       };
-      if (held)
-        put(drive.rest(at, held, linear));
+      if (active)
+        put(drive.rest(at, active, linear));
       else
         put(drive.rest(at, 0, linear));
     }
@@ -212,9 +212,9 @@ class ServedDrives {
       for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
       set_lane(rest.at[K][j], lane, is.g);
     };
-    // Of the usual modes, which are constants, the linear terms fold away.
-    if (const unsigned held = now.held())
-      put(drive.rest(at, held));
+    // Of the regular modes, which are constants, the linear terms fold away.
+    if (const unsigned active = now.active())
+      put(drive.rest(at, active));
     else
       put(drive.rest(at, 0));
   }
@@ -227,16 +227,16 @@ class ServedDrives {
     using Drive = std::remove_cvref_t<decltype(drive)>;
     if constexpr (!Drive::is_linear) {
       typename Drive::template Input<X> at;
-      for_each<Drive::states, kMostStates>([&](auto k) { at.z[k] = x.z[k][j]; });
+      for_each<Drive::states, kMaxStates>([&](auto k) { at.z[k] = x.z[k][j]; });
       at.q = x.q[j], at.v = x.v[j], at.u = u[j];
-      unsigned held = 0;
+      unsigned active = 0;
       if constexpr (modal) {
-        for_each<Drive::modes, kMostStates>([&](auto m) { at.offset[m] = now_[j].at[m].offset; });
-        held = now_[j].held();
+        for_each<Drive::modes, kMaxStates>([&](auto m) { at.offset[m] = now_[j].at[m].offset; });
+        active = now_[j].active();
       }
       X is[K + 1];
-      rest_of(drive, std::get<j>(linear_), at, held, is);
-      for_each<Drive::states, kMostStates>([&](auto k) {
+      rest_of(drive, std::get<j>(linear_), at, active, is);
+      for_each<Drive::states, kMaxStates>([&](auto k) {
         if constexpr (Drive::bends(k)) rest.at[k][j] = is[k];
       });
       rest.at[K][j] = is[K];

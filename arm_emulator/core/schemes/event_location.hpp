@@ -8,7 +8,7 @@
 // with the modes of that state, so the grid of steps is unchanged. A mode that ceases to hold and
 // holds again within one step is missed, at a cost of O(h^3).
 //
-// After kMostEvents events in one step, its rest is taken without location: the step does not
+// After kMaxEvents events in one step, its rest is taken without location: the step does not
 // resolve events that dense (a motor far faster than the step).
 #pragma once
 
@@ -29,20 +29,20 @@ class EventLocation {
   static constexpr int N = S::N, row = Method::row;
 
   EventLocation(Real step, const Numbers<S>& numbers)
-      : h_(step), n_(numbers), whole_(step, numbers), part_(step, numbers) {}
+      : h_(step), n_(numbers), full_(step, numbers), part_(step, numbers) {}
   void renew() {
     memo_.forget();
-    whole_.renew();
+    full_.renew();
     part_.renew();
   }
   void reset(const State<S>& x) {
     memo_.forget();
-    whole_.reset(x);
+    full_.reset(x);
   }
-  Memory memory() const { return whole_.memory(); }
+  Memory memory() const { return full_.memory(); }
   void restore(const Memory& memory) {
     memo_.forget();
-    whole_.restore(memory);
+    full_.restore(memory);
   }
 
   // The links' part at x.
@@ -65,11 +65,11 @@ class EventLocation {
     exchange.take(links);
     follow_at_once(n_, x, u);
     const Modes<S> modes(n_, x, u, links);
-    const Memory memory = whole_.memory();
+    const Memory memory = full_.memory();
     State<S> y = x;
-    whole_.step_in(modes, y, u, links, Past::used);
+    full_.step_in(modes, y, u, links, Past::used);
     if (modes.margin(y, u, memo_) < 0.0) {
-      whole_.restore(memory);
+      full_.restore(memory);
       cut(x, y, u, modes, links);
     } else {
       modes.settle(y, u);
@@ -79,7 +79,7 @@ class EventLocation {
     }
     exchange.give(x);
   }
-  // The same of which the whole step is known: from x to y, with all drives in their usual modes
+  // The same of which the whole step is known: from x to y, with all drives in their regular modes
   // and the links in these. The memory is that of y.
   void step_to(const State<S>& y, const typename Modes<S>::Friction::Modes& friction, State<S>& x,
                const Real (&u)[row]) {
@@ -95,8 +95,8 @@ class EventLocation {
 
  private:
   using Past = typename Method::Past;
-  static constexpr int kMostEvents = 4 * N + 8;
-  static constexpr int kMostTrials = 150;
+  static constexpr int kMaxEvents = 4 * N + 8;
+  static constexpr int kMaxTrials = 150;
   // Of a step: how well an event's time is known. Conditions are rounded so that a better one takes
   // trials without progress.
   static constexpr double kInstant = 1e-10;
@@ -106,12 +106,12 @@ class EventLocation {
     const State<S> start = x;
     Real left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
-      if (events == kMostEvents) {
+      if (events == kMaxEvents) {
         Method part(left, n_);
         y = x;
-        NullExchange nobody;
+        NullExchange no_exchange;
         part.reset(y);
-        part.step(y, u, links, nobody);
+        part.step(y, u, links, no_exchange);
         follow_at_once(n_, y, u);
         if (meter_) meter_->part(x, y, u, modes, left);
         note(PieceEnd::unlocated, x, modes, left);
@@ -134,7 +134,7 @@ class EventLocation {
       links = memo_.at(n_, x);
       modes = Modes<S>(n_, x, u, links);
     }
-    whole_.remember(start, x, u, memo_.at(n_, x));
+    full_.remember(start, x, u, memo_.at(n_, x));
     note(PieceEnd::cut, x, modes, 0.0);
   }
 
@@ -148,7 +148,7 @@ class EventLocation {
       for (int j = 0; j < N; ++j) {
         piece.locked[j] = modes.friction.locked[j];
         piece.direction[j] = modes.friction.direction[j];
-        piece.held[j] = modes.drive[j].held();
+        piece.active[j] = modes.drive[j].active();
         for (int k = 0; k < State<S>::K; ++k) piece.z[k][j] = x.z[k][j];
         piece.q[j] = x.q[j], piece.v[j] = x.v[j];
       }
@@ -164,7 +164,7 @@ class EventLocation {
     last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
     int first = other.first_after(last);
     Real share = first < 0 ? 0.5 : last.share(other, first);
-    for (int trial = 0; trial < kMostTrials; ++trial) {
+    for (int trial = 0; trial < kMaxTrials; ++trial) {
       const Real width = other.t - last.t;  // of either sign
       const Real least = 0.5 * kInstant * h_ / magnitude(width);
       if (least >= 0.5) break;
@@ -235,7 +235,7 @@ class EventLocation {
 
   Real h_;
   const Numbers<S>& n_;
-  Method whole_;
+  Method full_;
   Part part_;  // of a step
   LinksMemo<S> memo_;
   EnergyMeter<S>* meter_ = nullptr;

@@ -31,15 +31,15 @@ struct LinearDrive {
   }
 
   template <class TheDrive>
-  ARM_APART static constexpr LinearDrive of(const TheDrive& whole, unsigned held) {
+  ARM_APART static constexpr LinearDrive of(const TheDrive& whole, unsigned active) {
     LinearDrive linear = {};
     const auto drive = whole.linear();
-    const auto D = drive.D(held);
+    const auto D = drive.D(active);
     for (int k = 0; k < K; ++k) linear.D[k] = k < TheDrive::states ? D.f[k] : 1.0;
     for (int column = 0; column < kColumns; ++column) {
       typename TheDrive::template Input<Real> one = {};
       if (!set<TheDrive>(one, column, 1.0)) continue;
-      const auto rates = drive.rates(one, held);
+      const auto rates = drive.rates(one, active);
       for (int k = 0; k < TheDrive::states; ++k) linear.F[k][column] = rates.f[k];
       linear.G[column] = rates.g;
     }
@@ -50,8 +50,8 @@ struct LinearDrive {
   // sum of inputs are the sums of theirs.
   template <class TheDrive>
   static constexpr bool is_sound(const TheDrive& whole) {
-    for (unsigned held = 0; held < 1u << TheDrive::modes; ++held)
-      if (!is_sound(whole, held)) return false;
+    for (unsigned active = 0; active < 1u << TheDrive::modes; ++active)
+      if (!is_sound(whole, active)) return false;
     return true;
   }
 
@@ -107,13 +107,13 @@ struct LinearDrive {
   }
 
   template <class TheDrive>
-  static constexpr bool is_sound(const TheDrive& whole, unsigned held) {
-    const LinearDrive linear = of(whole, held);
+  static constexpr bool is_sound(const TheDrive& whole, unsigned active) {
+    const LinearDrive linear = of(whole, active);
     typename TheDrive::template Input<Real> x = {};
     Real input[kColumns] = {};
     for (int column = 0; column < kColumns; ++column)
       if (set<TheDrive>(x, column, 1.0 + 0.37 * column)) input[column] = 1.0 + 0.37 * column;
-    const auto rates = whole.linear().rates(x, held);
+    const auto rates = whole.linear().rates(x, active);
     const auto agrees = [&](Real answer, const Real(&row)[kColumns]) {
       Real sum = 0.0, size = 0.0;
       for (int column = 0; column < kColumns; ++column) {

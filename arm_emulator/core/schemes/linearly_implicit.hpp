@@ -42,7 +42,7 @@ namespace arm {
 template <class S, class X = Real, class Tables = DriveTables<S, X, MakeImplicit>>
 class LinearlyImplicit {
  public:
-  static constexpr int N = S::N, K = most_states<S>();
+  static constexpr int N = S::N, K = max_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
   using Drives = Tables;
   using In = typename Tables::In;
@@ -67,7 +67,7 @@ class LinearlyImplicit {
   void renew(int lane) { tables_.renew(lane); }
   void renew() {
     tables_.fill();
-    usual_ = true;
+    regular_ = true;
     if (half_) half_->renew();
   }
 
@@ -181,8 +181,8 @@ class LinearlyImplicit {
 
   ARM_INLINE void begin(State<S, X>& x, const X (&u)[row], Inputs& in) const {
     if constexpr (kJumps<S>) begin_at_once(n_, x, u);
-    for_each<K, kMostStates>([&](auto k)
-                                 __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
+    for_each<K, kMaxStates>([&](auto k)
+                                __attribute__((always_inline)) { in[k] = Numbers::load(x.z[k]); });
     in[In::q] = Numbers::load(x.q);
     in[In::v] = Numbers::load(x.v);
     in[In::u] = Numbers::load(u);
@@ -222,7 +222,7 @@ class LinearlyImplicit {
   // jumped acts there, and load friction must follow it.
   ARM_INLINE State<S, X> pulled_at_rest(const State<S, X>& x, const Inputs& in) {
     State<S, X> pulled = x;
-    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+    for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
       Numbers z = tables_.rates_at_rest(k, in);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
         z.at[g] = fma(gamma * h_, z.at[g], in[k].at[g]);
@@ -271,7 +271,7 @@ class LinearlyImplicit {
                                     __attribute__((always_inline)) { number.at[g] = of_group(g); });
       number.store(to);
     };
-    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+    for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
       const Numbers rate = tables_.rates(k, in);
       store([&](auto g) { return fma(h_, rate.at[g], in[k].at[g]); }, y.z[k]);
     });
@@ -283,7 +283,7 @@ class LinearlyImplicit {
     store([&](auto g) { return fma(h_, in[In::k1].at[g], in[In::v].at[g]); }, y.v);
     if constexpr (Coulomb<S, X>::varies) coulomb_.add_change(y, u, tables_.modes(), change);
     const auto rest = tables_.rest_at(y, u);
-    for_each<Tables::R, kMostInputs>([&](auto r) __attribute__((always_inline)) {
+    for_each<Tables::R, kMaxInputs>([&](auto r) __attribute__((always_inline)) {
       if (!Tables::matters(In::rest + r)) return;
       const Numbers there = Numbers::gather(rest.at[r]);
       for_each<Numbers::groups>([&](auto g) __attribute__((always_inline)) {
@@ -341,25 +341,25 @@ class LinearlyImplicit {
   ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) {
     Numbers z[K > 0 ? K : 1];
     tables_.template add<stages>(in, z);
-    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) { z[k].store(x.z[k]); });
+    for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) { z[k].store(x.z[k]); });
   }
 
   // A step is taken with the modes that hold at its end: a current has not passed its limit, one at
   // the limit is not drawn back by its own circuit, a stuck rotor is not overloaded. If none are
   // consistent, the step is halved. The shortest parts keep the modes of their start, so a mode
-  // changes at most 2^-kMostHalvings of a step too late. (Shorter ones need not help: a rotor that
+  // changes at most 2^-kMaxHalvings of a step too late. (Shorter ones need not help: a rotor that
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
   void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
     constexpr int most = 2 * N * Tables::M;
     const Memory memory = past();
-    const bool begins_usual = usual_ && is_usual(n_, x, u);
-    if (!begins_usual) tables_.serve_modes_at(x, u);
+    const bool begins_regular = regular_ && is_regular(n_, x, u);
+    if (!begins_regular) tables_.serve_modes_at(x, u);
     State<S> y;
     for (int round = 0;; ++round) {
       past() = memory;
       attempt(x, u, links, in, y);
-      if (begins_usual && round == 0 && is_usual(n_, y, u)) {
+      if (begins_regular && round == 0 && is_regular(n_, y, u)) {
         x = y;
         return;
       }
@@ -367,14 +367,14 @@ class LinearlyImplicit {
       if (keeps || tables_.correct_modes(x, y, u)) {
         x = y;
         tables_.settle(x, u);
-        usual_ = !keeps && tables_.serves_usual();
+        regular_ = !keeps && tables_.serves_regular();
         return;
       }
       if (round < most) continue;
-      if (halvings_ < kMostHalvings) break;
+      if (halvings_ < kMaxHalvings) break;
       tables_.serve_modes_at(x, u);
     }
-    usual_ = false;
+    regular_ = false;
     tables_.settle(y, u);
     past() = memory;
     halve(x, u);
@@ -407,12 +407,12 @@ class LinearlyImplicit {
     past() = half_->past();
   }
 
-  static constexpr int kMostHalvings = 12;
+  static constexpr int kMaxHalvings = 12;
 
   Real h_;
   const arm::Numbers<S, X>& n_;
   Tables tables_;
-  bool usual_ = true;  // all joints are served in their usual modes
+  bool regular_ = true;  // all joints are served in their regular modes
   // Of the newest step, and in lanes of the one before: the next is written over that, not copied.
   static constexpr int kept = extrapolates && kWidth<X> > 1 ? 2 : 1;
   Memory past_[kept] = {};

@@ -13,7 +13,7 @@ namespace arm {
 template <class S, class X = Real>
 class PaperScheme {
  public:
-  static constexpr int N = S::N, K = most_states<S>();
+  static constexpr int N = S::N, K = max_states<S>();
   using Dynamics = typename Links<S, X>::Dynamics;
   using Tables = DriveTables<S, X, MakePaper>;
   using In = typename Tables::In;
@@ -56,7 +56,7 @@ class PaperScheme {
   ARM_INLINE void drives(State<S, X>& x, const X (&u)[row], X (&torque)[row]) {
     if constexpr (kJumps<S>) begin_at_once(n_, x, u);
     typename Tables::Inputs in;
-    for_each<K, kMostStates>(
+    for_each<K, kMaxStates>(
         [&](auto k) __attribute__((always_inline)) { in[k] = Row<N, X>::load(x.z[k]); });
     in[In::q] = Row<N, X>::load(x.q);
     in[In::v] = Row<N, X>::load(x.v);
@@ -64,7 +64,7 @@ class PaperScheme {
     if constexpr (Tables::modal) choose_modes(x, u, in);
     if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
     Tables::template answer<In::k1>(tables_.rhs_1, in, Tables::link).store(torque);
-    for_each<K, kMostStates>([&](auto k) __attribute__((always_inline)) {
+    for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
       auto z = Tables::template answer<In::k1>(tables_.dz[k], in, k);
       for_each<z.groups>([&](auto g) __attribute__((always_inline)) { z.at[g] += in[k].at[g]; });
       z.store(x.z[k]);
@@ -80,9 +80,9 @@ class PaperScheme {
         auto modes = drive.modes_at(start);
         for (int round = 0; round <= 2 * drive.modes; ++round) {
           tables_.serve(j, resized<Tables::M>(modes));
-          const auto wanted = drive.wanted(start, tables_.end_of(drive, j, start), modes);
-          if (wanted == modes) return;
-          modes = wanted;
+          const auto required = drive.required(start, tables_.end_of(drive, j, start), modes);
+          if (required == modes) return;
+          modes = required;
         }
       }
     });

@@ -21,7 +21,7 @@ struct Piece {
   bool whole = false;   // not a part of a cut step
   bool locked[N] = {};  // the links' modes, and directions
   double direction[N] = {};
-  unsigned held[N] = {};                                  // the drives' modes
+  unsigned active[N] = {};                                // the drives' modes
   double z[K > 0 ? K : 1][N] = {}, q[N] = {}, v[N] = {};  // the state at its start
 };
 

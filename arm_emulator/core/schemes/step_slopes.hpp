@@ -29,15 +29,15 @@ using Directions = Lanes<kDirections>;
 template <class S>
 struct OwnSlopes {
   using Row = Directions;
-  static constexpr int N = S::N, K = most_states<S>();
+  static constexpr int N = S::N, K = max_states<S>();
   bool at[N] = {}, links = false;  // joints whose drives have such numbers, and whether links have
   Row first[N], second[N], z[K > 0 ? K : 1][N], carried[N], diagonal[N];
   Row links_first[N], links_second[N];
 
   bool any() const {
-    bool found = links;
-    for (const bool one : at) found = found || one;
-    return found;
+    bool result = links;
+    for (const bool one : at) result = result || one;
+    return result;
   }
 };
 

@@ -19,14 +19,14 @@ class TrialDrives : public ServedDrives<S, Real> {
     fill();
     retime(maker);
   }
-  // All numbers have changed. All parts are in their usual modes; `retime` is due.
+  // All numbers have changed. All parts are in their regular modes; `retime` is due.
   void fill() {
     this->take_linear();
     this->n_.for_each_drive([&](const auto& drive, int j) { put(drive, j, Modes{}); });
   }
   // Put joint j into these modes; `retime` is due.
   void serve(int j, const Modes& modes) {
-    if (modes.held() == this->served(j).held()) return this->note(j, modes);
+    if (modes.active() == this->served(j).active()) return this->note(j, modes);
     this->n_.for_each_drive([&](const auto& drive, int i) {
       if (i == j) put(drive, j, modes);
     });
@@ -133,7 +133,7 @@ class TrialDrives : public ServedDrives<S, Real> {
   }
   ARM_APART void put(const auto& drive, int j, const Modes& modes) {
     this->note(j, modes);
-    of_[j / Row::group].drive.put(j % Row::group, LinearDrive<K, M>::of(drive, modes.held()));
+    of_[j / Row::group].drive.put(j % Row::group, LinearDrive<K, M>::of(drive, modes.active()));
   }
 
   Real h_;

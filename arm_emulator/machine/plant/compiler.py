@@ -25,8 +25,9 @@ FLAGS = (*CPP_FLAGS, "-ffinite-math-only", "-fvisibility=hidden", "-pthread")
 
 
 # The same machine of plain numbers in a library for sensitivities, under names of its own.
-OF_LEADER = (
-    "#undef ARM_DIRECTIONS\n#define ARM_RECORDS\n#define arm leading\n#define Scene Leader\n"
+OF_PRIMAL = (
+    "#undef ARM_DIRECTIONS\n#define ARM_RECORDS\n"
+    "#define arm primal_arm\n#define Scene PrimalScene\n"
 )
 
 
@@ -92,9 +93,9 @@ def load_sensitivities(scene: Scene) -> Library:
     about = f"derivatives of {scene.name} ({len(scene.joints)} joints)"
     source = write_scene_unit(scene, "boundary/sensitivity.hpp")
     unit = _build_unit(f"{scene.name}-derivatives", source, (SENSITIVITY,), scene.where, about)
-    leader = OF_LEADER + write_scene_unit(scene, "boundary/primal_run.hpp")
+    primal = OF_PRIMAL + write_scene_unit(scene, "boundary/primal_run.hpp")
     flags = (*FLAGS, f"-DARM_DIRECTIONS={DIRECTIONS}")
-    return load_library(replace(unit, flags=flags, beside=leader))
+    return load_library(replace(unit, flags=flags, beside=primal))
 
 
 def load_real_time() -> Library:

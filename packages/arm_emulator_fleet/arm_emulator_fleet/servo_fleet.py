@@ -32,8 +32,8 @@ from arm_emulator.extension.runs import (
     ServoConfig,
     check_joints,
     check_servo,
+    count_nanoseconds,
     load_servo_config,
-    nanoseconds,
     servo_numbers,
 )
 from arm_emulator.extension.runs import ServoDrives as ServoArm
@@ -215,7 +215,7 @@ class ServoFleet(FleetControl):
         )
         for k in range(self._count):
             motion_period = self._drives[k % len(self._drives)].servo.config.motion_period
-            self._arms[k].motion_period = nanoseconds(motion_period)
+            self._arms[k].motion_period = count_nanoseconds(motion_period)
         self._calls.servo_fleet_aim(self.struct, self._count)
 
     def retune(self, arm: int, config: ServoConfig) -> None:

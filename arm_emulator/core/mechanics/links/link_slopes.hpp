@@ -56,12 +56,12 @@ class LinkSlopes {
     for (int j = 0; j < N; ++j) q[j] = x.q[j].value + 0.1, v[j] = 1.0;
     Dynamics links;
     Links<S>::dynamics_apart(numbers, q, v, links);
-    bool found = false;
+    bool result = false;
     for (int j = 0; j < N; ++j) {
-      found = found || has_derivatives(links.nle[j]);
-      for (int k = j; k < N; ++k) found = found || has_derivatives(links.M.at[j][k]);
+      result = result || has_derivatives(links.nle[j]);
+      for (int k = j; k < N; ++k) result = result || has_derivatives(links.M.at[j][k]);
     }
-    return found;
+    return result;
   }
 
  private:

@@ -7,8 +7,8 @@
 //
 //   dx/dt = I (u - i) + I/P (V - V*) = I/P (V - x - E wm)
 //
-// The mode (mode.hpp) is `held` there, and its number is V. Both modes give the same rates where V*
-// = V: nothing jumps.
+// The mode (mode.hpp) is `active` there, and its number is V. Both modes give the same rates where
+// V* = V: nothing jumps.
 //
 // With a bandwidth f, P = 2 pi f L and I = 2 pi f R: the zero of the PI cancels the winding's pole,
 // and within the supply 1 / (2 pi f) di/dt = u - i.
@@ -61,10 +61,10 @@ struct CurrentLoop : Motor {
   constexpr Real inertia(int k, bool) const { return k == 0 ? this->L : 1.0; }
   constexpr bool obeys_circuit(bool) const { return true; }
   template <class X>
-  ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool held, X* f) const {
-    const X V = held ? offset : asked(z, u, wm);
+  ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool active, X* f) const {
+    const X V = active ? offset : asked(z, u, wm);
     f[0] = V - this->R_circuit() * z[0] - this->Kb * wm;
-    f[1] = held ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
+    f[1] = active ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
   }
   // The integral is set to hold a current that is set by hand.
   constexpr void put_current(Real* z, Real current) const {
@@ -74,7 +74,7 @@ struct CurrentLoop : Motor {
   constexpr void follow(Real*, Real, Real) const {}
 
   template <class X>
-  ARM_INLINE constexpr Mask<X> is_usual(const X* z, X u, X wm) const {
+  ARM_INLINE constexpr Mask<X> is_regular(const X* z, X u, X wm) const {
     return magnitude(asked(z, u, wm)) < nominal.supply;
   }
   constexpr Mode mode_at(const Real* z, Real u, Real wm) const {
@@ -82,20 +82,20 @@ struct CurrentLoop : Motor {
     if (magnitude(V) <= nominal.supply) return {};
     return {true, V < 0.0 ? -nominal.supply : nominal.supply};
   }
-  constexpr Mode wanted(const Real* z, Real u, Real wm, const Mode& mode) const {
+  constexpr Mode required(const Real* z, Real u, Real wm, const Mode& mode) const {
     if (margin(z, u, wm, mode) >= 0.0) return mode;
-    return mode.held ? Mode{} : mode_at(z, u, wm);
+    return mode.active ? Mode{} : mode_at(z, u, wm);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const Mode& mode) const {
     const Real V = asked(z, u, wm), rounding = kRounding * nominal.supply;
-    if (!mode.held) return nominal.supply - magnitude(V) + rounding;
+    if (!mode.active) return nominal.supply - magnitude(V) + rounding;
     return (mode.offset < 0.0 ? -V : V) - nominal.supply + rounding;
   }
   constexpr void settle(Real*, const Mode&) const {}
 
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X, X wm, bool held) const {
-    const X V = held ? clamp(asked(z, u, wm), nominal.supply) : asked(z, u, wm);
+  ARM_INLINE constexpr X given(const X* z, X u, X, X wm, bool active) const {
+    const X V = active ? clamp(asked(z, u, wm), nominal.supply) : asked(z, u, wm);
     return V * z[0] + (this->Kt - this->Kb) * wm * z[0];
   }
   template <class X>

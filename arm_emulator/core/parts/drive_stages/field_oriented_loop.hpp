@@ -50,12 +50,14 @@ struct FieldOrientedLoop : Motor {
     return FieldOrientedLoop<decltype(motor), false>{motor, control, nominal};
   }
 
-  constexpr Real inertia(int k, bool held) const { return k < 2 ? Motor::inertia(k, held) : 1.0; }
+  constexpr Real inertia(int k, bool active) const {
+    return k < 2 ? Motor::inertia(k, active) : 1.0;
+  }
   template <class X>
-  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool active, X* f) const {
     const Voltages<X> asked = this->asked(z, u, wm), V = within(asked);
     const X across[] = {z[0], z[1], V.d};
-    Motor::rates(across, V.q, tm, wm, offset, held, f);
+    Motor::rates(across, V.q, tm, wm, offset, active, f);
     f[3] = I() * (z[2] - z[0]) + I() / P(nominal.Ld) * (V.d - asked.d);
     f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - asked.q);
   }

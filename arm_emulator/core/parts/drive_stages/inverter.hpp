@@ -35,11 +35,11 @@ struct InvertedMotor : Motor {
   }
 
   template <class X>
-  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
-    Motor::rates(z, u, tm, wm, offset, held, f);
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool active, X* f) const {
+    Motor::rates(z, u, tm, wm, offset, active, f);
     if constexpr (of_vectors)
       f[0] -= slope(z) * z[0], f[1] -= slope(z) * z[1];
-    else if (this->obeys_circuit(held))
+    else if (this->obeys_circuit(active))
       f[0] -= slope(z) * z[0];
   }
 
@@ -49,18 +49,18 @@ struct InvertedMotor : Motor {
   }
   // A current that is held at its limit takes what is lost from the supply, too.
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X tm, X wm, bool held) const {
-    X power = Motor::given(z, u, tm, wm, held);
+  ARM_INLINE constexpr X given(const X* z, X u, X tm, X wm, bool active) const {
+    X power = Motor::given(z, u, tm, wm, active);
     if constexpr (!of_vectors)
-      if (!this->obeys_circuit(held)) power += lost(z);
+      if (!this->obeys_circuit(active)) power += lost(z);
     return power;
   }
 
   constexpr auto mode_at(const Real* z, Real u, Real wm) const {
     return Motor::mode_at(z, left(z, u), wm);
   }
-  constexpr auto wanted(const Real* z, Real u, Real wm, const auto& mode) const {
-    return Motor::wanted(z, left(z, u), wm, mode);
+  constexpr auto required(const Real* z, Real u, Real wm, const auto& mode) const {
+    return Motor::required(z, left(z, u), wm, mode);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const auto& mode) const {
     return Motor::margin(z, left(z, u), wm, mode);

@@ -24,8 +24,8 @@ struct OpenedMotor : Motor {
   }
 
   template <class X>
-  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
-    Motor::rates(z, u, tm, wm, offset, held, f);
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool active, X* f) const {
+    Motor::rates(z, u, tm, wm, offset, active, f);
     for (int k = 0; k < Motor::regulated; ++k) f[k] -= kOpen * open * z[k];
   }
   constexpr void follow(Real* z, Real u, Real wm) const {

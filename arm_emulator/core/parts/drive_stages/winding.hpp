@@ -51,19 +51,19 @@ struct HeatedMotor : Motor {
     }
   }
 
-  constexpr Real inertia(int k, bool held) const {
-    return k == rise ? winding.C : Motor::inertia(k, held);
+  constexpr Real inertia(int k, bool active) const {
+    return k == rise ? winding.C : Motor::inertia(k, active);
   }
   template <class X>
-  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool held, X* f) const {
-    Motor::rates(z, u, tm, wm, offset, held, f);
+  ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool active, X* f) const {
+    Motor::rates(z, u, tm, wm, offset, active, f);
     f[rise] = -z[rise] / winding.Rth;
     if constexpr (whole) {
       const X R = (resistance(z) - 1.0) * this->R, flux = magnets(z) - 1.0;
       if constexpr (requires { this->psi; }) {
         f[0] -= R * z[0];
         f[1] -= R * z[1] + flux * this->p * this->psi * wm;
-      } else if (this->obeys_circuit(held)) {
+      } else if (this->obeys_circuit(active)) {
         f[0] -= R * z[0] + flux * this->Kb * wm;
       }
       f[rise] += resistance(z) * Motor::copper_loss(z);
@@ -91,13 +91,13 @@ struct HeatedMotor : Motor {
   }
 
   // `motor` with its numbers at this temperature.
-  constexpr Real given(const Real* z, Real u, Real tm, Real wm, bool held) const {
-    return now(z).given(z, u, tm, wm, held);
+  constexpr Real given(const Real* z, Real u, Real tm, Real wm, bool active) const {
+    return now(z).given(z, u, tm, wm, active);
   }
   constexpr void follow(Real* z, Real u, Real wm) const { now(z).follow(z, u, wm); }
   constexpr auto mode_at(const Real* z, Real u, Real wm) const { return now(z).mode_at(z, u, wm); }
-  constexpr auto wanted(const Real* z, Real u, Real wm, const auto& mode) const {
-    return now(z).wanted(z, u, wm, mode);
+  constexpr auto required(const Real* z, Real u, Real wm, const auto& mode) const {
+    return now(z).required(z, u, wm, mode);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const auto& mode) const {
     return now(z).margin(z, u, wm, mode);

@@ -1,8 +1,8 @@
 // Dry friction of a rotor behind an elastic gear (behind a rigid gear it acts on the link).
 //
-// Its mode is `held` where the rotor sticks: then 0 = wm replaces eq. (2). Else the mode's number
+// Its mode is `active` where the rotor sticks: then 0 = wm replaces eq. (2). Else the mode's number
 // is the sliding torque, with the sign of the motion. `Law` is any law with the interface of
-// friction.hpp; a law without dry friction has the usual mode only.
+// friction.hpp; a law without dry friction has the regular mode only.
 #pragma once
 
 #include "parts/frictions/friction.hpp"
@@ -46,14 +46,14 @@ struct RotorFriction {
     return law.Dv * wm * wm + law.sliding(wm, T) * magnitude(wm);
   }
 
-  constexpr bool is_usual() const { return is_free(); }
+  constexpr bool is_regular() const { return is_free(); }
   constexpr Mode mode_at(Real wm, const OnRotor& on) const {
     if (is_free()) return {};
     if (wm == 0.0 && spare(on) >= 0.0) return {true, 0.0};
     return slide(wm == 0.0 ? on.torque : wm, wm, on.of_gear);
   }
-  constexpr Mode wanted(Real began, Real wm, const OnRotor& on, const Mode& mode) const {
-    if (mode.held) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
+  constexpr Mode required(Real began, Real wm, const OnRotor& on, const Mode& mode) const {
+    if (mode.active) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
     if (is_free()) return mode;
     // A rotor that reverses rests at the step's end, or in the whole step if it stopped in the
     // first half: longer friction would wind up the gear.
@@ -61,12 +61,12 @@ struct RotorFriction {
     return wm * mode.offset < 0.0 && stops_early ? Mode{true, 0.0} : mode;
   }
   constexpr Real margin(Real wm, const OnRotor& on, const Mode& mode) const {
-    if (mode.held) return spare(on);
+    if (mode.active) return spare(on);
     if (is_free()) return 1.0;
     return mode.offset < 0.0 ? -wm : wm;
   }
   constexpr void settle(Real& wm, const Mode& mode) const {
-    if (mode.held || (!is_free() && wm * mode.offset < 0.0)) wm = 0.0;
+    if (mode.active || (!is_free() && wm * mode.offset < 0.0)) wm = 0.0;
   }
 
  private:

@@ -1,16 +1,16 @@
 // An elastic gear with play: while the twist w = Ng tm - q is within +-play/2 no tooth touches and
-// T = 0; beyond, a tooth pushes (one_sided.hpp) with the depth |w| - play/2.
+// T = 0; beyond, a tooth pushes (unilateral_spring.hpp) with the depth |w| - play/2.
 //
-// Its mode is `held` while a tooth pushes, and the mode's number is the twist where it began to
+// Its mode is `active` while a tooth pushes, and the mode's number is the twist where it began to
 // touch: then T = Kg (w - offset) + Dg dw/dt.
 //
-// A play of 0 is the elastic gear, whose damper pulls, too: always `held`, with offset 0. Teeth
+// A play of 0 is the elastic gear, whose damper pulls, too: always `active`, with offset 0. Teeth
 // that push and never pull would meet an event at each change of the torque's sign.
 #pragma once
 
 #include "parts/gears/gear.hpp"
 #include "parts/mode.hpp"
-#include "parts/one_sided.hpp"
+#include "parts/unilateral_spring.hpp"
 
 namespace arm {
 
@@ -28,17 +28,17 @@ struct BacklashGear {
   constexpr const BacklashGear& linear() const { return *this; }
 
   template <class X>
-  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X offset, bool held) const {
-    return held ? tooth().push(Ng * tm - q - offset, Ng * wm - v) : X{};
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X offset, bool active) const {
+    return active ? tooth().push(Ng * tm - q - offset, Ng * wm - v) : X{};
   }
   template <class X>
   ARM_INLINE constexpr X stored(X tm, X q) const {
     return tooth().stored(magnitude(Ng * tm - q) - gap());
   }
-  constexpr Real dissipated(Real tm, Real wm, Real q, Real v, bool held) const {
+  constexpr Real dissipated(Real tm, Real wm, Real q, Real v, bool active) const {
     const Real w = Ng * tm - q, rate = Ng * wm - v;
     if (is_tight()) return Dg * rate * rate;
-    return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, held);
+    return tooth().dissipated(magnitude(w) - gap(), w < 0.0 ? -rate : rate, active);
   }
 
   constexpr Mode mode_at(Real tm, Real wm, Real q, Real v) const {
@@ -51,15 +51,15 @@ struct BacklashGear {
     if (is_tight()) return 1.0;
     const Real w = Ng * tm - q, rate = Ng * wm - v;
     // While no tooth pushes, the margin is that of the nearer one.
-    const Real way = (mode.held ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
-    return tooth().margin(mode.held, way * w - gap(), way * rate,
+    const Real way = (mode.active ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
+    return tooth().margin(mode.active, way * w - gap(), way * rate,
                           kRounding * Kg * (gap() + magnitude(q)));
   }
 
  private:
   constexpr bool is_tight() const { return play == 0.0; }
   constexpr Real gap() const { return 0.5 * play; }
-  constexpr OneSided tooth() const { return {Kg, Dg}; }
+  constexpr UnilateralSpring tooth() const { return {Kg, Dg}; }
 };
 
 }  // namespace arm

@@ -23,8 +23,8 @@ struct ProgressiveGear {
   constexpr ElasticGear linear() const { return {Ng, Kg, Dg}; }
 
   template <class X>
-  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X none, bool held) const {
-    return linear().torque(tm, wm, q, v, none, held) + beyond_linear(tm, q);
+  ARM_INLINE constexpr X torque(X tm, X wm, X q, X v, X none, bool active) const {
+    return linear().torque(tm, wm, q, v, none, active) + beyond_linear(tm, q);
   }
   // Torque that it adds to that of the linear gear.
   template <class X>
@@ -38,8 +38,8 @@ struct ProgressiveGear {
     return linear().stored(tm, q) + 0.25 * Kg3 * (w * w) * (w * w);
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool held) const {
-    return linear().dissipated(tm, wm, q, v, held);
+  ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool active) const {
+    return linear().dissipated(tm, wm, q, v, active);
   }
 };
 

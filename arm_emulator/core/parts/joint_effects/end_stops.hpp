@@ -1,12 +1,12 @@
 // Stops at both ends of a joint: beyond `lower` or `upper` a spring and a damper push the link back
-// and never hold it (one_sided.hpp).
+// and never hold it (unilateral_spring.hpp).
 //
-// Its mode is `held` while a stop pushes; the mode's number is the position of that stop.
+// Its mode is `active` while a stop pushes; the mode's number is the position of that stop.
 #pragma once
 
 #include "parts/mode.hpp"
-#include "parts/one_sided.hpp"
 #include "parts/place.hpp"
+#include "parts/unilateral_spring.hpp"
 
 namespace arm {
 
@@ -22,20 +22,21 @@ struct EndStops {
   constexpr const EndStops& linear() const { return *this; }
 
   template <class X>
-  ARM_INLINE constexpr X torque(X q, X v, const X*, X offset, bool held) const {
-    return held ? -stop().push(q - offset, v) : X{};
+  ARM_INLINE constexpr X torque(X q, X v, const X*, X offset, bool active) const {
+    return active ? -stop().push(q - offset, v) : X{};
   }
   template <class X>
   ARM_INLINE constexpr X stored(X q, const X*) const {
     return stop().stored(q - upper) + stop().stored(lower - q);
   }
-  constexpr Real dissipated(Real q, Real v, const Real*, bool held) const {
+  constexpr Real dissipated(Real q, Real v, const Real*, bool active) const {
     const bool above = q - upper > lower - q;
-    return above ? stop().dissipated(q - upper, v, held) : stop().dissipated(lower - q, -v, held);
+    return above ? stop().dissipated(q - upper, v, active)
+                 : stop().dissipated(lower - q, -v, active);
   }
 
   template <class X>
-  ARM_INLINE constexpr Mask<X> is_usual(X q, X, const X*) const {
+  ARM_INLINE constexpr Mask<X> is_regular(X q, X, const X*) const {
     return (q <= upper) & (q >= lower);
   }
   constexpr Mode mode_at(Real q, Real v, const Real*) const {
@@ -45,14 +46,14 @@ struct EndStops {
   }
   constexpr Real margin(Real q, Real v, const Real*, const Mode& mode) const {
     // While no stop pushes, the margin is that of the nearer one.
-    const bool above = mode.held ? mode.offset == upper : q - upper > lower - q;
+    const bool above = mode.active ? mode.offset == upper : q - upper > lower - q;
     const Real u = above ? q - upper : lower - q, du = above ? v : -v;
     const Real size = magnitude(lower) + magnitude(upper);
-    return stop().margin(mode.held, u, du, kRounding * K * size);
+    return stop().margin(mode.active, u, du, kRounding * K * size);
   }
 
  private:
-  constexpr OneSided stop() const { return {K, D}; }
+  constexpr UnilateralSpring stop() const { return {K, D}; }
 };
 
 }  // namespace arm

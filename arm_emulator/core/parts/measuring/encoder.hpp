@@ -101,7 +101,7 @@ struct EncoderMemory {
     } else {
       turn(e, c, noises);
     }
-    if (is_held(e.held, noises, number)) return;
+    if (repeats_reading(e.held, noises, number)) return;
     read(e);
     const Noise flips = {mixed(noises.key + 2)};
     if (e.flips > 0.0 && flips.uniform(2 * number) <= e.flips)
@@ -109,7 +109,7 @@ struct EncoderMemory {
   }
 
  private:
-  static constexpr int kMostMisses = 1000;  // that are drawn one by one between two looks
+  static constexpr int kMaxMisses = 1000;  // that are drawn one by one between two looks
 
   static constexpr Noise misses_of(const Noise& noises) { return {mixed(noises.key ^ kGolden)}; }
 
@@ -149,7 +149,7 @@ struct EncoderMemory {
     disc = to;
     if (e.missed <= 0.0) return;
     const double rate = 2.0 * artanh(e.missed / (2.0 - e.missed));  // -log(1 - e.missed)
-    for (int k = 0; k < kMostMisses; ++k) {
+    for (int k = 0; k < kMaxMisses; ++k) {
       double next = __builtin_ceil(until_miss / rate);
       if (next < 1.0) next = 1.0;
       if (next > edges) {

@@ -64,7 +64,7 @@ struct CurrentMotor {
   ARM_INLINE constexpr X given(const X* i, X, X, X wm, bool) const {
     return (R * i[0] + Kt * wm) * i[0];
   }
-  static constexpr bool given_by_speed = true;  // so that it may grow from nothing at rest
+  static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest
   template <class X>
   ARM_INLINE constexpr X given_at_most(const X* i, X u, X wm) const {
     const X most = larger_size(i[0], u);

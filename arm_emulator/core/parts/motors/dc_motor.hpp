@@ -3,7 +3,7 @@
 //   (1)  L di/dt = V - (R + R_contact) i - Kb wm          torque  Kt i
 //
 // With L = 0 the current follows at once. At its limit the drive reduces the voltage so that the
-// current stays there. Its mode (mode.hpp) is `held` there, and the mode's number is the limit,
+// current stays there. Its mode (mode.hpp) is `active` there, and the mode's number is the limit,
 // with the current's sign.
 #pragma once
 
@@ -36,10 +36,10 @@ struct DcMotorOf {
   constexpr Real largest_current() const { return current_limit; }
 
   // Factor of di/dt in (1), and the right-hand side of (1).
-  constexpr Real inertia(int, bool held) const { return held ? 0.0 : L; }
+  constexpr Real inertia(int, bool active) const { return active ? 0.0 : L; }
   template <class X>
-  ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool held, X* f) const {
-    f[0] = held ? offset - i[0] : V - R_circuit() * i[0] - Kb * wm;
+  ARM_INLINE constexpr void rates(const X* i, X V, X, X wm, X offset, bool active, X* f) const {
+    f[0] = active ? offset - i[0] : V - R_circuit() * i[0] - Kb * wm;
   }
   template <class X>
   ARM_INLINE constexpr X torque(const X* i, X) const {
@@ -59,22 +59,22 @@ struct DcMotorOf {
   }
 
   // Whether (1) holds, of a motor around it (winding.hpp).
-  constexpr bool obeys_circuit(bool held) const { return !held; }
+  constexpr bool obeys_circuit(bool active) const { return !active; }
 
   template <class X>
-  ARM_INLINE constexpr Mask<X> is_usual(const X* i, X, X) const {
+  ARM_INLINE constexpr Mask<X> is_regular(const X* i, X, X) const {
     return magnitude(i[0]) < current_limit;
   }
   constexpr Mode mode_at(const Real* i, Real V, Real wm) const {
     const Mode mode = beyond(i[0]);
-    return mode.held && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;
+    return mode.active && surplus(mode.offset, V, wm) * mode.offset < 0.0 ? Mode{} : mode;
   }
-  constexpr Mode wanted(const Real* i, Real V, Real wm, const Mode& mode) const {
-    if (!mode.held) return beyond(i[0] * (1.0 - kRounding));
+  constexpr Mode required(const Real* i, Real V, Real wm, const Mode& mode) const {
+    if (!mode.active) return beyond(i[0] * (1.0 - kRounding));
     return surplus(i[0], V, wm) * mode.offset < 0.0 ? Mode{} : mode;
   }
   constexpr Real margin(const Real* i, Real V, Real wm, const Mode& mode) const {
-    if (!mode.held) {
+    if (!mode.active) {
       const Real now = L > 0.0 ? i[0] : (V - Kb * wm) / R_circuit();
       return current_limit * (1.0 + kRounding) - magnitude(now);
     }
@@ -83,7 +83,7 @@ struct DcMotorOf {
     return (mode.offset < 0.0 ? -left : left) + rounding;
   }
   constexpr void settle(Real* i, const Mode& mode) const {
-    i[0] = mode.held ? mode.offset : clamp(i[0], current_limit);
+    i[0] = mode.active ? mode.offset : clamp(i[0], current_limit);
   }
 
   template <class X>
@@ -100,8 +100,8 @@ struct DcMotorOf {
   }
   // Power from the supply, and the surplus from unequal constants [W].
   template <class X>
-  ARM_INLINE constexpr X given(const X* i, X V, X, X wm, bool held) const {
-    const X applied = held ? R_circuit() * i[0] + Kb * wm : V;
+  ARM_INLINE constexpr X given(const X* i, X V, X, X wm, bool active) const {
+    const X applied = active ? R_circuit() * i[0] + Kb * wm : V;
     return applied * i[0] + (Kt - Kb) * wm * i[0];
   }
   // The most that it can be given at the voltage V, for the best i [W].

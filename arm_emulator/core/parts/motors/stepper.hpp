@@ -78,7 +78,7 @@ struct StepperMotorOf {
   ARM_INLINE constexpr X given(const X* z, X, X tm, X wm, bool) const {
     return dissipated(z) + torque(z, tm) * wm;
   }
-  static constexpr bool given_by_speed = true;  // so that it may grow from nothing at rest
+  static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest
   template <class X>
   ARM_INLINE constexpr X given_at_most(const X* z, X ua, X wm) const {
     const X a = larger_size(z[0], ua), b = larger_size(z[1], z[2]);

@@ -8,10 +8,10 @@
 struct arm_fleet {
   using Machine = arm_machine::Machine;
   static constexpr int N = Scene::N;
-  // Lanes are not for two threads, nor for drives without a usual mode.
+  // Lanes are not for two threads, nor for drives without a regular mode.
   static constexpr bool together =
       std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Stepper>> &&
-      arm::is_ever_usual<Scene>();
+      arm::is_ever_regular<Scene>();
   static constexpr int lanes = together ? arm::kNativeLanes : 1;
   using Group = arm::SideBySide<Scene, lanes>;
 

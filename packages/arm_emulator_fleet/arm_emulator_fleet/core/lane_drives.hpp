@@ -1,9 +1,10 @@
 // Machines side by side whose smooth steps are taken together, and the others each by itself.
 //
-// A step is smooth for a machine whose drives are in their usual modes at its start and at its end,
-// whose brakes are open and, where events are located, whose links slide or rest all along. Such a
-// step equals the one of a single machine. Most steps are smooth. A machine that meets a current
-// limit, a stop, a brake or a located event takes that step alone and continues in its lane.
+// A step is smooth for a machine whose drives are in their regular modes at its start and at its
+// end, whose brakes are open and, where events are located, whose links slide or rest all along.
+// Such a step equals the one of a single machine. Most steps are smooth. A machine that meets a
+// current limit, a stop, a brake or a located event takes that step alone and continues in its
+// lane.
 #pragma once
 
 #include "mechanics/algebraic_states.hpp"
@@ -16,7 +17,7 @@ namespace arm {
 
 // Whether the lanes of a scene need this.
 template <class S>
-inline constexpr bool kStepsApart = most_modes<S>() > 0 || S::brakes > 0 || kLocates<S>;
+inline constexpr bool kStepsApart = max_modes<S>() > 0 || S::brakes > 0 || kLocates<S>;
 
 template <class S, class X, class Machine>
 class SmoothTogether {
@@ -61,7 +62,7 @@ class SmoothTogether {
     State<S, X> start = x;
     Mask<X> jumps = {};
     if constexpr (locates) jumps = follow(x, u);
-    Mask<X> smooth = n_.brakes_open() & is_usual(n_, x, u);
+    Mask<X> smooth = n_.brakes_open() & is_regular(n_, x, u);
     const Mask<X> begins = smooth & ~jumps;
     const bool together = any(smooth & there_);
     if (together) {
@@ -101,7 +102,7 @@ class SmoothTogether {
         for (int j = 0; j < N; ++j) drives_end.z[k][j] = x.z[k][j];
     else
       drives_end = x;
-    return is_usual(n_, drives_end, u);
+    return is_regular(n_, drives_end, u);
   }
   // The same with location of events.
   Mask<X> locate(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
@@ -111,13 +112,13 @@ class SmoothTogether {
     Mask<X> smooth = X{} == X{};
     if constexpr (Friction::present) smooth = friction_holds(modes_, x, u);
     follow(x, u);
-    return smooth & is_usual(n_, x, u);
+    return smooth & is_regular(n_, x, u);
   }
 
   void find_friction(const State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     X rhs[N];
     torques(x, u, links, rhs);
-    coulomb_.take(x, x, u, usual_modes);
+    coulomb_.take(x, x, u, regular_modes);
     coulomb_.decide([&] { return loaded(links); }, x.v, rhs);
     modes_ = coulomb_.modes();
   }
@@ -129,7 +130,7 @@ class SmoothTogether {
       const Dynamics& links = memo_.at(n_, y);
       X rhs[N];
       torques(y, u, links, rhs);
-      coulomb_.take(y, y, u, usual_modes);
+      coulomb_.take(y, y, u, regular_modes);
       coulomb_.hold_in(modes, [&] { return loaded(links); }, rhs);
       for (int j = 0; j < N; ++j) hold &= select(modes.locked[j], coulomb_.spare(j), X{}) >= 0.0;
     }
@@ -160,7 +161,7 @@ class SmoothTogether {
       });
     }
   }
-  static constexpr auto usual_modes = []<class Drive>(const Drive&, int, int) {
+  static constexpr auto regular_modes = []<class Drive>(const Drive&, int, int) {
     return typename Drive::Modes{};
   };
 

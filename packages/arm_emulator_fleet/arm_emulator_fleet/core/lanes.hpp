@@ -40,14 +40,14 @@ class SideBySide {
       positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
       if (q && lane < used_) began[lane] = steps_taken(lane);
     }
-    CommandSchedule course(commands, positions, stride, steps, apart);
+    CommandSchedule schedule(commands, positions, stride, steps, apart);
     for (std::int64_t left = rows * steps; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
       const bool still = together_ && brakes_rest_;
       for (int lane = 0; lane < used_ && !still; ++lane)
         if (const std::int64_t due = steps_to_brakes(lane); due < count)
           count = static_cast<int>(due);
-      section(course, count);
+      section(schedule, count);
       left -= count;
       if (still) continue;
       bool changed = false;
@@ -74,7 +74,7 @@ class SideBySide {
   // period.
   void settle(int lane) {
     if (!abreast_[lane]) return;
-    take(lane, at_, threads_.memory(), whole_[lane].now);
+    take(lane, at_, threads_.memory(), full_[lane].now);
     leave(lane);
   }
   bool is_abreast(int lane) const { return abreast_[lane]; }
@@ -141,7 +141,7 @@ class SideBySide {
   using Threads = OneThread<S, Method, X>;
   using CommandSchedule = arm::CommandSchedule<S, X, Method::row>;
   using Balance = EnergyBalance<S>;
-  using Whole = typename Machine::Whole;
+  using FullState = typename Machine::FullState;
   using Checkpoint = typename Machine::Checkpoint;
 
   static void put_rows(const X* from, double* to) { __builtin_memcpy(to, from, N * sizeof(X)); }
@@ -168,7 +168,7 @@ class SideBySide {
 
   std::int64_t steps_to_brakes(int lane) const {
     if (S::brakes == 0) return Brakes<S>::never;
-    return abreast_[lane] ? whole_[lane].brakes.next() - at_.steps_taken[lane]
+    return abreast_[lane] ? full_[lane].brakes.next() - at_.steps_taken[lane]
                           : machine_[lane]->steps_to_brakes();
   }
 
@@ -196,9 +196,9 @@ class SideBySide {
     bool all = true;
     for (int lane = 0; lane < used_; ++lane) {
       if (!abreast_[lane]) {
-        whole_[lane] = machine_[lane]->whole();
-        abreast_[lane] = whole_[lane].fault < 0;
-        if (abreast_[lane]) put(lane, whole_[lane].now, at_, past);
+        full_[lane] = machine_[lane]->full_state();
+        abreast_[lane] = full_[lane].fault < 0;
+        if (abreast_[lane]) put(lane, full_[lane].now, at_, past);
       }
       all = all && abreast_[lane];
       if (abreast_[lane]) sound = lane;
@@ -218,21 +218,21 @@ class SideBySide {
     together_ = all && used_ == width;
     brakes_rest_ = true;
     for (int lane = 0; lane < used_; ++lane)
-      brakes_rest_ = brakes_rest_ && whole_[lane].brakes.next() == Brakes<S>::never;
+      brakes_rest_ = brakes_rest_ && full_[lane].brakes.next() == Brakes<S>::never;
     return true;
   }
 
-  // A lane's machine goes on by itself from `whole_.now`.
+  // A lane's machine goes on by itself from `full_.now`.
   void leave(int lane) {
-    if (kept_[lane]) take(lane, checked_[newest_].at, checked_[newest_].past, whole_[lane].checked);
-    machine_[lane]->restore(whole_[lane]);
+    if (kept_[lane]) take(lane, checked_[newest_].at, checked_[newest_].past, full_[lane].checked);
+    machine_[lane]->restore(full_[lane]);
     abreast_[lane] = kept_[lane] = together_ = false;
     ++departures_;
   }
 
-  void section(CommandSchedule& course, int count) {
+  void section(CommandSchedule& schedule, int count) {
     if (!line_up()) return;
-    const CommandSchedule start = course;
+    const CommandSchedule start = schedule;
     const Moment began = {at_, threads_.memory()};
     Mask<X> lost = {};  // in what follows
     Found found = {};   // at the newest check
@@ -242,7 +242,7 @@ class SideBySide {
         const int due = Machine::steps_to_check(taken);
         if (due < steps) steps = due;
       }
-      march(course, steps);
+      march(schedule, steps);
       left -= steps;
       for_each_drive<S>(
           [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at_.x, h_); });
@@ -256,12 +256,12 @@ class SideBySide {
     for (int lane = 0; lane < used_; ++lane) {
       if (!abreast_[lane]) continue;
       if (lost[lane]) {
-        take(lane, began.at, began.past, whole_[lane].now);
+        take(lane, began.at, began.past, full_[lane].now);
         leave(lane);
         auto alone = start.template of_lane<Machine::Stepper::row>(lane);
         machine_[lane]->follow(alone, count);
       } else if (found.alone[lane]) {
-        whole_[lane].checked = alone_[lane];
+        full_[lane].checked = alone_[lane];
         kept_[lane] = false;
       } else {
         kept_[lane] = kept_[lane] || found.all;
@@ -293,13 +293,13 @@ class SideBySide {
   }
 
   // Neither inlined nor cloned, as a single machine's steps.
-  ARM_APART void march(CommandSchedule& course, int steps) {
+  ARM_APART void march(CommandSchedule& schedule, int steps) {
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
       if (Machine::is_check(at_.steps_taken[lane])) checked[lane] = -1;
     if (any(checked))
       at_.power = select(checked, Balance::largest_power(numbers_, at_.x, at_.u), at_.power);
-    course.march(numbers_, threads_, h_, steps, at_.x, at_.u, at_.power, at_.most);
+    schedule.march(numbers_, threads_, h_, steps, at_.x, at_.u, at_.power, at_.most);
   }
 
   void account_for_work(int lane) {
@@ -371,8 +371,8 @@ class SideBySide {
   bool together_ = false;     // all lanes are in use, and as `line_up` left them
   bool brakes_rest_ = false;  // none of their brakes is about to change
   std::int64_t departures_ = 0;
-  Whole whole_[width];  // of machines in lanes; `now` is that of the time when they came
-  // Where lanes were found sound last: `kept_`, or in `whole_`.
+  FullState full_[width];  // of machines in lanes; `now` is that of the time when they came
+  // Where lanes were found sound last: `kept_`, or in `full_`.
   Moment checked_[2] = {};
   int newest_ = 0;
   bool kept_[width] = {};

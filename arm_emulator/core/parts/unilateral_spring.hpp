@@ -13,8 +13,8 @@
 
 namespace arm {
 
-struct OneSided {
-  constexpr bool operator==(const OneSided&) const = default;
+struct UnilateralSpring {
+  constexpr bool operator==(const UnilateralSpring&) const = default;
 
   Real K;  // N m/rad
   Real D;  // N m s/rad
