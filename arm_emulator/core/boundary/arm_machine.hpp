@@ -86,7 +86,7 @@ struct arm_machine {
     number(one.powered);
     for (double& value : values) number(value);
     if constexpr (Scene::external_wrench)
-      for (arm::GivenWrench& wrench : one.given)
+      for (arm::GivenWrench& wrench : one.wrenches)
         for (double& entry : wrench.numbers) number(entry);
   }
 
@@ -131,7 +131,7 @@ struct arm_machine {
 
   void set_external_wrench(int link, const arm::GivenWrench& wrench) {
     if constexpr (Scene::external_wrench) {
-      given[link] = wrench;
+      wrenches[link] = wrench;
       machine.set_external_wrench(link, arm::in_core_axes<Scene>(link, wrench));
     }
   }
@@ -411,7 +411,7 @@ struct arm_machine {
   std::int64_t powered = true;
   bool measures_time = false;
   std::int64_t spent_ns = 0;  // wall time of steps, while it is measured
-  arm::GivenWrench given[Scene::external_wrench ? Scene::L : 1] = {};
+  arm::GivenWrench wrenches[Scene::external_wrench ? Scene::L : 1] = {};
   void (*listener)(void*, const arm_machine*) = nullptr;  // called at the end of every exchange
   void* listens_with = nullptr;
   mutable arm_refusal why = {sizeof(arm_refusal), -1, "", "", 0.0};

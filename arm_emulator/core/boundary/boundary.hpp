@@ -202,12 +202,12 @@ int arm_set_parameter(arm_machine* machine, const char* name, double value) {
 namespace {
 
 int check_wrench(const arm_machine* machine, std::int32_t link, const arm_wrench* wrench,
-                 arm::GivenWrench& given) {
+                 arm::GivenWrench& wrench_numbers) {
   const int joint = arm::kCoupled<Scene> ? -1 : link;
   if (machine->refuse_wrench(link) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
-  double* to = given.numbers;
+  double* to = wrench_numbers.numbers;
   for (const auto& vector : {wrench->point, wrench->force, wrench->moment})
     for (int k = 0; k < 3; ++k) {
       if (!arm::is_finite(vector[k]) || arm::magnitude(vector[k]) > ARM_LARGEST_WRENCH)
@@ -221,15 +221,15 @@ int check_wrench(const arm_machine* machine, std::int32_t link, const arm_wrench
 }  // namespace
 
 int arm_set_external_wrench(arm_machine* machine, std::int32_t link, const arm_wrench* wrench) {
-  arm::GivenWrench given = {};
-  if (!machine || check_wrench(machine, link, wrench, given)) return ARM_REFUSED;
-  machine->set_external_wrench(link, given);
+  arm::GivenWrench numbers = {};
+  if (!machine || check_wrench(machine, link, wrench, numbers)) return ARM_REFUSED;
+  machine->set_external_wrench(link, numbers);
   return ARM_OK;
 }
 
 int arm_get_external_wrench(const arm_machine* machine, std::int32_t link, arm_wrench* out) {
   if (!machine || machine->refuse_wrench(link) || machine->check_size(out)) return ARM_REFUSED;
-  const double* of = machine->given[Scene::external_wrench ? link : 0].numbers;
+  const double* of = machine->wrenches[Scene::external_wrench ? link : 0].numbers;
   for (double* vector : {out->point, out->force, out->moment})
     for (int k = 0; k < 3; ++k) vector[k] = *of++;
   out->axes = *of != 0.0 ? ARM_WORLD_AXES : ARM_LINK_AXES;
@@ -267,7 +267,7 @@ ARM_ONCE std::int32_t arm_get_point(const arm_machine* machine, double* out) {
   if (!machine || !out) return EquationPoint::size;
   for (int k = 0; k < EquationPoint::own; ++k) *out++ = machine->machine.parameter(k);
   for (int link = 0; link < EquationPoint::wrenches; ++link)
-    for (double number : machine->given[link].numbers) *out++ = number;
+    for (double number : machine->wrenches[link].numbers) *out++ = number;
   auto x = machine->machine.state();
   arm::for_each_number(x, [&](double number) { *out++ = number; });
   return EquationPoint::size;
@@ -296,8 +296,8 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   machine->machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
     const auto behind = drive.at_rest_behind(x.q[j], x.v[j]);
     const double limit = drive.motor.largest_current();
-    const auto differs = [&](const double* given, double one, double other) {
-      return given && arm::magnitude(one - other) > 1e-9 * (1.0 + arm::magnitude(other));
+    const auto differs = [&](const double* row, double one, double other) {
+      return row && arm::magnitude(one - other) > 1e-9 * (1.0 + arm::magnitude(other));
     };
     if (!drive.driven && truth->current && current[j] != 0.0)
       result = machine->refuse(j, names[0], "be 0 without a motor", current[j]);
@@ -320,8 +320,8 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
 int arm_advance(arm_machine* machine, const double* command, std::int64_t steps) {
   if (!machine || machine->check_finite(command, "command") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
-  const double* given = machine->with_power(command);
-  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(given, some); });
+  const double* applied = machine->with_power(command);
+  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(applied, some); });
   return machine->result();
 }
 

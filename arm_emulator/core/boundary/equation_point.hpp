@@ -21,9 +21,9 @@ struct EquationPoint {
       if (row[k] != 0.0) numbers.set(k, row[k]);
     row += own;
     for (int link = 0; link < wrenches; ++link) {
-      GivenWrench given;
-      for (Real& number : given.numbers) number = *row++;
-      numbers.set_external_wrench(link, in_core_axes<S>(link, given));
+      GivenWrench wrench;
+      for (Real& number : wrench.numbers) number = *row++;
+      numbers.set_external_wrench(link, in_core_axes<S>(link, wrench));
     }
     for_each_number(state, [&](Real& number) { number = *row++; });
   }

@@ -41,9 +41,9 @@ ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std
                             std::int32_t slides, double* out) {
   using Linear = arm::Linearisation<Scene>;
   if (!point || !x || !command || !out) return;
-  const arm::EquationPoint<Scene> given(point);
-  const arm::Numbers<Scene>& numbers = given.numbers;
-  arm::State<Scene> at = given.state;
+  const arm::EquationPoint<Scene> start(point);
+  const arm::Numbers<Scene>& numbers = start.numbers;
+  arm::State<Scene> at = start.state;
   if (!as_it_is)
     for (int k = 0; k < Linear::numbers; ++k) Linear::number(at, k) = x[k];
   arm::bound_commands(numbers, at, command);

@@ -148,8 +148,8 @@ class IoLinks<S> {
 
   static void swap_encoders(arm_measurement& measured, int j, int other) {
     const auto exchange = [](auto& a, auto& b) {
-      const auto kept = a;
-      a = b, b = kept;
+      const auto first = a;
+      a = b, b = first;
     };
     exchange(measured.joint[j].encoder, measured.joint[other].encoder);
     arm_joint_sensors &a = measured.sensors[j], &b = measured.sensors[other];

@@ -9,7 +9,7 @@ namespace {
 
 void write_flow(const auto& flow, double* out) {
   for (int j = 0; j < arm_machine::N; ++j) {
-    out[j] = flow.given[j];
+    out[j] = flow.supplied[j];
     out[arm_machine::N + j] = flow.dissipated[j];
   }
 }
@@ -41,8 +41,8 @@ int arm_advance_metered(arm_machine* machine, const double* command, std::int64_
         one.check_count(steps, "steps"))
       return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
-    const double* given = one.with_power(command);
-    one.go(steps, [&](std::int64_t some) { one.machine.advance_metered(given, some, flow); });
+    const double* applied = one.with_power(command);
+    one.go(steps, [&](std::int64_t some) { one.machine.advance_metered(applied, some, flow); });
     write_flow(flow, out);
     return one.result();
   });

@@ -100,7 +100,7 @@ void take_saved(arm_machine* machine, const void* saved) {
   for (int k = 0; k < arm::kOwnNumbers<Scene>; ++k) machine->machine.set_parameter(k, values[k]);
   if constexpr (Scene::external_wrench)
     for (int link = 0; link < Scene::L; ++link)
-      machine->set_external_wrench(link, machine->given[link]);
+      machine->set_external_wrench(link, machine->wrenches[link]);
   machine->machine.restore(full_state);
 }
 

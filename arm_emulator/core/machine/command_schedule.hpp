@@ -16,12 +16,12 @@ class CommandSchedule {
   // For each lane the first row of its commands, and where its positions after that row go, if not
   // null. `stride`: numbers from one row to the next, of both; `apart`: from the command of a joint
   // to that of the next. If that is `width`, those of all lanes lie side by side.
-  CommandSchedule(const Real* const (&given)[width], Real* const (&positions)[width],
+  CommandSchedule(const Real* const (&commands)[width], Real* const (&positions)[width],
                   std::int64_t stride, std::int64_t steps_per_row, int apart = 1,
                   std::int64_t left_of_this = 0)
       : steps(steps_per_row), step_over_(stride), apart_(apart), left_(left_of_this) {
     for (int lane = 0; lane < width; ++lane)
-      command_[lane] = given[lane], q_[lane] = positions[lane];
+      command_[lane] = commands[lane], q_[lane] = positions[lane];
   }
 
   // The remaining course of one lane.
@@ -69,22 +69,22 @@ class CommandSchedule {
   template <class Threads>
   ARM_INLINE void march(const Numbers<S, X>& numbers, Threads& threads, Real h, int count,
                         State<S, X>& y, X (&u)[row], X& power, X& most) {
-    X given = h * power;
+    X energy = h * power;
     for (int s = 0; s < count; ++s) {
       if (left_ == 0) {
         const Mask<X> differ = begin_row(numbers, y, u);
         if (any(differ)) {
           power = select(differ, EnergyBalance<S>::largest_power(numbers, y, u), power);
-          given = h * power;
+          energy = h * power;
         }
       }
       threads.step(y, u);
       if constexpr (any_drive<S>([](const auto& drive) { return drive.supply_grows_with_speed; })) {
         const X now = EnergyBalance<S>::largest_power(numbers, y, u);
-        given = h * select(power < now, now, power);
+        energy = h * select(power < now, now, power);
         power = now;
       }
-      most += given;
+      most += energy;
       if (--left_ == 0) end_row(y);
     }
   }

@@ -265,11 +265,11 @@ class Machine {
   template <class Drive, class X>
   static Mask<X> within_bounds(const Drive& drive, int j, const State<S, X>& s, Real h) {
     const auto at = input_of(drive, j, s, X{});
-    const X turns[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
+    const X angles[] = {h * at.v, h * drive.gear.Ng * drive.motor_speed(at)};
     Mask<X> sound = is_finite(at.q);
     sound &= is_finite(at.v);
     for (int k = 0; k < drive.states; ++k) sound &= is_finite(at.z[k]);
-    for (const X& turn : turns) sound &= (turn <= kLargestTurn) & (turn >= -kLargestTurn);
+    for (const X& turn : angles) sound &= (turn <= kLargestTurn) & (turn >= -kLargestTurn);
     return sound;
   }
   // Checks are due after so many steps since the reset.
@@ -380,8 +380,8 @@ class Machine {
     alignas(64) Real u[Stepper::row];
     for (int j = 0; j < Stepper::row; ++j) u[j] = applied_[j];
     Real most = balance_.most();
-    Real given = is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
-    there.march(numbers_, threads_, h_, count, y, u, given, most);
+    Real power = is_check(steps_taken_) ? EnergyBalance<S>::largest_power(numbers_, y, u) : power_;
+    there.march(numbers_, threads_, h_, count, y, u, power, most);
     const int joint = joint_out_of_bounds(y);
     if (joint >= 0) {
       threads_.end();
@@ -391,7 +391,7 @@ class Machine {
     schedule = there;
     x_ = y;
     for (int j = 0; j < Stepper::row; ++j) applied_[j] = u[j];
-    power_ = given;
+    power_ = power;
     balance_.allow(most);
     steps_taken_ += count;
     return -1;

@@ -81,7 +81,7 @@ class Coulomb {
         factor_unlocked(W);
         for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - Dc(j) * direction_[j];
         solve_again(x);
-      } while (lock_one(down, x) || free_one(W, down, x));
+      } while (lock_joint(down, x) || free_joint(W, down, x));
     }
   }
 
@@ -236,7 +236,7 @@ class Coulomb {
   // If joints that have broken away would move backward: lock the first that comes to rest between
   // the previous point of the descent and x; false if none would. In lanes without such a joint the
   // descent reaches x.
-  bool lock_one(Descent& down, const X* x) {
+  bool lock_joint(Descent& down, const X* x) {
     if (down.rounds == 0) return false;
     X part = X{} + 1.0, first = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
@@ -257,12 +257,12 @@ class Coulomb {
   }
 
   // Free the joint that is the most overloaded; false if every locked joint holds.
-  bool free_one(const Matrix& W, Descent& down, const X* x) {
+  bool free_joint(const Matrix& W, Descent& down, const X* x) {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
       const X torque = lock_torque_[j] = torque_of_lock(j, W, down.rhs, x);
-      const X most = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
-      const X over = select(locked_[j], magnitude(torque) - most, X{});
+      const X capacity = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
+      const X over = select(locked_[j], magnitude(torque) - capacity, X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
       excess = select(more, over, excess);

@@ -313,19 +313,21 @@ struct Drive {
   // Distance of x from the next change of mode, negative if a mode no longer holds. (The least of
   // quantities with different units; only its sign counts.)
   constexpr Real margin(const Input<Real>& x, const Modes& now) const {
-    Real least = 1.0;
-    const auto at_most = [&least](Real margin) { least = margin < least ? margin : least; };
+    Real smallest = 1.0;
+    const auto lower_to = [&smallest](Real margin) {
+      smallest = margin < smallest ? margin : smallest;
+    };
     if constexpr (driven && Motor::modes > 0)
-      at_most(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
+      lower_to(motor.margin(x.z, x.u, felt_speed(x), now.at[0]));
     if constexpr (elastic && Gear::modes > 0)
-      at_most(gear.margin(x.z[tm], x.z[wm], x.q, x.v, now.at[of_gear]));
+      lower_to(gear.margin(x.z[tm], x.z[wm], x.q, x.v, now.at[of_gear]));
     for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
       if constexpr (Extra::modes > 0)
-        at_most(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
+        lower_to(extra.margin(angle_of(extra, x), speed_of(extra, x), x.z + state, now.at[mode]));
     });
     if constexpr (elastic && Rotor::modes > 0)
-      at_most(rotor.margin(x.z[wm], shaft(x, now), now.at[of_rotor]));
-    return least;
+      lower_to(rotor.margin(x.z[wm], shaft(x, now), now.at[of_rotor]));
+    return smallest;
   }
   // Set x to the values that its modes hold, against rounding.
   constexpr void settle(Input<Real>& x, const Modes& now) const {

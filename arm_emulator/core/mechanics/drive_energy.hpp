@@ -54,15 +54,16 @@ constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x
 }
 
 template <class Drive, int n, int M>
-constexpr Real given_to(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
+constexpr Real power_supplied_to(const Drive& drive, const DriveInput<n, M, Real>& x,
+                                 unsigned active) {
   if constexpr (Drive::driven)
-    return drive.motor.given(x.z, x.u, drive.motor_angle(x), drive.felt_speed(x),
-                             Drive::is_motor_active(active));
+    return drive.motor.supplied(x.z, x.u, drive.motor_angle(x), drive.felt_speed(x),
+                                Drive::is_motor_active(active));
   return 0.0;
 }
 template <class Drive, int n, int M, class X>
-ARM_INLINE constexpr X given_at_most_to(const Drive& drive, const DriveInput<n, M, X>& x) {
-  if constexpr (Drive::driven) return drive.motor.given_at_most(x.z, x.u, drive.felt_speed(x));
+ARM_INLINE constexpr X supply_limit_of(const Drive& drive, const DriveInput<n, M, X>& x) {
+  if constexpr (Drive::driven) return drive.motor.supply_limit(x.z, x.u, drive.felt_speed(x));
   return X{};
 }
 

@@ -60,7 +60,7 @@ class EnergyBalance {
 
   void reset(const Numbers<S>& n, const State<S>& x) {
     const Energy E = energy_of<S>(n, x);
-    at_most_ = E.total();
+    energy_limit_ = E.total();
     largest_stored_ = E.stored;
     steps_ = 0;
   }
@@ -71,14 +71,14 @@ class EnergyBalance {
     X power = {};
     if constexpr (kWidth<X> == 1 || !Numbers<S, X>::drives_vary) {
       n.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
-        power += given_at_most_to(drive, input_of(drive, j, x, u[j]));
+        power += supply_limit_of(drive, input_of(drive, j, x, u[j]));
       });
       return power;
     }
     for (int lane = 0; lane < kWidth<X>; ++lane) {
       Real of_lane = 0.0;
       n.for_each_drive_of(lane, [&](const auto& drive, int j) __attribute__((always_inline)) {
-        of_lane += given_at_most_to(drive, input_in_lane(drive, j, x, u[j], lane));
+        of_lane += supply_limit_of(drive, input_in_lane(drive, j, x, u[j], lane));
       });
       set_lane(power, lane, of_lane);
     }
@@ -86,8 +86,8 @@ class EnergyBalance {
   }
 
   // Upper bound of the energy [J]; each step adds the largest power of the motors.
-  Real most() const { return at_most_; }
-  void allow(Real E) { at_most_ = E; }
+  Real most() const { return energy_limit_; }
+  void allow(Real E) { energy_limit_ = E; }
 
   // Count steps. Returns whether a check is due.
   bool due_after(int count) {
@@ -101,20 +101,20 @@ class EnergyBalance {
     int greediest = 0;
     const Energy E = energy_of<S>(n, x, &greediest);
     if (E.stored > largest_stored_) largest_stored_ = E.stored;
-    const Real gained = E.total() - at_most_;
+    const Real gained = E.total() - energy_limit_;
     const Real rounding = kRounding * (1.0 + (E.potential < 0.0 ? -E.potential : E.potential));
     // A joint that stops within a step keeps its friction until the step's end (coulomb.hpp): Dc,
     // for h at most, gives the others at most (Dc h)^2 / (2 M).
     const Real jolt = kStops * E.jolt * h * h;
     if (gained > kTolerance * largest_stored_ + rounding + jolt) return greediest;
-    if (gained < 0.0) at_most_ = E.total();
+    if (gained < 0.0) energy_limit_ = E.total();
     return -1;
   }
 
   // number(x) for everything that it remembers, in a fixed order.
   template <class Number>
   void for_each_number(Number&& number) {
-    number(at_most_);
+    number(energy_limit_);
     number(largest_stored_);
     number(steps_);
   }
@@ -125,7 +125,7 @@ class EnergyBalance {
   static constexpr double kStops = 10.0;     // stops allowed between two checks
   static constexpr double kRounding = 1e-9;  // of 1 J, and of the potential energy
 
-  Real at_most_ = 0.0;         // J
+  Real energy_limit_ = 0.0;    // J
   Real largest_stored_ = 0.0;  // J
   std::int64_t steps_ = 0;     // since the last look
 };

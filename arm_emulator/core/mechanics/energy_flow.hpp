@@ -14,11 +14,11 @@ namespace arm {
 // In W at an instant, in J over a motion.
 template <class S>
 struct EnergyFlow {
-  Real given[S::N] = {}, dissipated[S::N] = {};
+  Real supplied[S::N] = {}, dissipated[S::N] = {};
 
   void add(const EnergyFlow& flow, Real factor) {
     for (int j = 0; j < S::N; ++j) {
-      given[j] += factor * flow.given[j];
+      supplied[j] += factor * flow.supplied[j];
       dissipated[j] += factor * flow.dissipated[j];
     }
   }
@@ -32,7 +32,7 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
   n.for_each_drive([&](const auto& drive, int j) {
     const auto now = modes.of(drive, j);
     const auto at = drive.with(input_of(drive, j, x, u[j]), now);
-    power.given[j] = given_to(drive, at, now.active());
+    power.supplied[j] = power_supplied_to(drive, at, now.active());
     power.dissipated[j] = dissipated_in(drive, at, now.active());
   });
   if constexpr (S::external_wrench) {
@@ -40,7 +40,7 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
     Real torque[S::N];
     Links<S>::kinematics(x.q, kinematics);
     Links<S>::external_torques(n, kinematics, torque);
-    for (int j = 0; j < S::N; ++j) power.given[j] += torque[j] * x.v[j];
+    for (int j = 0; j < S::N; ++j) power.supplied[j] += torque[j] * x.v[j];
   }
   return power;
 }

@@ -90,19 +90,19 @@ class Modes {
   // quantities with different units; only its sign counts.) `each` gets that of each condition; 1
   // where there is no such condition, or the lock of a joint while others already fail.
   Real margin(const State<S>& x, const Real* u, LinksMemo<S>& memo, Real* each = nullptr) const {
-    Real least = 1.0;
+    Real smallest = 1.0;
     for (int k = 0; each && k < conditions; ++k) each[k] = 1.0;
-    const auto at_most = [&](int k, Real margin) {
-      least = margin < least ? margin : least;
+    const auto lower_to = [&](int k, Real margin) {
+      smallest = margin < smallest ? margin : smallest;
       if (each) each[k] = margin;
     };
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if (Friction::present && friction.direction[j] != 0.0)
-        at_most(j, x.v[j] * friction.direction[j]);
+        lower_to(j, x.v[j] * friction.direction[j]);
       if constexpr (Drive::modes > 0)
-        at_most(N + j, drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
+        lower_to(N + j, drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
-    if (least < 0.0 || !Friction::present || !friction.lock()) return least;
+    if (smallest < 0.0 || !Friction::present || !friction.lock()) return smallest;
     const Dynamics& links = memo.at(*n_, x);
     Real a[N];
     Friction coulomb(*n_);
@@ -110,8 +110,8 @@ class Modes {
     coulomb.take(x, x, u, of_drives());
     coulomb.hold_in(friction, [&] { return loaded(links); }, a);
     for (int j = 0; j < N; ++j)
-      if (friction.locked[j]) at_most(2 * N + j, coulomb.spare(j));
-    return least;
+      if (friction.locked[j]) lower_to(2 * N + j, coulomb.spare(j));
+    return smallest;
   }
 
   // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a

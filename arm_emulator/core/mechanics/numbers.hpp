@@ -297,10 +297,10 @@ class Numbers {
   // Take what acts on the links of a machine.
   void set_external_wrenches(int lane, const Numbers<S>& one) {
     for (int i = 0; i < S::L; ++i) {
-      ExternalWrench<Real> given = one.external_wrench(i);
-      Real numbers[sizeof given / sizeof(Real)];
+      ExternalWrench<Real> wrench = one.external_wrench(i);
+      Real numbers[sizeof wrench / sizeof(Real)];
       Real *to = numbers, *from = numbers;
-      given.for_each_number([&](Real number) { *to++ = number; });
+      wrench.for_each_number([&](Real number) { *to++ = number; });
       outside_.on[i].for_each_number([&](X& number) { set_lane(number, lane, *from++); });
     }
   }

@@ -120,19 +120,19 @@ constexpr void for_each_drive(Body&& body) {
 // The states that a joint's drive has at most: the arrays of all drives have as many rows.
 template <class S>
 constexpr int max_states() {
-  int most = 0;
+  int maximum = 0;
   for_each_drive<S>(
-      [&](const auto& drive, int) { most = most < drive.states ? drive.states : most; });
-  return most;
+      [&](const auto& drive, int) { maximum = maximum < drive.states ? drive.states : maximum; });
+  return maximum;
 }
 
 // The parts with modes that a joint's drive has at most.
 template <class S>
 constexpr int max_modes() {
-  int most = 0;
+  int maximum = 0;
   for_each_drive<S>(
-      [&](const auto& drive, int) { most = most < drive.modes ? drive.modes : most; });
-  return most;
+      [&](const auto& drive, int) { maximum = maximum < drive.modes ? drive.modes : maximum; });
+  return maximum;
 }
 
 // Whether a property holds for the drive of any joint.

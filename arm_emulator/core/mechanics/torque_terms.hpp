@@ -50,12 +50,12 @@ class TorqueTerms {
  public:
   static constexpr int N = S::N;
   static constexpr int extras = [] {
-    int most = 0;
+    int maximum = 0;
     any_drive<S>([&](const auto& drive) {
-      if (drive.extra_count > most) most = drive.extra_count;
+      if (drive.extra_count > maximum) maximum = drive.extra_count;
       return false;
     });
-    return most;
+    return maximum;
   }();
   // On the link: inertia, Coriolis and centrifugal, gravity, external wrench, gear, viscous
   // friction, dry friction, inertia of a rotor behind a rigid gear. On the rotor: inertia, motor,

@@ -37,8 +37,8 @@ template <class X>
 ARM_INLINE Reduced<X> reduced(const X& x) {
   const X shifted = fma(x, 0.63661977236758134308, kOnes);
   const X n = kOnes - shifted;
-  const X whole_turns = fma(n, 0x1.921fb54442d18p+0, x);
-  return {fma(n, -0x1.f1976b7ed8fbcp-110, fma(n, 0x1.1a62633145c07p-54, whole_turns)),
+  const X first_difference = fma(n, 0x1.921fb54442d18p+0, x);
+  return {fma(n, -0x1.f1976b7ed8fbcp-110, fma(n, 0x1.1a62633145c07p-54, first_difference)),
           std::bit_cast<decltype(Reduced<X>::quadrant)>(shifted)};
 }
 
@@ -64,13 +64,13 @@ ARM_ONCE inline Reduced<double> reduced_anywhere(double x) {
   const Wide low = Wide{m} * window[2], middle = Wide{m} * window[1] + (low >> 64);
   const std::uint64_t high = m * window[0] + static_cast<std::uint64_t>(middle >> 64);
   // Right angles: two bits before the point, then a fraction between -1/2 and 1/2.
-  const Wide turns = Wide{high} << 64 | static_cast<std::uint64_t>(middle);
-  const auto fraction = static_cast<SignedWide>(turns << 2 | (low >> 62 & 3));
-  const std::int64_t quadrant = static_cast<std::int64_t>(turns >> 126) + (fraction < 0);
-  const double most = static_cast<double>(fraction);
-  const double least = static_cast<double>(fraction - static_cast<SignedWide>(most));
-  const double angle = 0x1p-128 * (most * 1.5707963267948966 +
-                                   (most * 6.123233995736766e-17 + least * 1.5707963267948966));
+  const Wide right_angles = Wide{high} << 64 | static_cast<std::uint64_t>(middle);
+  const auto fraction = static_cast<SignedWide>(right_angles << 2 | (low >> 62 & 3));
+  const std::int64_t quadrant = static_cast<std::int64_t>(right_angles >> 126) + (fraction < 0);
+  const double leading = static_cast<double>(fraction);
+  const double trailing = static_cast<double>(fraction - static_cast<SignedWide>(leading));
+  const double angle = 0x1p-128 * (leading * 1.5707963267948966 + (leading * 6.123233995736766e-17 +
+                                                                   trailing * 1.5707963267948966));
   return x < 0.0 ? Reduced<double>{-angle, -quadrant} : Reduced<double>{angle, quadrant};
 }
 

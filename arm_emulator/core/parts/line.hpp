@@ -52,15 +52,15 @@ class LineDirection {
   void send(std::int64_t tick, const Frame& frame, const LineFaults& faults, const Noise& noises,
             Spoil&& spoil) {
     copy(frame, sent_[place(tick)]);
-    const auto drawn = [&](double probability, int who, std::int64_t of) {
+    const auto occurs = [&](double probability, int who, std::int64_t of) {
       return probability > 0.0 && draw(noises, who, of) <= probability;
     };
     const std::int64_t due = tick - static_cast<std::int64_t>(faults.late);
-    if (drawn(faults.lost, 0, tick)) return;
-    const bool older = drawn(faults.overtaken, 1, tick - 1) || drawn(faults.repeated, 2, tick);
-    if (!older && drawn(faults.overtaken, 1, tick)) return;
+    if (occurs(faults.lost, 0, tick)) return;
+    const bool older = occurs(faults.overtaken, 1, tick - 1) || occurs(faults.repeated, 2, tick);
+    if (!older && occurs(faults.overtaken, 1, tick)) return;
     copy(sent_[place(older ? due - 1 : due)], received_);
-    if (drawn(faults.corrupted, 3, tick)) spoil(received_, draw(noises, 4, tick));
+    if (occurs(faults.corrupted, 3, tick)) spoil(received_, draw(noises, 4, tick));
   }
 
   const Frame& received() const { return received_; }

@@ -28,8 +28,8 @@ struct UnilateralSpring {
   // Distance from the change between pushing and not, negative beyond [N m].
   constexpr Real margin(bool pushing, Real u, Real du, Real rounding) const {
     const Real depth = K * u, torque = push(u, du);
-    const Real least = depth < torque ? depth : torque;
-    return (pushing ? least : -least) + rounding;
+    const Real smaller = depth < torque ? depth : torque;
+    return (pushing ? smaller : -smaller) + rounding;
   }
 
   template <class X>

@@ -55,10 +55,10 @@ class DerivativeReplay {
     const Numbers<S> n;
     Method method;
     Part part;
-    bool of_one;  // follower alone
+    bool is_single;  // follower alone
 
     Values(Real step, const Real* parameters, bool alone)
-        : n(parameters), method(step, n), part(step, n), of_one(alone) {}
+        : n(parameters), method(step, n), part(step, n), is_single(alone) {}
   };
   // Shared, too: of one of its parts what has been found.
   struct Common {
@@ -85,11 +85,11 @@ class DerivativeReplay {
     follow_at_once(n_, x_, u_);
     if (!common.begun) begin(piece, next, values, common);
     std::optional<Modes<S>> modes;
-    if (!common.regular || !piece.whole) {
+    if (!common.regular || !piece.complete) {
       put_values(piece, x_);
       modes = modes_of(n_, x_, u_, piece, next);
     }
-    if (piece.whole) {
+    if (piece.complete) {
       move(piece, next, values, values.method, full_, h_, modes, common.of_step, common);
     } else {
       if (!cut_) start_ = x_, left_ = h_, cut_ = true;
@@ -147,7 +147,7 @@ class DerivativeReplay {
             Common& common) {
     const Numbers<S>& n = values.n;
     const double h = length.value;
-    if (values.of_one)
+    if (values.is_single)
       return slopes.move_alone(own, n_, n, common.links, modes ? *modes : *common.regular,
                                common.start, x_, u_, own.past(), own_, h);
     if (!common.stepped) {

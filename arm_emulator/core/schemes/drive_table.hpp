@@ -89,9 +89,9 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
   using In = StepInput<K, M, R>;
   using X = Real;
   constexpr int n = LinearDrive<K, M>::kRows;
-  Elimination<K, M> whole = {};
-  whole.put(drive, gamma_of(stages) * h);
-  const auto& [s, E, e, b] = whole;
+  Elimination<K, M> elimination = {};
+  elimination.put(drive, gamma_of(stages) * h);
+  const auto& [s, E, e, b] = elimination;
   DriveTable<K, M, R> table = {};
   table.diagonal = s * b;
   for (int input = 0; input < In::count; ++input) {
@@ -106,7 +106,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
       for (int k = 0; k < K; ++k) f[k] += x[In::rest + k];
       g += x[In::rest + K];
     }
-    const auto first = whole.stage(drive, f, x[In::v], g);
+    const auto first = elimination.stage(drive, f, x[In::v], g);
     X k_z[n] = {};
     for (int k = 0; k < K; ++k) k_z[k] = first.z[k] + e[k] * x[In::k1];
     table.rhs_1[input] = first.rhs;
@@ -123,7 +123,7 @@ ARM_APART DriveTable<K, M, R> implicit_table(const LinearDrive<K, M>& drive, Rea
       for (int k = 0; k < K; ++k) r_z[k] += x[In::change + k];
       r_v += x[In::change + K];
     }
-    const auto second = whole.stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
+    const auto second = elimination.stage(drive, r_z, kSqrt2 * (x[In::v] + s * x[In::k1]), r_v);
     table.rhs_2[input] = second.rhs;
     for (int k = 0; k < K; ++k)
       table.dz[k][input] = h * (gamma_of(2) * k_z[k] + 0.5 * (second.z[k] + e[k] * x[In::k2]));

@@ -140,11 +140,12 @@ class EventLocation {
 
   void note([[maybe_unused]] PieceEnd end, [[maybe_unused]] const State<S>& x,
             [[maybe_unused]] const Modes<S>& modes, [[maybe_unused]] Real length,
-            [[maybe_unused]] bool whole = false) {
+            [[maybe_unused]] bool complete = false) {
     if constexpr (kRecords) {
       if (!noted_.in) return;
       auto& piece = noted_.in->emplace_back();
-      piece.end = end, piece.failing = noted_.failing, piece.length = length, piece.whole = whole;
+      piece.end = end, piece.failing = noted_.failing, piece.length = length,
+      piece.complete = complete;
       for (int j = 0; j < N; ++j) {
         piece.locked[j] = modes.friction.locked[j];
         piece.direction[j] = modes.friction.direction[j];
@@ -166,11 +167,13 @@ class EventLocation {
     Real share = first < 0 ? 0.5 : last.share(other, first);
     for (int trial = 0; trial < kMaxTrials; ++trial) {
       const Real width = other.t - last.t;  // of either sign
-      const Real least = 0.5 * kInstant * h_ / magnitude(width);
-      if (least >= 0.5) break;
+      const Real smallest_share = 0.5 * kInstant * h_ / magnitude(width);
+      if (smallest_share >= 0.5) break;
       // A little beyond the zero, so that the trial that meets it is one that fails.
-      if (first >= 0) share += last.holds() ? 0.5 * least : -0.5 * least;
-      share = share < least ? least : share > 1.0 - least ? 1.0 - least : share;
+      if (first >= 0) share += last.holds() ? 0.5 * smallest_share : -0.5 * smallest_share;
+      share = share < smallest_share         ? smallest_share
+              : share > 1.0 - smallest_share ? 1.0 - smallest_share
+                                             : share;
       const Real t = last.t + share * width;
       State<S> end = x;
       part_.retime(t, modes);

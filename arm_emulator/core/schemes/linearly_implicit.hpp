@@ -95,7 +95,7 @@ class LinearlyImplicit {
   Memory& past() { return past_[newest_]; }
   Tables& tables() { return tables_; }
   // That before the newest step, of lanes.
-  const Memory& memory_before() const { return past_[kept - 1 - newest_]; }
+  const Memory& memory_before() const { return past_[memories - 1 - newest_]; }
   void restore(const Memory& memory) { past() = memory; }
 
   // Whether the last step's data exists and has this step's length.
@@ -120,11 +120,11 @@ class LinearlyImplicit {
     Accelerations own;
     Accelerations& k1 = place_of_next(own);
     begin_links(x, u, in, k1);
-    given_ = {&friction, from};
+    prescribed_ = {&friction, from};
     stages_of(x, u, links, in, k1);
     move_links(x, in);
     move_drives(x, in);
-    given_ = {};
+    prescribed_ = {};
   }
 
   // Set the past for a step from `start` to x that was taken otherwise; `links` are those at x.
@@ -173,7 +173,7 @@ class LinearlyImplicit {
       for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
   }
   Accelerations& place_of_next(Accelerations& own) {
-    if constexpr (kept == 2)
+    if constexpr (memories == 2)
       return past_[1 - newest_];
     else
       return own;
@@ -207,13 +207,13 @@ class LinearlyImplicit {
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
-    if constexpr (kept == 2)
+    if constexpr (memories == 2)
       newest_ = 1 - newest_;
     else if constexpr (extrapolates)
       past() = k1;
     if constexpr (stages == 2 && !extrapolates) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates && kWidth<X> == 1)  // lanes have a past
-      if (given_.past == Past::unknown) evaluate_change(x, k1, change);
+      if (prescribed_.past == Past::unknown) evaluate_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
@@ -247,7 +247,7 @@ class LinearlyImplicit {
 
   ARM_INLINE void solve(Dynamics& links, const State<S, X>& x, Accelerations& k1) {
     if constexpr (locates)
-      if (given_.modes) return coulomb_.solve_in(*given_.modes, links.M.at, k1.a);
+      if (prescribed_.modes) return coulomb_.solve_in(*prescribed_.modes, links.M.at, k1.a);
     coulomb_.solve(links.M.at, x.v, k1.a);
   }
 
@@ -334,7 +334,7 @@ class LinearlyImplicit {
     q.store(x.q);
     v.store(x.v);
     if constexpr (locates)
-      if (given_.modes) return;
+      if (prescribed_.modes) return;
     coulomb_.stop_at_reversal(x.v);
   }
 
@@ -351,7 +351,7 @@ class LinearlyImplicit {
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
   void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
-    constexpr int most = 2 * N * Tables::M;
+    constexpr int round_limit = 2 * N * Tables::M;
     const Memory memory = past();
     const bool begins_regular = regular_ && is_regular(n_, x, u);
     if (!begins_regular) tables_.serve_modes_at(x, u);
@@ -363,14 +363,14 @@ class LinearlyImplicit {
         x = y;
         return;
       }
-      const bool keeps = round > most;  // those of the start, whether they hold or not
+      const bool keeps = round > round_limit;  // those of the start, whether they hold or not
       if (keeps || tables_.correct_modes(x, y, u)) {
         x = y;
         tables_.settle(x, u);
         regular_ = !keeps && tables_.serves_regular();
         return;
       }
-      if (round < most) continue;
+      if (round < round_limit) continue;
       if (halvings_ < kMaxHalvings) break;
       tables_.serve_modes_at(x, u);
     }
@@ -414,19 +414,19 @@ class LinearlyImplicit {
   Tables tables_;
   bool regular_ = true;  // all joints are served in their regular modes
   // Of the newest step, and in lanes of the one before: the next is written over that, not copied.
-  static constexpr int kept = extrapolates && kWidth<X> > 1 ? 2 : 1;
-  Memory past_[kept] = {};
+  static constexpr int memories = extrapolates && kWidth<X> > 1 ? 2 : 1;
+  Memory past_[memories] = {};
   int newest_ = 0;
   Coulomb<S, X> coulomb_;
   LinearlyImplicit* half_ = nullptr;  // made when it is first needed
   int halvings_ = 0;
 
   // A step that is taken in given modes; empty for schemes without modes.
-  struct Given {
+  struct Prescribed {
     const typename Coulomb<S, X>::Modes* modes = nullptr;
     Past past = Past::used;
   };
-  [[no_unique_address]] std::conditional_t<locates, Given, Nothing> given_;
+  [[no_unique_address]] std::conditional_t<locates, Prescribed, Nothing> prescribed_;
 };
 
 struct Implicit : AnyScheme {

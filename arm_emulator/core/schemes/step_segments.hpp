@@ -16,10 +16,10 @@ enum class PieceEnd { step, event, unlocated, cut };
 template <int N, int K>
 struct Piece {
   PieceEnd end = PieceEnd::cut;
-  int failing = -1;     // the condition that an event changes
-  double length = 0.0;  // s
-  bool whole = false;   // not a part of a cut step
-  bool locked[N] = {};  // the links' modes, and directions
+  int failing = -1;       // the condition that an event changes
+  double length = 0.0;    // s
+  bool complete = false;  // not a part of a cut step
+  bool locked[N] = {};    // the links' modes, and directions
   double direction[N] = {};
   unsigned active[N] = {};                                // the drives' modes
   double z[K > 0 ? K : 1][N] = {}, q[N] = {}, v[N] = {};  // the state at its start

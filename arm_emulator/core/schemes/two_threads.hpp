@@ -246,7 +246,7 @@ class TwoThreads {
     std::int64_t k = done_.load(),
                  here = k;  // samples that are worked on, that have been handed over
     for (;;) {
-      const std::uint32_t seen = alarm_.load();
+      const std::uint32_t alarm = alarm_.load();
       while (here > k || k < target_.load(std::memory_order_relaxed)) {
         Spin spin;
         while (here <= k) {
@@ -261,7 +261,7 @@ class TwoThreads {
         done_.store(++k, std::memory_order_release);
       }
       if (stopping_.load()) return;
-      alarm_.wait(seen);
+      alarm_.wait(alarm);
     }
   }
 

@@ -21,10 +21,10 @@ struct BaseParameters {
   constexpr explicit BaseParameters(const Link (&link)[L]) : body() {
     for (int j = 0; j < L; ++j) body[j] = link[j].body;
     for (int j = L - 1; j >= 0; --j) {
-      const bool turns = link[j].kind == JointKind::revolute;
+      const bool is_revolute = link[j].kind == JointKind::revolute;
       Body<Real>& own = body[j];
       Body<Real> moving = {};
-      if (turns) {
+      if (is_revolute) {
         moving = {own.m, {0.0, 0.0, own.h.z}, {own.I.yy, own.I.yy, 0.0, 0.0, 0.0, 0.0}};
         own = {0.0,
                {own.h.x, own.h.y, 0.0},
@@ -34,7 +34,8 @@ struct BaseParameters {
         own.I = {};
       }
       // The moved part is invariant under turns about z, the tensor alone under shifts along it.
-      const Real sin = turns ? 0.0 : link[j].sin_theta_0, cos = turns ? 1.0 : link[j].cos_theta_0;
+      const Real sin = is_revolute ? 0.0 : link[j].sin_theta_0,
+                 cos = is_revolute ? 1.0 : link[j].cos_theta_0;
       const auto at = PlacementIn<S, Real>::of(link[j], sin, cos, link[j].p);
       Body<Real>& parent = link[j].parent < 0 ? fixed : body[link[j].parent];
       parent = joined(parent, at, moving);

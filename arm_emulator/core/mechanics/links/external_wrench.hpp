@@ -34,11 +34,11 @@ struct ExternalWrench {
   // In the link's frame and about its origin; x and y: axes of the base in the link's frame.
   ARM_INLINE Wrench<X> at_origin(const Vec3<X>& base_x, const Vec3<X>& base_y) const {
     const Vec3<X> base_z = cross(base_x, base_y);
-    const auto seen = [&](const Vec3<X>& a) __attribute__((always_inline)) {
+    const auto rotate = [&](const Vec3<X>& a) __attribute__((always_inline)) {
       return a.x * base_x + a.y * base_y + a.z * base_z;
     };
-    const Vec3<X> f = with_link.f + seen(with_base.f);
-    return {f, with_link.n + seen(with_base.n) + cross(point, f)};
+    const Vec3<X> f = with_link.f + rotate(with_base.f);
+    return {f, with_link.n + rotate(with_base.n) + cross(point, f)};
   }
 };
 

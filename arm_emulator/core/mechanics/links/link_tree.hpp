@@ -219,16 +219,16 @@ struct LinkTree {
         : body(over<X>(n.body(std::integral_constant<int, N - 1>{}))) {}
 
     ARM_INLINE void fill_row(const Numbers& n, const Kinematics& k, auto i, MassMatrix& M) {
-      const bool turns = revolute(i);
+      const bool rotates = revolute(i);
       if constexpr (forks) body = kTree<S>.is_leaf(i) ? over<X>(n.body(i)) : bodies[i];
-      fx[i] = turns ? -body.h.y : X{};
-      fy[i] = turns ? body.h.x : X{};
-      fz[i] = turns ? X{} : body.m;
-      nx[i] = turns ? body.I.xz : body.h.y;
-      ny[i] = turns ? body.I.yz : -body.h.x;
-      nz[i] = turns ? body.I.zz : X{};
+      fx[i] = rotates ? -body.h.y : X{};
+      fy[i] = rotates ? body.h.x : X{};
+      fz[i] = rotates ? X{} : body.m;
+      nx[i] = rotates ? body.I.xz : body.h.y;
+      ny[i] = rotates ? body.I.yz : -body.h.x;
+      nz[i] = rotates ? body.I.zz : X{};
       for_each_carried(
-          i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = turns ? nz[j] : fz[j]; });
+          i, [&](auto j) __attribute__((always_inline)) { M.at[i][j] = rotates ? nz[j] : fz[j]; });
       if constexpr (forks)
         for (int j = kTree<S>.end[i]; j < N; ++j) M.at[i][j] = X{};
       if (on_base(i)) return;

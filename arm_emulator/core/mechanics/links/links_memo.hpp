@@ -13,26 +13,26 @@ class LinksMemo {
 
   // The same instructions whether cached or not.
   const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
-    Mask<X> same = where(known_, X{} == X{});
+    Mask<X> same = where(is_valid_, X{} == X{});
     for (int j = 0; j < S::N; ++j) same &= (q_[j] == x.q[j]) & (v_[j] == x.v[j]);
     if (all(same)) return links_;
     for (int j = 0; j < S::N; ++j) q_[j] = x.q[j], v_[j] = x.v[j];
     Links<S, X>::dynamics_apart(n, x.q, x.v, links_);
-    known_ = true;
+    is_valid_ = true;
     return links_;
   }
   // The newest ones, to be changed.
   Dynamics& used_up() {
-    known_ = false;
+    is_valid_ = false;
     return links_;
   }
   // The numbers have changed, or may have.
-  void forget() { known_ = false; }
+  void forget() { is_valid_ = false; }
 
  private:
   X q_[S::N], v_[S::N];
   Dynamics links_;
-  bool known_ = false;
+  bool is_valid_ = false;
 };
 
 }  // namespace arm

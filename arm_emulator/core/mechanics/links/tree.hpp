@@ -31,8 +31,8 @@ struct Tree {
   constexpr bool is_last_child(int i) const { return end[i] == end[parent[i]]; }
   // Whether loops over pairs are unrolled: a tree has fewer of them than a chain.
   constexpr bool unrolled() const {
-    constexpr int most = kUnrollNested * (kUnrollNested + 1) / 2;
-    return L <= kUnrollNested || (forks && L <= kUnrollLimit && pairs <= most);
+    constexpr int limit = kUnrollNested * (kUnrollNested + 1) / 2;
+    return L <= kUnrollNested || (forks && L <= kUnrollLimit && pairs <= limit);
   }
 };
 

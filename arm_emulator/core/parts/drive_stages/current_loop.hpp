@@ -62,7 +62,7 @@ struct CurrentLoop : Motor {
   constexpr bool obeys_circuit(bool) const { return true; }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool active, X* f) const {
-    const X V = active ? offset : asked(z, u, wm);
+    const X V = active ? offset : requested(z, u, wm);
     f[0] = V - this->R_circuit() * z[0] - this->Kb * wm;
     f[1] = active ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
   }
@@ -75,10 +75,10 @@ struct CurrentLoop : Motor {
 
   template <class X>
   ARM_INLINE constexpr Mask<X> is_regular(const X* z, X u, X wm) const {
-    return magnitude(asked(z, u, wm)) < nominal.supply;
+    return magnitude(requested(z, u, wm)) < nominal.supply;
   }
   constexpr Mode mode_at(const Real* z, Real u, Real wm) const {
-    const Real V = asked(z, u, wm);
+    const Real V = requested(z, u, wm);
     if (magnitude(V) <= nominal.supply) return {};
     return {true, V < 0.0 ? -nominal.supply : nominal.supply};
   }
@@ -87,20 +87,20 @@ struct CurrentLoop : Motor {
     return mode.active ? Mode{} : mode_at(z, u, wm);
   }
   constexpr Real margin(const Real* z, Real u, Real wm, const Mode& mode) const {
-    const Real V = asked(z, u, wm), rounding = kRounding * nominal.supply;
+    const Real V = requested(z, u, wm), rounding = kRounding * nominal.supply;
     if (!mode.active) return nominal.supply - magnitude(V) + rounding;
     return (mode.offset < 0.0 ? -V : V) - nominal.supply + rounding;
   }
   constexpr void settle(Real*, const Mode&) const {}
 
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X, X wm, bool active) const {
-    const X V = active ? clamp(asked(z, u, wm), nominal.supply) : asked(z, u, wm);
+  ARM_INLINE constexpr X supplied(const X* z, X u, X, X wm, bool active) const {
+    const X V = active ? clamp(requested(z, u, wm), nominal.supply) : requested(z, u, wm);
     return V * z[0] + (this->Kt - this->Kb) * wm * z[0];
   }
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X* z, X, X wm) const {
-    return Motor::given_at_most(z, X{} + nominal.supply, wm);
+  ARM_INLINE constexpr X supply_limit(const X* z, X, X wm) const {
+    return Motor::supply_limit(z, X{} + nominal.supply, wm);
   }
 
  private:
@@ -109,7 +109,7 @@ struct CurrentLoop : Motor {
   constexpr Real E() const { return control.feedforward * nominal.Kb; }
   constexpr Real rate() const { return 1.0 / time_constant(control.bandwidth); }
   template <class X>
-  ARM_INLINE constexpr X asked(const X* z, X u, X wm) const {
+  ARM_INLINE constexpr X requested(const X* z, X u, X wm) const {
     return P() * (u - z[0]) + z[1] + E() * wm;
   }
 };

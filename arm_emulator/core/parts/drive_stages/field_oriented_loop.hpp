@@ -55,11 +55,11 @@ struct FieldOrientedLoop : Motor {
   }
   template <class X>
   ARM_INLINE constexpr void rates(const X* z, X u, X tm, X wm, X offset, bool active, X* f) const {
-    const Voltages<X> asked = this->asked(z, u, wm), V = within(asked);
+    const Voltages<X> requested = this->requested(z, u, wm), V = within(requested);
     const X across[] = {z[0], z[1], V.d};
     Motor::rates(across, V.q, tm, wm, offset, active, f);
-    f[3] = I() * (z[2] - z[0]) + I() / P(nominal.Ld) * (V.d - asked.d);
-    f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - asked.q);
+    f[3] = I() * (z[2] - z[0]) + I() / P(nominal.Ld) * (V.d - requested.d);
+    f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - requested.q);
   }
   // The integral is set to hold a current that is set by hand.
   constexpr void put_current(Real* z, Real current) const {
@@ -73,18 +73,18 @@ struct FieldOrientedLoop : Motor {
   }
   template <class X>
   ARM_INLINE constexpr X largest_command(const X* z, Real) const {
-    const X most = X{} + limit_or_none(this->current_limit);
-    const X left = (most - z[2]) * (most + z[2]);
+    const X limit = X{} + limit_or_none(this->current_limit);
+    const X left = (limit - z[2]) * (limit + z[2]);
     return square_root(select(left > 0.0, left, X{}));
   }
 
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X, X wm, bool) const {
-    const Voltages<X> V = within(asked(z, u, wm));
+  ARM_INLINE constexpr X supplied(const X* z, X u, X, X wm, bool) const {
+    const Voltages<X> V = within(requested(z, u, wm));
     return 1.5 * (V.d * z[0] + V.q * z[1]);
   }
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X*, X, X) const {
+  ARM_INLINE constexpr X supply_limit(const X*, X, X) const {
     return X{} + 0.375 / this->R * nominal.amplitude * nominal.amplitude;
   }
 
@@ -100,19 +100,20 @@ struct FieldOrientedLoop : Motor {
   }
   constexpr Real I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
   template <class X>
-  ARM_INLINE constexpr Voltages<X> asked(const X* z, X u, X wm) const {
-    const X known = control.feedforward * nominal.p * wm;
+  ARM_INLINE constexpr Voltages<X> requested(const X* z, X u, X wm) const {
+    const X speed_voltage = control.feedforward * nominal.p * wm;
     Voltages<X> V = {P(nominal.Ld) * (z[2] - z[0]) + z[3],
-                     P(nominal.Lq) * (u - z[1]) + z[4] + known * nominal.psi};
-    if constexpr (whole) V.d -= known * nominal.Lq * z[1], V.q += known * nominal.Ld * z[0];
+                     P(nominal.Lq) * (u - z[1]) + z[4] + speed_voltage * nominal.psi};
+    if constexpr (whole)
+      V.d -= speed_voltage * nominal.Lq * z[1], V.q += speed_voltage * nominal.Ld * z[0];
     return V;
   }
   template <class X>
-  ARM_INLINE constexpr Voltages<X> within(const Voltages<X>& asked) const {
-    if constexpr (!whole) return asked;
+  ARM_INLINE constexpr Voltages<X> within(const Voltages<X>& requested) const {
+    if constexpr (!whole) return requested;
     const Real U = nominal.amplitude;
-    const X d = clamp(asked.d, kAlongFlux * U);
-    return {d, clamp(asked.q, square_root((U - d) * (U + d)))};
+    const X d = clamp(requested.d, kAlongFlux * U);
+    return {d, clamp(requested.q, square_root((U - d) * (U + d)))};
   }
 };
 

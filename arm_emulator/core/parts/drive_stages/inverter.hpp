@@ -49,8 +49,8 @@ struct InvertedMotor : Motor {
   }
   // A current that is held at its limit takes what is lost from the supply, too.
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X u, X tm, X wm, bool active) const {
-    X power = Motor::given(z, u, tm, wm, active);
+  ARM_INLINE constexpr X supplied(const X* z, X u, X tm, X wm, bool active) const {
+    X power = Motor::supplied(z, u, tm, wm, active);
     if constexpr (!of_vectors)
       if (!this->obeys_circuit(active)) power += lost(z);
     return power;

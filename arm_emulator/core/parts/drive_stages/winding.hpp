@@ -86,13 +86,13 @@ struct HeatedMotor : Motor {
     return resistance(z) * copper + (Motor::dissipated(z) - copper);
   }
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X* z, X u, X wm) const {
-    return Motor::given_at_most(z, u, magnets(z) * wm) / resistance(z);
+  ARM_INLINE constexpr X supply_limit(const X* z, X u, X wm) const {
+    return Motor::supply_limit(z, u, magnets(z) * wm) / resistance(z);
   }
 
   // `motor` with its numbers at this temperature.
-  constexpr Real given(const Real* z, Real u, Real tm, Real wm, bool active) const {
-    return now(z).given(z, u, tm, wm, active);
+  constexpr Real supplied(const Real* z, Real u, Real tm, Real wm, bool active) const {
+    return now(z).supplied(z, u, tm, wm, active);
   }
   constexpr void follow(Real* z, Real u, Real wm) const { now(z).follow(z, u, wm); }
   constexpr auto mode_at(const Real* z, Real u, Real wm) const { return now(z).mode_at(z, u, wm); }

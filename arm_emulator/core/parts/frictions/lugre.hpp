@@ -57,8 +57,8 @@ struct LuGre {
   ARM_INLINE constexpr X torque(X, X w, const X* z, X, bool) const {
     // Bristles never bend far beyond Ds / s0. If they do, the step is too long, and the machine
     // diverges.
-    const X most = X{} + 5.0 * Ds / s0;
-    const X bent = select(magnitude(z[0]) > most, z[0] * 1e30, z[0]);
+    const X limit = X{} + 5.0 * Ds / s0;
+    const X bent = select(magnitude(z[0]) > limit, z[0] * 1e30, z[0]);
     return -s0 * bent - s1 * (w - slip(w, z[0]));
   }
   template <class X>

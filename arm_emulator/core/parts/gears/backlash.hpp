@@ -43,16 +43,16 @@ struct BacklashGear {
 
   constexpr Mode mode_at(Real tm, Real wm, Real q, Real v) const {
     if (is_tight()) return {true, 0.0};
-    const Real w = Ng * tm - q, rate = Ng * wm - v, way = w < 0.0 ? -1.0 : 1.0;
-    if (tooth().pushes(way * w - gap(), way * rate)) return {true, way * gap()};
+    const Real w = Ng * tm - q, rate = Ng * wm - v, sign = w < 0.0 ? -1.0 : 1.0;
+    if (tooth().pushes(sign * w - gap(), sign * rate)) return {true, sign * gap()};
     return {};
   }
   constexpr Real margin(Real tm, Real wm, Real q, Real v, const Mode& mode) const {
     if (is_tight()) return 1.0;
     const Real w = Ng * tm - q, rate = Ng * wm - v;
     // While no tooth pushes, the margin is that of the nearer one.
-    const Real way = (mode.active ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
-    return tooth().margin(mode.active, way * w - gap(), way * rate,
+    const Real sign = (mode.active ? mode.offset : w) < 0.0 ? -1.0 : 1.0;
+    return tooth().margin(mode.active, sign * w - gap(), sign * rate,
                           kRounding * Kg * (gap() + magnitude(q)));
   }
 

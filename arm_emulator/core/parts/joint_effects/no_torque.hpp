@@ -5,6 +5,9 @@
 #include "numerics/number.hpp"
 #include "parts/place.hpp"
 
+// A scene names the numbers of a part alone, not this base without any.
+#pragma GCC diagnostic ignored "-Wmissing-field-initializers"
+
 namespace arm {
 
 template <Place where>

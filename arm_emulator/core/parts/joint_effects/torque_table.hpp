@@ -48,11 +48,11 @@ struct TorqueTable : NoTorque<Place::link> {
   template <class X>
   ARM_INLINE constexpr Value<X> at(const X& q) const {
     const Real begin = pieces[0].q0, period = end - begin;
-    X turns{};
+    X periods{};
     if constexpr (periodic)
       for (int lane = 0; lane < kWidth<X>; ++lane)
-        set_lane(turns, lane, __builtin_floor(value_of((lane_of(q, lane) - begin) / period)));
-    const X angle = q - turns * period;
+        set_lane(periods, lane, __builtin_floor(value_of((lane_of(q, lane) - begin) / period)));
+    const X angle = q - periods * period;
     const X within = select(angle < begin, X{} + begin, select(angle > end, X{} + end, angle));
     X q0{}, T0{}, T1{}, T2{}, T3{}, U0{};
     for (int lane = 0; lane < kWidth<X>; ++lane) {
@@ -64,7 +64,7 @@ struct TorqueTable : NoTorque<Place::link> {
     const X s = within - q0;
     const X torque = T0 + s * (T1 + s * (T2 + s * T3));
     const X work = s * (T0 + s * (T1 / 2.0 + s * (T2 / 3.0 + s * (T3 / 4.0))));
-    const X beyond = periodic ? turns * U_end : (within - angle) * torque;
+    const X beyond = periodic ? periods * U_end : (within - angle) * torque;
     return {torque, U0 - work + beyond};
   }
   // The last piece that begins at or before an angle, by bisection.

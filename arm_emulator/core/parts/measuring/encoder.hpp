@@ -144,8 +144,8 @@ struct EncoderMemory {
   // exponentially distributed, so edges are missed independently with probability 1 - exp(-rate) =
   // e.missed, also when that changes.
   void pass(const Encoder& e, std::int64_t to, const Noise& noises) {
-    const std::int64_t way = to > disc ? 1 : -1;
-    double edges = static_cast<double>(way * (to - disc));
+    const std::int64_t direction = to > disc ? 1 : -1;
+    double edges = static_cast<double>(direction * (to - disc));
     disc = to;
     if (e.missed <= 0.0) return;
     const double rate = 2.0 * artanh(e.missed / (2.0 - e.missed));  // -log(1 - e.missed)
@@ -157,10 +157,11 @@ struct EncoderMemory {
         return;
       }
       edges -= next;
-      lost += way;
+      lost += direction;
       until_miss = misses_of(noises).exponential(++misses);
     }
-    lost += way * static_cast<std::int64_t>(edges * e.missed);  // of so many, as many as expected
+    lost +=
+        direction * static_cast<std::int64_t>(edges * e.missed);  // of so many, as many as expected
   }
 
   static constexpr std::int64_t turn_of(std::int64_t counts, std::int64_t per_turn) {

@@ -61,14 +61,14 @@ struct CurrentMotor {
     return R * i[0] * i[0];
   }
   template <class X>
-  ARM_INLINE constexpr X given(const X* i, X, X, X wm, bool) const {
+  ARM_INLINE constexpr X supplied(const X* i, X, X, X wm, bool) const {
     return (R * i[0] + Kt * wm) * i[0];
   }
   static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X* i, X u, X wm) const {
-    const X most = larger_size(i[0], u);
-    return (R * most + Kt * magnitude(wm)) * most;
+  ARM_INLINE constexpr X supply_limit(const X* i, X u, X wm) const {
+    const X largest = larger_size(i[0], u);
+    return (R * largest + Kt * magnitude(wm)) * largest;
   }
 };
 

@@ -100,13 +100,13 @@ struct DcMotorOf {
   }
   // Power from the supply, and the surplus from unequal constants [W].
   template <class X>
-  ARM_INLINE constexpr X given(const X* i, X V, X, X wm, bool active) const {
+  ARM_INLINE constexpr X supplied(const X* i, X V, X, X wm, bool active) const {
     const X applied = active ? R_circuit() * i[0] + Kb * wm : V;
     return applied * i[0] + (Kt - Kb) * wm * i[0];
   }
   // The most that it can be given at the voltage V, for the best i [W].
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X*, X V, X wm) const {
+  ARM_INLINE constexpr X supply_limit(const X*, X V, X wm) const {
     const X U = magnitude(V) + magnitude((Kt - Kb) * wm);
     return U * U / (4.0 * R);
   }

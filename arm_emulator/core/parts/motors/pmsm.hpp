@@ -92,12 +92,12 @@ struct PmsmOf {
     return 1.5 * R * (z[0] * z[0] + z[1] * z[1]);
   }
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X uq, X, X, bool) const {
+  ARM_INLINE constexpr X supplied(const X* z, X uq, X, X, bool) const {
     return 1.5 * (z[2] * z[0] + uq * z[1]);
   }
   // Upper bound, at the best currents.
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X* z, X uq, X) const {
+  ARM_INLINE constexpr X supply_limit(const X* z, X uq, X) const {
     return 0.375 / R * (z[2] * z[2] + uq * uq);
   }
 

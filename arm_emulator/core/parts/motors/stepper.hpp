@@ -75,12 +75,12 @@ struct StepperMotorOf {
     return R * (z[0] * z[0] + z[1] * z[1]);
   }
   template <class X>
-  ARM_INLINE constexpr X given(const X* z, X, X tm, X wm, bool) const {
+  ARM_INLINE constexpr X supplied(const X* z, X, X tm, X wm, bool) const {
     return dissipated(z) + torque(z, tm) * wm;
   }
   static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X* z, X ua, X wm) const {
+  ARM_INLINE constexpr X supply_limit(const X* z, X ua, X wm) const {
     const X a = larger_size(z[0], ua), b = larger_size(z[1], z[2]);
     return R * (a * a + b * b) + Kt * magnitude(wm) * (a + b);
   }

@@ -60,12 +60,12 @@ struct TorqueMotor {
     return X{};
   }
   template <class X>
-  ARM_INLINE constexpr X given(const X* tau, X, X, X wm, bool) const {
+  ARM_INLINE constexpr X supplied(const X* tau, X, X, X wm, bool) const {
     return tau[0] * wm;
   }
   static constexpr bool supply_grows_with_speed = true;  // so that it may grow from nothing at rest
   template <class X>
-  ARM_INLINE constexpr X given_at_most(const X* tau, X u, X wm) const {
+  ARM_INLINE constexpr X supply_limit(const X* tau, X u, X wm) const {
     return larger_size(tau[0], u) * magnitude(wm);
   }
 };
