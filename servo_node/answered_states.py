@@ -121,9 +121,9 @@ class AnsweredStates:
     def publish_on(self, command: Outgoing, state: Outgoing, joint_state: Outgoing) -> None:
         """Let C publish motor commands, servo states and joint states."""
         at = self.at
-        for one in (command, state, joint_state):
-            one.bind()  # nothing is taken once the node has no publishers
+        for outgoing in (command, state, joint_state):
+            outgoing.bind()  # nothing is taken once the node has no publishers
         at.motor_command, at.servo_state, at.joint_state = (
-            one.struct for one in (command, state, joint_state)
+            outgoing.struct for outgoing in (command, state, joint_state)
         )
         at.machine_at = command.layout.places["machine"]

@@ -93,8 +93,8 @@ class ServoNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__("servo")
         self._own = declare_parameters(self, ServoNodeParameters)
-        given = self._read_servo_parameters({})
-        if not given:
+        parameters = self._read_servo_parameters({})
+        if not parameters:
             raise Refusal(
                 "node servo",
                 "its parameters",
@@ -102,8 +102,8 @@ class ServoNode(ManagedNode):
                 "no file",
                 "--ros-args --params-file config/servo/three_axis.yaml, or that of your arm",
             )
-        self._config = ServoConfig.from_mapping(given, PARAMETERS)
-        for name in given:
+        self._config = ServoConfig.from_mapping(parameters, PARAMETERS)
+        for name in parameters:
             number = find_declared_number(name)
             words = number.described if number else name.replace("_", " ")
             descriptor = ParameterDescriptor(description=words, dynamic_typing=True)

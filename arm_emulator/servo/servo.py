@@ -135,7 +135,7 @@ class Servo(Synchronized):
             self._joint[:] = self._compute_numbers(config)
         else:  # most often a few joints of many are other ones
             pairs = zip(now.joints, config.joints, strict=True)
-            places = [place for place, (one, other) in enumerate(pairs) if one is not other]
+            places = [place for place, (before, after) in enumerate(pairs) if before is not after]
             changed = tuple(config.joints[place] for place in places)
             self._joint[places] = servo_numbers(changed, config.period, config.supply_voltage)
         self.config = config
@@ -185,9 +185,9 @@ class Servo(Synchronized):
                 then.
         """
         measured = self.take_measurement(counts, current, applied)
-        wanted = self.take_targets(q_target, v_target, tau_feedforward)
+        target_rows = self.take_targets(q_target, v_target, tau_feedforward)
         self._law.servo_observe(self.arm, *measured)
-        return self._compute_command(wanted)
+        return self._compute_command(target_rows)
 
     @synchronized
     def observe(
@@ -231,18 +231,18 @@ class Servo(Synchronized):
             Refusal: a wrong length, a value that is not finite or too large, or nothing was
                 measured yet. Nothing has changed then.
         """
-        wanted = self.take_targets(q_target, v_target, tau_feedforward)
+        target_rows = self.take_targets(q_target, v_target, tau_feedforward)
         if not self._is_known[0]:
             raise Refusal("servo", "control", "follow a measurement", "none since the reset")
-        return self._compute_command(wanted)
+        return self._compute_command(target_rows)
 
     @synchronized
     def release(self) -> None:
         """Report that the motors get no command; control will start without an integral again."""
         self._law.servo_release(self.arm)
 
-    def _compute_command(self, wanted: Places) -> Array:
-        self._law.servo_control(self.arm, *wanted, self.places[6])
+    def _compute_command(self, target_rows: Places) -> Array:
+        self._law.servo_control(self.arm, *target_rows, self.places[6])
         return self.command
 
     @property
@@ -266,15 +266,15 @@ class Servo(Synchronized):
         Raises:
             Refusal: see `observe`.
         """
-        given = self.check_vector(counts, self._counts)
-        self._whole[:] = given
-        if (self._whole != given).any():
-            raise Refusal("servo", "counts", "be whole numbers", given.tolist())
-        got = None if applied is None else self.check_vector(applied, _APPLIED)
+        numbers = self.check_vector(counts, self._counts)
+        self._whole[:] = numbers
+        if (self._whole != numbers).any():
+            raise Refusal("servo", "counts", "be whole numbers", numbers.tolist())
+        applied_row = None if applied is None else self.check_vector(applied, _APPLIED)
         return (
             self.places[0],
             self._fill_row(0, self.check_vector(current, CURRENT)),
-            self._fill_row(1, got),
+            self._fill_row(1, applied_row),
         )
 
     def take_targets(

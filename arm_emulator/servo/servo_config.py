@@ -134,13 +134,13 @@ class JointServo:
         Raises:
             Refusal: it is.
         """
-        for key, of, what in (
+        for key, of, reason in (
             ("current_bandwidth", "A", "the motor's drive closes a current loop"),
             ("torque_bandwidth", "N m", "the scene's motor takes a torque"),
         ):
             bandwidth, quantity = getattr(self, key), f"servo.joints.{self.name}.{key}"
             if unit == of and bandwidth == 0.0:
-                raise Refusal(where, quantity, f"be given: {what}", "nothing")
+                raise Refusal(where, quantity, f"be given: {reason}", "nothing")
             if unit != of and bandwidth > 0.0:
                 takes = {"A": "current", "N m": "torque"}.get(unit, "voltage")
                 rule = f"be absent: the scene's motor takes a {takes}"
@@ -195,8 +195,8 @@ class ServoConfig(SharedObject):
 
     def count_angles(self, joint_names: Iterable[str]) -> list[float]:
         """Return the link angle of one encoder count for each of some joints [rad]."""
-        known = {joint.name: joint.count_angle for joint in self.joints}
-        return [known[name] for name in joint_names]
+        angles = {joint.name: joint.count_angle for joint in self.joints}
+        return [angles[name] for name in joint_names]
 
     @classmethod
     def from_mapping(cls, mapping: Mapping[str, Any], where: str) -> ServoConfig:
@@ -211,24 +211,24 @@ class ServoConfig(SharedObject):
         Raises:
             Refusal: an unknown, missing or impossible value.
         """
-        given = _flatten_names(mapping, where)
-        for name in given:
-            if any(name.startswith(f"{other}.") for other in _SCALARS if other in given):
-                raise Refusal(where, name, "be given once", given[name])
-        for name in list(given):
+        parameters = _flatten_names(mapping, where)
+        for name in parameters:
+            if any(name.startswith(f"{scalar}.") for scalar in _SCALARS if scalar in parameters):
+                raise Refusal(where, name, "be given once", parameters[name])
+        for name in list(parameters):
             if name.split(".")[0] in ROS_PARAMETERS:
-                del given[name]
-        names = _check_joint_names(given.pop("joint_names", None), where)
-        below = [key for key in given if key.startswith("joints.")]
-        rest = {key.removeprefix("joints."): given.pop(key) for key in below}
-        tables = split_tables(given.pop("joints", rest), where, "joints")
+                del parameters[name]
+        names = _check_joint_names(parameters.pop("joint_names", None), where)
+        below = [key for key in parameters if key.startswith("joints.")]
+        rest = {key.removeprefix("joints."): parameters.pop(key) for key in below}
+        tables = split_tables(parameters.pop("joints", rest), where, "joints")
         for name in tables:
             # ROS changes the meaning of a section under a name with dots.
-            if name not in names and any("." in known for known in names):
+            if name not in names and any("." in dotted for dotted in names):
                 rule = "be a joint (one whose name has dots is written out in parameter files)"
                 raise Refusal(where, f"joints.{name}", rule, name, "joints.NAME.gear_ratio: VALUE")
         check_keys(tables, names, where, "joints")
-        scalars = read_numbers(given, ServoConfig, where)
+        scalars = read_numbers(parameters, ServoConfig, where)
         _check_periods(scalars, where)
         joints = []
         for name in names:
@@ -263,8 +263,8 @@ SETTABLE = (
 def find_declared_number(name: str) -> Number | None:
     """Return what the parameter of a dotted name may be, None if it is no number."""
     leaf = name.rsplit(".", 1)[-1]
-    one: Number | None = (_FIELDS | _SCALARS).get(leaf)
-    return one
+    declared: Number | None = (_FIELDS | _SCALARS).get(leaf)
+    return declared
 
 
 def load_servo_config(path: str | Path) -> ServoConfig:
@@ -282,10 +282,10 @@ def load_servo_config(path: str | Path) -> ServoConfig:
 
 def check_joints(where: str, config: object, joint_names: Sequence[str]) -> None:
     """Refuse a config for other joints, or for them in another order."""
-    known = coerce_kind(config, ServoConfig, where, "config", "be a ServoConfig").joint_names
-    if known != tuple(joint_names):
-        got, valid = ", ".join(known), ", ".join(joint_names)
-        raise Refusal(where, "config", "have the servo's joints in its order", got, valid)
+    names = coerce_kind(config, ServoConfig, where, "config", "be a ServoConfig").joint_names
+    if names != tuple(joint_names):
+        received, valid = ", ".join(names), ", ".join(joint_names)
+        raise Refusal(where, "config", "have the servo's joints in its order", received, valid)
 
 
 def _flatten_names(mapping: object, where: str, path: str = "") -> dict[str, Any]:
@@ -296,9 +296,9 @@ def _flatten_names(mapping: object, where: str, path: str = "") -> dict[str, Any
     for key, value in mapping.items():
         name = f"{path}.{key}" if path else str(key)
         below = _flatten_names(value, where, name) if isinstance(value, Mapping) else {name: value}
-        for one in below:
-            if one in flat:
-                raise Refusal(where, one, "be given once", value)
+        for key_below in below:
+            if key_below in flat:
+                raise Refusal(where, key_below, "be given once", value)
         flat |= below
     return flat
 

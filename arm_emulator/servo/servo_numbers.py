@@ -30,22 +30,24 @@ def servo_numbers(joints: tuple[JointServo, ...], period: float, supply_voltage:
 
 @lru_cache(256)  # of an arm whose numbers vary one by one
 def _compute_row(joint: JointServo, period: float, supply_voltage: float) -> tuple[Any, ...]:
-    known = _compute_coefficients(joint, period)
-    if known is None:
+    result = _compute_coefficients(joint, period)
+    if result is None:
         rule = "have data that finite coefficients of the control law follow from"
         raise Refusal("servo", f"joint {joint.name}", rule, joint)
-    coefficients, kept = known
-    if kept > _LARGEST_REMAINDER:
+    coefficients, remainder = result
+    if remainder > _LARGEST_REMAINDER:
         rule = (
             f"have a winding and a rotor that do not swing together faster than a period of "
             f"{period:g} s can control"
         )
         winding = joint.commanded
-        got = (
+        ratios = (
             f"L / R = {winding.inductance / winding.resistance:.3g} s, R Mm / (Kt Kb) = "
             f"{_compute_time_constant(joint):.3g} s"
         )
-        raise Refusal("servo", f"joint {joint.name}", rule, got, _find_stable_period(joint, period))
+        raise Refusal(
+            "servo", f"joint {joint.name}", rule, ratios, _find_stable_period(joint, period)
+        )
     row = coefficients | {
         "wrap": 2**joint.encoder_bits if joint.encoder_bits else 0,
         "unsensed": int(joint.torque_bandwidth > 0.0),
@@ -65,8 +67,8 @@ def _compute_time_constant(joint: JointServo) -> float:
 def _find_stable_period(joint: JointServo, period: float) -> str:
     for _ in range(_HALVINGS):
         period /= 2.0
-        known = _compute_coefficients(joint, period)
-        if known is not None and known[1] <= _LARGEST_REMAINDER:
+        result = _compute_coefficients(joint, period)
+        if result is not None and result[1] <= _LARGEST_REMAINDER:
             return f"a period of {period:.3g} s"
     return "another motor"
 
@@ -87,8 +89,8 @@ def _compute_coefficients(joint: JointServo, period: float) -> tuple[dict[str, A
             joint.inertia,
             period,
         )
-        loop, kept = _compute_current_loop(joint, motor, period)
-        found = {
+        loop, remainder = _compute_current_loop(joint, motor, period)
+        coefficients = {
             "count_angle": 2.0 * math.pi / joint.counts_per_turn,
             "ratio": ratio,
             "motor_turns": 1.0 / ratio,
@@ -112,7 +114,8 @@ def _compute_coefficients(joint: JointServo, period: float) -> tuple[dict[str, A
         }
     except ArithmeticError:
         return None
-    return (found, kept) if np.isfinite([kept, *np.hstack([*found.values()])]).all() else None
+    is_finite = np.isfinite([remainder, *np.hstack([*coefficients.values()])]).all()
+    return (coefficients, remainder) if is_finite else None
 
 
 def _compute_current_loop(
@@ -132,7 +135,7 @@ def _compute_current_loop(
     share = 0.5 * z / (1.0 - z)
     memory = start - (1.0 - start) * share
     # The largest voltage that the current limit leaves, beside the back EMF and the current.
-    kept_voltage = winding.resistance * share
+    holding_voltage = winding.resistance * share
     # The mean current is the change of speed and the load that it has carried.
     speed, to_current = motor.speed, joint.inertia / joint.torque_constant / period
     mean = Sum(
@@ -143,14 +146,14 @@ def _compute_current_loop(
     )
     # Remainder of a current error after a period: z / 2 for a slow motor.
     current, per_volt = motor.current, 1.0 / mean.voltage
-    kept = abs(current.current + current.voltage * per_volt * (memory - mean.current))
+    remainder = abs(current.current + current.voltage * per_volt * (memory - mean.current))
     return {
         "mean_current": mean,
         "voltage_per_current": per_volt,
         "current_memory": memory,
-        "winding": kept_voltage,
-        "current_voltage": winding.resistance + kept_voltage,
-    }, kept
+        "winding": holding_voltage,
+        "current_voltage": winding.resistance + holding_voltage,
+    }, remainder
 
 
 def _compute_observer(motor: ZohMotor, p: float) -> dict[str, float]:
@@ -167,9 +170,9 @@ def _compute_observer(motor: ZohMotor, p: float) -> dict[str, float]:
     b = motor.turn.speed - motor.turn_per_surplus * motor.current.speed
     c = motor.turn.load - motor.turn_per_surplus * motor.current.load
     d = motor.speed.load - motor.speed_per_surplus * motor.current.load
-    kept = 1.0 - abs(a) * (1.0 - p)
-    r = a * kept
-    theta = 1.0 - p * p * kept
+    remainder = 1.0 - abs(a) * (1.0 - p)
+    r = a * remainder
+    theta = 1.0 - p * p * remainder
     load = (1.0 - p) ** 2 * (1.0 - r) / (b * d + c * (1.0 - a))
     omega = (2.0 + a - 2.0 * p - r - theta - c * load) / b
     return {"theta_gain": theta, "omega_gain": omega, "load_gain": load}

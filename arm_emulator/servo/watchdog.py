@@ -74,8 +74,8 @@ class Watchdog:
             return "targets and states come"
         if cause == NO_TARGET:
             return "no joint target has come yet"
-        what = "joint target" if cause == LATE_TARGET else "motor state"
-        silence = f"no {what} for {self._dog.silence / _NANOSECONDS:.3g} s, more than"
+        kind = "joint target" if cause == LATE_TARGET else "motor state"
+        silence = f"no {kind} for {self._dog.silence / _NANOSECONDS:.3g} s, more than"
         if self._dog.does == CUT:
             return f"{silence} cut_after = {self._cut_after:g} s; the power stays off until a reset"
         return f"{silence} hold_after = {self._hold_after:g} s"

@@ -128,9 +128,9 @@ def discretise_zoh(A: Array, B: Array, period: float) -> tuple[Array, Array]:
         period: T [s].
     """
     n, m = B.shape
-    whole = np.zeros((n + m, n + m))
-    whole[:n, :n], whole[:n, n:] = A, B
-    out = compute_exponential(whole * period)
+    matrix = np.zeros((n + m, n + m))
+    matrix[:n, :n], matrix[:n, n:] = A, B
+    out = compute_exponential(matrix * period)
     return out[:n, :n], out[:n, n:]
 
 
