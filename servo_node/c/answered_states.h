@@ -45,7 +45,7 @@ typedef struct answered_states {
   int64_t state_time, target_time; /* ns */
   uint64_t state_tick, state_machine;
   int64_t state_powered;
-  /* The same of each joint, and what is published. */
+  /* Numbers of each joint in these messages, and what is published. */
   int64_t *counts, *brake, *movable;
   double *current, *applied, *q, *v, *tau, *aimed, *volts, *q_measured, *v_measured, *tau_measured;
   ros_message *motor_command, *servo_state, *joint_state;

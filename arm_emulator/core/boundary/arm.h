@@ -62,8 +62,8 @@ typedef struct arm_description {
   double step;              /* s, of the integrator */
   int64_t steps_per_period; /* of a servo period */
   int32_t inputs;           /* rows of arm_command.further; since version 5 */
-  /* Of the rounding: libraries with the same number give the same bits of the same scene, whatever
-   * compiled them and for which processor. Since version 7. */
+  /* Version of the rounding: libraries with the same number give the same bits of the same scene,
+   * whatever compiled them and for which processor. Since version 7. */
   int32_t arithmetic;
 } arm_description;
 
@@ -305,7 +305,7 @@ int arm_set_truth(arm_machine* machine, const arm_truth* truth);
 
 /* Take `steps` integration steps under `command` [V, N m, A]; without power the motors get 0. */
 int arm_advance(arm_machine* machine, const double* command, int64_t steps);
-/* The same for `rows` rows of commands, `steps` steps each; q after each row goes to `q`. */
+/* Take `rows` rows of commands, `steps` steps each; q after each row goes to `q`. */
 int arm_run(arm_machine* machine, const double* command, int64_t rows, int64_t steps, double* q);
 
 /* Power supplied to each joint by motors and external wrenches, then power dissipated by each, an

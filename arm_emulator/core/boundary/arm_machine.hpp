@@ -69,7 +69,7 @@ struct arm_machine {
   using Machine = arm::Machine<Scene>;
   static constexpr int N = Scene::N;
 
-  // Of the varied numbers and the brakes, and one that is 0.
+  // Values of the varied numbers and the brakes, and one that is 0.
   using Values = double[arm::kOwnNumbers<Scene> + 1];
 
   // Saved numbers, eight bytes each in a fixed order: a digest of the library, then the machine.
@@ -182,7 +182,7 @@ struct arm_machine {
     static constexpr double nothing[N] = {};
     return powered ? command : nothing;
   }
-  // The same for rows of commands; q after each goes to `q`.
+  // Follow rows of commands; q after each goes to `q`.
   void follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
     if (!looks && powered) {
       machine.follow(command, rows, steps, q);
@@ -243,7 +243,7 @@ struct arm_machine {
     }
     machine.bound(applied);
   }
-  // The same, except for their bounds.
+  // Hold commands without bounding them.
   void put_commands(const arm_joint_command* joint, const double* further, std::int64_t tick) {
     double rows[Scene::inputs * N + 1] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
@@ -309,7 +309,7 @@ struct arm_machine {
     const double counts = __builtin_floor(angle * Scene::device[j].counts_per_rad + arm::kOnAnEdge);
     return static_cast<std::int64_t>(arm::clamp(counts, 0x1p62));
   }
-  // The same in lanes.
+  // Counts of ideal encoders in lanes.
   template <class X>
   static auto counts(int j, const X& angle) {
     X counts = angle * Scene::device[j].counts_per_rad + arm::kOnAnEdge;

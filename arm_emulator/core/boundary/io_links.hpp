@@ -136,12 +136,12 @@ class IoLinks<S> {
     return Noise::of(suite.seed, -(1 << 29) - 2 * j - way);
   }
 
-  // Of a number the sign or one of the 23 leading bits of its fraction: it stays finite.
+  // Turn over the sign of a number, or one of the 23 leading bits of its fraction: it stays finite.
   static void spoil_number(Command& frame, double draw) {
     const int bit = static_cast<int>(24.0 * draw - 1e-9);
     frame[0] ^= std::int64_t{1} << (bit < 1 ? 63 : 52 - bit);
   }
-  // Of counts one of the 16 last bits.
+  // Turn over one of the 16 last bits of counts.
   static void spoil_count(Measured& frame, double draw) {
     frame[0] ^= std::int64_t{1} << static_cast<int>(16.0 * draw - 1e-9);
   }

@@ -83,7 +83,7 @@ std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
   return run.rows;
 }
 
-// Those that follow one whose values decide.
+// Machines that follow one whose values decide.
 template <class S>
 std::int64_t run_following(const arm_sensitive_run& run) {
   using DerivativeReplay = arm::DerivativeReplay<S>;

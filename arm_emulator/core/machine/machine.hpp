@@ -43,7 +43,7 @@ class Machine {
     threads_.step(x, u);
     past = threads_.memory();
   }
-  // The same of which the end y is known, see Located::step_to; `past` is that of y.
+  // Take a step alone of which the end y is known, see EventLocation::step_to; `past` is that of y.
   ARM_APART void step_alone_to(const State<S>& y, const auto& friction, State<S>& x,
                                const Real (&u)[Stepper::row], typename Threads::Memory& past) {
     renew();
@@ -77,7 +77,7 @@ class Machine {
   ARM_ONCE void set_parameter(int k, Real value) {
     change_numbers([&] { numbers_.set(k, value); });
   }
-  // The same for all of them; the brakes are as they are.
+  // Set all varied numbers; the brakes are as they are.
   ARM_ONCE void set_parameters(const Real* values) {
     change_numbers([&] { numbers_.set_all(values); });
   }
@@ -112,7 +112,7 @@ class Machine {
 
   Real parameter(int k) const { return numbers_.value(k); }
   const Numbers<S>& numbers_now() const { return numbers_; }
-  // It changes whenever the numbers do.
+  // A count that changes whenever the numbers do.
   std::int64_t numbers_edition() const { return edition_; }
 
   // Set the state, without a past. Time continues, or starts at 0.
@@ -145,7 +145,7 @@ class Machine {
     return follow(command, 1, steps, q);
   }
 
-  // The same for `rows` rows of commands. The links' positions after each row go to `q`.
+  // Follow `rows` rows of commands. The links' positions after each row go to `q`.
   int follow(const Real* command, std::int64_t rows, std::int64_t steps, Real* q) {
     CommandSchedule schedule({command}, {q}, N, steps);
     if (steps == 0 && fault_ < 0)
@@ -153,7 +153,7 @@ class Machine {
     return follow(schedule, rows * steps);
   }
 
-  // The same for the next `count` steps of a course.
+  // Take the next `count` steps of a schedule.
   using CommandSchedule = arm::CommandSchedule<S, Real, Stepper::row>;
   int follow(CommandSchedule& schedule, std::int64_t count) {
     if (fault_ >= 0) return fault_;
@@ -188,7 +188,7 @@ class Machine {
     return -1;
   }
 
-  // The same as `advance`. What the joints are given and dissipate [J] is added to `flow`.
+  // Advance, and add the energy that the joints get and dissipate [J] to `flow`.
   int advance_metered(const Real* command, std::int64_t steps, EnergyFlow<S>& flow) {
     EnergyMeter<S> meter(numbers_);
     Real u[Stepper::row] = {};

@@ -7,7 +7,7 @@
 
 namespace arm {
 
-// Of all drives.
+// Set the algebraic states of all drives.
 template <class S>
 void follow_at_once(const Numbers<S>& n, State<S>& x, const Real* u) {
   n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
@@ -54,8 +54,9 @@ constexpr bool jumps_with(Real varied) {
 template <class S>
 inline constexpr bool kJumps = jumps_with<S>(1.0) || jumps_with<S>(0.0);
 
-// Of those drives, at a step's start: torque ripple and load friction are evaluated there, and the
-// command may have jumped since the last step. (The schemes' tables treat linear parts implicitly.)
+// Set the algebraic states of those drives at a step's start: torque ripple and load friction are
+// evaluated there, and the command may have jumped since the last step. (The schemes' tables treat
+// linear parts implicitly.)
 template <class S, class X>
 ARM_INLINE void begin_at_once(const Numbers<S, X>& n, State<S, X>& x, const X* u) {
   for (int lane = 0; lane < kWidth<X>; ++lane)

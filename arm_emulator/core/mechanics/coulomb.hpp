@@ -119,7 +119,7 @@ class Coulomb {
     return modes;
   }
 
-  // The same with the modes fixed, whatever torque they take. W may be used up.
+  // Solve for x with the modes fixed, whatever torque they take. W may be used up.
   void solve_in(const Modes& modes, Matrix& W, X* x) {
     X rhs[N];
     for (int j = 0; j < N; ++j) {

@@ -174,7 +174,7 @@ struct Drive {
   ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned active) const {
     return sliding_under(x, load_on_link(x, active));
   }
-  // The same under the torque T of the gear on its link.
+  // Sliding torque under the torque T of the gear on its link.
   template <class X>
   ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T) const {
     X dry = friction.sliding(x.v, T);
@@ -227,13 +227,11 @@ struct Drive {
     return load_on_link(with(x, now), now.active()) - carried() * a;
   }
 
-  // Whether extras have potential energy, and whether the power that the supply gives grows with
-  // the speed at a constant command.
+  // Whether extras have potential energy, and whether supplied power grows with the speed.
   static constexpr bool has_potential = (false || ... || HasPotential<Extras>);
   static constexpr bool supply_grows_with_speed = requires { Motor::supply_grows_with_speed; };
 
-  // Whether commands are bounded by the supply alone, as voltages are; and the command of x within
-  // its bounds.
+  // Whether the supply alone bounds commands, as voltages; and the command of x in its bounds.
   static constexpr bool bounded_by_supply = Motor::takes == Command::voltage;
   template <class X>
   ARM_INLINE constexpr X command(const Input<X>& x, Real supply) const {
@@ -244,12 +242,11 @@ struct Drive {
   }
 
   // Set a further input of the motor in x, by its number, and return the applied value.
-  static constexpr bool has_further = requires { Motor::further; };
   constexpr void put_further(int input, Input<Real>& x, Real value, Real supply) const {
-    if constexpr (has_further) motor.put_further(input, x.z, value, supply);
+    if constexpr (requires { Motor::further; }) motor.put_further(input, x.z, value, supply);
   }
   constexpr Real applied_inputs(int input, const Input<Real>& x) const {
-    if constexpr (has_further) return motor.applied_inputs(input, x.z);
+    if constexpr (requires { Motor::further; }) return motor.applied_inputs(input, x.z);
     return 0.0;
   }
 
@@ -300,7 +297,7 @@ struct Drive {
       at.at[of_rotor] = rotor.mode_at(x.z[wm], shaft(x, at));
     return at;
   }
-  // Those that x, the end of a step in `now` that began at `start`, calls for: `now` if they hold.
+  // The modes for which x calls at the end of a step in `now` from `start`: `now` if they hold.
   constexpr Modes required(const Input<Real>& start, const Input<Real>& x, const Modes& now) const {
     Modes at = now;
     if constexpr (driven && Motor::modes > 0)
@@ -350,7 +347,6 @@ struct Drive {
     return x;
   }
 
-  // The forces on the shafts; the files of drive_*.hpp use them, too.
   // Speed in the induced voltage: the rotor's, times the factor of torque ripple.
   template <class X>
   ARM_INLINE constexpr X felt_speed(const Input<X>& x) const {
@@ -358,8 +354,8 @@ struct Drive {
       return motor.ripple(motor_angle(x)) * motor_speed(x);
     return motor_speed(x);
   }
-  static constexpr bool is_motor_active(unsigned active) {
-    return Motor::modes > 0 && is_active(active, 0);
+  static constexpr bool is_motor_active(unsigned on) {
+    return Motor::modes > 0 && is_active(on, 0);
   }
   template <class X>
   ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned active) const {

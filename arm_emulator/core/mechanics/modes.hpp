@@ -23,11 +23,11 @@ class Modes {
   typename Friction::Modes friction;
   DriveModes<M> drive[N];
 
-  // These of the links, and the usual ones of all drives.
+  // The modes `of_links`, and the regular modes of all drives.
   Modes(const Numbers<S>& numbers, const typename Friction::Modes& of_links)
       : friction(of_links), n_(&numbers) {}
 
-  // Those of the settled state x (see below) with its links' part.
+  // Modes of the settled state x (see below) with its links' part.
   Modes(const Numbers<S>& numbers, const State<S>& x, const Real* u, const Dynamics& links)
       : n_(&numbers) {
     n_->for_each_drive([&]<class Drive>(const Drive& drive, int j) {
@@ -44,7 +44,7 @@ class Modes {
     }
   }
 
-  // Those of a state x, of which the algebraic states are set first.
+  // Modes of a state x, of which the algebraic states are set first.
   static Modes at(const Numbers<S>& numbers, State<S>& x, const Real* u) {
     Dynamics links;
     Links<S>::dynamics_apart(numbers, x.q, x.v, links);
@@ -52,7 +52,7 @@ class Modes {
     return Modes(numbers, x, u, links);
   }
 
-  // Those of the drive of joint j alone.
+  // Modes of the drive of joint j alone.
   template <class Drive>
   DriveModes<Drive::modes> of(const Drive&, int j) const {
     return resized<Drive::modes>(drive[j]);

@@ -133,7 +133,7 @@ template <class S, class X = Real>
 class Numbers;
 struct Nothing {};
 
-// Those of one machine.
+// Numbers of one machine.
 template <class S>
 class Numbers<S, Real> {
  public:
@@ -141,7 +141,7 @@ class Numbers<S, Real> {
   static constexpr bool varied = kOwnNumbers<S> > 0, drives_vary = varied;
   using Number = Real;
 
-  // Of the values of the varied numbers, the brakes open.
+  // `values`: of the varied numbers; the brakes are open.
   constexpr explicit Numbers(const Real* values) : p_(values), sheet_(p_.p) {}
 
   Real value(int k) const { return p_.p[k]; }
@@ -169,7 +169,7 @@ class Numbers<S, Real> {
       (body(std::get<j>(now().drives), j), ...);
     }(std::make_integer_sequence<int, N>{});
   }
-  // The same of one lane, of which there is one.
+  // body(drive, j) for the drives of one lane, of which there is one.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive_of(int, TheBody&& body) const {
     for_each_drive(body);
@@ -228,7 +228,7 @@ class Numbers<S, Real> {
   ExternalWrenches<S, Real> outside_;
 };
 
-// Those of machines side by side, one in each lane. A number that is not varied is the same for
+// Numbers of machines side by side, one in each lane. A number that is not varied is the same for
 // all, as with the brakes open: a machine with a closed one takes its steps alone
 // (lane_drives.hpp).
 template <class S, class X>
@@ -275,7 +275,7 @@ class Numbers {
       (body(std::get<j>(Constants<S>::sheet.drives), j), ...);
     }(std::make_integer_sequence<int, N>{});
   }
-  // The same of one lane.
+  // body(drive, j) for the drives of one lane.
   template <class TheBody>
   ARM_INLINE constexpr void for_each_drive_of([[maybe_unused]] int lane, TheBody&& body) const {
     if constexpr (drives_vary)

@@ -101,7 +101,8 @@ using Factors = std::conditional_t<Pattern::from_the_tip, FromTheTip<N, X, Patte
 template <int N, class X = Real, class Pattern = Full<N>>
 struct Cholesky : Factors<N, X, Pattern> {};
 
-// Of numbers with derivatives. Those of x follow from M dx = db - dM x: only values are factored.
+// Factors of numbers with derivatives. The derivatives of x follow from M dx = db - dM x: only
+// values are factored.
 template <int N, int directions, class Pattern>
 struct Cholesky<N, Dual<directions>, Pattern> {
   using X = Dual<directions>;

@@ -52,7 +52,7 @@ struct Dual {
     const double share = 1.0 / b.value, quotient = a.value * share;
     return {quotient, share * (a.by - quotient * b.by)};
   }
-  // The same with a constant.
+  // Operations with a constant.
   friend ARM_INLINE constexpr Dual operator+(const Dual& a, double b) {
     return {a.value + b, a.by};
   }

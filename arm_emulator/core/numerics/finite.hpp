@@ -37,7 +37,7 @@ ARM_INLINE bool is_finite(const Dual<directions>& x) {
   return is_finite(x.value);
 }
 
-// Of each lane.
+// Whether each lane is finite.
 template <class X>
   requires(kWidth<X> > 1)
 ARM_INLINE Mask<X> is_finite(const X& x) {

@@ -13,7 +13,7 @@ namespace arm {
 
 // Above this count unrolling costs more (compile time, instruction cache) than folding saves.
 inline constexpr int kUnrollLimit = 24;
-// The same for loops with long loops inside.
+// The limit of loops with long loops inside.
 inline constexpr int kUnrollNested = 12;
 
 #define ARM_INLINE __attribute__((always_inline)) inline
@@ -94,7 +94,7 @@ ARM_INLINE void for_each_from(Index first, Body&& body) {
   }
 }
 
-// The same in whole groups of lanes: beyond kUnrollNested also for some j before `first` and some
+// body(j) in whole groups of lanes: beyond kUnrollNested also for some j before `first` and some
 // from N to kPadded<N>, where there must be room.
 template <int N, class Index, class Body>
 ARM_INLINE void for_each_lane_from(Index first, Body&& body) {

@@ -1,5 +1,5 @@
 // Sine and cosine of joint angles, inline so that the compiler can work on several joints at once.
-// They take no function of the system's library, whose rounding differs between systems.
+// No function of the system's library is called, whose rounding differs between systems.
 #pragma once
 
 #include <bit>

@@ -44,7 +44,7 @@ class DriveSteps {
     }
     return tables_.first_at(j, in) - friction(drive, j, in, in);
   }
-  // The same in the second, with the link's acceleration in the first.
+  // The drive's part in the second stage, with the link's acceleration in the first.
   Real second(const auto& drive, const auto& linear, int j, double h, const Real& k1,
               Inputs& in) const {
     in[In::k1].at[0] = k1;

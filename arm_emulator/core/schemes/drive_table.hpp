@@ -57,7 +57,7 @@ struct Elimination {
   Real s;
   X E[n][n], e[n], b;
 
-  // Of this drive with this s.
+  // Set up for this drive with this s.
   ARM_INLINE void put(const Drive& drive, Real with) {
     s = with;
     drive.inverse(s, E);

@@ -14,8 +14,8 @@ struct TableRows {
   void put(int input, int j, int lane, const Real& number) { set_lane(at[input][j], lane, number); }
   Number number(int input, int j) const { return at[input][j]; }
 };
-// Of numbers with derivatives: of each joint the entries that are not zero, and whose derivatives
-// are not. Most joints' tables depend on nothing.
+// Rows of numbers with derivatives: of each joint the entries that are not zero, and whose
+// derivatives are not. Most joints' tables depend on nothing.
 template <int inputs, int row, int directions>
 struct TableRows<inputs, row, Dual<directions>> {
   using Number = Dual<directions>;
@@ -84,7 +84,7 @@ class DriveTables : public ServedDrives<S, X> {
     this->take_linear();
     for (int lane = 0; lane < (own ? kWidth<X> : 1); ++lane) fill_lane(lane);
   }
-  // The same for one lane. All parts are in their regular modes.
+  // Fill one lane. All parts are in their regular modes.
   void fill_lane(int lane) {
     this->n_.for_each_drive_of(lane, [&](const auto& drive, int j) {
       if constexpr (Served::modal) this->note(j, Modes{});
@@ -167,7 +167,7 @@ class DriveTables : public ServedDrives<S, X> {
     });
   }
 
-  // The same of one joint, of numbers with derivatives, from the inputs in[...].at[0].
+  // Parts of a step of one joint, of numbers with derivatives, from the inputs in[...].at[0].
   Number first_at(int j, const auto& in) const { return answer_at<In::k1>(rhs_1, j, in); }
   Number rate_at(int k, int j, const auto& in) const {
     return answer_at<In::change>(k_z[k], j, in);
@@ -190,7 +190,7 @@ class DriveTables : public ServedDrives<S, X> {
     });
     return out;
   }
-  // The same for a group of joints.
+  // A row's numbers times the inputs, for a group of joints.
   template <int inputs>
   ARM_INLINE static auto answer_of(const Numbers& numbers, const Inputs& x, int g, auto k) {
     typename arm::Row<N, X>::Vector out = {};

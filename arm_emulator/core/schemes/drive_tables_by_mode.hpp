@@ -32,7 +32,7 @@ class ServedDrives {
                 "a part of a drive calls linear what is not, and the schemes would leave it out");
 
   const Modes& served(int j) const { return now_[j]; }
-  // The same for the drive of a joint, as it counts its modes.
+  // The modes in use of the drive of a joint, as it counts them.
   auto modes() const {
     return [this]<class Drive>(const Drive&, int j, int) {
       if constexpr (modal && Drive::modes > 0)
@@ -66,7 +66,7 @@ class ServedDrives {
     }
   };
 
-  // That at x, in the modes that are in use.
+  // The rest at x, in the modes that are in use.
   ARM_INLINE Rest rest_at(const State<S, X>& x, const X (&u)[row]) const {
     Rest rest;
     if constexpr (kDifferentiates) {
@@ -212,14 +212,14 @@ class ServedDrives {
       for (int k = 0; k < drive.states; ++k) set_lane(rest.at[k][j], lane, is.f[k]);
       set_lane(rest.at[K][j], lane, is.g);
     };
-    // Of the regular modes, which are constants, the linear terms fold away.
+    // The linear terms of the regular modes, which are constants, fold away.
     if (const unsigned active = now.active())
       put(drive.rest(at, active));
     else
       put(drive.rest(at, 0));
   }
 
-  // The same of joint j, of numbers with derivatives: copies of drives take longer than what is
+  // The rest of joint j, of numbers with derivatives: copies of drives take longer than what is
   // done with them.
   template <int j>
   ARM_APART void add_rest(const State<S, X>& x, const X (&u)[row], Rest& rest) const {

@@ -79,7 +79,7 @@ class EventLocation {
     }
     exchange.give(x);
   }
-  // The same of which the whole step is known: from x to y, with all drives in their regular modes
+  // A step that is known as a whole: from x to y, with all drives in their regular modes
   // and the links in these. The memory is that of y.
   void step_to(const State<S>& y, const typename Modes<S>::Friction::Modes& friction, State<S>& x,
                const Real (&u)[row]) {
@@ -97,8 +97,8 @@ class EventLocation {
   using Past = typename Method::Past;
   static constexpr int kMaxEvents = 4 * N + 8;
   static constexpr int kMaxTrials = 150;
-  // Of a step: how well an event's time is known. Conditions are rounded so that a better one takes
-  // trials without progress.
+  // Share of a step within which an event's time is known. Conditions are rounded so that a better
+  // one takes trials without progress.
   static constexpr double kInstant = 1e-10;
 
   // A step from x to y of which not all modes hold.
@@ -211,7 +211,7 @@ class EventLocation {
       while (!(each[k] < 0.0)) ++k;
       return k;
     }
-    // Of the way to `end`, the share to the zero of a condition on a straight line.
+    // The share of the way to `end` at which a condition is zero on a straight line.
     Real share(const Trial& end, int condition) const {
       return each[condition] / (each[condition] - end.each[condition]);
     }

@@ -94,7 +94,7 @@ class LinearlyImplicit {
   const Memory& memory() const { return past_[newest_]; }
   Memory& past() { return past_[newest_]; }
   Tables& tables() { return tables_; }
-  // That before the newest step, of lanes.
+  // The memory before the newest step, of lanes.
   const Memory& memory_before() const { return past_[memories - 1 - newest_]; }
   void restore(const Memory& memory) { past() = memory; }
 
@@ -107,7 +107,7 @@ class LinearlyImplicit {
     serve(modes);
     step_in(modes.friction, x, u, links, from);
   }
-  // The same with the drives in the modes that the tables serve.
+  // A step with the drives in the modes that the tables serve.
   void step_in(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x, const X (&u)[row],
                Dynamics links, Past from) {
     step_using_up(links, friction, x, u, from);
@@ -413,7 +413,8 @@ class LinearlyImplicit {
   const arm::Numbers<S, X>& n_;
   Tables tables_;
   bool regular_ = true;  // all joints are served in their regular modes
-  // Of the newest step, and in lanes of the one before: the next is written over that, not copied.
+  // Memories of the newest step, and in lanes of the step before: the next is written over that,
+  // not copied.
   static constexpr int memories = extrapolates && kWidth<X> > 1 ? 2 : 1;
   Memory past_[memories] = {};
   int newest_ = 0;

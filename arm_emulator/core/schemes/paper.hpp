@@ -29,7 +29,7 @@ class PaperScheme {
   void renew(int lane) { tables_.renew(lane); }
   void renew() { tables_.fill(); }
 
-  // It has no past.
+  // The scheme has no past.
   struct Memory {
     template <class Number>
     void for_each_number(Number&&) {}

@@ -137,7 +137,7 @@ class StepSlopes {
         });
   }
 
-  // The same of one machine alone, from `start` with the derivatives of x: `method` and `own_n`
+  // Move one machine alone, from `start` with the derivatives of x: `method` and `own_n`
   // have those of its numbers.
   void move_alone(Method& method, const Numbers<S>& own_n, const Numbers<S>& n,
                   const LinkSlopes<S>& links, const Modes<S>& modes, const State<S>& start,

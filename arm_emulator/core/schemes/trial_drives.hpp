@@ -59,7 +59,7 @@ class TrialDrives : public ServedDrives<S, Real> {
                            __attribute__((always_inline)) { return end_of(one, k, in, g); });
   }
 
-  // The same of one joint, of numbers with derivatives, from the inputs in[...].at[0].
+  // Parts of a step of one joint, of numbers with derivatives, from the inputs in[...].at[0].
   void retime(const MakeImplicit& maker, int j)
     requires(kDifferentiates)
   {

@@ -9,7 +9,7 @@
 #define SERVO_INLINE static inline
 #endif
 
-/* They are one arm's, or lanes of several. `mask ? a : b` decides for each lane, with numbers of
+/* Numbers are one arm's, or lanes of several. `mask ? a : b` decides for each lane, with numbers of
  * the same type on both sides; masks of one arm are 0 or 1. */
 
 #ifdef SERVO_LANES

@@ -82,7 +82,7 @@ SERVO_INLINE void take_counts(const servo_joint* joint, servo_state* state, serv
   take_angle(joint, state, (real_of(counts) + HALF) * joint->count_angle, current, voltage);
 }
 
-/* The same for numbers that need not be sound. Returns where it began anew. */
+/* Observe numbers that need not be sound. Returns where it began anew. */
 SERVO_INLINE servo_mask observe(const servo_joint* joint, servo_state* state, servo_count counts,
                                 servo_real current, servo_real voltage) {
   take_counts(joint, state, counts, current, voltage);

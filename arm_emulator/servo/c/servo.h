@@ -248,7 +248,7 @@ void servo_aim(servo* arm, const servo_real* q, const servo_real* v, const servo
  * meanwhile. */
 void servo_command(servo* arm, int32_t powered, servo_real* command);
 
-/* The same without watchdog and clock. */
+/* Measurement and commands without watchdog and clock. */
 void servo_observe(servo* arm, const int64_t* counts, const servo_real* current,
                    const servo_real* applied);
 void servo_control(servo* arm, const servo_real* q, const servo_real* v, const servo_real* tau,
@@ -256,7 +256,7 @@ void servo_control(servo* arm, const servo_real* q, const servo_real* v, const s
 /* Report that the motors get no command; control will start without an integral again. */
 void servo_release(servo* arm);
 
-/* The same for one joint, whatever is asked of it. */
+/* Command of one joint, whatever is asked of it. */
 servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish);
 
 /* ---------------------------------------------------------------------------------- one joint */
@@ -264,7 +264,7 @@ servo_real servo_drive(servo* arm, int32_t j, servo_wish* wish);
 void servo_joint_reset(servo_state* state);
 void servo_joint_observe(const servo_joint* joint, servo_state* state, int64_t counts,
                          servo_real current, servo_real voltage);
-/* The same for an angle of the motor that was measured in another way [rad]. */
+/* Observe an angle of the motor that was measured in another way [rad]. */
 void servo_joint_take(const servo_joint* joint, servo_state* state, servo_real theta,
                       servo_real current, servo_real voltage);
 /* Return the voltage for the period that begins now. */

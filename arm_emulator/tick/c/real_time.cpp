@@ -2,9 +2,10 @@
 // the machine through the period that has just passed: the clock of tick.h for real time, in a
 // library of its own. One serves the machines of every scene.
 //
-// It shares no lock. Commands arrive through a sequence-checked cell in which the newest wins;
-// states leave through a ring with one writer and one reader. Periods whose deadline has passed are
-// lost to logical time and counted, not repeated: no controller could answer such a burst.
+// The threads share no lock. Commands arrive through a sequence-checked cell in which the newest
+// wins; states leave through a ring with one writer and one reader. Periods whose deadline has
+// passed are lost to logical time and counted, not repeated: no controller could answer such a
+// burst.
 #include "real_time.h"
 
 #include <pthread.h>

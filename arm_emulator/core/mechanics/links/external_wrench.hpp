@@ -47,7 +47,7 @@ struct GivenWrench {
   Real numbers[10];
 };
 
-// The same on a link of a scene, with axes of the core instead of the URDF's.
+// A wrench on a link of a scene, with axes of the core instead of the URDF's.
 template <class S>
 ExternalWrench<Real> in_core_axes(int link, const GivenWrench& given) {
   ExternalWrench<Real> wrench = {};

@@ -94,7 +94,7 @@ struct LinkTree {
     }
   }
 
-  // The same, not inlined, for rare calls.
+  // Dynamics, not inlined, for rare calls.
   static __attribute__((noinline)) void dynamics_apart(const Numbers& n, const X* q, const X* v,
                                                        Dynamics& links) {
     dynamics(n, q, v, links);
@@ -138,9 +138,9 @@ struct LinkTree {
                                   Wrench<X> (&wrench)[N]) {
     BaseAxes base;
     Vec3<X> omega, alpha;  // of the parent link, in its frame
-    // Of the parent's origin; an upward acceleration represents gravity.
+    // Acceleration of the parent's origin; an upward acceleration represents gravity.
     Vec3<X> acc = Vec3<X>{} - n.gravity();
-    // Of each link, where others than the next one may continue from it.
+    // Motion of each link from which others than the next may continue.
     struct Motion {
       BaseAxes base;
       Vec3<X> omega, alpha, acc;

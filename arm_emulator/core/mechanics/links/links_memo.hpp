@@ -11,7 +11,7 @@ class LinksMemo {
  public:
   using Dynamics = typename Links<S, X>::Dynamics;
 
-  // The same instructions whether cached or not.
+  // The result of the same instructions, whether it is cached or not.
   const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
     Mask<X> same = where(is_valid_, X{} == X{});
     for (int j = 0; j < S::N; ++j) same &= (q_[j] == x.q[j]) & (v_[j] == x.v[j]);

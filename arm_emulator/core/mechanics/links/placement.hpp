@@ -55,7 +55,7 @@ struct Placement {
   }
 };
 
-// The same with a turn by gamma about the parent's z before it.
+// A placement with a turn by gamma about the parent's z before it.
 template <class X>
 struct TurnedPlacement {
   Placement<X> turned;  // in the parent's frame, turned

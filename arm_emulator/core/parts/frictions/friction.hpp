@@ -24,7 +24,7 @@ struct Friction {
   // See drive.hpp.
   constexpr const Friction& linear() const { return *this; }
 
-  // The same with other torques of dry friction.
+  // This friction with torques of dry friction that all lanes share.
   constexpr Friction without_torques() const { return {Dv, 1.0, 1.0}; }
 
   // Whether it can hold a shaft at rest; the breakaway torque may still be 0 at times.
