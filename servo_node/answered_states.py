@@ -81,7 +81,7 @@ class AnsweredStates:
             report_ticks=report_ticks,
             longest_quiet=round(MACHINE_SILENCE * 1e9),
             tick=-1,
-            asked_before=-1,
+            cycle_before_reset=-1,
         )
         ffi, at = ANSWERED_STATES.ffi, self.at
         self.states = MessageReader(
@@ -115,8 +115,8 @@ class AnsweredStates:
             {STAMP: ffi.addressof(at, "target_time")},
         )
         at.state, at.target = self.states.struct, self.targets.struct
-        at.applied_came, at.brake_came = map(self.states.field, ("applied", "brake_closed"))
-        at.v_came, at.tau_came = map(self.targets.field, ("velocity", "effort"))
+        at.applied_field, at.brake_field = map(self.states.field, ("applied", "brake_closed"))
+        at.v_field, at.tau_field = map(self.targets.field, ("velocity", "effort"))
 
     def publish_on(self, command: Outgoing, state: Outgoing, joint_state: Outgoing) -> None:
         """Let C publish motor commands, servo states and joint states."""

@@ -239,7 +239,7 @@ class ServoNode(ManagedNode):
     def _start_over(self) -> None:
         self._drives.reset()
         at = self._at
-        at.asked_before = at.cycle if at.tick >= 0 else -1
+        at.cycle_before_reset = at.cycle if at.tick >= 0 else -1
         at.tick = -1
         at.waiting = at.cycle = at.silent = 0
 

@@ -3,7 +3,9 @@
 #include <stddef.h>
 #include <string.h>
 
-static int is_in_turns(const answered_states* own) { return own->lockstep && own->motion_ticks; }
+static int waits_for_targets(const answered_states* own) {
+  return own->lockstep && own->motion_ticks;
+}
 
 static void report(answered_states* own, int64_t time) {
   servo_report(own->arm, (int32_t)own->powered, own->q_measured, own->v_measured, own->tau_measured,
@@ -55,9 +57,9 @@ void answered_states_go_on(answered_states* own) {
   own->silent = 0;
   ++own->states;
   servo_measure(own->arm, time, own->counts, own->current,
-                own->applied_came->came ? own->applied : NULL,
-                own->brake_came->came ? own->brake : NULL);
-  const int begins = is_in_turns(own) && own->tick % own->motion_ticks == 0;
+                own->applied_field->came ? own->applied : NULL,
+                own->brake_field->came ? own->brake : NULL);
+  const int begins = waits_for_targets(own) && own->tick % own->motion_ticks == 0;
   if (begins) {
     own->waiting = 1;
     own->cycle = time;
@@ -92,18 +94,18 @@ static int are_aimed_at(const answered_states* own) {
 int32_t answered_states_judge_target(answered_states* own, const uint8_t* data, int64_t size) {
   if (!message_open(own->target, data, size) || !message_rows(own->target)) return TARGET_MALFORMED;
   const int64_t time = own->target_time;
-  if (!is_in_turns(own)) return TARGET_DUE;
+  if (!waits_for_targets(own)) return TARGET_DUE;
   if (time == own->cycle) return own->waiting ? TARGET_DUE : TARGET_NEEDLESS;
   /* A motion controller answers joint states once more that are repeated to it. */
   if (time == own->cycle - own->motion_ticks * own->period && are_aimed_at(own))
     return TARGET_REPEATED;
-  return time == own->asked_before ? TARGET_BEFORE_RESET : TARGET_OFF_TIME;
+  return time == own->cycle_before_reset ? TARGET_BEFORE_RESET : TARGET_OFF_TIME;
 }
 
 void answered_states_aim(answered_states* own) {
   memcpy(own->aimed, own->q, (size_t)own->arm->joints * sizeof *own->q);
-  servo_aim(own->arm, own->q, own->v_came->came ? own->v : NULL,
-            own->tau_came->came ? own->tau : NULL);
+  servo_aim(own->arm, own->q, own->v_field->came ? own->v : NULL,
+            own->tau_field->came ? own->tau : NULL);
   if (!own->waiting) return;
   own->waiting = 0;
   answer(own);

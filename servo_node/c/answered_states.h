@@ -40,7 +40,7 @@ typedef struct answered_states {
   int (*publish)(ros_message*, int64_t time, int64_t tick, ros_log* log);
   /* Readers of motor states and joint targets, and their fields that may be empty. */
   message_reader *state, *target;
-  const message_field *applied_came, *brake_came, *v_came, *tau_came;
+  const message_field *applied_field, *brake_field, *v_field, *tau_field;
   /* Numbers of the newest messages. */
   int64_t state_time, target_time; /* ns */
   uint64_t state_tick, state_machine;
@@ -55,15 +55,15 @@ typedef struct answered_states {
   int64_t report_ticks;  /* servo periods between joint states */
   int64_t longest_quiet; /* ns, wall: an emulator silent for so long may be replaced by another */
   /* The run. Python sets them while no message is taken. */
-  int64_t open;            /* 0: all messages are Python's */
-  uint64_t machine;        /* the emulator served */
-  int64_t tick, powered;   /* -1: no state has come */
-  int64_t silent;          /* 1: no motor states come, and the power is cut */
-  int64_t waiting;         /* 1: for the joint targets of this motion period */
-  int64_t cycle;           /* ns, its begin */
-  int64_t asked_before;    /* ns: the same before the reset; -1: without one */
-  int64_t now, heard;      /* ns, wall: this moment, and when the newest state came */
-  int64_t states, answers; /* taken and given since Python has set them */
+  int64_t open;               /* 0: all messages are Python's */
+  uint64_t machine;           /* the emulator served */
+  int64_t tick, powered;      /* -1: no state has come */
+  int64_t silent;             /* 1: no motor states come, and the power is cut */
+  int64_t waiting;            /* 1: for the joint targets of this motion period */
+  int64_t cycle;              /* ns, its begin */
+  int64_t cycle_before_reset; /* ns: the same before the reset; -1: without one */
+  int64_t now, heard;         /* ns, wall: this moment, and when the newest state came */
+  int64_t states, answers;    /* taken and given since Python has set them */
 } answered_states;
 
 /* Judge a motor state: enum state_verdict. */

@@ -12,10 +12,10 @@ int listeners_add(listeners* all, void (*call)(void* with, const arm_machine* ma
 
 void listeners_remove(listeners* all, const void* with) {
   if (!all) return;
-  int32_t kept = 0;
+  int32_t count = 0;
   for (int32_t k = 0; k < all->count; ++k)
-    if (all->each[k].with != with) all->each[kept++] = all->each[k];
-  all->count = kept;
+    if (all->each[k].with != with) all->each[count++] = all->each[k];
+  all->count = count;
 }
 
 void listeners_call(void* with, const arm_machine* machine) {

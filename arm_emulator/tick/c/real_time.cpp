@@ -269,11 +269,11 @@ struct arm_real_time {
     const std::size_t further = joints * static_cast<std::size_t>(options.inputs);
     const Cell::Entries none = {std::vector<arm_joint_command>(joints),
                                 std::vector<double>(further)};
-    Cell::Entries wanted = none, scratch = none;
+    Cell::Entries entries = none, scratch = none;
     std::vector<arm_joint_measurement> measured(joints);
     arm_command command = {};
-    command.size = sizeof command, command.tick = -1, command.joint = wanted.joints.data();
-    command.further = wanted.further.data();
+    command.size = sizeof command, command.tick = -1, command.joint = entries.joints.data();
+    command.further = entries.further.data();
     std::vector<arm_joint_sensors> sensors(joints);
     std::vector<arm_imu_measurement> units(static_cast<std::size_t>(options.imus));
     arm_measurement measurement = {};
@@ -282,9 +282,9 @@ struct arm_real_time {
     measurement.imu = units.data();
     std::vector<double> current_d(joints);
     std::vector<double> readings(joints * static_cast<std::size_t>(options.readings));
-    std::vector<double> got(further);
+    std::vector<double> applied(further);
     measurement.current_d = current_d.data(), measurement.readings = readings.data();
-    measurement.further = got.data();
+    measurement.further = applied.data();
     at.measurement = &measurement;
     while (!stopping.load(std::memory_order_relaxed)) {
       due += options.period;
@@ -296,12 +296,12 @@ struct arm_real_time {
         lost_periods.fetch_add(lost);
         due += lost * options.period;
       }
-      cell.read(command, wanted, scratch);
+      cell.read(command, entries, scratch);
       if (command.tick >= 0 && at.tick - command.tick > kOldAfter) old_commands.fetch_add(1);
       const std::int64_t began = now();
       int result = tick_exchange(&at, &command);
       if (result == ARM_REFUSED) {  // an invalid command: nothing is applied
-        for (arm_joint_command& joint : wanted.joints) joint.enable = 0;
+        for (arm_joint_command& joint : entries.joints) joint.enable = 0;
         command.tick = -1;
         result = tick_exchange(&at, &command);
       }
