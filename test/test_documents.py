@@ -172,7 +172,7 @@ def test_tolerances_named_in_the_physics_are_those_of_the_core() -> None:
     text = page_of("physics").read_text()
     located = (ROOT / "arm_emulator" / "core" / "schemes" / "event_location.hpp").read_text()
     instant = re.search(r"kInstant = (\S+);", located)
-    assert instant and f"found to {instant[1]} of the step," in text
+    assert instant and f"ceased to hold, to {instant[1]} of the step." in text
 
 
 def _constants(file: Path) -> dict[str, Any]:
