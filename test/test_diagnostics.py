@@ -112,6 +112,6 @@ def test_a_servo_reports_a_silence_from_its_time_to_cut_on(
     assert times == (0.2, 2.0)
     for silence, count in ((0.3, 0), (1.9, 0), (2.1, 1)):
         now = servo._at.heard + round(silence * 1e9)
-        monkeypatch.setattr(servo_node.node, "now_ns", lambda now=now: now)
+        monkeypatch.setattr(servo_node.node, "read_clock", lambda now=now: now)
         servo._check_silence()
         assert len(warned) == count, f"{warned} after {silence} s"
