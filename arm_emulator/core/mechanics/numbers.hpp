@@ -52,7 +52,7 @@ constexpr Sheet<S> sheet_with(int changed) {
   return Sheet<S>(values.p);
 }
 
-// Which numbers of the links depend on varied ones.
+// A mask of the numbers of the links that depend on varied ones.
 template <class S>
 struct VariedBodies {
   Body<bool> at[S::L] = {};
