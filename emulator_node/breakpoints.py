@@ -1,4 +1,4 @@
-"""Breakpoints: logical time stands still where a condition begins to hold, or something happens."""
+"""Breakpoints: logical time pauses where a condition starts to hold, or at an event."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Breakpoints:
         self._session.break_at(self.stop)
 
     def look(self) -> None:
-        """Let time stand still if the condition has begun to hold at this tick."""
+        """Pause if the condition has started to hold at this tick."""
         if self._breakpoint is not None and self._breakpoint.take_hit():
             self._pause(self._breakpoint.condition.text)
 

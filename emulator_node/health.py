@@ -93,7 +93,7 @@ class Status:
         self.begin()
 
     def begin(self) -> None:
-        """Begin anew at tick 0."""
+        """Reset the rates at tick 0."""
         # Wall time, ticks, ns spent on steps.
         self._mark = (time.monotonic_ns(), 0, self._session.step_wall_ns)
 

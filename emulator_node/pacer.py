@@ -35,11 +35,11 @@ class Pacer:
         raise NotImplementedError
 
     def catch_up(self) -> None:
-        """Publish all ticks reached so far, before a change. Time must stand still."""
+        """Publish all ticks reached so far, before a change. Time must be paused."""
         raise NotImplementedError
 
     def changed(self) -> None:
-        """Take note of a machine that was changed at this tick. Time must stand still."""
+        """Take note of a machine that was changed at this tick. Time must be paused."""
 
     def close(self) -> None:
         """End what runs."""

@@ -160,7 +160,7 @@ class RosControls(Controls):
         return f"{factor:g} times real time" if factor else "as fast as possible"
 
     def reset(self) -> str:
-        """Begin anew at tick 0, servo and motion controller too."""
+        """Reset emulator, servo and motion controller to tick 0."""
         answer = self._call("emulator/reset", Trigger, Trigger.Request())
         for name in ("servo/reset", "motion_controller/reset"):
             if self._get_client(name, Trigger).service_is_ready():

@@ -60,7 +60,7 @@ class Services:
 
     def _reset(self, request: Trigger.Request, response: Trigger.Response) -> str:
         self._control.reset()
-        response.message = "at tick 0"  # it may go on at once
+        response.message = "at tick 0"  # time may pass from here on
         return ""
 
     def _switch_power(self, request: SetBool.Request, response: SetBool.Response) -> str:

@@ -16,7 +16,7 @@ LOOK_AGAIN = 2e-3  # s, wall: for an answer, or a recorder that has caught up
 
 
 class TimeControl:
-    """Lets logical time stand, pass and begin anew. The caller holds the lock of `own`."""
+    """Pauses, steps and resets logical time. The caller holds the lock of `own`."""
 
     def __init__(self, own: Context, changes: Changes, health: Health, status: Status) -> None:
         self._session, self._gate = own.session, own.gate
@@ -24,7 +24,7 @@ class TimeControl:
         self._health, self._status, self._diagnostics = health, status, own.diagnostics
 
     def pause(self, paused: bool) -> None:
-        """Let time stand, or go on."""
+        """Pause logical time, or resume it."""
         self._session.paused = paused
         if paused:
             self._pacer.catch_up()
@@ -32,7 +32,7 @@ class TimeControl:
             self._pacer.go_on()
 
     def step(self) -> str:
-        """Leave one tick of a paused machine; return why not, or ""."""
+        """Advance a paused machine by one tick; return why it cannot, or ""."""
         trouble = self._step()
         if not trouble:
             self._reports.publish_tick()
@@ -48,7 +48,7 @@ class TimeControl:
         return self._session.step()
 
     def reset(self, *, paused: bool = False) -> None:
-        """Return to tick 0, to stand there if `paused`."""
+        """Reset to tick 0, and stay there if `paused`."""
 
         def reset() -> None:
             self._session.reset()
@@ -69,10 +69,10 @@ class TimeControl:
 
 
 class Stepper:
-    """Leaves a number of ticks, one request at a time.
+    """Advances a paused machine by a number of ticks, one request at a time.
 
     Attributes:
-        left: ticks to be left.
+        left: ticks that remain.
     """
 
     def __init__(self, own: Context, control: TimeControl) -> None:
@@ -86,7 +86,7 @@ class Stepper:
     def begin(
         self, steps: int, ended: Callable[[str], None], stepped: Callable[[int], None] | None = None
     ) -> None:
-        """Begin to leave ticks.
+        """Start to advance.
 
         Args:
             steps: how many.
@@ -103,14 +103,14 @@ class Stepper:
         self._timer.reset()
 
     def end(self, trouble: str) -> None:
-        """Leave no more ticks, for a reason."""
+        """Stop before the last tick, for a reason."""
         ended, self._ended, self.left = self._ended, None, 0
         self._timer.cancel()
         if ended is not None:
             ended(trouble)
 
     def go_on(self) -> None:
-        """Leave the ticks that can be left now."""
+        """Advance by the ticks that are answered now."""
         with self._lock:
             for _ in range(AT_ONCE):
                 if not self.left:

@@ -243,7 +243,7 @@ class UnixSocketServer(JsonLinesServer):
 
 
 def _is_left(path: Path) -> bool:
-    """Return whether a file is a socket on which nobody listens."""
+    """Return whether a file is a socket without a listener."""
     with contextlib.suppress(FileNotFoundError), socket.socket(socket.AF_UNIX) as client:
         if stat.S_ISSOCK(path.lstat().st_mode):
             try:

@@ -118,8 +118,8 @@ class UdpServer:
 
     In lock-step each command that answers the tick lets a servo period pass, and the reply has the
     next tick. A command that comes again is answered again and changes nothing, so a client
-    repeats what it has had no reply to. In real time the measurement of each tick also goes to who
-    sent last.
+    repeats what it has had no reply to. In real time the measurement of each tick also goes to the
+    client that sent last.
 
     Attributes:
         address: host and port where it listens.
@@ -145,7 +145,7 @@ class UdpServer:
             raise refuse_taken_address("udp", host, port, error) from None
         self.address: tuple[str, int] = self._socket.getsockname()
         self.refused = 0
-        self._peer: tuple[str, int] | None = None  # who sent last
+        self._peer: tuple[str, int] | None = None  # the client that sent last
         self._closing = threading.Event()
         self._record = np.zeros((), self.datagrams.measurement)
         self._record["layout"] = self.datagrams.layout
@@ -214,7 +214,7 @@ class UdpServer:
             return record.tobytes()
 
     def _report_ticks(self) -> None:
-        """Send the measurement of each tick of a loop to who sent last."""
+        """Send the measurement of each tick of a loop to the client that sent last."""
         session = self._session
         while not self._closing.is_set():
             if session.wait(LOOK):

@@ -83,7 +83,7 @@ BYTES = 16
 
 
 def new_token() -> str:
-    """Return a token that nobody knows yet; it can stand in a path as it is."""
+    """Return a new random token, safe in a path."""
     return secrets.token_urlsafe(BYTES)
 
 

@@ -1,7 +1,7 @@
-"""A user's library in a process of its own: however it ends, somebody is left to report where.
+"""A user's library in a child process: however it ends, this process reports where.
 
-The library shares its process with Python. One that exits or crashes takes the process along, with
-an exit code of its choice. So the run goes on in a child, and this process waits for its end.
+The library shares its process with Python. If it exits or crashes, it ends that process with any
+exit code. So the run continues in a child, and this process waits for its end.
 """
 
 from __future__ import annotations

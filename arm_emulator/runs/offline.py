@@ -99,7 +99,7 @@ class OfflineRun(NonCopyable):
                 return
 
     def restart(self, machine: bytes) -> None:
-        """Begin anew at tick 0, with a saved machine; gains and limits stay as they are.
+        """Start again at tick 0, with a saved machine; gains and limits stay as they are.
 
         Raises:
             Refusal: see `Session.restore`.

@@ -57,7 +57,7 @@ class RowEnd:
             self._answers.write(pickle.dumps(what))
 
     def leave(self, what: Any) -> NoReturn:
-        """Hand the run the last answer, and end at once.
+        """Hand the run the last answer, and end.
 
         Python's own end has nothing to save here. On a busy machine it takes seconds.
         """

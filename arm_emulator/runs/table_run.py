@@ -66,7 +66,7 @@ class TableRun:
         return ticks, rows
 
     def restart(self, machine: bytes, table: TargetTable) -> None:
-        """Begin anew at tick 0, with a saved machine and a table; its owner resets the servo.
+        """Start again at tick 0, with a saved machine and a table; the caller resets the servo.
 
         Raises:
             Refusal: see `Session.restore`.

@@ -64,7 +64,7 @@ class Timeline(NonCopyable, Generic[R]):
         run: the run, at `tick` of the timeline that was used last.
         every: ticks between two checkpoints.
         changes: changes by hand, in their order.
-        parent: the timeline that this one forked from; None: none.
+        parent: the timeline that this one forked from, or None.
         begins: tick at which it forked from its parent, or at which the run was taken over.
         tick: where this timeline is.
         newest: the last tick that it has reached.

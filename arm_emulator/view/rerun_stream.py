@@ -229,7 +229,7 @@ class RerunStream:
     def offer_target(self, time_ns: int, p_WT: Sequence[float]) -> None:
         """Show the tool's target p_WT (3,) [m] in the root frame, from a logical time on.
 
-        A past time means at once. Never blocks and never raises.
+        A past time means now. Never blocks and never raises.
         """
         if self._open:
             try:

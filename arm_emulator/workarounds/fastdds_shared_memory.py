@@ -38,7 +38,7 @@ _SOUND = 1  # in the byte behind: `is_port_ok`
 
 
 def clear_left_over(shared: Path = SHARED) -> int:
-    """Remove what owners of this user have left who are gone; return of how many.
+    """Remove what ended processes of this user have left; return their number.
 
     Ports whose readers are gone are marked.
     """

@@ -39,7 +39,7 @@ static void publish(real_time_ticks* ticks) {
   const int count = tick % ticks->report_ticks ? 1 : 3;
   for (int k = 0; k < count; ++k) ros_fill(messages[k], time, tick, NULL);
   pthread_mutex_lock(&ticks->locks->numbers);
-  ticks->tick = tick; /* first: the answer to it may come at once */
+  ticks->tick = tick; /* first: the answer may arrive before the send returns */
   for (int k = 0; k < count; ++k)
     ros_log_put(&ticks->log, messages[k]->number, messages[k]->data, messages[k]->size);
   pthread_mutex_unlock(&ticks->locks->numbers);

@@ -99,7 +99,7 @@ int ros_arrivals_open(ros_arrivals* own) {
     pthread_mutex_lock(&own->mutex);
     own->missed = 0;
     pthread_mutex_unlock(&own->mutex);
-    /* Without the mutex: who takes needs the lock that is held where a message has come. */
+    /* Without the mutex: taking needs the lock that is held where a message arrives. */
     for (int64_t k = 0; k < own->topics; ++k)
       if (!take_from(own, k)) return 0;
     pthread_mutex_lock(&own->mutex);

@@ -1,7 +1,7 @@
 /* Messages taken in C where they arrive: in the middleware's own thread, without another that is
  * woken, and without a wait set. C99.
  *
- * While the arrivals are open, each message of their topics is handed to its `take` at once. The
+ * While the arrivals are open, each message of their topics is handed to its `take` directly. The
  * first one that is Python's closes them: it is kept, those behind it wait in the middleware, and
  * a guard condition wakes Python.
  */

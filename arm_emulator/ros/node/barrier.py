@@ -1,4 +1,4 @@
-"""The barrier of a node: all that comes from outside passes here, and no error of it ends the node.
+"""The barrier of a node: every input passes here, and no error of an input ends the node.
 
 A callback may fail in ways that its author did not think of. Its caller then gets a refusal, the
 node's diagnostics have it, and the log has the traceback, since it is a defect.
@@ -23,7 +23,7 @@ LOG_PERIOD = 5.0  # s, wall: between two tracebacks
 
 
 class Restart(Exception):
-    """A node must clean up and begin again."""
+    """A node must clean up and start again."""
 
 
 class Guarded(Protocol):
@@ -45,7 +45,7 @@ def convert_to_refusal(node: Guarded, where: str, error: Exception, answers: boo
     """Return what a callback has raised as a refusal; report it where the sender gets no answer.
 
     Raises:
-        Exception: the error, if it does not come of the input: the node is to end or to begin anew.
+        Exception: an error of the node itself, which has to end or to start again.
     """
     ends = isinstance(error, Restart | ExternalShutdownException) or not node.context.ok()
     if ends or is_out_of_memory(error):

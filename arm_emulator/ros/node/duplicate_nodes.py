@@ -26,7 +26,9 @@ from arm_emulator.ros.node.sole_publisher import IDENTIFY, KINDS, get_full_name
 
 LISTEN = 0.5  # s, wall: for the middleware to find running nodes
 SILENCE = 5.0  # s, wall: a node that is silent for so long is gone
-KILLED_AFTER = 3.0  # s, wall: sooner, so that who waits for `SILENCE` is admitted at once
+KILLED_AFTER = (
+    3.0  # s, wall: below `SILENCE`, so that a node that waited for it is admitted without delay
+)
 HEARD_LIMIT = 100  # nodes of a kind: anyone can publish diagnostics
 FORGOTTEN = 30.0  # s, wall: the graph does not have a killed node for so long
 LOOK_PERIOD = 0.25  # s, wall

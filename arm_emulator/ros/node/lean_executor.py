@@ -1,7 +1,7 @@
 """An executor for one node with little to do per message.
 
-rclpy's SingleThreadedExecutor collects all entities of a node anew, and makes a coroutine and a
-task, for every message: on the order of 0.3 ms of Python each time, more than a servo period can
+For every message, rclpy's SingleThreadedExecutor collects all entities of a node again, and makes a
+coroutine and a task: on the order of 0.3 ms of Python each time, more than a servo period can
 spare in lock-step. This one collects them now and then, and calls plain callbacks; a node with a
 hot path has its messages taken in C, and Python sees the others.
 """

@@ -1,4 +1,4 @@
-"""Topics of which a node takes the messages of one publisher: that of the node whose work they are.
+"""Messages of one publisher per topic: of the node whose work the topic is.
 
 rclpy passes nothing about its publisher on with a message, rcl does: its identity, by which the
 graph has its node. So these messages are taken through c/middleware.h.
@@ -85,9 +85,9 @@ class Receiver(Protocol):
 class SolePublisher:
     """The publisher of a topic whose messages a node takes.
 
-    It is that of a node of the kind whose work the topic is, of several the first one; if there is
-    no such node, the first one of any. It remains the one until it leaves the graph, is a killed
-    node of that kind, or such a node comes.
+    It belongs to the first node of the kind whose work the topic is. Without such a node it is the
+    first publisher of any. It changes when it leaves the graph, when its node of that kind was
+    killed, or when such a node joins.
 
     Attributes:
         owner: ``ros_publisher *``.
@@ -96,7 +96,7 @@ class SolePublisher:
         node: the node that subscribes; it gets the refusals.
         topic: the topic.
         kind: kind of nodes whose work it is, of `KINDS`.
-        keeps: whether the topic keeps messages for late subscribers, who get them once.
+        keeps: whether the topic keeps messages for late subscribers, which get them once.
     """
 
     def __init__(self, node: Receiver, topic: str, kind: str, keeps: bool) -> None:

@@ -133,7 +133,7 @@ def _start_forks(modules: tuple[str, ...], process: int, attempt: int) -> Forks:
 
 
 def get_forks(modules: Sequence[str]) -> Forks:
-    """Return this process's forks of nodes, started anew if they have ended."""
+    """Return this process's forks of nodes, started again if they have ended."""
     attempt = 0
     while not (found := _start_forks(tuple(modules), os.getpid(), attempt)).is_running:
         attempt += 1
@@ -152,7 +152,9 @@ def _serve(control: socket.socket) -> dict[str, Any]:
     The process ends with the one that asks, and its nodes with it, see `end_with_parent`.
     """
     asks = control.fileno()
-    running: dict[int, tuple[int, socket.socket]] = {}  # by descriptor: process, who waits for it
+    running: dict[
+        int, tuple[int, socket.socket]
+    ] = {}  # by descriptor: process, and its waiting client
     while True:
         ready, _, _ = select.select([asks, *running], [], [])
         for one in running.keys() & set(ready):
@@ -184,7 +186,7 @@ def _serve(control: socket.socket) -> dict[str, Any]:
 def _send(waits: socket.socket, number: int) -> None:
     try:
         waits.sendall(number.to_bytes(NUMBER, "little", signed=True))
-    except OSError:  # nobody waits any more
+    except OSError:  # its client has ended
         return
 
 

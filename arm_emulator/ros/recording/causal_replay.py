@@ -1,4 +1,4 @@
-"""A recorded network played into one of its nodes: each message follows the answer to the last.
+"""A recorded network, played into one of its nodes: each message follows the answer to the last.
 
 A replay by the clock loses what the node cannot take in time, and a servo that waits for targets
 never gets them at the right tick. Here the node under test decides how fast time passes, as in
@@ -82,7 +82,7 @@ class _Stamped:
         return last[1] - last[0] if len(last) == 2 else 0
 
     def take(self, key: int) -> bytes | None:
-        """Return the next message with a key; None: none is near."""
+        """Return the next message with a key, or None if none is near."""
         places = self._places.get(key, [])
         k = bisect.bisect_left(places, self._next)
         if k == len(places) or places[k] - self._next > AHEAD:
