@@ -10,7 +10,11 @@ from setuptools import find_packages, setup
 
 NAME = "arm_emulator"
 HERE = Path(__file__).resolve().parent  # colcon links this file elsewhere
-BESIDE = ("campaign", "fieldbus", "firmware", "fleet", "fmu", "identification", "page")
+# In packages/.
+BESIDE = (
+    "analysis", "campaign", "export", "fieldbus", "firmware", "fleet", "fmu", "identification",
+    "page",
+)  # fmt: skip
 NEEDS_FLEET = ("campaign", "identification")
 PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 

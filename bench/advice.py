@@ -8,8 +8,8 @@ that is asked for, claims of the setting that is advised:
 - it costs at most 1.3 times as much as the cheapest setting that keeps the error on all of these,
   of all schemes, events and steps.
 
-The true motions are found anew, five times as well; test/test_advice.py holds them against
-independent solutions.
+The true motions are found again, five times as well;
+packages/arm_emulator_analysis/test/test_advice.py compares them with independent solutions.
 """
 
 from __future__ import annotations
@@ -23,15 +23,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator.analysis.advice import Advice, Judge, advise, step_counts
-from arm_emulator.analysis.judged_motions import (
-    KINDS,
-    SECONDS,
-    ExcitationMotions,
-    Motion,
-    judged_motions,
-)
-from arm_emulator.analysis.true_motion import Method
 from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.gears.gear import RigidGear
@@ -42,6 +33,15 @@ from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.pmsm import Pmsm
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator_analysis.advice import Advice, Judge, advise, step_counts
+from arm_emulator_analysis.judged_motions import (
+    KINDS,
+    SECONDS,
+    ExcitationMotions,
+    Motion,
+    judged_motions,
+)
+from arm_emulator_analysis.true_motion import Method
 from oracles import mixtures
 from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import moving_joints, random_chain_urdf

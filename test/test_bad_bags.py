@@ -17,12 +17,12 @@ from test_bags import run
 from arm_emulator.bags import recorded_topics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.cli.commands.explain import explain
 from arm_emulator.cli.commands.replay import offer
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
 from arm_emulator.ros.recording.recorder import choose_qos
+from arm_emulator_analysis.commands.explain import explain
 
 
 def damaged(folder: Path) -> Path:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
+from documents import ROOT
 
 from arm_emulator import Plant, Refusal
 from arm_emulator.base import packages
+from arm_emulator.cli import command_line
 from arm_emulator.cli.command import command_groups, load_command
 from arm_emulator.page.page_process import PageProcess
 
@@ -23,3 +27,25 @@ def test_the_core_alone_has_its_commands(monkeypatch: pytest.MonkeyPatch) -> Non
     names = {name for group in command_groups().values() for name in group}
     assert {"demo", "up", "run", "new", "tune"} <= names and "ethercat" not in names
     assert load_command("run") is not None and load_command("ethercat") is None
+
+
+def test_a_command_without_its_package_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("arm_emulator.cli.command.registered", lambda _: {})
+    monkeypatch.setattr("sys.argv", ["arm_emulator", "bode", "ur5"])
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == (
+        "bode: package arm_emulator_analysis must be installed, got none; "
+        "valid: pip install '.[analysis]' in a checkout of arm_emulator\n"
+    )
+
+
+def test_the_core_knows_which_package_has_which_command() -> None:
+    found = {}
+    for setup in (ROOT / "packages").glob("arm_emulator_*/setup.py"):
+        commands = re.findall(r'"([a-z0-9-]+) = \w+\.commands\.', setup.read_text())
+        found[setup.parent.name.removeprefix("arm_emulator_")] = tuple(sorted(commands))
+    assert found == packages.COMMANDS_OF

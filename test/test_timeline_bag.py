@@ -10,7 +10,6 @@ import pytest
 
 from arm_emulator import OfflineRun, Pose, Refusal, Session, Timeline
 from arm_emulator.bags.comparison import compare
-from arm_emulator.bags.first_difference import find_first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.cli.command_line import main
@@ -18,6 +17,7 @@ from arm_emulator.machine.plant.plant_state import SET
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator_analysis.first_difference import find_first_difference
 
 
 def move(run: OfflineRun, y: float) -> None:

@@ -16,6 +16,18 @@ MODES = "arm_emulator.drive_modes"  # functions which return the modes of a bus'
 SCENE_UNITS = "arm_emulator.scene_units"  # functions which return the unit of a scene
 PAGE = "arm_emulator.page"  # `live` and `run`: a page with a running machine, with a finished run
 
+# Commands of the packages in packages/, to say which package is missing.
+COMMANDS_OF = {
+    "analysis": ("advise", "bode", "explain"),
+    "campaign": ("campaign", "faults"),
+    "export": ("foxglove", "moveit-config", "ros2-control"),
+    "fieldbus": ("canopen", "ethercat", "modbus"),
+    "firmware": ("firmware",),
+    "fmu": ("fmu",),
+    "identification": ("identify", "validate"),
+    "page": ("look",),
+}
+
 
 @functools.cache
 def find_entries(group: str) -> dict[str, EntryPoint]:
@@ -24,6 +36,17 @@ def find_entries(group: str) -> dict[str, EntryPoint]:
     from importlib.metadata import entry_points
 
     return {point.name: point for point in sorted(entry_points(group=group))}
+
+
+def missing_package(where: str, name: str) -> Refusal:
+    """Return the refusal of what needs a package of packages/, named without `arm_emulator_`."""
+    remedy = f"pip install '.[{name}]' in a checkout of arm_emulator"
+    return Refusal(where, f"package arm_emulator_{name}", "be installed", "none", remedy)
+
+
+def package_of_command(command: str) -> str | None:
+    """Return which package of packages/ has a command; None if no package has it."""
+    return next((name for name, commands in COMMANDS_OF.items() if command in commands), None)
 
 
 def find_page_entry(name: str) -> EntryPoint:
@@ -39,8 +62,7 @@ def find_entry(package: str, group: str, name: str) -> EntryPoint:
     """
     point = find_entries(group).get(name)
     if point is None:
-        remedy = f"pip install '.[{package}]' in a checkout of arm_emulator"
-        raise Refusal(package, f"package arm_emulator_{package}", "be installed", "none", remedy)
+        raise missing_package(package, package)
     return point
 
 

@@ -15,10 +15,10 @@ from arm_emulator.base.packages import COMMANDS, find_entries
 GROUPS = {
     "Drive an arm": ("demo", "up", "move", "status", "run"),
     "Records": (
-        "record", "explain", "check-bag", "replay", "fork", "foxglove", "repair",
+        "record", "check-bag", "replay", "fork", "repair",
     ),
-    "Scenes and servos": ("new", "check-scene", "tune", "bode", "advise"),
-    "Doors": ("tcp", "udp", "unix-socket", "servo-header", "ros2-control", "moveit-config"),
+    "Scenes and servos": ("new", "check-scene", "tune"),
+    "Doors": ("tcp", "udp", "unix-socket", "servo-header"),
     "This machine": ("doctor", "latency", "compile", "cache", "completion"),
 }  # fmt: skip
 Function = TypeVar("Function", bound=Callable[..., int])

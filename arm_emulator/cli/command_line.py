@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from arm_emulator.base.memory import is_out_of_memory
+from arm_emulator.base.packages import missing_package, package_of_command
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.required_package import refuse_missing_module
 from arm_emulator.base.standard_files import check_stdout, drop_descriptor, find_stdout_error
@@ -144,6 +145,8 @@ def _without_command(words: Sequence[str]) -> int:
 
         output.line(f"arm_emulator {VERSION}")
         output.facts({"version": VERSION})
+    elif (package := package_of_command(words[0])) is not None:
+        return _refused(missing_package(words[0], package))
     else:
         known = difflib.get_close_matches(words[0], command_names())
         near = (

@@ -1,7 +1,9 @@
 """Recorded bags; they need ROS 2."""
 
-from arm_emulator.bags.explanation import explain_moment
+from arm_emulator.bags.explanation import Explanation, explain_moment
 from arm_emulator.bags.recorded_machine import RecordedMachine
+from arm_emulator.bags.recorded_ticks import Change as RecordedChange
+from arm_emulator.bags.recorded_ticks import RecordedTick, find_first_difference_of_bits
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS as EVENT_KINDS
 from arm_emulator.bags.run_bag import KINDS as CHANGE_KINDS
@@ -15,9 +17,13 @@ __all__ = [
     "CHANGE_KINDS",
     "EVENT_KINDS",
     "Bag",
+    "Explanation",
+    "RecordedChange",
     "RecordedMachine",
+    "RecordedTick",
     "RecordedTopics",
     "RunBag",
     "explain_moment",
+    "find_first_difference_of_bits",
     "write_timeline",
 ]

@@ -1,6 +1,7 @@
 """Commands of the command line: their registration, options, output, recorder and page."""
 
 from arm_emulator.cli.command import command
+from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import (
     Clock,
@@ -36,6 +37,7 @@ __all__ = [
     "plain",
     "report_run",
     "served_session",
+    "servo_data_unit",
     "stay",
     "ticks_of",
     "watched",

@@ -11,7 +11,14 @@ from arm_emulator.toolchain.c_header import text as c_text
 from arm_emulator.toolchain.cxx import run_compiler
 from arm_emulator.toolchain.flags import ARITHMETIC, C_FLAGS
 from arm_emulator.toolchain.flags import SHARED as SHARED_FLAGS
-from arm_emulator.toolchain.unit import Unit, compile_bytes, compile_once, compute_fingerprint
+from arm_emulator.toolchain.unit import (
+    Unit,
+    compile_bytes,
+    compile_once,
+    compile_units,
+    compute_fingerprint,
+    name_stem,
+)
 from arm_emulator.toolchain.unit import load_library as compiled_library
 
 __all__ = [
@@ -31,7 +38,9 @@ __all__ = [
     "c_text",
     "compile_bytes",
     "compile_once",
+    "compile_units",
     "compiled_library",
     "compute_fingerprint",
+    "name_stem",
     "run_compiler",
 ]

@@ -3,6 +3,7 @@
 from arm_emulator.analysis.linear_servo import Loop as ServoLoop
 from arm_emulator.analysis.mode_loops import Mode as LoopMode
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
+from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.analysis.stability import explain as explain_divergence
 from arm_emulator.design.assumed_bodies import inertial_of
 from arm_emulator.machine.chain import Body, ChainJoint, Frame
@@ -13,9 +14,11 @@ from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.output import AXES as OUTPUT_AXES
 from arm_emulator.machine.parts.output import COMMAND as COMMAND_OUTPUT
+from arm_emulator.machine.parts.output import FURTHER as FURTHER_OUTPUT
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.plant.build_facts import list_differing_builds
 from arm_emulator.machine.plant.call_arguments import (
     LARGEST_STEPS,
     Commands,
@@ -26,7 +29,7 @@ from arm_emulator.machine.plant.call_arguments import (
     order_by_joint,
 )
 from arm_emulator.machine.plant.call_arguments import PIECE as STEPS_BETWEEN_CHECKS
-from arm_emulator.machine.plant.compiler import build_machine_unit, load_machine_with
+from arm_emulator.machine.plant.compiler import build_machine_unit, compile_ahead, load_machine_with
 from arm_emulator.machine.plant.core_calls import ARM as ARM_HEADER
 from arm_emulator.machine.plant.core_calls import OK as ARM_OK
 from arm_emulator.machine.plant.core_calls import PLACES as STATE_NAMES_IN_C
@@ -47,20 +50,29 @@ from arm_emulator.machine.plant.inputs import (
     list_modes,
 )
 from arm_emulator.machine.plant.measured import Measured, MeasuredPlace, list_rows
+from arm_emulator.machine.plant.measured_fields import MeasuredFields
 from arm_emulator.machine.plant.outputs import ALWAYS as ALWAYS_OUTPUTS
 from arm_emulator.machine.plant.outputs import KNOWN as KNOWN_OUTPUTS
 from arm_emulator.machine.plant.outputs import list_outputs, list_readings, list_units
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import ROWS as STATE_ROWS
+from arm_emulator.machine.plant.plant_state import SET as DECIDING_STATE
 from arm_emulator.machine.plant.plant_state import (
     bound_start,
     compute_count_angle,
     compute_largest_position,
 )
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
+from arm_emulator.machine.scene.integrator import EVENTS as INTEGRATOR_EVENTS
+from arm_emulator.machine.scene.integrator import Integrator, format_mismatch
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.overrides import override_keys
 from arm_emulator.machine.scene.scene import LARGEST_SEED, Scene, coerce_scene, load_scene
+from arm_emulator.machine.scene.urdf_tree import find_root as find_root_link
+from arm_emulator.machine.scene.urdf_tree import list_element_names
+from arm_emulator.machine.scene.urdf_tree import read_joints as read_urdf_joints
+from arm_emulator.machine.schemes.known import KNOWN as KNOWN_SCHEMES
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator.machine.session.command_buffer import DuplicateCommand
@@ -79,8 +91,12 @@ __all__ = [
     "ARM_OK",
     "ARM_REFUSED",
     "COMMAND_OUTPUT",
+    "DECIDING_STATE",
     "FORMULA_HEADER",
+    "FURTHER_OUTPUT",
+    "INTEGRATOR_EVENTS",
     "KNOWN_OUTPUTS",
+    "KNOWN_SCHEMES",
     "LARGEST_SEED",
     "LARGEST_STEPS",
     "NO_WRENCH",
@@ -106,9 +122,11 @@ __all__ = [
     "FormulaRows",
     "Frame",
     "Input",
+    "Integrator",
     "Joint",
     "LoopMode",
     "Measured",
+    "MeasuredFields",
     "MeasuredPlace",
     "NumberChange",
     "Output",
@@ -121,6 +139,7 @@ __all__ = [
     "ServoLoop",
     "Session",
     "ShaftMotion",
+    "SmallMotions",
     "ToolChain",
     "Varied",
     "WrenchChange",
@@ -130,15 +149,20 @@ __all__ = [
     "build_refusal",
     "check_inputs",
     "coerce_scene",
+    "compile_ahead",
     "compute_count_angle",
     "compute_largest_position",
     "cxx_number",
     "explain_divergence",
     "find_input",
+    "find_root_link",
     "find_varied",
+    "format_mismatch",
     "inertial_of",
     "is_at_one_instant",
     "list_columns",
+    "list_differing_builds",
+    "list_element_names",
     "list_further_inputs",
     "list_input_units",
     "list_modes",
@@ -156,8 +180,10 @@ __all__ = [
     "move_to_moving_link",
     "order_by_joint",
     "override_keys",
+    "read_urdf_joints",
     "select_values",
     "varied_of_child",
     "withheld_modes",
     "withheld_words",
+    "write_scene_unit",
 ]

@@ -1,5 +1,6 @@
 """Machine, servo and motion controller in one process, targets, gains, recorders."""
 
+from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
 from arm_emulator.motion.executor.goal_status import State as MotionState
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.pose import Pose
@@ -23,7 +24,9 @@ from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import count_nanoseconds
 
 __all__ = [
+    "NANOSECONDS",
     "Breakpoint",
+    "DemoPlan",
     "MotionConfig",
     "MotionState",
     "OfflineRun",

@@ -203,7 +203,7 @@ def test_a_scene_takes_a_name_by_its_rule_or_refuses_it(seed: int, tmp_path: Pat
 
 
 def test_the_launch_file_of_moveit_has_the_path_as_a_string() -> None:
-    from arm_emulator.design.moveit_package import _NETWORK
+    from arm_emulator_export.moveit_package import _NETWORK
 
     for name in NAMES:
         words = {"name": "arm", "package": "arm_moveit_config", "scene": name, "machine": "m"}

@@ -30,15 +30,15 @@ from std_srvs.srv import SetBool
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.cpu_load import load_processors
-from arm_emulator.cli.commands.ros2_control import ros2_control
-from arm_emulator.design.ros2_control import PLUGIN
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds
 from arm_emulator.ros.node.network_client import NetworkClient
 from arm_emulator.ros.node.node_shell import DESCRIPTION_QOS
 from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator_export.commands.ros2_control import ros2_control
+from arm_emulator_export.control_files import PLUGIN
 
-PACKAGE = Path(__file__).resolve().parents[2] / "arm_emulator_hardware"
+PACKAGE = Path(__file__).resolve().parents[2] / "packages/arm_emulator_hardware"
 PREFIXES = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if one]
 WANTED = ("controller_manager", "joint_trajectory_controller", "forward_command_controller")
 MOCK = "mock_components/GenericSystem"

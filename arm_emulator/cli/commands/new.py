@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from arm_emulator.base.packages import missing_package
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.command import command
-from arm_emulator.cli.commands.ros2_control import write_ros2_control
+from arm_emulator.cli.command import command, load_command
 from arm_emulator.cli.output import output
 from arm_emulator.design.new_scene import NewScene, scene_name, write_new
 from arm_emulator.design.robot_file import robot_text
@@ -64,14 +64,18 @@ def new(
         if not sign or not name:
             raise Refusal("new", "argument", "be NAME:=VALUE", argument)
         given[name] = value
+    export = load_command("ros2-control") if ros2_control else None
+    if ros2_control and export is None:
+        raise missing_package("new", "export")
     written = write_new(
         robot, out, tool, joints, given, payload=payload, density=density, motor=motor, tree=tree,
         force=force, replace_inertias=replace_inertias, trust_inertias=trust_inertias,
     )  # fmt: skip
     facts = _report(written)
-    if ros2_control:
-        folder = written.file.parent / "ros2_control"
-        facts["ros2_control"] = write_ros2_control(str(written.file), folder)
+    if export is not None:
+        export.function(str(written.file), into=written.file.parent / "ros2_control")
+        facts["ros2_control"] = dict(output.collected)
+        output.collected.clear()
     output.facts(facts)
     return 0
 

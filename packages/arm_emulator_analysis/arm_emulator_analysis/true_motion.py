@@ -18,13 +18,8 @@ from functools import cached_property
 
 import numpy as np
 
-from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.base.arrays import Array
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.scene.integrator import Integrator
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator.extension.base import Array
+from arm_emulator.extension.machine import SCHEMES, Diverged, Integrator, Plant, Scene, SmallMotions
 
 # Differences that fall by less when a step is halved show no convergence.
 LEAST_FALL = 1.4

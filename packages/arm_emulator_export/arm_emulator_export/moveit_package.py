@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 import yaml
 
-from arm_emulator.base.escape import escape_xml
-from arm_emulator.design import ros2_control
-from arm_emulator.design.ros2_control import TRAJECTORY_CONTROLLER
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.scene.urdf_tree import find_root, list_element_names, read_joints
-from arm_emulator.motion.collision.link_pairs import DRAWN, link_pairs
-from arm_emulator.motion.model.config import MotionConfig
-from arm_emulator.motion.model.kinematics import Kinematics
-from arm_emulator.motion.model.mesh_units import package_folders
-from arm_emulator.motion.model.pinocchio_model import rate_limits
-from arm_emulator.toolchain.unit import name_stem
+from arm_emulator.extension.base import escape_xml
+from arm_emulator.extension.compiler import name_stem
+from arm_emulator.extension.machine import (
+    Scene,
+    find_root_link,
+    list_element_names,
+    read_urdf_joints,
+)
+from arm_emulator.extension.motion import DRAWN_CONFIGURATIONS, Kinematics, link_pairs, rate_limits
+from arm_emulator.extension.page import package_folders
+from arm_emulator.extension.runs import MotionConfig
+from arm_emulator_export import control_files
+from arm_emulator_export.control_files import TRAJECTORY_CONTROLLER
 
 MACHINE = "machine"  # folder of the compiled scene
 RUNS = (
@@ -132,7 +134,7 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         bringup: the scene, as `bringup.launch.py` takes it.
 
     Raises:
-        Refusal: as `ros2_control.description`; a scene without a rate for controllers, or with
+        Refusal: as `control_files.description`; a scene without a rate for controllers, or with
             unreadable meshes.
     """
     name, package = _ros_name(scene.name), package_name(scene)
@@ -143,7 +145,7 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         ".setup_assistant": _yaml(_assistant(name, package)),
         f"config/{name}.urdf.xacro": _description(scene, package),
         f"config/{name}.srdf": srdf(scene),
-        "config/ros2_controllers.yaml": ros2_control.controllers(scene),
+        "config/ros2_controllers.yaml": control_files.controllers(scene),
         "config/moveit.rviz": _yaml(_rviz()),
         "launch/network.launch.py": _NETWORK.format(**words),
     }
@@ -172,7 +174,7 @@ def _yaml(content: Mapping[str, Any]) -> str:
 
 def _description(scene: Scene, package: str) -> str:
     """Return the robot description as a xacro source that finds the machine in its package."""
-    robot = ET.fromstring(ros2_control.description(scene, f"MACHINE/{name_stem(scene.name)}"))
+    robot = ET.fromstring(control_files.description(scene, f"MACHINE/{name_stem(scene.name)}"))
     folders = [Path(folder) for folder in package_folders()]
     for mesh in robot.iter("mesh"):
         # A wheel's packages are not in the index of ROS packages.
@@ -246,7 +248,7 @@ def base_link(scene: Scene) -> str:
     """Return the link that no joint moves."""
     robot = ET.fromstring(scene.urdf)
     links = list_element_names(robot, "link", scene.where)
-    return find_root(links, read_joints(robot, links, scene.where), scene.where)
+    return find_root_link(links, read_urdf_joints(robot, links, scene.where), scene.where)
 
 
 def named_states(scene: Scene) -> dict[str, list[float]]:
@@ -259,7 +261,7 @@ def named_states(scene: Scene) -> dict[str, list[float]]:
     return states
 
 
-def srdf(scene: Scene, drawn: int = DRAWN) -> str:
+def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
     """Return the SRDF of a scene's robot.
 
     Args:

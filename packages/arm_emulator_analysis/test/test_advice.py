@@ -17,14 +17,14 @@ from machines import CONFIG, DC, GANTRY, PMSM, ROTOR, gantry_urdf, write_scene
 from test_written_integrator import add_demo, scene_copy
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.analysis.advice import Judge, advise, reserve, step_counts
-from arm_emulator.analysis.judged_motions import KINDS, ExcitationMotions, Motion, judged_motions
 from arm_emulator.analysis.stability import why
-from arm_emulator.analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
 from arm_emulator.base.arrays import Array
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.commands.advise import advise as advise_scene
-from arm_emulator.cli.commands.advise import demo_commands, read_commands
+from arm_emulator_analysis.advice import Judge, advise, reserve, step_counts
+from arm_emulator_analysis.commands.advise import advise as advise_scene
+from arm_emulator_analysis.commands.advise import demo_commands, read_commands
+from arm_emulator_analysis.judged_motions import KINDS, ExcitationMotions, Motion, judged_motions
+from arm_emulator_analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
 from bench.advice import CLASSES, judge_scene
 from oracles.event_reference import reference_with_events
 from oracles.random_machines import machine
@@ -49,7 +49,7 @@ def demo() -> tuple[Judge, Array]:
 def try_only(monkeypatch: pytest.MonkeyPatch, *schemes: str) -> None:
     """Let advice try these schemes alone, unless all cases are asked for: each is compiled."""
     if not FULL:
-        monkeypatch.setattr("arm_emulator.analysis.advice.SCHEMES", schemes)
+        monkeypatch.setattr("arm_emulator_analysis.advice.SCHEMES", schemes)
 
 
 def true_error(method: Method, steps: int) -> float:
@@ -299,7 +299,7 @@ def test_command_shows_the_worth_of_errors_and_writes(
 ) -> None:
     file = scene_copy(tmp_path)
     add_demo(file)
-    monkeypatch.setattr("arm_emulator.cli.commands.advise.SECONDS", 0.2)
+    monkeypatch.setattr("arm_emulator_analysis.commands.advise.SECONDS", 0.2)
     monkeypatch.setattr(
         sys, "argv", ["arm_emulator", "advise", str(file), "--error", "1e-5", "--write"]
     )

@@ -12,7 +12,7 @@ from draws import some
 from test_couplings import machine
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.design.ros2_control import (
+from arm_emulator_export.control_files import (
     COMMANDS,
     PLUGIN,
     STATES,
@@ -22,7 +22,7 @@ from arm_emulator.design.ros2_control import (
 )
 from oracles.coupled_arms import ARMS, shafts_of
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "packages/arm_emulator_hardware"
 
 

@@ -9,14 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.bags.recorded_ticks import Change, RecordedTick, find_first_difference_of_bits
-from arm_emulator.bags.repetition import KINDS
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.plant.plant_state import SET
-from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.extension.bags import (
+    EVENT_KINDS,
+    RecordedChange,
+    RecordedMachine,
+    RecordedTick,
+    find_first_difference_of_bits,
+)
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.machine import DECIDING_STATE, Diverged, Plant, Scene
 
 
 class FirstDifference(NamedTuple):
@@ -78,7 +79,7 @@ def _compare_true_states(
 ) -> FirstDifference | None:
     with contextlib.suppress(Diverged, Refusal):  # the end of a record
         while one.tick <= tick:
-            for name in SET:
+            for name in DECIDING_STATE:
                 found = find_first_difference_of_bits(
                     getattr(one.session.state, name), getattr(other.session.state, name)
                 )
@@ -91,9 +92,9 @@ def _compare_true_states(
 
 
 def _compare_changes(
-    scene: Scene, tick: int, one: list[Change], other: list[Change]
+    scene: Scene, tick: int, one: list[RecordedChange], other: list[RecordedChange]
 ) -> FirstDifference | None:
-    kinds = [[str(KINDS.get(change.kind)) for change in side] for side in (one, other)]
+    kinds = [[str(EVENT_KINDS.get(change.kind)) for change in side] for side in (one, other)]
     if kinds[0] != kinds[1]:
         texts = ", ".join(kinds[0]) or "none", ", ".join(kinds[1]) or "none"
         return FirstDifference(tick, "change by hand", "changes", "", texts)
@@ -110,7 +111,7 @@ def _compare_machines(scene: Scene, saved: bytes, other: bytes) -> tuple[str, tu
     for one in (saved, other):
         plant = Plant(scene)
         plant.restore(one)
-        states = {name: getattr(plant.state, name).tolist() for name in SET}
+        states = {name: getattr(plant.state, name).tolist() for name in DECIDING_STATE}
         wrenches = {f"wrench on {link}": w for link, w in plant.external_wrenches.items()}
         sides.append({"powered": plant.powered, **plant.parameters, **wrenches, **states})
     for name, value in sides[0].items():

@@ -11,14 +11,10 @@ import numpy.typing as npt
 from cyclopts import Parameter
 from scipy import signal
 
-from arm_emulator.analysis.linearised import LinearMachine, linearise
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.number import Number
-from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
-from arm_emulator.cli.output import output
-from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator import LinearMachine, linearise
+from arm_emulator.extension.base import Array, Number, Refusal
+from arm_emulator.extension.commands import SceneName, command, output
+from arm_emulator.extension.machine import Scene, load_scene
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
 PER_DECADE = 2000  # frequencies

@@ -13,11 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arm_emulator.base.arrays import Array
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator.extension.base import Array
+from arm_emulator.extension.machine import SCHEMES, Diverged, Plant, Scene
 
 SECONDS = 1.0
 FINE = 20  # steps per servo period while commands are generated

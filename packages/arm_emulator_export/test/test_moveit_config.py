@@ -14,8 +14,9 @@ import pytest
 import yaml
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.design import ros2_control
-from arm_emulator.design.moveit_package import (
+from arm_emulator.motion.model.mesh_units import package_folders
+from arm_emulator_export import control_files
+from arm_emulator_export.moveit_package import (
     GROUP,
     LAUNCHES,
     MACHINE,
@@ -23,7 +24,6 @@ from arm_emulator.design.moveit_package import (
     package_name,
     srdf,
 )
-from arm_emulator.motion.model.mesh_units import package_folders
 
 SCENES = ("three_axis", "ur5", "panda")
 DRAWN = 500
@@ -33,7 +33,7 @@ DRAWN = 500
 def files(request: pytest.FixtureRequest) -> tuple[str, dict[str, str]]:
     name = request.param
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("arm_emulator.design.moveit_package.srdf.__defaults__", (DRAWN,))
+        patch.setattr("arm_emulator_export.moveit_package.srdf.__defaults__", (DRAWN,))
         return name, moveit_files(load_scene(name), load_gains(name).motion, name)
 
 
@@ -124,7 +124,7 @@ def test_the_description_finds_its_machine_and_meshes(files: tuple[str, dict[str
     name, texts = files
     scene, package = load_scene(name), f"{name}_moveit_config"
     robot = ET.fromstring(texts[f"config/{name}.urdf.xacro"])
-    plain = ET.fromstring(ros2_control.description(scene, f"$(find {package})/{MACHINE}/{name}"))
+    plain = ET.fromstring(control_files.description(scene, f"$(find {package})/{MACHINE}/{name}"))
     for element, source in zip(robot.iter(), plain.iter(), strict=True):
         if element.tag == "mesh":
             assert Path(unquote(urlparse(element.get("filename", "")).path)).is_file()

@@ -15,8 +15,18 @@ from functools import cached_property
 
 import numpy as np
 
-from arm_emulator.analysis.judged_motions import Motion
-from arm_emulator.analysis.true_motion import (
+from arm_emulator.extension.base import Array, Refusal
+from arm_emulator.extension.machine import (
+    INTEGRATOR_EVENTS,
+    KNOWN_SCHEMES,
+    SCHEMES,
+    Diverged,
+    Plant,
+    Scene,
+    format_mismatch,
+)
+from arm_emulator_analysis.judged_motions import Motion
+from arm_emulator_analysis.true_motion import (
     FINEST,
     OTHERWISE,
     Method,
@@ -25,13 +35,6 @@ from arm_emulator.analysis.true_motion import (
     find_truth,
     is_confirmed,
 )
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.scene.integrator import EVENTS, format_mismatch
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 MOST_STEPS = 3e7  # of one motion: some seconds of computing
 SHARE = 0.05  # of the requested error, permitted in the truth
@@ -94,7 +97,8 @@ class Judge:
         """
         found = []
         for threads in sorted({1, self.scene.threads}):
-            for events in reversed(EVENTS) if self._meets_events else EVENTS[:1]:
+            kinds = reversed(INTEGRATOR_EVENTS) if self._meets_events else INTEGRATOR_EVENTS[:1]
+            for events in kinds:
                 for scheme in SCHEMES:
                     one = Method(scheme, events, threads)
                     if format_mismatch(one.integrator(self.scene, 1), threads) is None:
@@ -173,7 +177,7 @@ class Judge:
         most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
         while (off := self.error(method, steps, error)) > error:
-            failed, steps = steps, _next(steps, off / error, KNOWN[method.scheme].order)
+            failed, steps = steps, _next(steps, off / error, KNOWN_SCHEMES[method.scheme].order)
             if steps > most or self.runs.least_cost(method, steps) > most_cost:
                 return None
         for fewer in step_counts(failed + 1, steps):

@@ -8,15 +8,22 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from arm_emulator.analysis.true_motion import Method
-from arm_emulator.base.config_files import check_own
-from arm_emulator.base.io.text_file import read_bytes
-from arm_emulator.base.io.yaml_file import MOST_BYTES, edit_yaml, read_nodes
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.plant.scene_unit import write_scene_unit
-from arm_emulator.machine.scene.integrator import EVENTS
-from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.machine.schemes.known import SCHEMES
+from arm_emulator.extension.base import (
+    LARGEST_YAML_FILE,
+    Refusal,
+    check_own,
+    edited_yaml,
+    read_bytes,
+    yaml_nodes,
+)
+from arm_emulator.extension.machine import (
+    INTEGRATOR_EVENTS,
+    SCHEMES,
+    Scene,
+    load_scene,
+    write_scene_unit,
+)
+from arm_emulator_analysis.true_motion import Method
 
 SECTION = "integrator"
 
@@ -31,7 +38,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
     check_own("advise", file)
     before = load_scene(file)
     # Bytes, so that line ends stay what they are.
-    text = read_bytes(file, MOST_BYTES).decode("utf-8")
+    text = read_bytes(file, LARGEST_YAML_FILE).decode("utf-8")
     number = np.format_float_scientific(dt, trim="0", exp_digits=1)
     values = {"scheme": method.scheme, "dt": number}
     if method.events != before.integrator.events:
@@ -67,7 +74,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
 
 def _rest(scene: Scene) -> tuple[object, ...]:
     """Return what of a scene has nothing to do with how it is integrated."""
-    plain = dataclasses.replace(scene.integrator, scheme=SCHEMES[0], events=EVENTS[0])
+    plain = dataclasses.replace(scene.integrator, scheme=SCHEMES[0], events=INTEGRATOR_EVENTS[0])
     return (
         scene.name, scene.urdf, scene.tool, scene.servo_period, scene.cores, scene.varied,
         write_scene_unit(dataclasses.replace(scene, integrator=plain, threads=1)),
@@ -76,7 +83,7 @@ def _rest(scene: Scene) -> tuple[object, ...]:
 
 def _replaced(text: str, section: str, values: dict[str, str]) -> str:
     """Return YAML text with values of a section, or at its top, replaced or added at its begin."""
-    nodes, prefix = read_nodes(text), f"{section}." if section else ""
+    nodes, prefix = yaml_nodes(text), f"{section}." if section else ""
     edits = []
     for key, value in values.items():
         if (found := nodes.get(f"{prefix}{key}")) is not None:
@@ -87,4 +94,4 @@ def _replaced(text: str, section: str, values: dict[str, str]) -> str:
             in_braces = isinstance(root, yaml.MappingNode) and root.flow_style
             gap = ", " if in_braces else "\n" + " " * first.start_mark.column
             edits.append((first.start_mark.index, first.start_mark.index, f"{key}: {value}{gap}"))
-    return edit_yaml(text, edits)
+    return edited_yaml(text, edits)

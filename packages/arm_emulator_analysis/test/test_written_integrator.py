@@ -13,12 +13,12 @@ import yaml
 from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.analysis.true_motion import Method
 from arm_emulator.base.config_files import BESIDE, check_own
-from arm_emulator.cli.commands.advise import advise as advise_scene
 from arm_emulator.cli.commands.tune import tune
-from arm_emulator.design.integrator_text import write_integrator
 from arm_emulator.design.new_scene import write_new
+from arm_emulator_analysis.commands.advise import advise as advise_scene
+from arm_emulator_analysis.integrator_text import write_integrator
+from arm_emulator_analysis.true_motion import Method
 from arm_emulator_identification.identified import write_fitted
 
 

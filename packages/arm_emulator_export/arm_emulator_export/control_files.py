@@ -6,8 +6,8 @@ import xml.etree.ElementTree as ET
 
 import yaml
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.machine import Scene
 
 PLUGIN = "arm_emulator_hardware/ArmSystem"
 STATE_BROADCASTER = "joint_state_broadcaster"

@@ -9,19 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.bags.explanation import Explanation, explain_moment
-from arm_emulator.bags.first_difference import find_first_difference
-from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.command import command
-from arm_emulator.cli.options import RunNumber, SceneName, When
-from arm_emulator.cli.output import output
-from arm_emulator.machine.plant.build_facts import list_differing_builds
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.runs.condition import Condition
-from arm_emulator.runs.timeline import Timeline
+from arm_emulator.extension.bags import Explanation, RecordedMachine, explain_moment
+from arm_emulator.extension.base import Array, Refusal
+from arm_emulator.extension.commands import RunNumber, SceneName, When, command, output
+from arm_emulator.extension.machine import Diverged, Scene, list_differing_builds
+from arm_emulator.extension.page import Condition, Timeline
+from arm_emulator_analysis.first_difference import find_first_difference
 
 TITLES = {
     "q_target": "target [rad or m]",

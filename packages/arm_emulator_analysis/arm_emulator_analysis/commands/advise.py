@@ -10,26 +10,22 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.analysis.advice import Advice, Judge, Setting, check_error
-from arm_emulator.analysis.advice import advise as settings_for
-from arm_emulator.analysis.judged_motions import FINE, Motion, judged_motions
-from arm_emulator.analysis.true_motion import FINEST
-from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import check_own, find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
-from arm_emulator.cli.output import output
-from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
-from arm_emulator.design.integrator_text import write_integrator
-from arm_emulator.machine.parts.output import FURTHER
-from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator.machine.plant.measured import list_rows
-from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.motion.model.pose import Pose
-from arm_emulator.runs.gains import load_gains
-from arm_emulator.runs.offline import OfflineRun
-from arm_emulator.runs.target_table import load_target_table
+from arm_emulator.extension.base import Array, Refusal, check_own, find_scene
+from arm_emulator.extension.commands import SceneName, command, output
+from arm_emulator.extension.machine import FURTHER_OUTPUT, Diverged, Scene, list_rows, load_scene
+from arm_emulator.extension.runs import (
+    NANOSECONDS,
+    DemoPlan,
+    OfflineRun,
+    Pose,
+    load_gains,
+    load_target_table,
+)
+from arm_emulator_analysis.advice import Advice, Judge, Setting, check_error
+from arm_emulator_analysis.advice import advise as settings_for
+from arm_emulator_analysis.integrator_text import write_integrator
+from arm_emulator_analysis.judged_motions import FINE, Motion, judged_motions
+from arm_emulator_analysis.true_motion import FINEST
 
 SECONDS = 1.0  # of motions, and of the demo after the arm has settled
 
@@ -190,13 +186,14 @@ def _from_table(path: Path, scene: Scene) -> Array:
 def _from_bag(path: Path, scene: Scene) -> Array:
     """Return the commands that the motors got in the last run of a bag."""
     # It needs ROS, which is optional here.
-    from arm_emulator.bags.recorded_machine import RecordedMachine
+    from arm_emulator.extension.bags import RecordedMachine
 
     rows = np.array([tick.applied for tick in RecordedMachine.of(path, scene).ticks[1:]])
     if not len(rows):
         raise Refusal(str(path), "bag", "have motor_states of two ticks at least", "one")
-    for name, of_input in zip(list_rows(scene)[FURTHER], rows[:, 1:].swapaxes(0, 1), strict=False):
-        if of_input.any():
+    further = rows[:, 1:].swapaxes(0, 1)
+    for name, values in zip(list_rows(scene)[FURTHER_OUTPUT], further, strict=False):
+        if values.any():
             rule = "be 0: motions are judged under the commands alone"
             raise Refusal(str(path), name, rule, "others")
     return np.ascontiguousarray(rows[:, 0])

@@ -17,15 +17,15 @@ from sensor_msgs.msg import JointState
 
 from arm_emulator import PlantState, Session
 from arm_emulator.bags.comparison import compare
-from arm_emulator.bags.first_difference import FirstDifference, find_first_difference
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.plant import compiler
 from arm_emulator.machine.plant.build_facts import build_facts
 from arm_emulator.ros.recording.bag_writer import BagWriter
+from arm_emulator_analysis.first_difference import FirstDifference, find_first_difference
 from arm_emulator_msgs.msg import MachineEvent, MotorState
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[3]
 TICKS = 60
 KINDS = {
     "/motor_states": MotorState,

@@ -7,15 +7,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.config_files import find_config_folder, find_scene
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.command import command
-from arm_emulator.cli.commands.ros2_control import compile_drives
-from arm_emulator.cli.options import SceneName
-from arm_emulator.cli.output import output
-from arm_emulator.design.moveit_package import MACHINE, moveit_files, package_name
-from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.runs.gains import load_gains
+from arm_emulator.extension.base import Refusal, find_config_folder, find_scene
+from arm_emulator.extension.commands import SceneName, command, output
+from arm_emulator.extension.machine import load_scene
+from arm_emulator.extension.runs import load_gains
+from arm_emulator_export.commands.ros2_control import compile_drives
+from arm_emulator_export.moveit_package import MACHINE, moveit_files, package_name
 
 
 @command(keys="`package` (its folder), `libraries`, `files` (paths in it)")

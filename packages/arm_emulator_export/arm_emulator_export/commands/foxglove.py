@@ -8,13 +8,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.command import command
-from arm_emulator.cli.options import SceneName
-from arm_emulator.cli.output import output
-from arm_emulator.machine.plant.measured_fields import MeasuredFields
-from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.machine.scene.urdf_tree import find_root, list_element_names, read_joints
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.commands import SceneName, command, output
+from arm_emulator.extension.machine import (
+    MeasuredFields,
+    find_root_link,
+    list_element_names,
+    load_scene,
+    read_urdf_joints,
+)
 
 
 @command(keys="`file`, `panels`")
@@ -32,7 +34,7 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     further = {one.name: one.unit for one in known.own if not one.per_unit}
     robot = ET.fromstring(machine.urdf)
     links = list_element_names(robot, "link", scene)
-    root = find_root(links, read_joints(robot, links, scene), scene)
+    root = find_root_link(links, read_urdf_joints(robot, links, scene), scene)
     layout = foxglove_layout(root, machine.joint_names, further, namespace)
     try:
         with file.open("x", encoding="utf-8") as stream:

@@ -12,10 +12,10 @@ import pytest
 from draws import some
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.cli.commands.foxglove import foxglove
 from arm_emulator.ros.messages.message_types import list_fields, read_definition
+from arm_emulator_export.commands.foxglove import foxglove
 
-TABLE = Path(__file__).resolve().parents[1] / "docs/reference/topics.md"
+TABLE = Path(__file__).resolve().parents[3] / "docs/reference/topics.md"
 PATH = re.compile(r"(/[a-z_/0-9]+)\.([a-z_]+)(?:\[(\d+)\])?$")
 SCENES = ["three_axis", "ur5", "panda"]
 
