@@ -49,7 +49,9 @@ quietly = mkdir -p log && { { $2; } > log/$1.log 2>&1 || \
 
 # ---------------------------------------------------------------------------------------- set-up
 
-setup: .venv/.requirements install/.messages install/.package
+setup: core install/.packages
+
+core: .venv/.requirements install/.messages install/.core
 
 # Holds the path of this folder. A folder that was moved, or whose Python is gone, starts anew.
 HOME_OF_VENV := $(shell .venv/bin/python -IS -c pass 2>/dev/null && cat .venv/.home 2>/dev/null)
@@ -153,24 +155,29 @@ install/.messages: $(wildcard msg/* msg/srv/*) .venv/.requirements
 # Linked, not copied: edits of Python sources, headers and configuration need no rebuild. A build by
 # hand without --symlink-install removes the linked setup.py, and the next command links again.
 BESIDE := $(notdir $(patsubst %/setup.py,%,$(wildcard packages/*/setup.py)))
-PYTHON_PACKAGES := arm_emulator $(BESIDE)
-UNLINKED := $(strip $(foreach name,$(PYTHON_PACKAGES),$(if $(wildcard build/$(name)/setup.py),,$(name))))
+unlinked = $(foreach name,$1,$(if $(wildcard build/$(name)/setup.py),,FORCE))
 SHARED := $(shell find config launch resource -type f 2>/dev/null)
 # What `pip install .` has left in the environment: a copy of this checkout, and a command that runs it.
-COPIED := $(strip $(foreach name,$(PYTHON_PACKAGES),\
+COPIED := $(strip $(foreach name,arm_emulator $(BESIDE),\
   $(if $(wildcard .venv/lib/python*/site-packages/$(name)-*.dist-info),$(name))))
 LAUNCHER := $(shell grep -ls '$(CURDIR)/install/setup.sh' .venv/bin/arm_emulator 2>/dev/null)
+# $(call link,PACKAGES) builds Python packages that are used in place.
+link = rm -rf $(foreach name,$1,build/$(name) install/$(name)); \
+  $(call quietly,$(patsubst .%,%,$(notdir $@)),$(ACTIVATE) && $(COLCON) --packages-select $1 --symlink-install)
 
-install/.package: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
-                  $(wildcard packages/*/setup.py packages/*/package.xml) \
-                  $(if $(UNLINKED),FORCE) $(if $(COPIED),FORCE) $(if $(LAUNCHER),,FORCE)
+install/.core: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.messages \
+               $(call unlinked,arm_emulator) $(if $(COPIED)$(if $(LAUNCHER),,no),FORCE)
 	@$(if $(COPIED),echo 'setup: removes the copies of this checkout that pip has installed: $(COPIED)'; \
 	  $(call quietly,copy,.venv/bin/python -m pip uninstall -y $(COPIED)))
 	@echo 'setup: nodes and command line ...'
-	@rm -rf $(foreach name,$(PYTHON_PACKAGES),build/$(name) install/$(name))
-	@$(call quietly,package,$(ACTIVATE) && $(COLCON) --packages-select $(PYTHON_PACKAGES) \
-	  --symlink-install)
+	@$(call link,arm_emulator)
 	@echo "$$COMMAND" > .venv/bin/arm_emulator && chmod +x .venv/bin/arm_emulator
+	@touch $@
+
+install/.packages: $(wildcard packages/*/setup.py packages/*/package.xml) $(call unlinked,$(BESIDE)) \
+                   $(if $(COPIED),FORCE) | install/.core
+	@echo 'setup: packages beside the core ...'
+	@$(call link,$(BESIDE))
 	@touch $@
 
 # -------------------------------------------------------------------------------------- commands
@@ -183,7 +190,7 @@ page: setup .venv/.page
 
 robots: .venv/.robots
 
-demo: setup $(ROBOTS)
+demo: core $(ROBOTS)
 	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
 
 # Three files at a time on two cores, since many tests wait for processes; in the order of
@@ -264,4 +271,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup page robots demo test test-slow test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE
+.PHONY: help setup core page robots demo test test-slow test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE

@@ -16,7 +16,7 @@ from arm_emulator.page.page_process import PageProcess
 
 def test_a_page_without_its_package_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packages, "find_entries", lambda _: {})
-    words = r"page: package arm_emulator_page must be installed, got none; valid: pip install "
+    words = r"page: package arm_emulator_page must be installed, got none; valid: `make setup`"
     with pytest.raises(Refusal, match=words):
         PageProcess(Plant("three_axis"), 0)
     PageProcess(Plant("three_axis"), None).close()
@@ -32,14 +32,14 @@ def test_the_core_alone_has_its_commands(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_command_without_its_package_is_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("arm_emulator.cli.command.registered", lambda _: {})
+    monkeypatch.setattr("arm_emulator.cli.command.find_entries", lambda _: {})
     monkeypatch.setattr("sys.argv", ["arm_emulator", "bode", "ur5"])
     with pytest.raises(SystemExit) as ended:
         command_line.main()
     assert ended.value.code == 2
     assert capsys.readouterr().err == (
         "bode: package arm_emulator_analysis must be installed, got none; "
-        "valid: pip install '.[analysis]' in a checkout of arm_emulator\n"
+        "valid: `make setup` or pip install '.[analysis]' in a checkout of arm_emulator\n"
     )
 
 

@@ -40,7 +40,7 @@ def find_entries(group: str) -> dict[str, EntryPoint]:
 
 def missing_package(where: str, name: str) -> Refusal:
     """Return the refusal of what needs a package of packages/, named without `arm_emulator_`."""
-    remedy = f"pip install '.[{name}]' in a checkout of arm_emulator"
+    remedy = f"`make setup` or pip install '.[{name}]' in a checkout of arm_emulator"
     return Refusal(where, f"package arm_emulator_{name}", "be installed", "none", remedy)
 
 
