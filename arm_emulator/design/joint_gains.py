@@ -37,6 +37,7 @@ from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.design.sizing import rounded
 from arm_emulator.servo.servo_config import CommandPath, JointServo
 from arm_emulator.servo.zoh_motor import discretise_zoh
 
@@ -167,19 +168,14 @@ def _search(
                     continue
                 trial.run(
                     ServoGains(
-                        _rounded(position_gain),
-                        _rounded(velocity_gain),
-                        _rounded(max(period, 5.0 / position_gain)),
-                        _rounded(bandwidth / period),
-                        _rounded(with_rotor),
+                        rounded(position_gain),
+                        rounded(velocity_gain),
+                        rounded(max(period, 5.0 / position_gain)),
+                        rounded(bandwidth / period),
+                        rounded(with_rotor),
                     )
                 )
     return trial.best()
-
-
-def _rounded(value: float) -> float:
-    """Return a number with three digits, enough for a reader."""
-    return float(f"{value:.3g}")
 
 
 @dataclass(frozen=True)

@@ -93,15 +93,19 @@ def read_limits(robot: ET.Element) -> dict[str, dict[str, float | None]]:
     limits: dict[str, dict[str, float | None]] = {}
     for joint in robot.findall("joint"):
         limit = joint.find("limit")
-        of_joint: dict[str, float | None] = {}
-        for key in KEYS:
-            try:
-                value = float(limit.get(key, "")) if limit is not None else math.nan
-            except ValueError:
-                value = math.nan
-            of_joint[key] = value if 0.0 < value < math.inf else None
-        limits[joint.get("name", "")] = of_joint
+        values = {key: math.nan if limit is None else _number_of(limit, key) for key in KEYS}
+        limits[joint.get("name", "")] = {
+            key: value if 0.0 < value < math.inf else None for key, value in values.items()
+        }
     return limits
+
+
+def _number_of(limit: ET.Element, key: str) -> float:
+    """Return a number of a joint's limit, 0 where it is not given, NaN for another text."""
+    try:
+        return float(limit.get(key, "0"))
+    except ValueError:
+        return math.nan
 
 
 def forget_impossible(robot: ET.Element) -> bool:
@@ -109,11 +113,7 @@ def forget_impossible(robot: ET.Element) -> bool:
     found = False
     for limit in robot.iter("limit"):
         for key in KEYS:
-            try:
-                known = float(limit.get(key, "0")) >= 0.0
-            except ValueError:
-                known = False
-            if not known:
+            if not _number_of(limit, key) >= 0.0:
                 limit.set(key, "0")
                 found = True
     return found

@@ -12,9 +12,11 @@ import numpy as np
 
 from arm_emulator.analysis.sampled_loop import Margins
 from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
+from arm_emulator.analysis.stability import at_rest
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design
+from arm_emulator.design.sizing import rounded
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene, load_scene
@@ -80,12 +82,9 @@ def link_inertias(scenes: list[Scene]) -> list[Range]:
     """
     least, most = [], []
     for scene in scenes:
-        plant, N = Plant(scene), len(scene.joints)
-        zero, unit = np.zeros((N, N)), np.eye(N)
+        plant = Plant(scene)
         for q in poses(scene, POSES):
-            at = np.tile(q, (N, 1))
-            fall = plant.links.accelerations(q, zero[0], zero[0])
-            M_inverse = (plant.links.accelerations(at, zero, unit) - fall).T
+            M_inverse, _ = at_rest(plant, q)
             least.append(1.0 / np.diag(M_inverse))
             most.append(np.diag(np.linalg.inv(M_inverse)))
     low, high = np.min(least, axis=0), np.max(most, axis=0)
@@ -101,10 +100,8 @@ def falls(scene: Scene) -> Array:
     plant, N = Plant(scene), len(scene.joints)
     still, unit, most = np.zeros((N, N)), np.eye(N), np.zeros(N)
     for q in poses(scene, POSES):
-        at = np.tile(q, (N, 1))
-        fall = plant.links.accelerations(q, still[0], still[0])
-        M = np.linalg.inv((plant.links.accelerations(at, still, unit) - fall).T)
-        weight = np.tile(-M @ fall, (N, 1))  # balances the links at q, and nearly beside it
+        M_inverse, balancing = at_rest(plant, q)
+        M, at, weight = np.linalg.inv(M_inverse), np.tile(q, (N, 1)), np.tile(balancing, (N, 1))
         ahead, behind = (
             plant.links.accelerations(at + side * _NUDGE * unit, still, weight)
             for side in (1.0, -1.0)
@@ -144,12 +141,8 @@ def holding(joint: JointServo, fall: float, alone: float) -> JointServo:
         return joint
     stiffness = max(HOLDS * fall, K * alone + fall)
     left = stiffness - fall
-    gain, time = _rounded(stiffness / K), _rounded(5.0 * K * stiffness / left**2)
+    gain, time = rounded(stiffness / K), rounded(5.0 * K * stiffness / left**2)
     return dataclasses.replace(joint, position_gain=gain, integral_time=time)
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 def with_and_without(file: Path, payload: float | None = None) -> tuple[Scene, Scene | None]:

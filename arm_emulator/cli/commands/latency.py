@@ -118,13 +118,10 @@ def _facts(one: WakeUps) -> dict[str, Any]:
 
 def _draw(found: list[WakeUps], picture: Path) -> None:
     """Draw histograms of lateness, a colour per rate."""
-    import matplotlib as mpl
-    import numpy as np
+    from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
-    mpl.use("Agg", force=False)
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.subplots()
     edges = np.geomspace(1e-6, max(1e-3, *(one.late.max() for one in found)), 60)
     for one in found:
         label = f"{1.0 / one.period:g} Hz: {one.lost} of {len(one.late) + one.lost} lost"
@@ -139,8 +136,6 @@ def _draw(found: list[WakeUps], picture: Path) -> None:
         figure.savefig(picture, dpi=140)
     except (OSError, ValueError) as error:
         raise Refusal("latency", f"picture {picture}", "be writable", error) from None
-    finally:
-        plt.close(figure)
 
 
 QUANTILES = (0.5, 0.99, 0.999, 1.0)

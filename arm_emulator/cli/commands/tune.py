@@ -167,12 +167,10 @@ ROWS = 400
 
 def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
     """Draw both sets of gains, the present ones dashed, each joint in a colour of its own."""
-    import matplotlib
+    from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.5), layout="constrained")
+    figure = Figure(figsize=(15, 4.5), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
     period = scene.servo_period
     span = max(6.0 / joint.position_gain for tuned in pair.values() for joint in tuned.loops.joints)
     every = max(1, round(span / period / ROWS))
@@ -202,4 +200,3 @@ def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
         axes.grid(alpha=0.3)
     figure.suptitle(f"{scene.name} at its start: present gains dashed, computed ones solid")
     figure.savefig(file, dpi=90)
-    plt.close(figure)

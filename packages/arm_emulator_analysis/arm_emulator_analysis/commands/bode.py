@@ -104,12 +104,10 @@ def _write(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> Non
 
 def _draw(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None:
     """Draw gains above phases, a colour per joint, links dashed."""
-    import matplotlib as mpl
+    from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
-    mpl.use("Agg", force=False)
-    from matplotlib import pyplot as plt
-
-    figure, (gain, phase) = plt.subplots(2, 1, figsize=(8, 6.5), sharex=True, layout="constrained")
+    figure = Figure(figsize=(8, 6.5), layout="constrained")
+    gain, phase = figure.subplots(2, 1, sharex=True)
     ratios = {joint.name: joint.gear.ratio for joint in scene.joints}
     for k, (name, one) in enumerate(found.items()):
         for values, line, label in ((one.motor * ratios[name], "-", name), (one.link, "--", None)):
@@ -124,7 +122,6 @@ def _draw(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None
     for axes in (gain, phase):
         axes.grid(alpha=0.3)
     figure.savefig(file, dpi=110)
-    plt.close(figure)
 
 
 ComplexArray = npt.NDArray[np.complex128]
