@@ -16,7 +16,7 @@ MODES = "arm_emulator.drive_modes"  # functions which return the modes of a bus'
 SCENE_UNITS = "arm_emulator.scene_units"  # functions which return the unit of a scene
 PAGE = "arm_emulator.page"  # `live` and `run`: a page with a running machine, with a finished run
 
-# Commands of the packages in packages/, to say which package is missing.
+# Commands of the packages in packages/, by which a refusal names the missing package.
 COMMANDS_OF = {
     "analysis": ("advise", "bode", "explain"),
     "campaign": ("campaign", "faults"),
