@@ -91,7 +91,7 @@ def load_library(unit: Unit) -> Library:
                 return _load(file, unit)
             except (library_cache.Damaged, FileNotFoundError) as error:
                 _report_damaged(file, error)
-    raise AssertionError("writable_caches ends with a refusal")
+    raise AssertionError("list_writable_caches ends with a refusal")
 
 
 def compile_once(unit: Callable[[], Unit]) -> Callable[[], Library]:

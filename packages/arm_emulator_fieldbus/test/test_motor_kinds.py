@@ -94,7 +94,7 @@ def servo_of(scene: Scene) -> ServoConfig:
 
 def test_every_kind_states_what_a_servo_must_know() -> None:
     for kind in MOTORS:
-        for name in ("servo_data", "torque_per_command", "largest_command", "felt_at_link"):
+        for name in ("servo_data", "torque_per_command", "largest_command", "reflect_to_link"):
             assert name in vars(kind), f"{kind.__name__} states no {name}"
 
 

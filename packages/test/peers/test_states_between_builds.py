@@ -27,7 +27,7 @@ way, target, level, file = *sys.argv[1:4], pathlib.Path(sys.argv[4])
 of_machines.FLAGS = tuple(level if flag == "-O3" else flag for flag in of_machines.FLAGS)
 scene = load_scene("three_axis", SENSED)
 if target != "native":
-    compile_units([of_machines.machine_unit(scene)], target, None)
+    compile_units([of_machines.build_machine_unit(scene)], target, None)
 plant = Plant(scene)
 rows = np.random.default_rng(3).uniform(-10.0, 10.0, (2, 100, 3))
 if way == "save":
