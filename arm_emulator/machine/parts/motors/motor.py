@@ -89,7 +89,7 @@ class Motor(Part):
     inputs: ClassVar[tuple[Input, ...]] = (VOLTAGE,)  # its command, and what it takes beside it
     limit: ClassVar[str] = ""  # the key that bounds its command, where that is not a voltage
     rules: ClassVar[tuple[str, ...]] = ()
-    """Rules of `sized`, for people who read a scene; empty if no drive is sized with it."""
+    """Rules of `size_part`, for people who read a scene; empty if no drive is sized with it."""
 
     @classmethod
     def name_place(cls) -> str:
