@@ -175,7 +175,7 @@ class Part(Declared):
         return self.list_own_numbers()
 
     def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:
-        """Return the headers of the core that its C++ needs; arguments as of `write_initialiser`."""
+        """Return the headers that its C++ needs; arguments as of `write_initialiser`."""
         return (self.header,)
 
     @property
