@@ -116,7 +116,7 @@ using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkTree<S, X>
 
 // Torques of the links, and of the rotors that turn with them, for the accelerations `a`.
 template <class S, class X>
-ARM_INLINE void torques_for(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
+void torques_for(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
   typename Links<S, X>::Kinematics kinematics;
   Links<S, X>::kinematics(q, kinematics);
   Links<S, X>::inverse_dynamics(n, kinematics, v, a, torque);
