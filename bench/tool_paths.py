@@ -17,7 +17,7 @@ import numpy as np
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.executor.path_monitor import apart
+from arm_emulator.motion.executor.path_monitor import measure_distances
 from bench.measure import progress
 from bench.pictures import new_figure
 from bench.tables import table
@@ -100,7 +100,7 @@ def drive(
             end, reason = report.state.name, report.reason or reason
         after += end in ("REACHED", "REFUSED", "ABORTED", "UNREACHABLE")
     line = np.array(asked)
-    off = np.array([apart(p[None], line[:-1], line[1:]).min() for p in np.array(tool)])
+    off = np.array([measure_distances(p[None], line[:-1], line[1:]).min() for p in np.array(tool)])
     return Run(np.array(t) - t[0], np.array(tool), off, np.array(joints), end, reason)
 
 

@@ -17,7 +17,7 @@ if __name__ == "__main__":  # before slow imports
     refuse_missing_modules("motion_controller")
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ import numpy.typing as npt
 from builtin_interfaces.msg import Time
 from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header, String
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from arm_emulator.base.arrays import Array
@@ -33,12 +33,11 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.base.validation.number import Number
-from arm_emulator.motion.executor.follow_joint_trajectory import check_points, tolerances_of
 from arm_emulator.motion.executor.goal_status import Kind, State
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import SECTIONS, MotionConfig
-from arm_emulator.motion.model.kinematics import moving_joints
-from arm_emulator.motion.planner.tool_controller import Controller, controller_for
+from arm_emulator.motion.model.kinematics import list_moving_joints
+from arm_emulator.motion.planner.tool_controller import Controller, make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, check_time, to_nanoseconds, to_stamp
 from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.node.managed_node import ManagedNode
@@ -58,8 +57,13 @@ from arm_emulator.ros.node.node_shell import (
     run_node,
 )
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus, ServoState
-from motion_controller_node.follow_action import FollowAction, installed
-from motion_controller_node.order_topics import OrderTopics
+from motion_controller_node.follow_action import (
+    FollowAction,
+    check_points,
+    is_installed,
+    read_tolerances,
+)
+from motion_controller_node.order_topics import PLURALS, OrderTopics
 
 _MOVABLE = BRAKE_CLOSED.named("movable")
 
@@ -76,25 +80,24 @@ class MotionControllerNode(ManagedNode):
         super().__init__("motion_controller")
         config = declare_parameters(self, MotionConfig)
         refuse_unknown_parameters(self, config, SECTIONS)
-        self._config = self._with_sections(config, {})
-        accept_changes(self, self._changed, self._take_parameters)
+        self._config = self._read_sections(config, {})
+        accept_changes(self, self._apply_changes, self._take_parameters)
         self._diagnostics = Diagnostics(self, "motion controller")
-        self._doubles = DuplicateNodes(
+        self._duplicates = DuplicateNodes(
             self,
             self._diagnostics,
             "motion controller",
             "joint_targets",
             "the servo takes the targets of the first one",
         )
-        for kind in Kind:
-            self._diagnostics.values[_plural(kind)] = 0
+        self._diagnostics.values.update(dict.fromkeys(PLURALS.values(), 0))
         self._urdf = ""  # the newest description, and the arm's
         self._controller: Controller | None = None
         # In every state: it is published once.
         self.create_subscription(
             String,
             "robot_description",
-            self._on_description,
+            self._handle_description,
             DESCRIPTION_QOS,
             only_from="emulator",
         )
@@ -104,42 +107,43 @@ class MotionControllerNode(ManagedNode):
         """Create the topics and services."""
         self._period_ns = round(self._config.period * NANOSECONDS)
         self._controller = None
-        self._instructor = MotionExecutor(self._config)
+        self._motion = MotionExecutor(self._config)
         self._answer: JointState | None = None
         self._now_ns = 0  # of the newest joint states
         self._movable: tuple[Time, npt.NDArray[np.bool_]] | None = None  # by servo_states
         self._unanswered: JointState | None = None  # of which the servo's state is not here yet
-        self._began_anew = False  # the machine, by its emulator
-        self._early: JointState | None = None  # of a time that begins anew, not announced so far
+        self._began_again = False  # the machine, by its emulator
+        self._early: JointState | None = None  # of a time that begins again, not announced so far
         self._status = self.create_publisher(MotionStatus, "motion/status", EVENT_QOS)
         self._targets = self.create_publisher(JointState, "joint_targets", COMMAND_QOS)
         self._servo_reports = False  # whether the servo publishes its state
         self.create_subscription(
             ServoState,
             "servo_states",
-            self._on_servo_state,
+            self._handle_servo_state,
             STATE_SUB_QOS,
             only_from="servo",
             event_callbacks=SubscriptionEventCallbacks(
-                matched=self._on_servo_matched, use_default_callbacks=False
+                matched=self._handle_servo_matched, use_default_callbacks=False
             ),
         )
         # First: a reset is known before the joint states that follow it.
         self.create_subscription(
-            MachineEvent, "emulator/events", self._on_event, EVENT_QOS, only_from="emulator"
+            MachineEvent, "emulator/events", self._handle_event, EVENT_QOS, only_from="emulator"
         )
         self.create_subscription(
-            JointState, "joint_states", self._on_joint_states, STATE_SUB_QOS, only_from="servo"
+            JointState, "joint_states", self._handle_joint_states, STATE_SUB_QOS, only_from="servo"
         )
         self._orders = OrderTopics(
             self,
-            self._instructor,
-            self._take,
+            self._motion,
+            self._diagnostics,
+            self._report_status,
             lambda: (self._controller, self._config, self._now_ns),
         )
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/reset", self._handle_reset)
         self._action: FollowAction | None = None
-        if installed():
+        if is_installed():
             self.housekeeping = 0.02  # s, wall: bounds the delay of goals
         self.cleanup.callback(self._end_action)
         if self._urdf:
@@ -147,7 +151,7 @@ class MotionControllerNode(ManagedNode):
 
     def activate(self) -> None:
         """Answer joint states."""
-        self._doubles.begin()
+        self._duplicates.begin()
         if self._controller is None:
             self._diagnostics.report_warning(NO_DESCRIPTION)
         else:
@@ -156,70 +160,70 @@ class MotionControllerNode(ManagedNode):
     def deactivate(self) -> None:
         """Drop all targets, trajectories and paths."""
         self._start_over("the motion controller was deactivated")
-        self._doubles.end()
+        self._duplicates.end()
         self._diagnostics.report_ok("inactive: no joint targets")
 
     def _end_action(self) -> None:
         if self._action is not None:
             self._action.close()
 
-    def _with_sections(self, config: MotionConfig, changes: Mapping[str, Any]) -> MotionConfig:
-        """Return parameters beside the sections of the node, with some entries changed."""
+    def _read_sections(self, config: MotionConfig, changes: Mapping[str, Any]) -> MotionConfig:
+        """Return parameters with the sections of the node, with some entries changed."""
         sections: dict[str, dict[str, Any]] = {section: {} for section in SECTIONS}
-        for one, entries in sections.items():
-            for name in self.get_parameters_by_prefix(one):
-                entries[name] = self.get_parameter(f"{one}.{name}").value
+        for section_name, entries in sections.items():
+            for name in self.get_parameters_by_prefix(section_name):
+                entries[name] = self.get_parameter(f"{section_name}.{name}").value
         for name, value in changes.items():
             section, _, entry = name.partition(".")
             sections[section][entry] = value
-        return config.beside(sections, f"node {self.get_name()}")
+        return config.add_sections(sections, f"node {self.get_name()}")
 
-    def _changed(self, changes: Mapping[str, Any]) -> MotionConfig:
+    def _apply_changes(self, changes: Mapping[str, Any]) -> MotionConfig:
         own = {name: value for name, value in changes.items() if name in vars(self._config)}
         others = {name: value for name, value in changes.items() if name not in own}
-        return self._with_sections(replace_parameters(self, self._config, own), others)
+        return self._read_sections(replace_parameters(self, self._config, own), others)
 
     def _take_parameters(self, config: MotionConfig) -> None:
         """Work with other parameters from the next motion period on."""
         self._config = config
         if not self.configured:
             return
-        self._instructor.retune(config)
+        self._motion.retune(config)
         if self._controller is not None:
             self._controller.retune(config)
 
     def _start_over(self, reason: str) -> None:
         self._answer = self._early = self._unanswered = None
-        self._began_anew = False
-        self._instructor.start_over(reason)
+        self._began_again = False
+        self._motion.start_over(reason)
         self._report_status()
 
-    def _on_description(self, message: String) -> None:
+    def _handle_description(self, message: String) -> None:
         if self._controller is not None and message.data == self._urdf:
-            self._on_new_time()  # of an emulator that was started again, or activated
+            self._handle_new_time()  # of an emulator that was started again, or activated
             return
         if not self.configured:
             self._urdf = message.data
             return
         self._take_description(message.data)
 
-    def _on_event(self, event: MachineEvent) -> None:
+    def _handle_event(self, event: MachineEvent) -> None:
         if event.kind == MachineEvent.KIND_RESET:
-            self._on_new_time()
+            self._handle_new_time()
 
-    def _on_new_time(self) -> None:
+    def _handle_new_time(self) -> None:
         """Expect joint states of an earlier time than those before: the emulator announces them.
 
         Stamps alone announce nothing: one message of an earlier time would end each motion.
         """
-        self._began_anew = self.configured and self._answer is not None
+        self._began_again = self.configured and self._answer is not None
         early, self._early = self._early, None
-        if self._began_anew and early is not None:
-            self._on_joint_states(early)
+        if self._began_again and early is not None:
+            self._handle_joint_states(early)
 
     def _take_description(self, urdf: str) -> None:
         try:
-            controller = controller_for(urdf, moving_joints(urdf), self._config)
+            controller = make_controller(urdf, list_moving_joints(urdf), self._config)
         except Refusal as reason:
             self._diagnostics.refuse("robot_description", reason)
             return
@@ -227,12 +231,12 @@ class MotionControllerNode(ManagedNode):
             self._start_over("the robot is another one")
         self._urdf, self._controller = urdf, controller
         self._order = JointOrder("joint_states", controller.kinematics.joint_names)
-        if self._action is None and installed():  # clients may begin when the server exists
-            self._action = FollowAction(self, self._on_goal, self._on_cancel)
+        if self._action is None and is_installed():  # clients may begin when the server exists
+            self._action = FollowAction(self, self._handle_goal, self._handle_cancel)
         if self.active:
             self._diagnostics.report_ok("waiting for joint_states")
 
-    def _on_goal(self, goal: Any) -> int:
+    def _handle_goal(self, goal: Any) -> int:
         """Accept a goal of the action; return its number among the trajectories.
 
         Raises:
@@ -248,42 +252,22 @@ class MotionControllerNode(ManagedNode):
         def take() -> None:
             check_points(goal)
             self._orders.add_trajectory(
-                trajectory, lambda default: tolerances_of(goal, names, default)
+                trajectory, lambda default: read_tolerances(goal, names, default)
             )
 
-        refusal = self._take(Kind.JOINT_TRAJECTORY, trajectory.header, take)
+        refusal = self._orders.take(Kind.JOINT_TRAJECTORY, trajectory.header, take)
         if refusal is not None:
             raise refusal
-        return self._instructor.reports.numbers[Kind.JOINT_TRAJECTORY]
+        return self._motion.reports.numbers[Kind.JOINT_TRAJECTORY]
 
-    def _on_cancel(self, number: int) -> None:
-        self._instructor.cancel(number)
+    def _handle_cancel(self, number: int) -> None:
+        self._motion.cancel(number)
         self._report_status()
 
-    def _take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
-        """Hand over an order, and publish its result; return the reason of a refusal."""
-        refusal = None
-        reports = self._instructor.reports
-        before = reports.numbers[kind]
-        try:
-            take()
-        except Refusal as reason:
-            if reports.numbers[kind] == before:  # the executor has not received it
-                reports.refuse(kind, _stamp_or_0(header), reason)
-            self._diagnostics.refuse(kind.topic, reason)
-            refusal = reason
-        else:
-            accepted = self._diagnostics.values[_plural(kind)]
-            assert isinstance(accepted, int)
-            self._diagnostics.values[_plural(kind)] = accepted + 1
-            self._diagnostics.publish()
-        self._report_status()
-        return refusal
-
-    def _on_servo_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
+    def _handle_servo_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
         self._servo_reports = info.current_count > 0
 
-    def _on_servo_state(self, message: ServoState) -> None:
+    def _handle_servo_state(self, message: ServoState) -> None:
         if self._controller is None:
             return
         try:
@@ -294,9 +278,9 @@ class MotionControllerNode(ManagedNode):
         self._movable = message.header.stamp, can != 0.0
         waiting, self._unanswered = self._unanswered, None
         if waiting is not None and waiting.header.stamp == message.header.stamp:
-            self._on_joint_states(waiting)
+            self._handle_joint_states(waiting)
 
-    def _movable_at(self, stamp: Time) -> npt.NDArray[np.bool_] | None:
+    def _find_movable(self, stamp: Time) -> npt.NDArray[np.bool_] | None:
         """Return which joints the servo can move (N,); None: it is about to report it.
 
         A servo that is not ours does not: it moves all of them.
@@ -308,7 +292,7 @@ class MotionControllerNode(ManagedNode):
         assert self._controller is not None
         return np.ones(len(self._controller.kinematics.joint_names), dtype=bool)
 
-    def _on_joint_states(self, message: JointState) -> None:
+    def _handle_joint_states(self, message: JointState) -> None:
         controller = self._controller
         if controller is None:
             return
@@ -317,8 +301,8 @@ class MotionControllerNode(ManagedNode):
             if now % self._period_ns != 0:
                 return
             q = self._order.arrange(message.name, message.position, POSITION)
-            v = self._optional(message, message.velocity, VELOCITY)
-            tau = self._loads(message)
+            v = self._read_optional(message, message.velocity, VELOCITY)
+            tau = self._read_loads(message)
         except Refusal as reason:
             self._diagnostics.refuse("joint_states", reason)
             return
@@ -326,18 +310,18 @@ class MotionControllerNode(ManagedNode):
             if message.header.stamp == self._answer.header.stamp:
                 self._targets.publish(self._answer)  # a partner came late or lost it
                 return
-            if not self._began_anew:
+            if not self._began_again:
                 self._refuse_earlier(message, now)
                 return
             self._start_over("the machine began anew")
-        movable = self._movable_at(message.header.stamp)
+        movable = self._find_movable(message.header.stamp)
         if movable is None:
             self._unanswered = message
             return
         if self._answer is None:
             self._diagnostics.log.log_info("begun", "joint states arrive, targets are taken")
         self._now_ns = now
-        instruction = self._instructor.instruct(controller, now, q, v, movable, tau)
+        instruction = self._motion.instruct(controller, now, q, v, movable, tau)
         self._report()
         self._report_status()
         self._orders.publish()
@@ -353,7 +337,7 @@ class MotionControllerNode(ManagedNode):
         self._targets.publish(answer)
         if self._action is not None and v is not None:
             names = list(controller.kinematics.joint_names)
-            self._action.feed_back(message.header.stamp, names, instruction, q, v)
+            self._action.publish_feedback(message.header.stamp, names, instruction, q, v)
 
     def _refuse_earlier(self, message: JointState, time_ns: int) -> None:
         """Leave joint states of an earlier time unanswered, until the emulator announces them."""
@@ -370,62 +354,68 @@ class MotionControllerNode(ManagedNode):
         else:
             self._diagnostics.count("joint_states of an earlier time, without a reset")
 
-    def _loads(self, message: JointState) -> Array | None:
+    def _read_loads(self, message: JointState) -> Array | None:
         """Return the loads of the motors; None of other servos: some have amperes as `effort`."""
         if not self._servo_reports:
             return None
-        return self._optional(message, message.effort, EFFORT)
+        return self._read_optional(message, message.effort, EFFORT)
 
-    def _optional(self, message: JointState, given: Sequence[float], bound: Number) -> Array | None:
+    def _read_optional(
+        self, message: JointState, values: Sequence[float], bound: Number
+    ) -> Array | None:
         """Return measured speeds or loads; None if they are missing or not sound."""
         try:
-            if given:
-                return self._order.arrange(message.name, given, bound)
+            if values:
+                return self._order.arrange(message.name, values, bound)
         except Refusal:
             self._diagnostics.count(f"joint_states without a sound {bound.name}")
         return None
 
     def _report_status(self) -> None:
         """Publish the results of targets, trajectories and paths since the last time."""
-        for one in self._instructor.reports.take():
+        for report in self._motion.reports.take():
             if self._action is not None:
-                self._action.hear(one)
+                self._action.handle_report(report)
             message = MotionStatus(
-                kind=int(one.kind),
-                number=one.number,
-                stamp=to_stamp(one.stamp_ns),
-                state=int(one.state),
-                reason=one.reason,
-                distance=one.distance,
-                angle=one.angle,
+                kind=int(report.kind),
+                number=report.number,
+                stamp=to_stamp(report.stamp_ns),
+                state=int(report.state),
+                reason=report.reason,
+                distance=report.distance,
+                angle=report.angle,
             )
             message.header.stamp = to_stamp(self._now_ns)
             self._status.publish(message)
-            if one.state.final and one.state is not State.REFUSED:  # `Diagnostics` logs refusals
+            if (
+                report.state.is_final and report.state is not State.REFUSED
+            ):  # `Diagnostics` logs refusals
                 log, regular = self._diagnostics.log, (State.REACHED, State.REPLACED)
-                (log.log_info if one.state in regular else log.trouble)(one.state.name, str(one))
+                (log.log_info if report.state in regular else log.trouble)(
+                    report.state.name, str(report)
+                )
 
     def _report(self) -> None:
-        restarts = self._instructor.restarts
+        restarts = self._motion.restarts
         if restarts != self._diagnostics.values.get("began anew", 0):
             self._diagnostics.values["began anew"] = restarts
-            self._diagnostics.error(f"{self._instructor.trouble}; began anew, the arm is held")
+            self._diagnostics.error(f"{self._motion.trouble}; began anew, the arm is held")
             return
-        if self._instructor.torques_unknown:
-            self._diagnostics.values["no torques"] = self._instructor.torques_unknown
-        if self._instructor.waits_for:
-            self._diagnostics.report_warning(self._instructor.waits_for)
+        if self._motion.torques_unknown:
+            self._diagnostics.values["no torques"] = self._motion.torques_unknown
+        if self._motion.waits_for:
+            self._diagnostics.report_warning(self._motion.waits_for)
             return
-        if self._instructor.holding:
+        if self._motion.is_holding:
             self._diagnostics.report_ok("holding, no tool target yet")
             return
-        jog = self._instructor.jogging
+        jog = self._motion.jogging
         if jog is not None:
             (self._diagnostics.report_warning if jog.status else self._diagnostics.report_ok)(
                 f"jog: {jog.words}"
             )
             return
-        law = self._instructor.leading
+        law = self._motion.leading
         if law is None:
             self._diagnostics.report_ok("following a joint trajectory, or holding its end")
             return
@@ -435,28 +425,13 @@ class MotionControllerNode(ManagedNode):
             self._diagnostics.report_ok("moving the tool to its target")
         self._diagnostics.values["tool error [m]"] = f"{np.linalg.norm(law.error[:3]):.2e}"
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _handle_reset(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         self._start_over("the motion controller was reset")
         response.success = True
         response.message = "all tool targets are dropped, the arm holds its position"
         return response
-
-
-def _stamp_or_0(header: Header) -> int:
-    """Return the logical time of a header [ns], 0 for an invalid one."""
-    try:
-        return check_time("header", header.stamp)
-    except Refusal:
-        return 0
-
-
-def _plural(kind: Kind) -> str:
-    return {
-        Kind.TOOL_TARGET: "tool targets",
-        Kind.JOINT_TRAJECTORY: "joint trajectories",
-        Kind.TOOL_PATH: "tool paths",
-        Kind.JOG: "jog commands",
-    }[kind]
 
 
 def main() -> None:

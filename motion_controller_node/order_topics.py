@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.executor.goal_status import Kind
-from arm_emulator.motion.executor.jog import JogCommand, joint_command, twist_command
+from arm_emulator.motion.executor.jog import JogCommand, make_joint_command, make_twist_command
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.pose import Pose
@@ -28,7 +28,7 @@ from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint, che
 from arm_emulator.motion.trajectory.tolerances import Tolerances
 from arm_emulator.motion.trajectory.tool_path import check_number_of_poses
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, check_time
-from arm_emulator.ros.node.node_shell import COMMAND_SUB_QOS, EVENT_QOS
+from arm_emulator.ros.node.node_shell import COMMAND_SUB_QOS, EVENT_QOS, Diagnostics
 
 try:
     from control_msgs.msg import JointJog
@@ -36,6 +36,12 @@ except ImportError:  # no wheel has it
     JointJog = None
 
 _SECONDS = 1e-9
+PLURALS = {
+    Kind.TOOL_TARGET: "tool targets",
+    Kind.JOINT_TRAJECTORY: "joint trajectories",
+    Kind.TOOL_PATH: "tool paths",
+    Kind.JOG: "jog commands",
+}
 
 
 class OrderTopics:
@@ -43,8 +49,9 @@ class OrderTopics:
 
     Args:
         node: node of the topics.
-        instructor: follows them.
-        take: calls a function for a message, and publishes its result.
+        motion: follows the orders.
+        diagnostics: count them.
+        report: publishes what became of them.
         now: returns controller (None: no robot description so far), parameters and logical time
             [ns].
     """
@@ -52,19 +59,21 @@ class OrderTopics:
     def __init__(
         self,
         node: Node,
-        instructor: MotionExecutor,
-        take: Callable[[Kind, Header, Callable[[], None]], Any],
+        motion: MotionExecutor,
+        diagnostics: Diagnostics,
+        report: Callable[[], None],
         now: Callable[[], tuple[Controller | None, MotionConfig, int]],
     ) -> None:
-        self._instructor, self._take, self._now = instructor, take, now
+        self._motion, self._diagnostics = motion, diagnostics
+        self._report, self._now = report, now
         self._status = node.create_publisher(Int8, "~/status", EVENT_QOS)
         self._published: int | None = None
         for kind, topic, callback in (
-            (PoseStamped, "tool_target", self._on_tool_target),
-            (JointTrajectory, "joint_trajectory", self._on_joint_trajectory),
-            (Path, "tool_path", self._on_tool_path),
-            (TwistStamped, "~/delta_twist_cmds", self._on_twist),
-            (JointJog, "~/delta_joint_cmds", self._on_joints),
+            (PoseStamped, "tool_target", self._handle_tool_target),
+            (JointTrajectory, "joint_trajectory", self._handle_joint_trajectory),
+            (Path, "tool_path", self._handle_tool_path),
+            (TwistStamped, "~/delta_twist_cmds", self._handle_twist),
+            (JointJog, "~/delta_joint_cmds", self._handle_joint_jog),
         ):
             if kind is not None:
                 node.create_subscription(kind, topic, callback, COMMAND_SUB_QOS)
@@ -79,36 +88,53 @@ class OrderTopics:
         Args:
             message: the trajectory.
             tolerances: returns its tolerances, given the default ones.
-
-        Raises:
-            Refusal: it cannot be followed.
         """
         check_number_of_points(len(message.points))
         stamp_ns = check_time("joint_trajectory", message.header.stamp)
-        points = [_trajectory_point(i, point) for i, point in enumerate(message.points)]
+        points = [_read_trajectory_point(i, point) for i, point in enumerate(message.points)]
         names, controller = list(message.joint_names), self._now()[0]
-        self._instructor.add_trajectory(controller, names, points, stamp_ns, tolerances)
+        self._motion.add_trajectory(controller, names, points, stamp_ns, tolerances)
+
+    def take(self, kind: Kind, header: Header, take: Callable[[], None]) -> Refusal | None:
+        """Hand over an order, and publish its result; return the reason of a refusal."""
+        refusal = None
+        reports = self._motion.reports
+        before = reports.numbers[kind]
+        try:
+            take()
+        except Refusal as reason:
+            if reports.numbers[kind] == before:  # the executor has not received it
+                reports.refuse(kind, _read_stamp(header), reason)
+            self._diagnostics.refuse(kind.topic, reason)
+            refusal = reason
+        else:
+            accepted = self._diagnostics.values[PLURALS[kind]]
+            assert isinstance(accepted, int)
+            self._diagnostics.values[PLURALS[kind]] = accepted + 1
+            self._diagnostics.publish()
+        self._report()
+        return refusal
 
     def publish(self) -> None:
         """Publish the code of the jog's limit, if it has changed."""
-        jog = self._instructor.jogging
+        jog = self._motion.jogging
         code = 0 if jog is None else int(jog.status)
         if code != self._published:
             self._published = code
             self._status.publish(Int8(data=code))
 
-    def _on_tool_target(self, message: PoseStamped) -> None:
+    def _handle_tool_target(self, message: PoseStamped) -> None:
         def take() -> None:
             self._check_frame("tool_target", message.header)
             time_ns = check_time("tool_target", message.header.stamp)
-            self._instructor.add(time_ns, _pose(message.pose, "tool_target"))
+            self._motion.add(time_ns, _read_pose(message.pose, "tool_target"))
 
-        self._take(Kind.TOOL_TARGET, message.header, take)
+        self.take(Kind.TOOL_TARGET, message.header, take)
 
-    def _on_joint_trajectory(self, message: JointTrajectory) -> None:
-        self._take(Kind.JOINT_TRAJECTORY, message.header, lambda: self.add_trajectory(message))
+    def _handle_joint_trajectory(self, message: JointTrajectory) -> None:
+        self.take(Kind.JOINT_TRAJECTORY, message.header, lambda: self.add_trajectory(message))
 
-    def _on_tool_path(self, message: Path) -> None:
+    def _handle_tool_path(self, message: Path) -> None:
         def take() -> None:
             check_number_of_poses(len(message.poses))
             for header in (message.header, *(pose.header for pose in message.poses)):
@@ -117,34 +143,34 @@ class OrderTopics:
             times = [check_time("tool_path", pose.header.stamp) for pose in message.poses]
             # Planners put one stamp on all poses, or none: such stamps carry no times.
             given = times if len(set(times)) > 1 else None
-            poses = [_pose(pose.pose, "tool_path") for pose in message.poses]
-            self._instructor.add_path(self._now()[0], poses, stamp_ns, given)
+            poses = [_read_pose(pose.pose, "tool_path") for pose in message.poses]
+            self._motion.add_path(self._now()[0], poses, stamp_ns, given)
 
-        self._take(Kind.TOOL_PATH, message.header, take)
+        self.take(Kind.TOOL_PATH, message.header, take)
 
-    def _on_twist(self, message: TwistStamped) -> None:
+    def _handle_twist(self, message: TwistStamped) -> None:
         def command() -> JogCommand:
-            controller, config, time_ns = self._jogged("delta_twist_cmds", message.header)
+            controller, config, time_ns = self._read_jog("delta_twist_cmds", message.header)
             linear, angular = message.twist.linear, message.twist.angular
             twist = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
             link = message.header.frame_id
-            return twist_command(time_ns, twist, link, controller.kinematics, config)
+            return make_twist_command(time_ns, twist, link, controller.kinematics, config)
 
-        self._take(Kind.JOG, message.header, lambda: self._instructor.jog(command()))
+        self.take(Kind.JOG, message.header, lambda: self._motion.jog(command()))
 
-    def _on_joints(self, message: Any) -> None:
+    def _handle_joint_jog(self, message: Any) -> None:
         def command() -> JogCommand:
             topic = "delta_joint_cmds"
             if len(message.displacements):
                 rule = "be empty: speeds are taken, no displacements"
                 raise Refusal(topic, "displacements", rule, list(message.displacements))
-            controller, config, time_ns = self._jogged(topic, message.header)
+            controller, config, time_ns = self._read_jog(topic, message.header)
             names, speeds = list(message.joint_names), message.velocities
-            return joint_command(time_ns, names, speeds, controller.kinematics, config)
+            return make_joint_command(time_ns, names, speeds, controller.kinematics, config)
 
-        self._take(Kind.JOG, message.header, lambda: self._instructor.jog(command()))
+        self.take(Kind.JOG, message.header, lambda: self._motion.jog(command()))
 
-    def _jogged(self, topic: str, header: Header) -> tuple[Controller, MotionConfig, int]:
+    def _read_jog(self, topic: str, header: Header) -> tuple[Controller, MotionConfig, int]:
         """Return controller, parameters and the logical time of a command [ns]."""
         controller, config, now = self._now()
         if controller is None:
@@ -164,12 +190,8 @@ class OrderTopics:
             raise Refusal(topic, "header.frame_id", rule, header.frame_id, valid)
 
 
-def _trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
-    """Return a point of a trajectory from its message.
-
-    Raises:
-        Refusal: a time that is not well-formed.
-    """
+def _read_trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
+    """Return a point of a trajectory from its message."""
     time = point.time_from_start
     if time.nanosec >= NANOSECONDS:
         where, got = f"points[{i}].time_from_start", f"{time.nanosec} ns"
@@ -183,6 +205,14 @@ def _trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoint:
     )
 
 
-def _pose(pose: PoseOfMessage, where: str) -> Pose:
+def _read_pose(pose: PoseOfMessage, where: str) -> Pose:
     p, o = pose.position, pose.orientation
     return Pose.from_quaternion((p.x, p.y, p.z), (o.x, o.y, o.z, o.w), where)
+
+
+def _read_stamp(header: Header) -> int:
+    """Return the logical time of a header [ns], 0 for an invalid one."""
+    try:
+        return check_time("header", header.stamp)
+    except Refusal:
+        return 0

@@ -23,7 +23,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.new_scene import known_drives
 from arm_emulator.motion.model.elastic_arm import ElasticArm
 from arm_emulator.motion.model.link_torques import LinkTorques
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.planner.tool_controller import make_controller
 
 SETTLE = 5.0  # s, before the line begins: the integrals of heavy arms take 1 s
 PRACTICE = 4.0  # s, for the line there and back
@@ -131,7 +131,7 @@ def follow(
     )
     run = OfflineRun(scene, dataclasses.replace(gains.servo, joints=joints), motion)
     names = run.controller.kinematics.joint_names
-    run.controller = controller_for(_scaled(scene.urdf, known.inertia), names, motion)
+    run.controller = make_controller(_scaled(scene.urdf, known.inertia), names, motion)
     kinematics, along = run.controller.kinematics, np.array(line.along)
     run.advance(round(SETTLE / scene.servo_period))
     R_WT, start = kinematics.forward(_reference(run))

@@ -401,8 +401,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MOTION}/trajectory/time_scaling.py",
-        "3.0 * one.a * rate * change",
-        "one.a * rate * change",
+        "3.0 * original.a * rate * change",
+        "original.a * rate * change",
         "test_stopping_on_the_way.py",
     ),
     Mutant(

@@ -12,7 +12,7 @@ from machines import random_chain_urdf
 
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.arm_tree import ArmTree
-from arm_emulator.motion.model.kinematics import Kinematics, moving_joints
+from arm_emulator.motion.model.kinematics import Kinematics, list_moving_joints
 from arm_emulator.motion.model.link_torques import LinkTorques
 from oracles.own_robots import OWN
 
@@ -34,7 +34,7 @@ ARMS = [*((name, OWN[name]) for name in some(sorted(OWN), 6)), ("slides", slidin
 @pytest.mark.parametrize("make", [make for _, make in ARMS], ids=[name for name, _ in ARMS])
 def test_it_is_pinocchio_in_rows(make: Callable[[], str]) -> None:
     urdf = make()
-    scene_free = moving_joints(urdf)
+    scene_free = list_moving_joints(urdf)
     tool = _last_link(urdf)
     kinematics = Kinematics(urdf, scene_free, tool)
     arm, torques = ArmTree(kinematics, GRAVITY), LinkTorques(urdf, scene_free, GRAVITY)

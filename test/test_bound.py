@@ -25,11 +25,11 @@ from arm_emulator.base.validation.bound import (
 )
 from arm_emulator.base.validation.number import Number
 from arm_emulator.machine.plant.plant_state import bound_state
-from arm_emulator.motion.executor.goal_queue import MOST_TARGETS
+from arm_emulator.motion.executor.goal_queue import MAX_TARGETS
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
-from arm_emulator.motion.model.kinematics import moving_joints
-from arm_emulator.motion.planner.tool_controller import Controller, controller_for
+from arm_emulator.motion.model.kinematics import list_moving_joints
+from arm_emulator.motion.planner.tool_controller import Controller, make_controller
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
@@ -309,9 +309,9 @@ def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
     run = load_offline_run("three_axis")
     target = Pose(np.zeros(3), np.eye(3))
     executor = MotionExecutor()
-    for time_ns in range(MOST_TARGETS):
+    for time_ns in range(MAX_TARGETS):
         executor.add(10**18 + time_ns, target)
-    with pytest.raises(Refusal, match=f"one of at most {MOST_TARGETS} that wait"):
+    with pytest.raises(Refusal, match=f"one of at most {MAX_TARGETS} that wait"):
         executor.add(0, target)
     executor.add(10**18, target)  # in place of the one for the same time
     executor.instruct(run.controller, 10**18, run.session.scene.start)
@@ -327,7 +327,7 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str
     for _ in range(200):
         urdf = random_urdf(rng, names, lambda: number(rng) if rng.random() < 0.2 else 0.3)
         try:
-            controller = controller_for(urdf, moving_joints(urdf), config)
+            controller = make_controller(urdf, list_moving_joints(urdf), config)
         except Refusal as refusal:
             assert "\n" not in str(refusal), "a refusal is one line"
             continue
@@ -347,7 +347,7 @@ def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str
 def test_robots_that_take_long_to_compute_with_are_refused(joints: int) -> None:
     urdf = random_urdf(random.Random(joints), [f"joint_{j}" for j in range(joints)])
     with pytest.raises(Refusal, match=f"must have at most 128 moving joints, got {joints}"):
-        moving_joints(urdf)
+        list_moving_joints(urdf)
 
 
 # Session and offline run

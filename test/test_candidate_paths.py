@@ -19,20 +19,20 @@ from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import PlanningError
 from arm_emulator.motion.model.obstacles import Obstacle
-from arm_emulator.motion.planner.candidate_paths import joint_arc, past_end
+from arm_emulator.motion.planner.candidate_paths import find_joint_arc, measure_overshoot
 from arm_emulator.motion.planner.collision_guard import CollisionGuard
 from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
-from arm_emulator.motion.trajectory.tool_line import joints_along
+from arm_emulator.motion.trajectory.tool_line import trace_line
 
 
 def sets_out(controller: TargetPlanner, target: Pose) -> np.ndarray:
     """The joints along the way on which the arm sets out from rest (K, N)."""
     for _ in range(800):
         controller.update(controller.coming.q, target)
-        if controller.way:
+        if controller.path_text:
             break
-    assert controller.way
+    assert controller.path_text
     motion = controller.motion
     return np.array([motion.at(t).q for t in np.linspace(0.0, motion.duration, 200)])
 
@@ -48,11 +48,11 @@ def test_angles_that_converge_slowly_are_no_goal_while_others_reach_the_target(s
     goal.begin(start)
     goal.aim(target, start)
     goal.approach(120)
-    assert not goal.settled and not goal.reached, "another seed"
+    assert not goal.settled and not goal.is_reached, "another seed"
     controller = law_of(arm, PERIOD)
     controller.begin(start)
     path = sets_out(controller, target)
-    assert np.linalg.norm(arm.tool_error(path[-1], target)) < 1e-6, controller.way
+    assert np.linalg.norm(arm.tool_error(path[-1], target)) < 1e-6, controller.path_text
 
 
 @pytest.mark.parametrize("seed", some(range(12), 4))
@@ -70,10 +70,10 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
         tree = ArmTree(arm, (0.0, 0.0, 0.0))
         start, end = drawn(rng, arm), drawn(rng, arm)
         line = JointCurve.line(start, end)
-        if past_end(tree, line) < 10.0e-3:
+        if measure_overshoot(tree, line) < 10.0e-3:
             continue
         lines += 1
-        arc = joint_arc(tree, start, end)
+        arc = find_joint_arc(tree, start, end)
         if arc is not None:
             arcs += 1
             q = arc.derivatives(np.linspace(0.0, 1.0, 500))[0]
@@ -88,7 +88,7 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
             assert "mm past its end" in str(refused)
             assert np.array_equal(controller.coming.q, start), "it began"
             continue
-        assert past(arm, path) < 3e-3 + 1e-4, controller.way
+        assert past(arm, path) < 3e-3 + 1e-4, controller.path_text
     assert arcs >= lines / 2
 
 
@@ -118,16 +118,14 @@ def test_a_tool_turns_in_the_opposite_sense_before_it_is_refused() -> None:
         turn = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
         home = pose_of(arm, q)
         target = Pose(home.p_WT, turn @ home.R_WT)
-        both = [
-            joints_along(tree, q, home, target, None, True, reverse) for reverse in (False, True)
-        ]
+        both = [trace_line(tree, q, home, target, None, True, reverse) for reverse in (False, True)]
         paths = [curve for curve in both if isinstance(curve, JointCurve)]
         if len(paths) < 2:
             continue
         at = wrist.forward(paths[0].derivatives(middle)[0][0])[1]
         box = Obstacle("box", size=(0.1, 0.1, 0.1), at=tuple(at))
         guard = CollisionGuard(arm, MotionConfig(tool=arm.tool, obstacles=(box,)))
-        touched = [guard.along(partial(angles, curve)) for curve in paths]
+        touched = [guard.find_contact_along(partial(angles, curve)) for curve in paths]
         if touched[0] is None or touched[1] is not None or guard.collisions.first(q):
             continue
         turned += 1
@@ -135,9 +133,9 @@ def test_a_tool_turns_in_the_opposite_sense_before_it_is_refused() -> None:
         controller.begin(q)
         controller.guard = guard
         q_path = sets_out(controller, target)
-        assert np.linalg.norm(arm.tool_error(q_path[-1], target)) < 1e-6, controller.way
+        assert np.linalg.norm(arm.tool_error(q_path[-1], target)) < 1e-6, controller.path_text
         truth = Collisions(scene.urdf, scene.joint_names, (box,), 0.0)
-        assert not any(truth.first(curve) for curve in q_path), controller.way
+        assert not any(truth.first(curve) for curve in q_path), controller.path_text
 
 
 @pytest.mark.parametrize("seed", some(range(20), 2))
@@ -161,7 +159,7 @@ def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
             goal.begin(q)
             goal.aim(target, q)
             goal.approach(300)
-        if goals[0].reached and goals[1].reached:
+        if goals[0].is_reached and goals[1].is_reached:
             result += 1
             moved += [abs(goal.q[slow] - q[slow]) for goal in goals]
     assert result >= 18, "of 20; other configurations are tried for the rest"

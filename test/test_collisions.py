@@ -17,11 +17,11 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.collision import collisions
 from arm_emulator.motion.collision.collisions import OWN_SHARE, Collisions
 from arm_emulator.motion.executor.goal_status import GoalStatus, State
-from arm_emulator.motion.executor.jog import JogStatus, joint_command, twist_command
+from arm_emulator.motion.executor.jog import JogStatus, make_joint_command, make_twist_command
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.obstacles import Obstacle
 from arm_emulator.motion.planner.collision_guard import CollisionGuard
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 
@@ -131,7 +131,7 @@ def test_boxes_first_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) 
     first = [[checker.first(row) for row in q] for checker in both]
     assert first[0] == first[1]
     touching = [k for k, words in enumerate(first[0]) if words]
-    assert [*both[0].suspects(q)] == [*both[1].suspects(q)] == touching
+    assert [*both[0].find_touching(q)] == [*both[1].find_touching(q)] == touching
     assert 0 < len(touching) < 150
 
 
@@ -223,12 +223,12 @@ def test_a_jog_halts_before_a_collision_and_leaves(seed: int) -> None:
     for k in range(6):
         if k % 2 == 0:
             down = rng.normal(0.0, 0.1, 6) - [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
-            command = twist_command(0, down, "", arm.kinematics, arm.run.instructor._config)
+            command = make_twist_command(0, down, "", arm.kinematics, arm.run.instructor._config)
         else:
             names = arm.kinematics.joint_names
             speeds = rng.normal(0.0, 1.5, 6)
             config = arm.run.instructor._config
-            command = joint_command(0, names, speeds, arm.kinematics, config)
+            command = make_joint_command(0, names, speeds, arm.kinematics, config)
         for _ in range(12):
             now = dataclasses.replace(command, time_ns=arm.run.session.logical_ns)
             arm.run.instructor.jog(now)
@@ -243,12 +243,12 @@ def test_a_path_is_checked_before_it_begins() -> None:
     config = MotionConfig(tool="tool", obstacles=(Obstacle("floor", 0.0),))
     kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
     guard = CollisionGuard(kinematics, config)
-    result = guard.along(lambda part: np.outer(part, [2.0, 0.0]))
+    result = guard.find_contact_along(lambda part: np.outer(part, [2.0, 0.0]))
     assert result is not None
     # The outer ball: 1 - 2 sin(q) - 0.05 = 0.01.
     assert result[0] == pytest.approx(math.asin(0.47) / 2.0, abs=0.015)
     assert result[1] == "second and floor"
-    assert guard.along(lambda part: np.outer(part, [-0.8, 0.0])) is None
+    assert guard.find_contact_along(lambda part: np.outer(part, [-0.8, 0.0])) is None
 
 
 @pytest.mark.parametrize("margin", [MARGIN, 2e-3, 0.0])
@@ -267,7 +267,7 @@ def test_thin_plates_are_detected_wherever_they_are(margin: float) -> None:
         rng = np.random.default_rng(seed)
         size = 10.0 ** rng.uniform([-1.5, -0.5, -3.3], [0.0, -0.5, -2.5])
         nodes = rng.uniform(-2.0, 2.0, 2) + np.cumsum(rng.normal(0.0, 0.5, (5, 2)), axis=0)
-        curve = JointCurve.spline(nodes)
+        curve = JointCurve.fit_spline(nodes)
 
         def angles(part: np.ndarray, curve: JointCurve = curve) -> np.ndarray:
             return np.asarray(curve.derivatives(part)[0])
@@ -276,16 +276,16 @@ def test_thin_plates_are_detected_wherever_they_are(margin: float) -> None:
         at, turn = p + rng.normal(0.0, [0.0, 0.0, 0.01]), (0.0, rng.uniform(-3.0, 3.0), 0.0)
         plate = Obstacle("plate", size=tuple(size), at=tuple(at), rpy=turn)
         config = MotionConfig(tool="tool", obstacles=(plate,), collision_margin=margin)
-        result = CollisionGuard(kinematics, config).along(angles)
+        result = CollisionGuard(kinematics, config).find_contact_along(angles)
         q = angles(np.linspace(0.0, 1.0, places + 1))
         near, touching = (Collisions(thin, ("a", "b"), [plate], m) for m in (margin, 0.0))
         if near.first(q[0]):
             continue
-        if next(touching.suspects(q), None) is not None:
+        if next(touching.find_touching(q), None) is not None:
             met += 1
             assert result is not None and result[1].endswith("and plate"), seed
         if result is not None:
-            first = next(near.suspects(q), None)
+            first = next(near.find_touching(q), None)
             assert first is not None and result[0] >= first / places - 1e-3, seed
     assert met >= 6
 
@@ -316,7 +316,7 @@ def sent_down(arm: Arm, kind: str) -> list[GoalStatus]:
         elif kind == "jog":
             down, config = [0.0, 0.0, -0.3, 0.0, 0.0, 0.0], executor._config
             now = arm.run.session.logical_ns
-            executor.jog(twist_command(now, down, "", arm.kinematics, config))
+            executor.jog(make_twist_command(now, down, "", arm.kinematics, config))
         arm.advance(0.01)
         reports += executor.reports.take()
     return reports
@@ -351,7 +351,7 @@ def test_obstacles_need_shapes_that_meet_them() -> None:
     config = dataclasses.replace(config, obstacles=(Obstacle("floor", -1.0),))
     words = r"obstacles must be met by shapes .* got no collision shapes of moving links"
     with pytest.raises(Refusal, match=words):
-        controller_for(scene.urdf, scene.joint_names, config)
+        make_controller(scene.urdf, scene.joint_names, config)
 
 
 @pytest.mark.parametrize("seed", some(range(40), 4))
@@ -392,7 +392,7 @@ def test_parts_that_touch_already_do_not_hide_others() -> None:
     guard = CollisionGuard(kinematics, config)
     begin = np.array([0.2, -0.8])  # 1 - 0.5 sin(0.2) - 0.1 < 0.85
     assert guard.collisions.first(begin) == "first and floor"
-    result = guard.along(lambda part: begin + np.outer(part, [0.0, 2.0]))
+    result = guard.find_contact_along(lambda part: begin + np.outer(part, [0.0, 2.0]))
     assert result is not None and result[1] == "second and floor"
     # The outer ball: 1 - sin(0.2) - sin(0.2 + b) - 0.05 = 0.86.
     touch = math.asin(0.09 - math.sin(0.2)) - 0.2 + 0.8

@@ -88,7 +88,7 @@ def test_a_node_logs_refusals_and_outcomes(
             monkeypatch.setattr(log, level, put)
     nodes.nodes["servo"]._diagnostics.refuse("motor_states", Refusal("here", "q", "be 1", 2))
     motion = nodes.nodes["motion_controller"]
-    motion._instructor.reports.waiting.extend(
+    motion._motion.reports.waiting.extend(
         GoalStatus(state, "a reason", 0.0012, kind=Kind.TOOL_TARGET, number=1, stamp_ns=0)
         for state in State
     )

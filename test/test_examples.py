@@ -15,7 +15,7 @@ from network import PATIENCE, network
 
 from arm_emulator import load_scene, load_servo_config
 from arm_emulator.motion.model.config import load_motion_config
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
 from oracles.predicted_residual import predicted_residual
 
@@ -39,7 +39,7 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
     scene = load_scene("three_axis")
     motion = load_motion_config(ROOT / "config" / "motion" / "three_axis.yaml")
     servo = load_servo_config(ROOT / "config" / "servo" / "three_axis.yaml")
-    controller = controller_for(scene.urdf, scene.joint_names, motion)
+    controller = make_controller(scene.urdf, scene.joint_names, motion)
     count = np.array([joint.count_angle for joint in servo.joints])
     target = np.array([0.43, 0.05, 0.64])
     inside: list[int] = []  # when the tool is where it shall be [ns]

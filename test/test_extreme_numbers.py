@@ -110,7 +110,7 @@ def test_a_controller_that_is_not_finite_reports_it_and_restarts(
         if name == "servo":
             nodes.nodes["servo"]._drives.servo.state["integral"][0] = math.nan
         else:
-            nodes.nodes[name]._instructor._hold = np.full(3, math.nan)
+            nodes.nodes[name]._motion._hold = np.full(3, math.nan)
         printed = ""
         while nodes.tick < 60 and "began anew" not in printed:
             nodes.deliver()

@@ -21,7 +21,7 @@ from arm_emulator.motion.model.elastic_arm import ElasticArm
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.motion.model.rest_load import RestLoad
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from oracles.followed_line import Known, follow
 
@@ -155,7 +155,9 @@ def test_motors_continue_without_a_jump_for_any_derivatives() -> None:
             end, q_before = setpoint.q + T * setpoint.v, q + T * ((q_end - q) / T)
             if derivatives >= 4 and k > 2:
                 wind_up = setpoint.q - q
-                np.testing.assert_allclose(feedforward.links(setpoint.q), q, atol=1e-15)
+                np.testing.assert_allclose(
+                    feedforward.compute_link_angles(setpoint.q), q, atol=1e-15
+                )
                 assert 0.0 < np.abs(wind_up).max() < 0.02
 
 
@@ -260,7 +262,7 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
         weight, wrong = links.at(np.zeros(n), np.zeros(n)), rng.uniform(0.6, 1.9, n)
         load = RestLoad(np.zeros(n), np.full(n, 0.1), 0.01, links.outboard)
         for _ in range(1000):
-            load.rests(wrong * weight, weight)
+            load.observe_rest(wrong * weight, weight)
         expected = np.ones(n)
         for j in reversed(range(n)):
             here = int(np.flatnonzero(order == j)[0])
@@ -330,7 +332,7 @@ def test_numbers_of_drives_are_refused(tmp_path) -> None:  # type: ignore[no-unt
     scene = load_scene("ur5")
     config = dataclasses.replace(MotionConfig(tool="tool0"), drives={"elbow": DriveParameters()})
     with pytest.raises(Refusal, match=r"joints\.elbow must be a joint of the arm"):
-        controller_for(scene.urdf, scene.joint_names, config)
+        make_controller(scene.urdf, scene.joint_names, config)
 
 
 PERIOD = 0.001  # s, of the servo of ur5

@@ -12,13 +12,9 @@ from builtin_interfaces.msg import Duration
 from ideal_arm import SECOND, Ideal
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.executor.follow_joint_trajectory import (
-    check_points,
-    result_of,
-    tolerances_of,
-)
 from arm_emulator.motion.executor.goal_status import GoalStatus, Kind, State
 from arm_emulator.motion.trajectory.tolerances import Allowed, Tolerances
+from motion_controller_node.follow_action import check_points, make_result, read_tolerances
 
 
 def goal(**inputs: Any) -> Any:
@@ -37,8 +33,8 @@ def tolerance(name: str, position: float = 0.0, velocity: float = 0.0) -> Any:
 
 def test_tolerances_of_a_goal_override_the_parameters() -> None:
     names = ("a", "b")
-    default = Tolerances(Allowed.alike(2, 0.1), Allowed.alike(2, 0.2), 3.0)
-    tolerances = tolerances_of(
+    default = Tolerances(Allowed.make_equal(2, 0.1), Allowed.make_equal(2, 0.2), 3.0)
+    tolerances = read_tolerances(
         goal(
             path_tolerance=[tolerance("b", 0.5, 2.0)],
             goal_tolerance=[tolerance("a", -1.0)],
@@ -50,9 +46,9 @@ def test_tolerances_of_a_goal_override_the_parameters() -> None:
     assert tolerances.path.q.tolist() == [0.1, 0.5] and tolerances.path.v.tolist() == [0.0, 2.0]
     assert tolerances.goal.q.tolist() == [0.0, 0.2], "-1 allows anything"
     assert tolerances.goal_time == 1.5
-    assert tolerances_of(goal(), names, default).goal_time == 3.0, "0 leaves it"
+    assert read_tolerances(goal(), names, default).goal_time == 3.0, "0 leaves it"
     erased = goal(goal_time_tolerance=Duration(sec=-1))
-    assert tolerances_of(erased, names, default).goal_time == 0.0
+    assert read_tolerances(erased, names, default).goal_time == 0.0
     for wrong, words in (
         (
             goal(path_tolerance=[tolerance("x", 0.1)]),
@@ -63,7 +59,7 @@ def test_tolerances_of_a_goal_override_the_parameters() -> None:
         (goal(goal_time_tolerance=Duration(sec=-3)), "be >= 0 s, or -1 for any, got -3 s"),
     ):
         with pytest.raises(Refusal) as refusal:
-            tolerances_of(wrong, names, default)
+            read_tolerances(wrong, names, default)
         assert words in str(refusal.value)
 
 
@@ -85,7 +81,7 @@ def test_a_goal_without_points_is_refused() -> None:
     ],
 )
 def test_a_goal_ends_with_the_code_of_its_last_word(state: State, reason: str, code: int) -> None:
-    actual, words = result_of(
+    actual, words = make_result(
         GoalStatus(state, reason, kind=Kind.JOINT_TRAJECTORY, number=1, stamp_ns=0)
     )
     assert actual == code and reason in words

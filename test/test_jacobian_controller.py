@@ -90,7 +90,7 @@ def test_damping_begins_continuously_and_is_bounded() -> None:
     controller = three_axis()
     e = controller.singular_below
     s = np.linspace(0.0, 2 * e, 200001)
-    gain = controller._inverse(s)
+    gain = controller._invert_values(s)
     assert gain[0] == 0.0
     assert gain.max() <= 1.16 / e
     assert np.allclose(gain[s >= e], 1.0 / s[s >= e], rtol=1e-15, atol=0)  # rounding

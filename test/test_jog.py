@@ -20,9 +20,14 @@ from std_msgs.msg import Header, Int8
 
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.executor.controllers import jerk_limited_velocity
+from arm_emulator.motion.executor.controllers import make_jerk_limited_velocity
 from arm_emulator.motion.executor.goal_status import Kind, State
-from arm_emulator.motion.executor.jog import JogCommand, JogStatus, joint_command, twist_command
+from arm_emulator.motion.executor.jog import (
+    JogCommand,
+    JogStatus,
+    make_joint_command,
+    make_twist_command,
+)
 from arm_emulator.motion.executor.tool_directions import ToolDirections
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.trajectory.jerk_limited_velocity import JerkLimitedVelocity
@@ -69,7 +74,7 @@ class Jogged:
         return np.array([self.kinematics.forward(q)[1] for q in self.q])
 
     def twist(self, *twist: float, link: str = "") -> JogCommand:
-        return twist_command(0, twist, link, self.kinematics, self.config)
+        return make_twist_command(0, twist, link, self.kinematics, self.config)
 
 
 def test_a_twist_moves_the_tool_along_it() -> None:
@@ -156,7 +161,7 @@ def test_limits_hold_whatever_the_lever_does(seed: int) -> None:
                 *rng.normal(0.0, 1.0, 6), link=str(rng.choice(["", "tool0", "forearm_link"]))
             )
         else:
-            command = joint_command(
+            command = make_joint_command(
                 0, names, rng.normal(0.0, 3.0, 6), jogged.kinematics, jogged.config
             )
         jogged.jog(rng.uniform(0.1, 1.0), command)
@@ -214,7 +219,7 @@ def test_speeds_are_those_of_the_twist_away_from_singular_poses(seed: int) -> No
     config = load_gains(find_scene("ur5")).motion
     kinematics = Kinematics(scene.urdf, scene.joint_names, "tool0")
     q, twist = rng.uniform(-2.5, 2.5, 6), rng.normal(0.0, 0.1, 6)
-    speeds = ToolDirections(kinematics, q).speeds(twist, config)
+    speeds = ToolDirections(kinematics, q).compute_speeds(twist, config)
     singular = kinematics.singular_values(q)
     reached = kinematics.jacobian(q) @ speeds.v
     if singular[0] / singular[-1] < config.jog_lower_singularity_threshold:
@@ -241,7 +246,7 @@ def test_joints_stop_before_their_limits(seed: int) -> None:
         target = rng.normal(0.0, 3.0, n)
         for _ in range(rng.integers(1, 60)):
             now = joints.now
-            joints.go(target * joints.allowed(now.q, target), alone=seed % 2 == 0)
+            joints.accelerate(target * joints.limit_shares(now.q, target), alone=seed % 2 == 0)
             now = joints.now
             moved = np.maximum(moved, np.abs(now.v))
             assert (np.abs(now.q - middle) <= limit + 1e-8).all()
@@ -261,13 +266,15 @@ def test_a_gripper_of_a_few_millimetres_is_jogged_from_end_to_end() -> None:
     )
     short = (arm.upper - arm.lower) < 0.1
     assert short.sum() == 1
-    joints = jerk_limited_velocity(arm, config, config.jog_joint_limit_margin)
+    joints = make_jerk_limited_velocity(arm, config, config.jog_joint_limit_margin)
     joints.begin(Reference.at_rest(np.where(short, 0.01, START)))
     for velocity, end in ((0.02, 0.0275), (-0.02, 0.0075)):
         for _ in range(500):
-            joints.go(velocity * joints.allowed(joints.now.q, velocity * short) * short, alone=True)
+            joints.accelerate(
+                velocity * joints.limit_shares(joints.now.q, velocity * short) * short, alone=True
+            )
         # It halts where little of the speed is left.
-        assert joints.now.q[short] == pytest.approx(end, abs=1e-3) and not joints.moving
+        assert joints.now.q[short] == pytest.approx(end, abs=1e-3) and not joints.is_moving
 
 
 def test_commands_are_refused() -> None:
@@ -277,22 +284,22 @@ def test_commands_are_refused() -> None:
     arm = Kinematics(scene.urdf, scene.joint_names, "tool0")
     place = Kinematics(scene.urdf, scene.joint_names, "tool0", task="position")
     with pytest.raises(Refusal, match=r"joint must be one of the arm, got elbow; valid"):
-        joint_command(0, ["elbow"], [0.1], arm, config)
+        make_joint_command(0, ["elbow"], [0.1], arm, config)
     with pytest.raises(Refusal, match="each once"):
-        joint_command(0, ["elbow_joint"] * 2, [0.1, 0.2], arm, config)
+        make_joint_command(0, ["elbow_joint"] * 2, [0.1, 0.2], arm, config)
     with pytest.raises(Refusal, match="velocities"):
-        joint_command(0, ["elbow_joint"], [0.1, 0.2], arm, config)
+        make_joint_command(0, ["elbow_joint"], [0.1, 0.2], arm, config)
     with pytest.raises(Refusal, match="twist"):
-        twist_command(0, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0], "", arm, config)
+        make_twist_command(0, [0.0, np.nan, 0.0, 0.0, 0.0, 0.0], "", arm, config)
     with pytest.raises(Refusal, match=r"frame_id must be a link of the robot, got elbow; valid"):
-        twist_command(0, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], "elbow", arm, config)
+        make_twist_command(0, [0.1, 0.0, 0.0, 0.0, 0.0, 0.0], "elbow", arm, config)
     with pytest.raises(Refusal, match=r"twist\.angular must be 0"):
-        twist_command(0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.1], "", place, config)
+        make_twist_command(0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.1], "", place, config)
     unitless = dataclasses.replace(config, jog_command_in_type="unitless")
-    half = twist_command(0, [0.5, 0.0, 0.0, 0.0, 0.0, -1.0], "", arm, unitless)
+    half = make_twist_command(0, [0.5, 0.0, 0.0, 0.0, 0.0, -1.0], "", arm, unitless)
     np.testing.assert_allclose(half.twist, [0.2, 0.0, 0.0, 0.0, 0.0, -0.8])
     fast = dataclasses.replace(config, jog_command_in_type="speed_units")
-    largest = twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], "", arm, fast)
+    largest = make_twist_command(0, [3.0, 4.0, 0.0, 0.0, 0.0, 0.5], "", arm, fast)
     np.testing.assert_allclose(largest.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
 
 

@@ -106,7 +106,9 @@ def test_jacobians_of_published_robots_are_the_derivatives_of_their_forward_kine
         for _ in range(3):
             q = rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
             assert_jacobian(kinematics, q, file.name)
-            error, same = kinematics.error_and_jacobian(q, Pose(*kinematics.forward(q)[::-1]))
+            error, same = kinematics.compute_error_and_jacobian(
+                q, Pose(*kinematics.forward(q)[::-1])
+            )
             assert np.array_equal(same, kinematics.jacobian(q)), file.name
             assert np.abs(error).max() < 1e-15, file.name
     assert robots >= 60, f"{robots} robots only"

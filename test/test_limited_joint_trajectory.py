@@ -7,10 +7,10 @@ import pytest
 from draws import some
 
 from arm_emulator import Kinematics, Refusal, load_scene
-from arm_emulator.motion.executor.controllers import joint_limits
+from arm_emulator.motion.executor.controllers import make_joint_limits
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import Reference
-from arm_emulator.motion.planner.limited_joint_trajectory import StretchedTrajectory, within_limits
+from arm_emulator.motion.planner.limited_joint_trajectory import StretchedTrajectory, fit_trajectory
 from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.motion.trajectory.joint_trajectory import (
     JointMotion,
@@ -42,18 +42,18 @@ def planned(
     **more: float,
 ) -> JointMotion | StretchedTrajectory:
     names = planner.kinematics.joint_names
-    limits = joint_limits(planner.kinematics, config(**more))
+    limits = make_joint_limits(planner.kinematics, config(**more))
     trajectory = JointTrajectory(names, limits, names, points)
-    return within_limits(planner, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
+    return fit_trajectory(planner, trajectory, 0, 0, now or Reference.at_rest(START), scaled)
 
 
 def judge(planner: TargetPlanner, motion: JointMotion | StretchedTrajectory) -> np.ndarray:
-    times = np.linspace(0, motion.end_ns, 4001).astype(np.int64)
-    observed = [motion.at(int(t)) for t in times]
+    times = np.linspace(0.0, motion.duration, 4001)
+    observed = [motion.at(float(t)) for t in times]
     q, v, a = (np.array([getattr(row, key) for row in observed]) for key in "qva")
     assert (np.abs(v) <= planner.limits.speed * (1 + 1e-6)).all(), "speed"
     assert (np.abs(a) <= planner.limits.acceleration * (1 + 1e-6)).all(), "acceleration"
-    h = np.diff(times)[:, None] * 1e-9
+    h = np.diff(times)[:, None]
     # By a mean of speeds; an acceleration that steps is off by h^2 a / 4 at most.
     off = np.abs(np.diff(q, axis=0) - 0.5 * h * (v[1:] + v[:-1]))
     assert (off <= 0.25 * h**2 * 2.0 * planner.limits.acceleration + 1e-12).all(), (
@@ -70,7 +70,7 @@ def test_a_trajectory_within_the_limits_keeps_its_times() -> None:
     ]
     motion = planned(law(), points)
     assert isinstance(motion, JointMotion) and motion.end_ns == 2 * SECOND
-    np.testing.assert_allclose(motion.at(SECOND).q, START + 0.2, atol=1e-12)
+    np.testing.assert_allclose(motion.at(1.0).q, START + 0.2, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", some(range(12), 4))
@@ -95,8 +95,11 @@ def test_a_trajectory_that_is_too_fast_takes_longer_along_the_same_angles(
         for t, at, speed in zip(times, angles, v, strict=True)
     ]
     motion = planned(planner, points)
-    assert isinstance(motion, StretchedTrajectory) and motion.end_ns > points[-1].time_ns
-    assert "instead of" in motion.way and planner.kinematics.joint_names[0][:4] in motion.way
+    assert isinstance(motion, StretchedTrajectory) and motion.duration > points[-1].time_ns * 1e-9
+    assert (
+        "instead of" in motion.path_text
+        and planner.kinematics.joint_names[0][:4] in motion.path_text
+    )
     q = judge(planner, motion)
     for at in angles:
         # At 3 rad/s a four-thousandth of the duration is a few mrad at most.
@@ -110,7 +113,7 @@ def test_a_trajectory_from_motion_comes_to_rest_first_where_it_must_be_slower() 
     planner = law()
     now = Reference(START, np.full(6, 0.5), np.zeros(6), np.zeros(6))
     motion = planned(planner, [TrajectoryPoint(SECOND // 5, START + 0.5)], now=now)
-    first = motion.at(0)
+    first = motion.at(0.0)
     np.testing.assert_allclose(first.v, now.v, atol=1e-9)
     q = judge(planner, motion)
     np.testing.assert_allclose(q[-1], START + 0.5, atol=1e-9)
@@ -123,4 +126,4 @@ def test_the_parameter_counts_where_the_description_has_no_limit() -> None:
     slow = {"acceleration_limit": 0.5}
     motion = planned(law(**slow), points, **slow)
     # From rest to rest within an acceleration: 2 sqrt(d / a), and the jerk's share.
-    assert isinstance(motion, StretchedTrajectory) and 2.0 <= motion.end_ns * 1e-9 < 2.2
+    assert isinstance(motion, StretchedTrajectory) and 2.0 <= motion.duration < 2.2

@@ -9,7 +9,7 @@ import pytest
 
 from arm_emulator import load_scene
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
-from arm_emulator.motion.collision.link_pairs import Reason, link_pairs
+from arm_emulator.motion.collision.link_pairs import Reason, find_link_pairs
 
 # Of the base and of the tool, 1 m and 1 m away from each other: they touch where the elbow is bent
 # so far that 2 cos(angle / 2) is less than the radii's sum.
@@ -50,7 +50,7 @@ def planar(lower: float, upper: float, yaw: float) -> str:
 @pytest.mark.parametrize("case", ELBOW)
 def test_reasons_of_a_planar_arm(case: str) -> None:
     lower, upper, yaw, reason = ELBOW[case]
-    pairs = link_pairs(planar(lower, upper, yaw), ("shoulder", "elbow"), drawn=1000)
+    pairs = find_link_pairs(planar(lower, upper, yaw), ("shoulder", "elbow"), samples=1000)
     result = {pair[:2]: pair.reason for pair in pairs}
     # No shape stands between base and forearm.
     assert result.pop(("base", "fore")) == result.pop(("fore", "tool")) == Reason.ADJACENT
@@ -60,7 +60,9 @@ def test_reasons_of_a_planar_arm(case: str) -> None:
 def test_the_pairs_of_the_panda_are_those_of_its_makers() -> None:
     """The scene holds the fingers closed; the published file has them moving."""
     scene = load_scene("panda")
-    ours = {pair[:2]: pair.reason.value for pair in link_pairs(scene.urdf, scene.joint_names, 2000)}
+    ours = {
+        pair[:2]: pair.reason.value for pair in find_link_pairs(scene.urdf, scene.joint_names, 2000)
+    }
     folder = find_example_robot_data()
     assert folder is not None
     published = ET.parse(folder / "panda_description/srdf/panda.srdf").iter("disable_collisions")

@@ -20,7 +20,7 @@ from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.ros.messages.time_stamp import to_stamp
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator_msgs.msg import MotionStatus
-from motion_controller_node.follow_action import installed
+from motion_controller_node.follow_action import is_installed
 
 
 @pytest.fixture(scope="module")
@@ -146,5 +146,5 @@ def test_a_reset_reports_what_it_has_forgotten(nodes: InProcess) -> None:
 
 def test_the_action_is_there_only_where_control_msgs_is(nodes: InProcess) -> None:
     has_it = importlib.util.find_spec("control_msgs") is not None
-    assert installed() == has_it
+    assert is_installed() == has_it
     assert (nodes.nodes["motion_controller"]._action is not None) == has_it

@@ -170,7 +170,7 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
                 for r in arm.instructor.reports.waiting
                 if (r.kind, r.number) == (kind, number)
             ]
-            final = [state for state in reported if state.final]
+            final = [state for state in reported if state.is_final]
             assert len(final) == 1 or final == [State.UNREACHABLE, State.REACHED], (
                 f"{kind.name} {number} was answered by {reported}"
             )

@@ -20,7 +20,7 @@ from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joi
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.robot_file import read_limits
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import move, reachable
 from oracles.own_robots import OWN, Part, Robot, serial
@@ -214,7 +214,7 @@ def test_a_new_arm_does_not_run_into_itself(
     config = load_gains(written.file).motion
     assert config.collisions == parameter
     scene = load_scene(written.file)
-    controller_for(scene.urdf, scene.joint_names, config)  # takes its shapes, from there
+    make_controller(scene.urdf, scene.joint_names, config)  # takes its shapes, from there
 
 
 @pytest.mark.usefixtures("untuned")

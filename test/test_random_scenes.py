@@ -22,7 +22,7 @@ from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
-from arm_emulator.motion.model.kinematics import moving_joints
+from arm_emulator.motion.model.kinematics import list_moving_joints
 from arm_emulator.runs.gains import check_fit
 from arm_emulator.servo.servo_config import ServoConfig
 
@@ -140,7 +140,7 @@ def test_work_grows_as_the_number_of_fixed_links(tmp_path: Path, in_a_row: bool)
         sys.setprofile(lambda _frame, event, _arg, of=counted: of.update((event,)))
         try:
             scene = load_scene(file)
-            names = moving_joints(scene.urdf)
+            names = list_moving_joints(scene.urdf)
         finally:
             sys.setprofile(None)
         assert names == scene.joint_names
@@ -218,7 +218,7 @@ def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int
     names = [str(joint.get("name")) for joint in moving]
     joints = dict(zip(names, sections.values(), strict=True))
     scene = load_scene(write(tmp_path, ET.tostring(robot, encoding="unicode"), joints=joints))
-    assert scene.joint_names == tuple(names) == moving_joints(scene.urdf)
+    assert scene.joint_names == tuple(names) == list_moving_joints(scene.urdf)
     kinematics = Kinematics(scene.urdf, names, "tool")
     for low, high in zip(kinematics.lower, kinematics.upper, strict=True):
         assert low <= -1e9 and high >= 1e9, "a joint without limits is held somewhere"
@@ -276,7 +276,7 @@ def test_every_robot_of_example_robot_data_is_taken_or_refused_with_the_reason(
         else:
             taken.append(file.stem)
             loaded = load_scene(scene)
-            assert {*moving_joints(loaded.urdf)} == {*loaded.joint_names}, file.name
+            assert {*list_moving_joints(loaded.urdf)} == {*loaded.joint_names}, file.name
     arms = {"panda", "kinova", "ur3_robot", "ur5_robot", "ur10_robot", "xarm7", "z1", "so101",
             "finger_edu", "double_pendulum"}  # fmt: skip
     assert arms <= set(taken), arms - set(taken)

@@ -23,7 +23,7 @@ from arm_emulator import (
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.planner.tool_controller import make_controller
 from oracles.predicted_residual import predicted_residual
 
 
@@ -53,7 +53,7 @@ class Experiment:
         motion = load_motion_config(CONFIG / "motion" / f"{scene}.yaml")
         config = load_servo_config(CONFIG / "servo" / f"{scene}.yaml")
         self.servo = Servo(config)
-        self.controller = controller_for(scene_.urdf, scene_.joint_names, motion)
+        self.controller = make_controller(scene_.urdf, scene_.joint_names, motion)
         self.cycle = round(motion.period / config.period)
         self.count_angle = np.array([joint.count_angle for joint in config.joints])
         self.stiffness = np.array([joint.gear.stiffness for joint in scene_.joints])

@@ -23,12 +23,12 @@ from std_msgs.msg import String
 
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_config, find_scene
-from arm_emulator.motion.executor.controllers import joint_limits
+from arm_emulator.motion.executor.controllers import make_joint_limits
 from arm_emulator.motion.executor.goal_status import State
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
-from arm_emulator.motion.trajectory.resumed import Resumed
+from arm_emulator.motion.trajectory.time_scaling import Resumed
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds, to_stamp
 from arm_emulator.ros.node.lean_executor import LeanExecutor
@@ -55,7 +55,7 @@ class Stopped:
         config = dataclasses.replace(gains.motion, **motion)  # type: ignore[arg-type]
         self.run = OfflineRun(self.scene, gains.servo, config)
         self.kinematics = self.run.controller.kinematics
-        self.limits = joint_limits(self.kinematics, config)
+        self.limits = make_joint_limits(self.kinematics, config)
         self.top = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
         self.links: list[np.ndarray] = []
         self.asked: list[tuple[int, Reference]] = []  # tick and motion of the links

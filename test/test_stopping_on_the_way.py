@@ -12,7 +12,7 @@ from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.executor.goal_status import State
-from arm_emulator.motion.executor.jog import joint_command, twist_command
+from arm_emulator.motion.executor.jog import make_joint_command, make_twist_command
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.model.obstacles import Obstacle
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
@@ -51,7 +51,7 @@ class LowArm:
 
         far = meeting(high - 0.1, 0.0)
         at_start = np.broadcast_to(scene.start, (len(far.foreign), len(scene.start)))
-        gap = min(far.gaps(far.foreign, at_start).values())
+        gap = min(far.measure_gaps(far.foreign, at_start).values())
         top = high - 0.1 + gap - margin - drop - SPARE
         obstacles = box(top)
         config = dataclasses.replace(gains.motion, obstacles=obstacles, path_blend=blend, **FAST)
@@ -151,10 +151,10 @@ def test_a_motion_that_is_ended_stops_on_its_way(seed: int, end: str) -> None:
                 arm.instructor.add(0, arm.moved(0.0, 0.1, -0.1 - 2e-3 * k))
             elif end == "twist":
                 down = [0.0, 0.0, -0.5, 0.0, 0.0, 0.0]
-                arm.instructor.jog(twist_command(now, down, "", arm.kinematics, arm.config))
+                arm.instructor.jog(make_twist_command(now, down, "", arm.kinematics, arm.config))
             else:
                 names, v = arm.kinematics.joint_names, rng.normal(0.0, 1.0, 7)
-                arm.instructor.jog(joint_command(now, names, v, arm.kinematics, arm.config))
+                arm.instructor.jog(make_joint_command(now, names, v, arm.kinematics, arm.config))
             arm.period()
     reports = arm.periods(1.2)
     assert np.abs(arm.run.session.state.v).max() < 2e-3

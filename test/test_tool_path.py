@@ -17,7 +17,7 @@ from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.motion.planner.tool_path_planner import MotionSequence, plan_path
 from arm_emulator.motion.trajectory.tool_path import (
     LONGEST,
-    MOST_POSES,
+    MAX_POSES,
     ToolCurve,
     ToolLimits,
     ToolPath,
@@ -44,13 +44,13 @@ def test_a_curve_goes_through_its_poses_and_its_change_is_its_derivative(seed: i
     poses = [random_pose(rng) for _ in range(int(rng.integers(2, 8)))]
     curve = ToolCurve(poses, per_turn=0.25, arcs=bool(seed % 2))
     assert len(curve) == len(poses) - 1
-    met = curve.poses(curve.at_poses)
+    met = curve.sample_poses(curve.at_poses)
     np.testing.assert_allclose(met.p, [target.p_WT for target in poses], atol=1e-9)
     np.testing.assert_allclose(met.R, [target.R_WT for target in poses], atol=1e-9)
     h = 1e-6
     x = rng.uniform(h, curve.ends[-1] - h, 30)
     x = x[np.abs(curve.ends - x[:, None]).min(axis=1) > 2 * h]
-    before, after = curve.poses(x - h), curve.poses(x + h)
+    before, after = curve.sample_poses(x - h), curve.sample_poses(x + h)
     # Central differences over 1e-6 m: rounding 1e-16 / 1e-6.
     travelled = np.linalg.norm(after.p - before.p, axis=1) / (2 * h)
     turned = [pin.log3(b @ a.T) for a, b in zip(before.R, after.R, strict=True)]
@@ -70,11 +70,13 @@ def test_three_poses_on_a_circle_are_an_arc_of_it(seed: int) -> None:
 
     curve = ToolCurve([pose(on(phi)) for phi in (0.0, via, arc)], 0.25, arcs=True)
     assert curve.ends[-1] == pytest.approx(radius * arc), "the length of the arc"
-    assert curve.kinks().max() < 1e-6, "no corner at the pose between"
-    np.testing.assert_allclose(curve.curvature(), 1.0 / radius, rtol=1e-6)
+    assert curve.measure_kinks().max() < 1e-6, "no corner at the pose between"
+    np.testing.assert_allclose(curve.compute_curvature(), 1.0 / radius, rtol=1e-6)
     parts = rng.uniform(0.0, 1.0, 20)
     expected = [on(part * arc) for part in parts]
-    np.testing.assert_allclose(curve.poses(parts * curve.ends[-1]).p, expected, atol=1e-7 * radius)
+    np.testing.assert_allclose(
+        curve.sample_poses(parts * curve.ends[-1]).p, expected, atol=1e-7 * radius
+    )
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -83,15 +85,17 @@ def test_rounded_corners_are_smooth_and_stay_near(seed: int) -> None:
     poses = [pose(rng.normal(size=3)) for _ in range(4)]
     blend = 10.0 ** rng.uniform(-3, 0)
     curve = ToolCurve(poses, 0.25, blend=blend)
-    assert curve.kinks().max() < 1e-6, "no corner is left"
+    assert curve.measure_kinks().max() < 1e-6, "no corner is left"
     assert len(curve) >= 5 or blend > 0.1, "three lines and two arcs"
     sharp = ToolCurve(poses, 0.25)
-    lines = sharp.poses(np.linspace(0.0, sharp.ends[-1], 1001)).p
-    for p in curve.poses(np.linspace(0.0, curve.ends[-1], 50)).p:
+    lines = sharp.sample_poses(np.linspace(0.0, sharp.ends[-1], 1001)).p
+    for p in curve.sample_poses(np.linspace(0.0, curve.ends[-1], 50)).p:
         near = np.linalg.norm(lines - p, axis=1).min()
         assert near <= blend + 1e-2, "no farther from the lines than where the arc begins"
     for end, at in ((0.0, 0), (float(curve.ends[-1]), -1)):
-        np.testing.assert_allclose(curve.poses(np.array([end])).p[0], poses[at].p_WT, atol=1e-9)
+        np.testing.assert_allclose(
+            curve.sample_poses(np.array([end])).p[0], poses[at].p_WT, atol=1e-9
+        )
 
 
 def test_flat_corners_are_rounded_and_passed_near_by() -> None:
@@ -100,7 +104,7 @@ def test_flat_corners_are_rounded_and_passed_near_by() -> None:
     points = [pose([0.1 * math.cos(t), 0.1 * math.sin(t), 0.0]) for t in turn]
     path = ToolPath(points, LIMITS)
     assert len(path.stops) == 2, "it stops nowhere between"
-    points_on_path = path.curve.poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
+    points_on_path = path.curve.sample_poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
     for point in points:
         assert np.linalg.norm(points_on_path - point.p_WT, axis=1).min() < 1.1 * 5e-5
 
@@ -168,7 +172,7 @@ def test_a_path_keeps_limits_and_place_all_the_way(seed: int) -> None:
     assert speed.max() <= LIMITS.speed * (1 + 1e-3), "tool speed"
     np.testing.assert_allclose(p[0], arm.home.p_WT, atol=1e-9, err_msg="where the tool is")
     np.testing.assert_allclose(p[-1], poses[-1].p_WT, atol=1e-8)
-    curve = path.curve.poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
+    curve = path.curve.sample_poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
     for at in p[times > motion.begins[2]][::20]:
         # Between samples of the curve half a step of it is left.
         assert np.linalg.norm(curve - at, axis=1).min() < 1e-4, "beside its path"
@@ -297,8 +301,8 @@ def test_no_path_leads_to_numbers_that_are_not_finite(seed: int) -> None:
 def test_malformed_paths_are_refused() -> None:
     here, far = pose([0.0, 0, 0]), pose([2 * LONGEST, 0, 0])
     for words, make in (
-        (f"poses must be from 1 to {MOST_POSES}, got 0", lambda: ToolPath([], LIMITS)),
-        (f"poses must be from 1 to {MOST_POSES}", lambda: ToolPath([here] * 5001, LIMITS)),
+        (f"poses must be from 1 to {MAX_POSES}, got 0", lambda: ToolPath([], LIMITS)),
+        (f"poses must be from 1 to {MAX_POSES}", lambda: ToolPath([here] * 5001, LIMITS)),
         ("the path must be at most 1000 m long, got 2000", lambda: ToolPath([here, far], LIMITS)),
         (
             r"poses\[1\].header.stamp must be later than the previous pose's, 1 s, got 1 s",

@@ -50,7 +50,7 @@ def test_a_way_is_refused_where_the_arms_would_meet(seed: int) -> None:
             continue
         looks = [start + part * (end - start) for part in np.linspace(0.0, 1.0, 400)]
         touching = [guard.collisions.first(q) for q in looks]
-        contact = guard.along(lambda part, a=start, b=end: a + part[:, None] * (b - a))  # type: ignore[misc]
+        contact = guard.find_contact_along(lambda part, a=start, b=end: a + part[:, None] * (b - a))  # type: ignore[misc]
         if contact is None:
             assert not any(touching)
             continue

@@ -19,7 +19,7 @@ def test_limits_hold_where_the_third_derivative_of_their_curve_steps(case: int) 
     """
     rng = np.random.default_rng(case)
     nodes, joints = int(rng.integers(4, 50)), int(rng.integers(1, 8))
-    curve = JointCurve.spline(np.cumsum(rng.normal(size=(nodes + 1, joints)), axis=0))
+    curve = JointCurve.fit_spline(np.cumsum(rng.normal(size=(nodes + 1, joints)), axis=0))
     speed, acceleration = rng.uniform(0.3, 6.0, (2, joints))
     unlimited = np.full(joints, np.inf)
     limits = JointPathLimits(speed, acceleration, acceleration / rng.uniform(0.02, 0.5), unlimited)
@@ -53,7 +53,9 @@ def test_a_sharp_bend_costs_hardly_more_time_than_with_many_pieces(
         s = np.linspace(0.0, 1.0, int(rng.choice([33, 129])))[:, None]
         at = rng.uniform(0.03, 0.97, joints if case % 2 else 1)
         slope, turn = rng.normal(size=(2, joints))
-        curve = JointCurve.spline(slope * s + turn * sharp * np.logaddexp(0.0, (s - at) / sharp))
+        curve = JointCurve.fit_spline(
+            slope * s + turn * sharp * np.logaddexp(0.0, (s - at) / sharp)
+        )
         a = rng.uniform(2.0, 15.0, joints)
         jerk = a / rng.choice([0.05, 0.07])
         limits = JointPathLimits(rng.uniform(0.5, 3.0, joints), a, jerk, np.full(joints, np.inf))

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from arm_emulator import Kinematics, Pose, load_scene
 from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
-from arm_emulator.motion.ik.inverse_kinematics import directions
+from arm_emulator.motion.ik.inverse_kinematics import compute_directions
 from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import PlanningError
 from arm_emulator.motion.planner.target_planner import LOST, TargetPlanner
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
-from arm_emulator.motion.trajectory.tool_line import joints_along
+from arm_emulator.motion.trajectory.tool_line import trace_line
 
 THREE_AXIS = (find_config_folder() / "urdf" / "three_axis.urdf").read_text()
 NAMES = ("waist", "shoulder", "elbow")
@@ -137,7 +137,7 @@ def test_a_line_keeps_position_limits_between_its_nodes(seed: int) -> None:
         start = drawn(rng, arm)
         end = np.clip(start + rng.normal(size=6) * 0.3, arm.lower, arm.upper)
         tree, ends = ArmTree(arm, (0.0, 0.0, 0.0)), (pose_of(arm, start), pose_of(arm, end))
-        curve = joints_along(tree, start, *ends, None)
+        curve = trace_line(tree, start, *ends, None)
         if not isinstance(curve, JointCurve):
             continue
         nodes = curve.derivatives(curve.breaks)[0]
@@ -145,13 +145,13 @@ def test_a_line_keeps_position_limits_between_its_nodes(seed: int) -> None:
         for j in np.flatnonzero(dense.max(axis=0) > nodes.max(axis=0) + 1e-6):
             before = arm.upper[j]
             arm.upper[j] = 0.5 * (dense[:, j].max() + nodes[:, j].max())
-            assert curve.leaves(arm.lower, arm.upper) is not None
-            again = joints_along(tree, start, *ends, None)
+            assert curve.find_exit(arm.lower, arm.upper) is not None
+            again = trace_line(tree, start, *ends, None)
             if isinstance(again, JointCurve):  # of more nodes
                 highest = again.derivatives(np.linspace(0.0, 1.0, 20_001))[0][:, j].max()
                 assert highest <= arm.upper[j] + 2e-9
             arm.upper[j] = dense[:, j].max() + 1e-7  # between the samples
-            assert curve.leaves(arm.lower, arm.upper) is None
+            assert curve.find_exit(arm.lower, arm.upper) is None
             arm.upper[j] = before
             tried += 1
     assert tried, "no curve had an extreme between its nodes"
@@ -199,29 +199,29 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
         try:
             for _ in range(100):
                 controller.update(controller.coming.q, target)
-                if controller.way:
+                if controller.path_text:
                     break
         except PlanningError as refused:
-            assert "past its end" in str(refused) and not controller.way
+            assert "past its end" in str(refused) and not controller.path_text
             continue
-        assert controller.way
+        assert controller.path_text
         times = np.linspace(0.0, controller.motion.duration, 400)
         p = np.array([arm.forward(controller.motion.at(t).q)[1] for t in times])
         line = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
         past = float(((p - p[-1]) @ line).max())
         off = np.linalg.norm(p - p[0] - np.outer((p - p[0]) @ line, line), axis=1).max()
-        if "turning as the joints do" in controller.way:
+        if "turning as the joints do" in controller.path_text:
             free += 1
-            assert past < 1e-9 and off < 2e-5 * arm.reach, f"{past} {off}: {controller.way}"
-        elif controller.way.startswith("along the joints' line"):
-            announced = "past its end" in controller.way
-            assert announced or past < 1.1e-3, f"{past}: {controller.way}"
-            assert past > 0.9e-3 or not announced, f"{past}: {controller.way}"
+            assert past < 1e-9 and off < 2e-5 * arm.reach, f"{past} {off}: {controller.path_text}"
+        elif controller.path_text.startswith("along the joints' line"):
+            announced = "past its end" in controller.path_text
+            assert announced or past < 1.1e-3, f"{past}: {controller.path_text}"
+            assert past > 0.9e-3 or not announced, f"{past}: {controller.path_text}"
             assert past < 3.1e-3
-        elif controller.way.startswith("along an arc of the joints"):
-            assert past < 1.1e-3, f"{past}: {controller.way}"
+        elif controller.path_text.startswith("along an arc of the joints"):
+            assert past < 1.1e-3, f"{past}: {controller.path_text}"
         else:
-            assert past < 1e-9, f"{past}: {controller.way}"
+            assert past < 1e-9, f"{past}: {controller.path_text}"
     assert free
 
 
@@ -355,7 +355,7 @@ def test_redundant_arms_do_not_drift_over_circles(seed: int) -> None:
     while True:
         arm = random_arm(rng, 7, slide=0.0)
         start = drawn(rng, arm)
-        squares, _ = directions(arm.jacobian(start) * arm.scale[:, None])
+        squares, _ = compute_directions(arm.jacobian(start) * arm.scale[:, None])
         if squares[1] > 0.1**2:  # the first is that of the joint motion that moves no tool
             break
     home = pose_of(arm, start)

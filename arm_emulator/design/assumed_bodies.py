@@ -19,7 +19,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.design.mesh_file import find_mesh
 from arm_emulator.machine.chain import Body, Frame, frame_of
-from arm_emulator.motion.model.mesh_units import mesh_unit
+from arm_emulator.motion.model.mesh_units import read_mesh_unit
 
 DENSITY = 1200.0  # kg/m3
 SLENDER = 0.1  # radius by length of a rod
@@ -181,7 +181,7 @@ def _points(mesh: ET.Element, folder: Path) -> Array:
     if file.stat().st_size > MOST_MESH:
         raise Refusal("new", f"mesh {name}", f"have at most {MOST_MESH} bytes", "larger")
     try:
-        points = coal.MeshLoader().load(str(file), mesh_unit(file) * scale).vertices()
+        points = coal.MeshLoader().load(str(file), read_mesh_unit(file) * scale).vertices()
     except (RuntimeError, ValueError, TypeError) as error:
         raise Refusal("new", f"mesh {name}", "be readable", f"not read ({error})") from None
     found: Array = np.unique(np.asarray(points, dtype=np.float64), axis=0)

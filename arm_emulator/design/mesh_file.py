@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from arm_emulator.motion.model.mesh_units import installed_package_folders
+from arm_emulator.motion.model.mesh_units import list_installed_package_folders
 
 
 def find_mesh(name: str, folder: Path) -> Path | None:
@@ -42,7 +42,7 @@ def move_meshes(robot: ET.Element, folder: Path) -> None:
 
     Packages that every shell finds keep their names; those of this shell alone do not.
     """
-    everywhere = [Path(root) for root in installed_package_folders()]
+    everywhere = [Path(root) for root in list_installed_package_folders()]
     for mesh in (*robot.iter("mesh"), *robot.iter("texture")):
         name = mesh.get("filename", "")
         url = urlparse(name)

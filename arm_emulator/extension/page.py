@@ -2,7 +2,7 @@
 
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
 from arm_emulator.machine.session.record_ring import SharedRing
-from arm_emulator.motion.model.mesh_units import in_metres, package_folders
+from arm_emulator.motion.model.mesh_units import list_package_folders, scale_to_metres
 from arm_emulator.page.controls import Controls, Vector
 from arm_emulator.page.page_address import PageAddress, page_token
 from arm_emulator.runs.condition import Condition
@@ -37,7 +37,7 @@ __all__ = [
     "TorqueTerms",
     "Vector",
     "answer_requests",
-    "in_metres",
-    "package_folders",
+    "list_package_folders",
     "page_token",
+    "scale_to_metres",
 ]

@@ -7,7 +7,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.session import Session
-from arm_emulator.motion.executor.goal_status import Progress, State, left
+from arm_emulator.motion.executor.goal_status import Progress, State, describe_left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.target_table import TargetTable
@@ -45,7 +45,7 @@ def find_missed_order(run: OfflineRun) -> str:
     if newest is None:
         return "it was not taken"
     if newest.state is not State.REACHED:
-        is_unfinished = not newest.state.final
+        is_unfinished = not newest.state.is_final
         if is_unfinished and instructor.waits_for:
             return f"{newest.state.name.lower()}: {instructor.waits_for}"
         return _describe(newest.state, now if is_unfinished else newest)
@@ -56,4 +56,4 @@ def find_missed_order(run: OfflineRun) -> str:
 
 def _describe(state: State, progress: Progress) -> str:
     why = f": {progress.reason}" if progress.reason else ""
-    return f"{state.name.lower()}{left(progress.distance, progress.angle)}{why}"
+    return f"{state.name.lower()}{describe_left(progress.distance, progress.angle)}{why}"

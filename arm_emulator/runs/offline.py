@@ -23,8 +23,8 @@ from arm_emulator.machine.session.session import Session
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import JointSetpoint
-from arm_emulator.motion.model.kinematics import moving_joints
-from arm_emulator.motion.planner.tool_controller import controller_for
+from arm_emulator.motion.model.kinematics import list_moving_joints
+from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.servo.servo_arm import ServoArm, Target
@@ -61,7 +61,7 @@ class OfflineRun(NonCopyable):
         check_fit(scene, servo, motion)
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = ServoArm(servo)
-        self.controller = controller_for(scene.urdf, moving_joints(scene.urdf), motion)
+        self.controller = make_controller(scene.urdf, list_moving_joints(scene.urdf), motion)
         self.instructor = MotionExecutor(motion)
         self.aimed = scene.start
         self._saved = SavedObjects()

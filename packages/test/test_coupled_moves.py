@@ -29,7 +29,7 @@ from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.executor.goal_status import State
-from arm_emulator.motion.executor.jog import joint_command, twist_command
+from arm_emulator.motion.executor.jog import make_joint_command, make_twist_command
 from arm_emulator.motion.model.obstacles import Obstacle
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 from arm_emulator.runs.gains import Gains
@@ -143,8 +143,8 @@ def test_targets_trajectories_and_jogs_keep_the_joints_limits(machine: Machine) 
     assert run.instructor.reports.waiting[-1].state is State.REACHED
     np.testing.assert_allclose(run.session.state.q, scene.start, atol=2e-3)
     before = machine.tool(run.session.state.q).translation
-    along = twist_command(0, (0.0, 0.0, 0.05, 0.0, 0.0, 0.0), "", kinematics, gains.motion)
-    for command in (along, joint_command(0, names[:1], (0.2,), kinematics, gains.motion)):
+    along = make_twist_command(0, (0.0, 0.0, 0.05, 0.0, 0.0, 0.0), "", kinematics, gains.motion)
+    for command in (along, make_joint_command(0, names[:1], (0.2,), kinematics, gains.motion)):
         for _ in range(100):
             run.instructor.jog(dataclasses.replace(command, time_ns=run.session.logical_ns))
             run.go(0.01)

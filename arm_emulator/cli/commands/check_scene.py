@@ -152,9 +152,9 @@ def _with_loops(name: str) -> tuple[Scene, ServoConfig]:
 
 def _check_controller(urdf: str, joint_names: tuple[str, ...], motion: MotionConfig) -> None:
     # Pinocchio, which is slow to import, only where there is a motion controller to check.
-    from arm_emulator.motion.planner.tool_controller import controller_for
+    from arm_emulator.motion.planner.tool_controller import make_controller
 
-    controller_for(urdf, joint_names, motion)
+    make_controller(urdf, joint_names, motion)
 
 
 HEADS = (

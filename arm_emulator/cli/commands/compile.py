@@ -16,7 +16,7 @@ from arm_emulator.machine.plant.compiler import compile_ahead
 from arm_emulator.machine.plant.formula_rows import build_formula_unit
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.session.record_ring import build_record_ring_unit
-from arm_emulator.motion.model.arm_tree import topp_unit
+from arm_emulator.motion.model.arm_tree import make_path_unit
 from arm_emulator.ros.c import middleware_unit
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.servo_law import servo_unit
@@ -54,7 +54,7 @@ def compile_scene(
         *of_fleet,
         tick_unit(),
         servo_unit(),
-        topp_unit(),
+        make_path_unit(),
         servo_step_unit(),
         build_record_ring_unit(),
     ]

@@ -35,7 +35,7 @@ from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.motion.planner.tool_controller import Controller, controller_for
+from arm_emulator.motion.planner.tool_controller import Controller, make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
 from arm_emulator.ros.node.node_shell import COMMAND_QOS, STATE_SUB_QOS
 from arm_emulator.ros.process.bringup import Bringup
@@ -130,7 +130,7 @@ def _run(
     scene: Scene, gains: Gains, plan: DemoPlan, network: Bringup, console: Console
 ) -> DemoResult:
     motion = gains.motion
-    controller = controller_for(scene.urdf, scene.joint_names, motion)
+    controller = make_controller(scene.urdf, scene.joint_names, motion)
     period_ns = round(motion.period * NANOSECONDS)
     R_WT, p_WT = controller.kinematics.forward(scene.start)
     target = Pose(p_WT + plan.displacement, R_WT)

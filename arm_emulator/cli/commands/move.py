@@ -21,7 +21,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
-from arm_emulator.motion.executor.goal_status import left
+from arm_emulator.motion.executor.goal_status import describe_left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.ros.messages.event_words import STATES
@@ -166,7 +166,7 @@ def _logical_ns(node: NetworkClient) -> int:
 def _left(status: MotionStatus) -> str:
     if status.state not in (MotionStatus.STATE_REACHED, MotionStatus.STATE_UNREACHABLE):
         return ""
-    return left(status.distance, status.angle)
+    return describe_left(status.distance, status.angle)
 
 
 def _angles(given: Sequence[str]) -> dict[str, float]:

@@ -23,7 +23,7 @@ from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.collision.shapes import CollisionShapes
 from arm_emulator.motion.model.obstacles import Obstacle
 
-_DRAWN = 100  # configurations
+_SAMPLES = 100  # configurations
 # Share of them above which two touching parts count as joined. Parts that only collide do so in at
 # most 0.26 (14 arms); shapes that overlap where they belong together in 0.44 and more.
 _JOINED = 0.35
@@ -34,7 +34,7 @@ OWN_SHARE = 0.2  # of the margin, between parts of the arm: their shapes and pla
 
 
 @functools.lru_cache(maxsize=8)
-def collisions_of(
+def load_collisions(
     urdf_xml: str, joint_names: tuple[str, ...], obstacles: tuple[Obstacle, ...], margin: float
 ) -> Collisions:
     """Return `Collisions`, the same for the same arguments."""
@@ -81,23 +81,25 @@ class Collisions(SharedObject):
         self._names = list(self._arm.links)
         for obstacle in obstacles:
             for shapes in (self._shapes, self._meshes):
-                shapes.addGeometryObject(_solid(obstacle))
+                shapes.addGeometryObject(_make_solid(obstacle))
             self._names.append(obstacle.name)
         self._alone = threading.Lock()  # arms of one kind share it, also those of threads
         self._close = set[tuple[int, int]]()
-        self._pair()
+        self._add_pairs()
         self._leave_out(margin)
-        self._made(margin)
+        self._prepare_tests(margin)
         pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
         self.foreign = [k for k, pair in enumerate(pairs) if pair[1] >= self._own]
         # No joint moves an obstacle; one that moves both parts moves neither towards the other.
         still = np.zeros((len(obstacles), self._arm.leads.shape[1]))
         leads = np.concatenate([self._arm.leads, still])
-        one, two = (leads[[pair[side] for pair in pairs]] for side in (0, 1))
-        self._leads = np.where((one > 0.0) & (two > 0.0), 0.0, np.maximum(one, two)).T
+        first_leads, second_leads = (leads[[pair[side] for pair in pairs]] for side in (0, 1))
+        self._leads = np.where(
+            (first_leads > 0.0) & (second_leads > 0.0), 0.0, np.maximum(first_leads, second_leads)
+        ).T
 
     @property
-    def meets_obstacles(self) -> bool:
+    def has_obstacle_pairs(self) -> bool:
         """Whether any part of the arm is tested against an obstacle."""
         return bool(self.foreign)
 
@@ -109,15 +111,15 @@ class Collisions(SharedObject):
     def first(self, q: Array) -> str:
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
         with self._alone:
-            touching = self._touching(self._arm.whole(q)) if self.pairs else []
+            touching = self._find_contacts(self._arm.compute_configuration(q)) if self.pairs else []
         return self.name(touching[0]) if touching else ""
 
-    def suspects(self, q: Array) -> Iterator[int]:
+    def find_touching(self, q: Array) -> Iterator[int]:
         """Yield the numbers of those of some configurations (K, N) in which any parts touch."""
         if self.pairs:
-            for k, whole in enumerate(self._arm.whole(q)):
+            for k, configuration in enumerate(self._arm.compute_configuration(q)):
                 with self._alone:
-                    touching = self._touching(whole)
+                    touching = self._find_contacts(configuration)
                 if touching:
                     yield k
 
@@ -125,37 +127,37 @@ class Collisions(SharedObject):
         """Return a configuration within the limits (N,)."""
         return self._arm.drawn(rng)
 
-    def moved(self, ways: Array) -> Array:
+    def moved(self, motions: Array) -> Array:
         """Return how far the parts of each pair move at most, seen from each other [m].
 
         Args:
-            ways: of the joints (..., N); returned are (..., pairs).
+            motions: of the joints (..., N); returned are (..., pairs).
         """
-        return np.asarray(self._arm.joints(ways) @ self._leads)
+        return np.asarray(self._arm.joints(motions) @ self._leads)
 
-    def gaps(self, pairs: Sequence[int], q: Array) -> dict[int, float]:
+    def measure_gaps(self, pairs: Sequence[int], q: Array) -> dict[int, float]:
         """Return distances that the parts of pairs have at least [m], each at q (pairs, N).
 
         That of their convex hulls, or the margin, where the meshes within those do not touch; pairs
         that touch are left out.
         """
         apart = {}
-        for k, whole in zip(pairs, self._arm.whole(q), strict=True):
+        for k, configuration in zip(pairs, self._arm.compute_configuration(q), strict=True):
             with self._alone:
-                if (gap := self._gap(k, whole)) is not None:
+                if (gap := self._measure_gap(k, configuration)) is not None:
                     apart[k] = gap
         return apart
 
-    def _gap(self, k: int, whole: Array) -> float | None:
+    def _measure_gap(self, k: int, configuration: Array) -> float | None:
         shapes, meshes, margin = self._shapes, self._meshes, float(self.margins[k])
-        pin.updateGeometryPlacements(self._model, self._data, shapes, self._tested, whole)
+        pin.updateGeometryPlacements(self._model, self._data, shapes, self._tested, configuration)
         apart = float(pin.computeDistance(shapes, self._tested, k).min_distance)
         if apart > margin:
             return apart
         pin.updateGeometryPlacements(self._model, self._data, meshes, self._exact)
         return None if pin.computeCollision(meshes, self._exact, k) else margin
 
-    def fresh(self, q: Array, now: Array, nearer: float) -> str:
+    def find_new_contact(self, q: Array, now: Array, nearer: float) -> str:
         """Return which two parts touch at q and not at `now`, or have come nearer; empty: none.
 
         Args:
@@ -166,36 +168,40 @@ class Collisions(SharedObject):
         if not self.first(q):
             return ""
         with self._alone:
-            touched, touching = self._all(now), self._all(q)
+            touched, touching = self._check_pairs(now), self._check_pairs(q)
         for k in np.flatnonzero(touching & ~touched):
             return self.name(int(k))
         both = np.flatnonzero(touching & touched)
         if math.isinf(nearer) or not len(both):
             return ""
-        lost = self._distances(now)[both] - self._distances(q)[both]
+        lost = self._measure_distances(now)[both] - self._measure_distances(q)[both]
         return self.name(int(both[np.argmax(lost)])) if lost.max() > nearer else ""
 
-    def _distances(self, q: Array) -> Array:
-        whole, tested = self._arm.whole(q), self._tested
+    def _measure_distances(self, q: Array) -> Array:
+        configuration, tested = self._arm.compute_configuration(q), self._tested
         with self._alone:
-            pin.computeDistances(self._model, self._data, self._shapes, tested, whole)
-            return np.array([one.min_distance for one in tested.distanceResults])
+            pin.computeDistances(self._model, self._data, self._shapes, tested, configuration)
+            return np.array([result.min_distance for result in tested.distanceResults])
 
-    def _touching(self, whole: Array) -> list[int]:
+    def _find_contacts(self, configuration: Array) -> list[int]:
         """Return the pairs whose meshes touch, of those whose convex hulls do."""
-        if not self._may_touch(whole) or not pin.computeCollisions(
-            self._model, self._data, self._shapes, self._tested, whole, False
+        if not self._may_touch(configuration) or not pin.computeCollisions(
+            self._model, self._data, self._shapes, self._tested, configuration, False
         ):
             return []
-        hulls = [k for k, one in enumerate(self._tested.collisionResults) if one.isCollision()]
+        hulls = [
+            k for k, result in enumerate(self._tested.collisionResults) if result.isCollision()
+        ]
         pin.updateGeometryPlacements(self._model, self._data, self._meshes, self._exact)
         return [k for k in hulls if pin.computeCollision(self._meshes, self._exact, k)]
 
-    def _may_touch(self, whole: Array) -> bool:
+    def _may_touch(self, configuration: Array) -> bool:
         """Return whether any hulls touch, by their boxes first, where there are many pairs."""
         if self._boxes is None:
             return True
-        pin.updateGeometryPlacements(self._model, self._data, self._shapes, self._tested, whole)
+        pin.updateGeometryPlacements(
+            self._model, self._data, self._shapes, self._tested, configuration
+        )
         self._boxes.update(False)
         return bool(pin.computeCollisions(self._boxes, True))
 
@@ -204,7 +210,7 @@ class Collisions(SharedObject):
         pair = self._shapes.collisionPairs[k]
         return f"{self._names[pair.first]} and {self._names[pair.second]}"
 
-    def _pair(self) -> None:
+    def _add_pairs(self) -> None:
         """Pair what can move towards each other, beyond neighbours."""
         shapes, parents, moved_by = (
             self._shapes.geometryObjects,
@@ -212,41 +218,43 @@ class Collisions(SharedObject):
             self._arm.moved_by,
         )
         for i in range(self._own):
-            one = shapes[i].parentJoint
+            parent = shapes[i].parentJoint
             for k in range(i + 1, len(shapes)):
-                other = shapes[k].parentJoint
-                near = k < self._own and (one == parents[other] or other == parents[one])
-                if not near and moved_by[one] != moved_by[other]:
-                    for one_of in (self._shapes, self._meshes):
-                        one_of.addCollisionPair(pin.CollisionPair(i, k))
+                second_parent = shapes[k].parentJoint
+                near = k < self._own and (
+                    parent == parents[second_parent] or second_parent == parents[parent]
+                )
+                if not near and moved_by[parent] != moved_by[second_parent]:
+                    for geometry in (self._shapes, self._meshes):
+                        geometry.addCollisionPair(pin.CollisionPair(i, k))
 
     def _leave_out(self, margin: float) -> None:
         """Leave out pairs of the arm's own parts that touch in valid poses, or their margin."""
         # Numbers, not the pairs: those move when one before them is removed.
         pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
         rng = np.random.default_rng(0)
-        poses = [self._arm.rest, *(self._arm.drawn(rng) for _ in range(_DRAWN))]
+        poses = [self._arm.rest, *(self._arm.drawn(rng) for _ in range(_SAMPLES))]
         shares = []
-        for kept in (0.0, margin):
-            self._made(kept)
-            touching = np.array([self._all(q) for q in poses])
+        for tested_margin in (0.0, margin):
+            self._prepare_tests(tested_margin)
+            touching = np.array([self._check_pairs(q) for q in poses])
             shares.append((touching[0], touching[1:].mean(axis=0)))
         (at_rest, always), (near_at_rest, near) = shares
         out = at_rest | (always > _JOINED)
         close = near_at_rest | (near - always > _NEAR)
-        self._close = {pair for pair, one in zip(pairs, close, strict=True) if one}
+        self._close = {pair for pair, belongs in zip(pairs, close, strict=True) if belongs}
         for shapes in (self._shapes, self._meshes):
             shapes.removeAllCollisionPairs()
             for pair, together in zip(pairs, out, strict=True):
                 if pair[1] >= self._own or not together:
                     shapes.addCollisionPair(pin.CollisionPair(*pair))
 
-    def _all(self, q: Array) -> npt.NDArray[np.bool_]:
+    def _check_pairs(self, q: Array) -> npt.NDArray[np.bool_]:
         touching = np.zeros(self.pairs, dtype=bool)
-        touching[self._touching(self._arm.whole(q))] = True
+        touching[self._find_contacts(self._arm.compute_configuration(q))] = True
         return touching
 
-    def _made(self, margin: float) -> None:
+    def _prepare_tests(self, margin: float) -> None:
         self._tested = self._shapes.createData()
         self._exact = self._meshes.createData()
         self.margins = np.zeros(self.pairs)
@@ -264,7 +272,7 @@ class Collisions(SharedObject):
             )
 
 
-def _solid(obstacle: Obstacle) -> Any:
+def _make_solid(obstacle: Obstacle) -> Any:
     if obstacle.height is not None:
         # A box as deep as wide: not all pairs of shapes support a half space.
         shape, at = coal.Box(2.0 * _FAR, 2.0 * _FAR, _FAR), [0.0, 0.0, obstacle.height - 0.5 * _FAR]

@@ -14,7 +14,7 @@ import pinocchio as pin
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.collision.shapes import CollisionShapes
 
-DRAWN = 10_000  # configurations: MoveIt's own assistant draws as many
+SAMPLES = 10_000  # configurations: MoveIt's own assistant draws as many
 _JUDGED = 200  # of them for `ALWAYS`
 _ALWAYS = 0.95  # share of them
 _ROUND = 100  # drawn until pairs that have touched are left out
@@ -37,33 +37,30 @@ class LinkPair(NamedTuple):
     reason: Reason
 
 
-def link_pairs(urdf_xml: str, joint_names: Sequence[str], drawn: int = DRAWN) -> list[LinkPair]:
+def find_link_pairs(
+    urdf_xml: str, joint_names: Sequence[str], samples: int = SAMPLES
+) -> list[LinkPair]:
     """Return the pairs of links that need no test for contact, sorted.
-
-    Args:
-        urdf_xml: the robot description.
-        joint_names: the joints that move.
-        drawn: configurations within the limits in which links are tested, the same ones each time.
 
     Raises:
         Refusal: a description, or a mesh in it, that cannot be read.
     """
     arm = CollisionShapes(urdf_xml, joint_names)
     links = sorted(set(arm.links))
-    reasons = dict.fromkeys(_adjacent(urdf_xml, links), Reason.ADJACENT)
+    reasons = dict.fromkeys(_find_adjacent(urdf_xml, links), Reason.ADJACENT)
     left = [pair for pair in itertools.combinations(links, 2) if pair not in reasons]
     contacts = _Contacts(arm, left)
     reasons |= dict.fromkeys(contacts.at(arm.rest), Reason.DEFAULT)
     contacts = _Contacts(arm, [pair for pair in left if pair not in reasons])
     rng = np.random.default_rng(0)
     count = dict.fromkeys(contacts.pairs, 0)
-    for number in range(drawn):
+    for number in range(samples):
         if number >= _JUDGED and number % _ROUND == 0:
             contacts = _Contacts(arm, [pair for pair in contacts.pairs if not count[pair]])
         for pair in contacts.at(arm.drawn(rng)):
             count[pair] += 1
     for pair, times in count.items():
-        if times > _ALWAYS * min(_JUDGED, drawn):
+        if times > _ALWAYS * min(_JUDGED, samples):
             reasons[pair] = Reason.ALWAYS
         elif not times:
             reasons[pair] = Reason.NEVER
@@ -78,7 +75,9 @@ class _Contacts:
         self._arm = arm
         self._hulls, self._meshes = pin.GeometryModel(arm.hulls), pin.GeometryModel(arm.meshes)
         self._links = list[tuple[str, str]]()  # of each pair of shapes
-        shapes = {link: [k for k, one in enumerate(arm.links) if one == link] for link in arm.links}
+        shapes = {
+            link: [k for k, name in enumerate(arm.links) if name == link] for link in arm.links
+        }
         for pair in self.pairs:
             for both in itertools.product(*(shapes[link] for link in pair)):
                 for model in (self._hulls, self._meshes):
@@ -91,29 +90,33 @@ class _Contacts:
         """Return the pairs that touch at q (N,)."""
         model, data = self._arm.model, self._data
         if not self.pairs or not pin.computeCollisions(
-            model, data, self._hulls, self._tested, self._arm.whole(q), False
+            model, data, self._hulls, self._tested, self._arm.compute_configuration(q), False
         ):
             return set()
-        hulls = [k for k, one in enumerate(self._tested.collisionResults) if one.isCollision()]
+        hulls = [
+            k for k, result in enumerate(self._tested.collisionResults) if result.isCollision()
+        ]
         pin.updateGeometryPlacements(model, data, self._meshes, self._exact)
         return {self._links[k] for k in hulls if pin.computeCollision(self._meshes, self._exact, k)}
 
 
-def _adjacent(urdf_xml: str, links: Sequence[str]) -> set[tuple[str, str]]:
+def _find_adjacent(urdf_xml: str, links: Sequence[str]) -> set[tuple[str, str]]:
     """Return the pairs of links that joints connect, beyond links without shapes."""
     near: dict[str, set[str]] = {}
     for joint in ET.fromstring(urdf_xml).findall("joint"):
-        ends = [one.get("link", "") for tag in ("parent", "child") for one in joint.findall(tag)]
-        for one, other in itertools.permutations(ends, 2):
-            near.setdefault(one, set()).add(other)
+        ends = [
+            link_of.get("link", "") for tag in ("parent", "child") for link_of in joint.findall(tag)
+        ]
+        for link_of, neighbour in itertools.permutations(ends, 2):
+            near.setdefault(link_of, set()).add(neighbour)
     pairs = set[tuple[str, str]]()
     for link in links:
         reached, front = {link}, [link]
         while front:
-            for other in near.get(front.pop(), set()) - reached:
-                reached.add(other)
-                if other in links:
-                    pairs.add((min(link, other), max(link, other)))
+            for neighbour in near.get(front.pop(), set()) - reached:
+                reached.add(neighbour)
+                if neighbour in links:
+                    pairs.add((min(link, neighbour), max(link, neighbour)))
                 else:
-                    front.append(other)
+                    front.append(neighbour)
     return pairs

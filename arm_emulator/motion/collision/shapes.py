@@ -1,6 +1,6 @@
 """Shapes of an arm for tests of contact: Pinocchio with coal.
 
-The shapes are those for collisions in the robot description. Every mesh stands beside its convex
+The shapes are those for collisions in the robot description. Every mesh has its convex
 hull, whose contacts are found faster and include those of the mesh.
 """
 
@@ -19,16 +19,12 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.urdf.shafts import Shafts
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
-from arm_emulator.motion.model.mesh_units import in_metres, package_folders
+from arm_emulator.motion.model.mesh_units import list_package_folders, scale_to_metres
 from arm_emulator.motion.model.pinocchio_model import WHERE
 
 
 class CollisionShapes(SharedObject):
     """Shapes of an arm, and its configurations as Pinocchio has them.
-
-    Args:
-        urdf_xml: the robot description.
-        joint_names: the joints commanded, in the order of all arrays; the others stay at 0.
 
     Attributes:
         model: the arm.
@@ -45,16 +41,16 @@ class CollisionShapes(SharedObject):
             self.model = pin.buildModelFromXML(urdf_xml)
             self.hulls = pin.buildGeomFromUrdfString(
                 self.model,
-                in_metres(urdf_xml),
+                scale_to_metres(urdf_xml),
                 pin.GeometryType.COLLISION,
-                package_dirs=package_folders(),
+                package_dirs=list_package_folders(),
             )
         except (ValueError, RuntimeError, IndexError) as error:
             rule = "have readable shapes for collisions (meshes by file:// or ROS_PACKAGE_PATH)"
             raise Refusal(WHERE, "the robot", rule, str(error).splitlines()[0]) from error
         self.meshes = pin.GeometryModel(self.hulls)
         for shape in self.hulls.geometryObjects:
-            shape.geometry = _hull(shape.geometry)
+            shape.geometry = _build_hull(shape.geometry)
         self.links = [
             str(self.model.frames[shape.parentFrame].name) for shape in self.hulls.geometryObjects
         ]
@@ -67,11 +63,11 @@ class CollisionShapes(SharedObject):
         self.moved_by = [frozenset(numbers) & {*way} for way in self.model.supports]
         """The joints commanded that move each of the model's joints."""
         shapes = self.hulls.geometryObjects
-        leads = [[self._lead(number, shape) for number in numbers] for shape in shapes]
+        leads = [[self._bound_lead(number, shape) for number in numbers] for shape in shapes]
         self.leads = np.reshape(np.array(leads, dtype=float), (len(shapes), len(numbers)))
         """Largest travel of each shape per joint (shapes, joints) [m/rad, m/m]."""
-        low = np.array([max(self._lower(joint), -np.pi) for joint in joints])
-        high = np.array([min(self._upper(joint), np.pi) for joint in joints])
+        low = np.array([max(self._read_lower(joint), -np.pi) for joint in joints])
+        high = np.array([min(self._read_upper(joint), np.pi) for joint in joints])
         self.low, self.high = self._shafts.positions(low, high)
         """Limits within a turn (N,)."""
 
@@ -86,53 +82,55 @@ class CollisionShapes(SharedObject):
         """Return a configuration within the limits (N,)."""
         return self.low + (self.high - self.low) * rng.random(len(self.low))
 
-    def whole(self, q: Array) -> Array:
+    def compute_configuration(self, q: Array) -> Array:
         """Return Pinocchio's configuration at q (..., N)."""
         angles = self._shafts.of_joints(q)
-        whole: Array = np.tile(self._neutral, (*angles.shape[:-1], 1))
+        configuration: Array = np.tile(self._neutral, (*angles.shape[:-1], 1))
         turning, places = self._turning, self._places
-        whole[..., places] = np.where(turning, np.cos(angles), angles)
-        whole[..., places[turning] + 1] = np.sin(angles[..., turning])
-        return whole
+        configuration[..., places] = np.where(turning, np.cos(angles), angles)
+        configuration[..., places[turning] + 1] = np.sin(angles[..., turning])
+        return configuration
 
-    def joints(self, ways: Array) -> Array:
+    def joints(self, motions: Array) -> Array:
         """Return how far each joint goes on ways of those commanded (..., N) [rad or m]."""
-        return np.abs(ways @ self._shafts.C.T)
+        return np.abs(motions @ self._shafts.C.T)
 
-    def _lead(self, joint: int, shape: Any) -> float:
+    def _bound_lead(self, joint: int, shape: Any) -> float:
         """Return how far a joint moves a shape per angle or way at most [m/rad, m/m]."""
         if joint not in self.model.supports[shape.parentJoint]:
             return 0.0
-        if _slides(self.model.joints[joint]):
+        if _is_sliding(self.model.joints[joint]):
             return 1.0
         shape.geometry.computeLocalAABB()
         centre = shape.placement.act(shape.geometry.aabb_center)
         length = math.hypot(*centre) + float(shape.geometry.aabb_radius)
         at = shape.parentJoint
         while at > joint:  # parents have lower numbers
-            length += math.hypot(*self.model.jointPlacements[at].translation) + self._travel(at)
+            length += math.hypot(*self.model.jointPlacements[at].translation) + self._bound_travel(
+                at
+            )
             at = self.model.parents[at]
         return length
 
-    def _travel(self, joint: int) -> float:
-        one = self.model.joints[joint]
-        if not _slides(one):
+    def _bound_travel(self, joint: int) -> float:
+        moving = self.model.joints[joint]
+        if not _is_sliding(moving):
             return 0.0
-        travel = max(-self._lower(one), self._upper(one))
+        travel = max(-self._read_lower(moving), self._read_upper(moving))
         return travel if travel < UNLIMITED else 0.0
 
-    def _lower(self, joint: Any) -> float:
+    def _read_lower(self, joint: Any) -> float:
         return float(self.model.lowerPositionLimit[joint.idx_q]) if joint.nq == 1 else -np.pi
 
-    def _upper(self, joint: Any) -> float:
+    def _read_upper(self, joint: Any) -> float:
         return float(self.model.upperPositionLimit[joint.idx_q]) if joint.nq == 1 else np.pi
 
 
-def _slides(joint: Any) -> bool:
+def _is_sliding(joint: Any) -> bool:
     return bool(joint.shortname().removeprefix("JointModel").startswith("P"))
 
 
-def _hull(shape: Any) -> Any:
+def _build_hull(shape: Any) -> Any:
     if isinstance(shape, coal.BVHModelBase):
         try:
             shape.buildConvexHull(True, "Qt")

@@ -1,4 +1,4 @@
-"""Ways of an arm in C++20: kinematics along a line, and the timing of least duration."""
+"""Paths of an arm in C++20: kinematics along a line, and the timing of least duration."""
 
 from pathlib import Path
 

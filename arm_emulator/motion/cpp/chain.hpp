@@ -5,11 +5,11 @@
 #include <cmath>
 
 #include "numerics/sincos.hpp"
-#include "way.h"
+#include "path.h"
 
-namespace way {
+namespace path {
 
-constexpr int MOST_JOINTS = 128;
+constexpr int MAX_JOINTS = 128;
 
 using Vector = std::array<double, 3>;
 using Matrix = std::array<double, 9>;  // row by row
@@ -73,12 +73,12 @@ inline Vector rotation_vector(const Matrix& R) {
 }
 
 struct Frames {
-  Matrix R[MOST_JOINTS];
-  Vector p[MOST_JOINTS], axis[MOST_JOINTS];
+  Matrix R[MAX_JOINTS];
+  Vector p[MAX_JOINTS], axis[MAX_JOINTS];
   Matrix R_tool;
   Vector p_tool;
 
-  Frames(const way_arm& arm, const double* q) {
+  Frames(const path_arm& arm, const double* q) {
     for (int i = 0; i < arm.joints; ++i) {
       const int parent = arm.parent[i];
       const Matrix own = matrix(arm.rotation + 9 * i);
@@ -100,9 +100,9 @@ struct Frames {
   }
 };
 
-inline void torques(const way_arm& arm, const Frames& at, const double* v, const double* a,
+inline void torques(const path_arm& arm, const Frames& at, const double* v, const double* a,
                     double* tau) {
-  Vector omega[MOST_JOINTS], alpha[MOST_JOINTS], acc[MOST_JOINTS], f[MOST_JOINTS], n[MOST_JOINTS];
+  Vector omega[MAX_JOINTS], alpha[MAX_JOINTS], acc[MAX_JOINTS], f[MAX_JOINTS], n[MAX_JOINTS];
   for (int i = 0; i < arm.joints; ++i) {
     const int k = arm.parent[i];
     const Vector none = {0.0, 0.0, 0.0}, &z = at.axis[i];
@@ -134,4 +134,4 @@ inline void torques(const way_arm& arm, const Frames& at, const double* v, const
   }
 }
 
-}  // namespace way
+}  // namespace path

@@ -1,4 +1,4 @@
-// Limits of coordinates, torques and tool at places along a way, in parts of them: the rows of
+// Limits of coordinates, torques and tool at places along a path, in parts of them: the rows of
 // timing.hpp, and by how much a timing exceeds them.
 #pragma once
 
@@ -8,20 +8,20 @@
 
 #include "chain.hpp"
 #include "numerics/exponential.hpp"
-#include "way.h"
+#include "path.h"
 
-namespace way {
+namespace path {
 
 constexpr int DERIVATIVES = 4;  // the curve itself among them
-constexpr double LEAST = 1e-12;
-constexpr double WITHIN = 1e-9;      // of a piece of a timing: its ends are looked at from inside
-constexpr double BESIDE = 1e-7;      // of sigma
-constexpr double LEAST_ROOM = 1e-6;  // of a limit, beside what the weight takes
+constexpr double TINY = 1e-12;
+constexpr double WITHIN = 1e-9;    // of a piece of a timing: its ends are looked at from inside
+constexpr double BESIDE = 1e-7;    // of sigma
+constexpr double MIN_ROOM = 1e-6;  // of a limit, beside what the weight takes
 
 // Coordinates and their first three derivatives by sigma at a place.
 struct Joints {
   double s[DERIVATIVES];
-  double f[DERIVATIVES][MOST_JOINTS];
+  double f[DERIVATIVES][MAX_JOINTS];
 };
 
 // s over sigma, with its first three derivatives (timed_path.py, Ramps).
@@ -43,13 +43,13 @@ inline double ramps_inverse(double ramp, double s) {
   const double top = 1.0 / (1.0 - ramp), within = s > 0.5 ? 1.0 - s : s;
   double sigma = within / top + 0.5 * ramp;
   if (sigma < ramp) {  // x^3 (1 - x / 2) rises on [0, 1]
-    const double wanted = within / (top * ramp);
+    const double target = within / (top * ramp);
     double low = 0.0, high = 1.0, x = 0.5;
     for (int k = 0; k < 60 && high - low > 1e-12; ++k) {
-      const double off = x * x * x * (1.0 - 0.5 * x) - wanted;
+      const double off = x * x * x * (1.0 - 0.5 * x) - target;
       if (std::fabs(off) < 1e-14) break;
       (off < 0.0 ? low : high) = x;
-      const double newton = x - off / std::max(x * x * (3.0 - 2.0 * x), LEAST);
+      const double newton = x - off / std::max(x * x * (3.0 - 2.0 * x), TINY);
       x = newton > low && newton < high ? newton : 0.5 * (low + high);
     }
     sigma = ramp * x;
@@ -57,7 +57,7 @@ inline double ramps_inverse(double ramp, double s) {
   return s > 0.5 ? 1.0 - sigma : sigma;
 }
 
-inline Joints joints_at(const way_curve& curve, double ramp, double sigma) {
+inline Joints joints_at(const path_curve& curve, double ramp, double sigma) {
   Joints at;
   ramps(ramp, sigma, at.s);
   const double* ends = curve.breaks + 1;
@@ -79,8 +79,8 @@ inline Joints joints_at(const way_curve& curve, double ramp, double sigma) {
 }
 
 // Frames of the links; q of the coordinates.
-inline Frames frames_at(const way_arm& arm, const double* q) {
-  double of[MOST_JOINTS];
+inline Frames frames_at(const path_arm& arm, const double* q) {
+  double of[MAX_JOINTS];
   for (int32_t i = 0; i < arm.joints; ++i) {
     of[i] = arm.offset[i];
     for (int32_t j = 0; j < arm.coordinates; ++j)
@@ -90,10 +90,10 @@ inline Frames frames_at(const way_arm& arm, const double* q) {
 }
 
 // Torques of the coordinates; v, a of them.
-inline void coordinate_torques(const way_arm& arm, const Frames& at, const double* v,
+inline void coordinate_torques(const path_arm& arm, const Frames& at, const double* v,
                                const double* a, double* tau) {
   const int32_t n = arm.coordinates;
-  double of[3][MOST_JOINTS];
+  double of[3][MAX_JOINTS];
   for (int32_t i = 0; i < arm.joints; ++i) {
     const double* row = arm.coupling + static_cast<int64_t>(i) * n;
     of[0][i] = of[1][i] = 0.0;
@@ -108,17 +108,17 @@ inline void coordinate_torques(const way_arm& arm, const Frames& at, const doubl
 
 // Rows of one place; `loaded`: with torques.
 struct RowsAt {
-  double most;
-  double first[3][2 * MOST_JOINTS + 1], third[3][MOST_JOINTS + 1];
+  double max_c;
+  double first[3][2 * MAX_JOINTS + 1], third[3][MAX_JOINTS + 1];
   int32_t firsts, thirds;
 };
 
 inline double square(double x) { return x * x; }
 
 // `same`: rows still has those of a place of the same torques.
-inline void rows_at(const way_arm* arm, const way_limits& limits, int32_t n, const Joints& at,
+inline void rows_at(const path_arm* arm, const path_limits& limits, int32_t n, const Joints& at,
                     RowsAt* rows, bool same = false) {
-  rows->most = HUGE_VAL, rows->firsts = rows->thirds = 0;
+  rows->max_c = HUGE_VAL, rows->firsts = rows->thirds = 0;
   auto first = [&](double zero, double c, double d) {
     const int32_t k = rows->firsts++;
     rows->first[0][k] = zero, rows->first[1][k] = c, rows->first[2][k] = d;
@@ -130,43 +130,44 @@ inline void rows_at(const way_arm* arm, const way_limits& limits, int32_t n, con
   for (int32_t j = 0; j < n; ++j) {
     const double f1 = at.f[1][j], f2 = at.f[2][j], f3 = at.f[3][j], a = limits.acceleration[j],
                  k = limits.jerk[j];
-    rows->most = std::min(rows->most, square(limits.speed[j] / std::max(std::fabs(f1), LEAST)));
+    rows->max_c = std::min(rows->max_c, square(limits.speed[j] / std::max(std::fabs(f1), TINY)));
     first(0.0, f2 / a, 0.5 * f1 / a);
     third(f3 / k, 1.5 * f2 / k, 0.5 * f1 / k);
   }
-  if (limits.asked > 0.0)
-    rows->most = std::min(rows->most, 1.0 / square(std::max(limits.asked * at.s[1], LEAST)));
+  if (limits.requested > 0.0)
+    rows->max_c = std::min(rows->max_c, 1.0 / square(std::max(limits.requested * at.s[1], TINY)));
   if (arm && same) {
     for (int32_t j = 0; j < n; ++j) rows->firsts += limits.torque[j] < HUGE_VAL;
   } else if (arm) {
-    const double still[MOST_JOINTS] = {};
-    double weight[MOST_JOINTS], rate[MOST_JOINTS], change[MOST_JOINTS];
+    const double still[MAX_JOINTS] = {};
+    double weight[MAX_JOINTS], rate[MAX_JOINTS], change[MAX_JOINTS];
     const Frames frames = frames_at(*arm, at.f[0]);
     coordinate_torques(*arm, frames, still, still, weight);
     coordinate_torques(*arm, frames, at.f[1], at.f[2], rate);
     coordinate_torques(*arm, frames, still, at.f[1], change);
     for (int32_t j = 0; j < n; ++j) {
-      const double most = limits.torque[j];
-      if (most < HUGE_VAL)
-        first(weight[j] / most, (rate[j] - weight[j]) / most, 0.5 * (change[j] - weight[j]) / most);
+      const double limit = limits.torque[j];
+      if (limit < HUGE_VAL)
+        first(weight[j] / limit, (rate[j] - weight[j]) / limit,
+              0.5 * (change[j] - weight[j]) / limit);
     }
   }
   if (limits.length <= 0.0) return;
   const double g1 = limits.length * at.s[1], g2 = limits.length * at.s[2],
                g3 = limits.length * at.s[3], b = limits.tool_acceleration, k = limits.tool_jerk;
-  rows->most = std::min(rows->most, square(limits.tool_speed / std::max(std::fabs(g1), LEAST)));
+  rows->max_c = std::min(rows->max_c, square(limits.tool_speed / std::max(std::fabs(g1), TINY)));
   const int64_t part = std::min<int64_t>(
       std::lower_bound(limits.ends, limits.ends + limits.parts, at.s[0]) - limits.ends,
       limits.parts - 1);
-  rows->most = std::min(rows->most, b / std::max(limits.curvature[part] * g1 * g1, LEAST));
+  rows->max_c = std::min(rows->max_c, b / std::max(limits.curvature[part] * g1 * g1, TINY));
   first(0.0, g2 / b, 0.5 * g1 / b);
   third(g3 / k, 1.5 * g2 / k, 0.5 * g1 / k);
 }
 
 // Whether a torque exceeds its limit at a place, with c and its derivative.
-inline bool overloaded(const way_arm& arm, const way_limits& limits, const Joints& at, double c,
+inline bool overloaded(const path_arm& arm, const path_limits& limits, const Joints& at, double c,
                        double d) {
-  double v[MOST_JOINTS], a[MOST_JOINTS], tau[MOST_JOINTS];
+  double v[MAX_JOINTS], a[MAX_JOINTS], tau[MAX_JOINTS];
   const double rate = std::sqrt(c);
   for (int32_t j = 0; j < arm.coordinates; ++j)
     v[j] = at.f[1][j] * rate, a[j] = at.f[2][j] * c + 0.5 * at.f[1][j] * d;
@@ -178,9 +179,9 @@ inline bool overloaded(const way_arm& arm, const way_limits& limits, const Joint
 
 // By how much a timing exceeds limits at the places where it is looked at, piece by piece.
 struct Excess {
-  const way_arm* arm;
-  const way_curve& curve;
-  const way_limits& limits;
+  const path_arm* arm;
+  const path_curve& curve;
+  const path_limits& limits;
   double ramp;
   int32_t intervals;
   const double* coefficients;
@@ -198,11 +199,11 @@ struct Excess {
     const bool loaded = arm && torques && overloaded(*arm, limits, at, c, d);
     RowsAt rows;
     rows_at(loaded ? arm : nullptr, limits, curve.columns, at, &rows);
-    double excess = c / rows.most, jerk = 0.0;
+    double excess = c / rows.max_c, jerk = 0.0;
     for (int32_t i = 0; i < rows.firsts; ++i) {
       const double moving = rows.first[1][i] * c + rows.first[2][i] * d;
       const double fixed = moving < 0.0 ? -rows.first[0][i] : rows.first[0][i];
-      excess = std::max(excess, std::fabs(moving) / std::max(1.0 - fixed, LEAST_ROOM));
+      excess = std::max(excess, std::fabs(moving) / std::max(1.0 - fixed, MIN_ROOM));
     }
     for (int32_t i = 0; i < rows.thirds; ++i) {
       const double third = rows.third[0][i] * c + rows.third[1][i] * d + rows.third[2][i] * e;
@@ -214,4 +215,4 @@ struct Excess {
   }
 };
 
-}  // namespace way
+}  // namespace path

@@ -1,4 +1,4 @@
-// The timing of least duration along a given way, by an interior-point method.
+// The timing of least duration along a given path, by an interior-point method.
 //
 // c(s) = (ds/dt)^2 is a quadratic spline. Speeds bound c, accelerations and torques are linear in
 // (c, c'), jerks are sqrt(c) times what is linear in (c, c', c''): |g| <= 1 / sqrt(c), whose right
@@ -10,50 +10,45 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <vector>
 
 #include "numerics/exponential.hpp"
-#include "way.h"
+#include "path.h"
 
-namespace way {
+namespace path {
 
 constexpr int POINTS = 3;  // of a piece: begin, middle, end
 constexpr double AT[POINTS] = {0.0, 0.5, 1.0};
 constexpr double SHARE[POINTS] = {1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0};  // Simpson
-constexpr double INSIDE = 0.8;         // of the fastest constant c: start of the search
-constexpr double BEGIN = 3.0;          // sharpness of the first barrier, per row
-constexpr double SHARPER = 20.0;       // from one barrier to the next
-constexpr int MOST_NEWTON_STEPS = 12;  // at a barrier
-constexpr int SIDE_BY_SIDE = 8;        // rows, whose product needs no logarithm on the way
-constexpr double LONGER = 4.0;         // than the step before a step may be
-constexpr double CENTRED = 1.0;        // Newton decrement at which a barrier is done
+constexpr double INSIDE = 0.8;        // of the fastest constant c: start of the search
+constexpr double BEGIN = 3.0;         // sharpness of the first barrier, per row
+constexpr double SHARPER = 20.0;      // from one barrier to the next
+constexpr int MAX_NEWTON_STEPS = 12;  // at a barrier
+constexpr int SIDE_BY_SIDE = 8;       // rows, whose product needs no logarithm on the way
+constexpr double LONGER = 4.0;        // than the step before a step may be
+constexpr double CENTRED = 1.0;       // Newton decrement at which a barrier is done
 
 struct Timing {
   int32_t intervals, firsts, thirds;
-  const double *most, *first_0, *first_c, *first_d, *third_c, *third_d, *third_e;
-  double *x, *step, *trial, *gradient, *band;           // band: (coefficients, 3)
-  double *u, *top, *f_0, *f_c, *f_d, *t_c, *t_d, *t_e;  // the same, in parts of the even timing
+  const double *max_c, *first_0, *first_c, *first_d, *third_c, *third_d, *third_e;
+  std::vector<double> x, step, trial, gradient, band;        // band: (coefficients, 3)
+  std::vector<double> u, top, f_0, f_c, f_d, t_c, t_d, t_e;  // in parts of the even timing
+
+  Timing(int32_t pieces, const double* max_c_rows, int32_t first_count, const double* first_rows,
+         int32_t third_count, const double* third_rows)
+      : intervals(pieces), firsts(first_count), thirds(third_count), max_c(max_c_rows) {
+    const int64_t n = coefficients(), p = points(), f = p * firsts, t = p * thirds;
+    first_0 = first_rows, first_c = first_rows + f, first_d = first_rows + 2 * f;
+    third_c = third_rows, third_d = third_rows + t, third_e = third_rows + 2 * t;
+    for (auto* one : {&x, &step, &trial, &gradient}) one->resize(n);
+    band.resize(3 * n);
+    for (auto* one : {&u, &top}) one->resize(p);
+    for (auto* one : {&f_0, &f_c, &f_d}) one->resize(f);
+    for (auto* one : {&t_c, &t_d, &t_e}) one->resize(t);
+  }
 
   int coefficients() const { return intervals + 2; }
   int64_t points() const { return static_cast<int64_t>(POINTS) * intervals; }
-
-  static int64_t work(int32_t intervals, int32_t firsts, int32_t thirds) {
-    const int64_t n = intervals + 2, p = static_cast<int64_t>(POINTS) * intervals;
-    return n * (4 + 3) +
-           p * (2 + 3 * static_cast<int64_t>(firsts) + 3 * static_cast<int64_t>(thirds));
-  }
-
-  void place(double* memory) {
-    const int64_t n = coefficients(), p = points();
-    auto take = [&](int64_t count) {
-      double* at = memory;
-      memory += count;
-      return at;
-    };
-    x = take(n), step = take(n), trial = take(n), gradient = take(n), band = take(3 * n);
-    u = take(p), top = take(p);
-    f_0 = take(p * firsts), f_c = take(p * firsts), f_d = take(p * firsts);
-    t_c = take(p * thirds), t_d = take(p * thirds), t_e = take(p * thirds);
-  }
 
   // Weights of three coefficients in c, c', c'' at a point of a piece.
   void weights(int at, double* w0, double* w1, double* w2) const {
@@ -67,7 +62,7 @@ struct Timing {
   double even(int32_t* at_fault) const {
     double c = 1e300;
     for (int64_t p = 0; p < points(); ++p) {
-      c = std::min(c, most[p]);
+      c = std::min(c, max_c[p]);
       for (int64_t i = p * firsts; i < (p + 1) * firsts; ++i) {
         const double room = 1.0 - std::fabs(first_0[i]);
         if (!(room > 1e-6)) {
@@ -87,7 +82,7 @@ struct Timing {
 
   void scale(double c) {
     const double root = c * std::sqrt(c);
-    for (int64_t p = 0; p < points(); ++p) top[p] = std::min(most[p] / c, 1e12);
+    for (int64_t p = 0; p < points(); ++p) top[p] = std::min(max_c[p] / c, 1e12);
     for (int64_t i = 0; i < points() * firsts; ++i)
       f_0[i] = first_0[i], f_c[i] = c * first_c[i], f_d[i] = c * first_d[i];
     for (int64_t i = 0; i < points() * thirds; ++i)
@@ -115,7 +110,8 @@ struct Timing {
         if (!(c > 0.0) || !(c < top[p])) return INFINITY;
         sum += t * SHARE[k] / intervals / std::sqrt(c) - arm::logarithm(top[p] - c);
         double product = 1.0, least = 1.0;
-        const double *f0 = f_0 + p * firsts, *fc = f_c + p * firsts, *fd = f_d + p * firsts;
+        const double *f0 = f_0.data() + p * firsts, *fc = f_c.data() + p * firsts,
+                     *fd = f_d.data() + p * firsts;
         for (int32_t i = 0; i < firsts;) {
           double of_some = 1.0;
           for (const int32_t end = std::min(firsts, i + SIDE_BY_SIDE); i < end; ++i) {
@@ -129,7 +125,8 @@ struct Timing {
         if (!(least > 0.0)) return INFINITY;
         const double root = std::sqrt(u[p]), level = 1.5 / root - 0.5 * c / (u[p] * root);
         if (thirds && !(level > 0.0)) return INFINITY;
-        const double *tc = t_c + p * thirds, *td = t_d + p * thirds, *te = t_e + p * thirds;
+        const double *tc = t_c.data() + p * thirds, *td = t_d.data() + p * thirds,
+                     *te = t_e.data() + p * thirds;
         for (int32_t i = 0; i < thirds;) {
           double of_some = 1.0;
           for (const int32_t end = std::min(thirds, i + SIDE_BY_SIDE); i < end; ++i) {
@@ -149,9 +146,8 @@ struct Timing {
 
   // Gradient and matrix at x, after the tangents are laid there.
   void derive(double t) {
-    const int n = coefficients();
-    std::fill(gradient, gradient + n, 0.0);
-    std::fill(band, band + 3 * static_cast<int64_t>(n), 0.0);
+    std::fill(gradient.begin(), gradient.end(), 0.0);
+    std::fill(band.begin(), band.end(), 0.0);
     for (int k = 0; k < POINTS; ++k) {
       double w[3][3];
       weights(k, w[0], w[1], w[2]);
@@ -166,7 +162,8 @@ struct Timing {
         const double share = t * SHARE[k] / intervals, gone = 1.0 / (top[p] - c);
         g0 = -0.5 * share / (c * root) + gone;
         h00 = 0.75 * share / (c * c * root) + gone * gone;
-        const double *f0 = f_0 + p * firsts, *fc = f_c + p * firsts, *fd = f_d + p * firsts;
+        const double *f0 = f_0.data() + p * firsts, *fc = f_c.data() + p * firsts,
+                     *fd = f_d.data() + p * firsts;
         for (int i = 0; i < firsts; ++i) {
           const double r = f0[i] + fc[i] * c + fd[i] * d, inverse = 1.0 / (1.0 - r * r);
           const double g = 2.0 * r * inverse, h = 2.0 * (1.0 + r * r) * inverse * inverse;
@@ -174,7 +171,8 @@ struct Timing {
           h00 += h * fc[i] * fc[i], h01 += h * fc[i] * fd[i], h11 += h * fd[i] * fd[i];
         }
         const double level = 1.0 / root, fall = 0.5 / (c * root);  // level - fall (c_new - c)
-        const double *tc = t_c + p * thirds, *td = t_d + p * thirds, *te = t_e + p * thirds;
+        const double *tc = t_c.data() + p * thirds, *td = t_d.data() + p * thirds,
+                     *te = t_e.data() + p * thirds;
         for (int i = 0; i < thirds; ++i) {
           const double r = tc[i] * c + td[i] * d + te[i] * e;
           const double inverse = 1.0 / (level * level - r * r);
@@ -204,7 +202,7 @@ struct Timing {
   bool newton() {
     const int n = coefficients();
     for (int i = 0; i < n; ++i) {
-      double* row = band + 3 * static_cast<int64_t>(i);  // [i][i], [i][i-1], [i][i-2]
+      double* row = band.data() + 3 * static_cast<int64_t>(i);  // [i][i], [i][i-1], [i][i-2]
       double sum = -gradient[i];
       if (i > 1) {
         row[2] /= row[-6];
@@ -240,24 +238,24 @@ struct Timing {
     if (c < 0.0) return at_fault;
     scale(c);
     const int n = coefficients();
-    std::fill(x, x + n, INSIDE);
+    std::fill(x.begin(), x.end(), INSIDE);
     const double rows = static_cast<double>(points()) * (1.0 + 2.0 * firsts + 2.0 * thirds);
     for (double t = BEGIN * rows;; t *= SHARPER) {
       double length = 1.0;
-      for (int k = 0; k < MOST_NEWTON_STEPS; ++k) {
+      for (int k = 0; k < MAX_NEWTON_STEPS; ++k) {
         derive(t);
         if (!newton()) break;
         double slope = 0.0;
         for (int i = 0; i < n; ++i) slope += gradient[i] * step[i];
         if (-slope < CENTRED) break;
-        const double here = value(x, t);
+        const double here = value(x.data(), t);
         length = std::min(1.0, LONGER * length);
         for (; length > 1e-6; length *= 0.5) {
           for (int i = 0; i < n; ++i) trial[i] = x[i] + length * step[i];
-          if (value(trial, t) <= here + 0.1 * length * slope) break;
+          if (value(trial.data(), t) <= here + 0.1 * length * slope) break;
         }
         if (!(length > 1e-6)) break;
-        std::copy(trial, trial + n, x);
+        x = trial;
       }
       derive(t);
       if (rows / t <= gap * duration()) break;
@@ -267,4 +265,4 @@ struct Timing {
   }
 };
 
-}  // namespace way
+}  // namespace path

@@ -1,33 +1,33 @@
-// Joint coordinates along a way of the tool: Newton's method from pose to pose.
+// Joint coordinates along a path of the tool: Newton's method from pose to pose.
 #pragma once
 
 #include <algorithm>
 
 #include "chain.hpp"
 
-namespace way {
+namespace path {
 
 constexpr double THERE = 1e-10;  // rad, or m per reach
-constexpr int MOST_STEPS = 12;   // from one pose to the next; two or three do
-constexpr double LONGEST = 0.5;  // rad, of a step: a longer one leaves the way
+constexpr int MAX_STEPS = 12;    // from one pose to the next; two or three do
+constexpr double LONGEST = 0.5;  // rad, of a step: a longer one leaves the path
 constexpr double DAMPING = 1e-11;
 
 // The scaled error of the tool, and its Jacobian by scaled coordinates, (rows, joints).
 struct Task {
-  double e[6], J[6][MOST_JOINTS];
+  double e[6], J[6][MAX_JOINTS];
   double size = 0.0;
 
-  Task(const way_arm& arm, int rows, const double* q, const Vector& p, const Matrix& R) {
+  Task(const path_arm& arm, int rows, const double* q, const Vector& p, const Matrix& R) {
     const int n = arm.coordinates;
-    double moved[MOST_JOINTS];
+    double moved[MAX_JOINTS];
     for (int i = 0; i < arm.joints; ++i) {
       moved[i] = arm.offset[i];
       for (int j = 0; j < n; ++j) moved[i] += arm.coupling[i * n + j] * q[j];
     }
     const Frames at(arm, moved);
     for (int r = 0; r < rows; ++r) std::fill(J[r], J[r] + n, 0.0);
-    const Vector way = p - at.p_tool;
-    for (int r = 0; r < 3; ++r) e[r] = way[r] / arm.reach;
+    const Vector offset = p - at.p_tool;
+    for (int r = 0; r < 3; ++r) e[r] = offset[r] / arm.reach;
     if (rows == 6) {
       const Matrix& T = at.R_tool;
       const Matrix back = {T[0], T[3], T[6], T[1], T[4], T[7], T[2], T[5], T[8]};
@@ -52,7 +52,7 @@ struct Task {
 };
 
 // Solve A x = b of size n, A symmetric and positive definite, by Cholesky; b becomes x.
-inline bool solve(int n, double (*A)[MOST_JOINTS], double* b) {
+inline bool solve(int n, double (*A)[MAX_JOINTS], double* b) {
   for (int i = 0; i < n; ++i) {
     for (int k = 0; k <= i; ++k) {
       double sum = A[i][k];
@@ -77,7 +77,7 @@ inline bool solve(int n, double (*A)[MOST_JOINTS], double* b) {
 
 // The shortest step of the scaled coordinates that removes the error in first order.
 inline bool shortest_step(const Task& task, int rows, int n, bool wide, double* step) {
-  double A[MOST_JOINTS][MOST_JOINTS];
+  double A[MAX_JOINTS][MAX_JOINTS];
   // Wide: J' (J J')^-1 e; else (J' J)^-1 J' e.
   const int m = wide ? rows : n;
   for (int i = 0; i < m; ++i)
@@ -89,7 +89,7 @@ inline bool shortest_step(const Task& task, int rows, int n, bool wide, double* 
         for (int r = 0; r < rows; ++r) sum += task.J[r][i] * task.J[r][k];
       A[i][k] = sum;
     }
-  double b[MOST_JOINTS];
+  double b[MAX_JOINTS];
   for (int i = 0; i < m; ++i) {
     b[i] = wide ? task.e[i] : 0.0;
     if (!wide)
@@ -105,16 +105,16 @@ inline bool shortest_step(const Task& task, int rows, int n, bool wide, double* 
 }
 
 // Move q so that the tool is in a pose; false: none found nearby.
-inline bool reach(const way_arm& arm, int rows, const Vector& p, const Matrix& R, double* q) {
+inline bool reach(const path_arm& arm, int rows, const Vector& p, const Matrix& R, double* q) {
   const int n = arm.coordinates;
   double before = 1e300;
-  for (int k = 0; k < MOST_STEPS; ++k) {
+  for (int k = 0; k < MAX_STEPS; ++k) {
     const Task task(arm, rows, q, p, R);
     if (!(task.size < 1e300)) return false;
     if (task.size <= THERE) return true;
     if (k > 2 && task.size > 0.5 * before) return task.size <= 100.0 * THERE;
     before = task.size;
-    double step[MOST_JOINTS], longest = 0.0;
+    double step[MAX_JOINTS], longest = 0.0;
     if (!shortest_step(task, rows, n, arm.tool_coordinates >= rows, step)) return false;
     for (int j = 0; j < n; ++j) longest = std::max(longest, std::fabs(step[j]));
     if (!(longest < LONGEST)) return false;
@@ -123,7 +123,7 @@ inline bool reach(const way_arm& arm, int rows, const Vector& p, const Matrix& R
   return false;
 }
 
-inline int trace(const way_arm& arm, int rows, int count, const double* p, const double* R,
+inline int trace(const path_arm& arm, int rows, int count, const double* p, const double* R,
                  const double* goal, double* q) {
   const int n = arm.coordinates;
   for (int k = 0; k < count; ++k) {
@@ -142,4 +142,4 @@ inline int trace(const way_arm& arm, int rows, int count, const double* p, const
   return count;
 }
 
-}  // namespace way
+}  // namespace path

@@ -14,7 +14,7 @@ from arm_emulator.motion.trajectory.jerk_limited_velocity import JerkLimitedVelo
 from arm_emulator.motion.trajectory.joint_trajectory import JointLimits
 from arm_emulator.motion.trajectory.tool_path import ToolLimits
 
-_MOST_MARGIN = 0.1  # of a joint's range: a gripper that slides 25 mm has some left
+_MAX_MARGIN = 0.1  # of a joint's range: a gripper that slides 25 mm has some left
 RISE = 0.05  # s, in which jogged joints take up their largest acceleration
 
 
@@ -27,7 +27,7 @@ class Controllers:
     Attributes:
         controller: for tool targets.
         config: parameters.
-        leading: the one that leads; None: none does.
+        leading: the control law that leads, or None.
         period_ns: motion period [ns].
         guard: stops the arm before parts touch; None: nobody watches.
         feedforward: what makes the servo's targets of the links' motion.
@@ -36,38 +36,38 @@ class Controllers:
     def __init__(self, controller: Controller, config: MotionConfig) -> None:
         self.controller, self.config = controller, config
         self.period_ns = round(config.period * 1e9)
-        self._ways = controller if isinstance(controller, TargetPlanner) else None
+        self._planner = controller if isinstance(controller, TargetPlanner) else None
         self.leading: Controller | None = None
         self._braking: JerkLimitedVelocity | None = None
         self.feedforward = Feedforward(controller.kinematics, config)
-        watched = config.watches_collisions
+        watched = config.has_collision_stop
         self.guard = CollisionGuard(controller.kinematics, config) if watched else None
-        if self._ways is not None:
-            self._ways.guard = self.guard
+        if self._planner is not None:
+            self._planner.guard = self.guard
 
     @property
-    def ways(self) -> TargetPlanner:
+    def planner(self) -> TargetPlanner:
         """The law for tool paths; the same if possible."""
-        if self._ways is None:
-            self._ways = TargetPlanner(self.controller.kinematics, self.config)
-        return self._ways
+        if self._planner is None:
+            self._planner = TargetPlanner(self.controller.kinematics, self.config)
+        return self._planner
 
     @property
     def braking(self) -> JerkLimitedVelocity:
         """Braking motion before a collision."""
         kinematics, config = self.controller.kinematics, self.config
         if self._braking is None:
-            self._braking = jerk_limited_velocity(kinematics, config, 0.0, ACCELERATION_SHARE)
+            self._braking = make_jerk_limited_velocity(kinematics, config, 0.0, ACCELERATION_SHARE)
         return self._braking
 
     def retune(self, config: MotionConfig) -> None:
         """Continue with other parameters; its owner retunes `controller`."""
         self.config, self._braking = config, None
-        if self._ways not in (None, self.controller):
-            self.ways.retune(config)
+        if self._planner not in (None, self.controller):
+            self.planner.retune(config)
 
 
-def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
+def make_joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     """Return the limits of joint trajectories."""
     speed = np.minimum(kinematics.velocity_limit, config.velocity_limit)
     if config.trajectory_limits == "scale":
@@ -81,20 +81,17 @@ def joint_limits(kinematics: Kinematics, config: MotionConfig) -> JointLimits:
     )
 
 
-def jerk_limited_velocity(
+def make_jerk_limited_velocity(
     kinematics: Kinematics, config: MotionConfig, margin: float, share: float = 1.0
 ) -> JerkLimitedVelocity:
     """Return joints that take up speeds, and come to rest, as in jogs and before collisions.
 
-    Args:
-        kinematics: of the arm.
-        config: parameters.
-        margin: within the position limits [rad or m]; at most `_MOST_MARGIN` of a joint's range.
-        share: of the largest acceleration.
+    They stop at a margin before their limits [rad or m], `_MAX_MARGIN` of their range at most, and
+    use a share of the largest acceleration.
     """
-    limits = joint_limits(kinematics, config)
+    limits = make_joint_limits(kinematics, config)
     acceleration = share * limits.acceleration
-    within = np.minimum(margin, _MOST_MARGIN * (limits.upper - limits.lower))
+    within = np.minimum(margin, _MAX_MARGIN * (limits.upper - limits.lower))
     return JerkLimitedVelocity(
         limits.lower + within,
         limits.upper - within,
@@ -105,7 +102,7 @@ def jerk_limited_velocity(
     )
 
 
-def tool_limits(config: MotionConfig) -> ToolLimits:
+def make_tool_limits(config: MotionConfig) -> ToolLimits:
     """Return the tool's limits along paths."""
     return ToolLimits(
         config.tool_speed,

@@ -25,17 +25,13 @@ class Feedforward:
     """Computes the servo's targets from the links' motion.
 
     With `full` these are the angles and speeds of the motors at which the links move as they shall
-    (`ElasticArm`). What is measured, the motors' angles, is not where the links are then: `links`
-    takes the wind-up off. How heavy the links are is observed at rest (`RestLoad`).
+    (`ElasticArm`). The motors' angles, which are measured, are not those of the links then:
+    `compute_link_angles` takes the wind-up off. `RestLoad` observes how heavy the links are.
 
     Attributes:
         gives: none, speed, torque (and speed), full.
         trouble: why torques are not known though they were asked for; empty: they are, or were not.
         wind_up: by how much the gears are taken to be wound up (N,) [rad]; 0 but with `full`.
-
-    Args:
-        kinematics: of the arm.
-        config: parameters.
     """
 
     def __init__(self, kinematics: Kinematics, config: MotionConfig) -> None:
@@ -64,7 +60,7 @@ class Feedforward:
             self._held: Array = np.zeros(len(names))  # by the servo's integrals, N m, negative
             self._at_rest: Array | None = None  # announced there, N m
 
-    def links(self, q: Array) -> Array:
+    def compute_link_angles(self, q: Array) -> Array:
         """Return the links' angles for measured motors at q (N,) [rad]."""
         if self._arm is not None and self._before is None:
             for _ in range(_TIMES):  # the weight is that at the links' true angles
@@ -72,11 +68,11 @@ class Feedforward:
                 self.wind_up = self._arm.wind_up(self._load.factor * weight)
         return q - self.wind_up
 
-    def standing(self, q: Array) -> Array:
+    def compute_rest_angles(self, q: Array) -> Array:
         """Return the links' angles at rest for commanded angles q, (N,) [rad]."""
         measured = q + self.wind_up
         self.forget()
-        return self.links(measured)
+        return self.compute_link_angles(measured)
 
     def forget(self) -> None:
         """Reset for the next motion."""
@@ -91,37 +87,43 @@ class Feedforward:
             return
         if movable is not None and not movable.all():
             self._held, self._at_rest = np.where(movable, self._held, 0.0), None  # as the integrals
-            self._load.brakes(movable)
+            self._load.note_brakes(movable)
             tau = None
         before = self._before
         sound = tau is not None and bool(np.isfinite(tau).all())
         if tau is not None and sound and before is not None and before.rests:
-            self._load.rests(tau, self._arm.weight(before.q_end))
+            self._load.observe_rest(tau, self._arm.weight(before.q_end))
         else:
-            self._load.moves()
+            self._load.note_motion()
 
     def complete(self, instruction: JointSetpoint) -> JointSetpoint:
         """Return the servo's targets for this motion period."""
         if self.gives == "none":
             return JointSetpoint(instruction.q)
         if self._arm is not None:
-            return self._full(self._arm, instruction)
+            return self._complete_full(self._arm, instruction)
         if self.gives == "speed" or instruction.tau is not None or self._torques is None:
             return instruction
         v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
         return replace(instruction, tau=self._torques.at(instruction.q, v))
 
-    def _full(self, arm: ElasticArm, instruction: JointSetpoint) -> JointSetpoint:
+    def _complete_full(self, arm: ElasticArm, instruction: JointSetpoint) -> JointSetpoint:
         q, period = instruction.q, self._period
         mean = np.zeros_like(q) if instruction.v is None else instruction.v
         before = self._before
         if before is not None and (np.abs(before.q_end - q) > _APART).any():
             before = None
-        now = instruction.now or _estimated(q, mean, before, period)
-        jerk = _jerk(now, before, period)
+        now = instruction.now
+        if now is None:  # by the mean speeds of this period and the last
+            a = np.zeros_like(q) if before is None else (mean - before.mean) / period
+            now = Reference(q, mean - 0.5 * a * period, a)
+        jerk = now.jerk
+        if jerk is None:
+            jerk = np.zeros_like(q) if before is None else (now.a - before.now.a) / period
+            now = replace(now, jerk=jerk)
         q_end = q + mean * period
-        then = instruction.then or _extrapolated(now, jerk, q_end, period)
-        rests = not any(one.any() for one in (mean, now.v, now.a, jerk))
+        then = instruction.then or now.after(period, q_end)
+        rests = not any(rate.any() for rate in (mean, now.v, now.a, jerk))
         if rests or before is None:
             self._factor = self._load.factor
         factor = self._factor
@@ -129,10 +131,14 @@ class Feedforward:
         ends = arm.at(q_end, then.v, then.a, jerk if then.jerk is None else then.jerk, factor)
         self._before = present = _Period(now, mean, q_end, ends, rests)
         self.wind_up = begins.theta - q
-        tau = self._announced(arm, begins, present) if instruction.tau is None else instruction.tau
+        tau = (
+            self._compute_torques(arm, begins, present)
+            if instruction.tau is None
+            else instruction.tau
+        )
         return JointSetpoint(begins.theta, (ends.theta - begins.theta) / period, tau, now)
 
-    def _announced(self, arm: ElasticArm, begins: Drive, present: _Period) -> Array:
+    def _compute_torques(self, arm: ElasticArm, begins: Drive, present: _Period) -> Array:
         """Return the torques of the present period (N,).
 
         At rest they stay as they are while the factor follows: the servo's integrals hold the rest
@@ -142,7 +148,7 @@ class Feedforward:
         tau = arm.over(begins, ends, self._period) + self._held
         if not present.rests:
             self._at_rest = None
-            return tau - self._load.let_go(arm.sliding(present.mean))
+            return tau - self._load.release_friction(arm.sliding(present.mean))
         weight = arm.over(ends, ends, self._period)
         if self._at_rest is None:
             self._at_rest = weight + self._held
@@ -163,24 +169,3 @@ class _Period:
     """Motion of the motors at its end."""
     rests: bool
     """Whether the links rest in it and after it."""
-
-
-def _estimated(q: Array, mean: Array, before: _Period | None, period: float) -> Reference:
-    """Return the motion at the beginning of a period, by the mean speeds of this and the last."""
-    a = np.zeros_like(q) if before is None else (mean - before.mean) / period
-    return Reference(q, mean - 0.5 * a * period, a)
-
-
-def _extrapolated(now: Reference, jerk: Array, q_end: Array, period: float) -> Reference:
-    """Return the motion at the end of a period in which the jerk lasts."""
-    v = now.v + now.a * period + 0.5 * jerk * period**2
-    return Reference(q_end, v, now.a + jerk * period, jerk)
-
-
-def _jerk(now: Reference, before: _Period | None, period: float) -> Array:
-    if now.jerk is not None:
-        return now.jerk
-    if before is None:
-        return np.zeros_like(now.q)
-    jerk: Array = (now.a - before.now.a) / period
-    return jerk

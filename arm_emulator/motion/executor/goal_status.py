@@ -8,7 +8,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 CANCELLED = "cancelled"  # the reason of an order that its sender ended
-MOST_WAITING = 100  # reports that nobody has taken; a node takes them every period
+MAX_WAITING = 100  # reports that nobody has taken; a node takes them every period
 
 
 class Kind(enum.IntEnum):
@@ -37,7 +37,7 @@ class State(enum.IntEnum):
     ABORTED = 7
 
     @property
-    def final(self) -> bool:
+    def is_final(self) -> bool:
         """Whether it is final."""
         return self not in (State.ACCEPTED, State.MOVING)
 
@@ -51,7 +51,7 @@ class Progress:
     distance: float = math.nan
     """Distance of the tool from its end pose [m]; NaN: unknown."""
     angle: float = math.nan
-    """The same for its orientation [rad]."""
+    """Rotation of the tool from its end pose [rad]; NaN: unknown."""
 
 
 MOVING = Progress(State.MOVING)
@@ -70,10 +70,10 @@ class GoalStatus(Progress):
     def __str__(self) -> str:
         order, state = self.kind.name.lower().replace("_", " "), self.state.name.lower()
         why = f": {self.reason}" if self.reason else ""
-        return f"{order} {self.number} {state}{left(self.distance, self.angle)}{why}"
+        return f"{order} {self.number} {state}{describe_left(self.distance, self.angle)}{why}"
 
 
-def left(distance: float, angle: float) -> str:
+def describe_left(distance: float, angle: float) -> str:
     """Return the remaining way in words, empty if neither distance [m] nor angle [rad] is known."""
     parts = ((1e3 * distance, "mm"), (angle, "rad"))
     known = ", ".join(f"{value:.3g} {unit}" for value, unit in parts if math.isfinite(value))
@@ -86,7 +86,7 @@ class Reports:
     def __init__(self) -> None:
         self.numbers: Counter[Kind] = Counter()
         """Number of orders of each kind so far."""
-        self.waiting: deque[GoalStatus] = deque(maxlen=MOST_WAITING)
+        self.waiting: deque[GoalStatus] = deque(maxlen=MAX_WAITING)
 
     def next_number(self, kind: Kind) -> int:
         """Return the number of a new one."""
@@ -100,8 +100,8 @@ class Reports:
 
     def add(self, progress: Progress, kind: Kind, number: int, stamp_ns: int) -> None:
         """Report the progress of one."""
-        one = GoalStatus(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
-        self.waiting.append(one)
+        status = GoalStatus(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
+        self.waiting.append(status)
 
     @property
     def newest(self) -> GoalStatus | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -18,15 +17,14 @@ from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.limited_joint_trajectory import (
     DelayedTrajectory,
-    MotionInSeconds,
     TimedMotion,
-    within_limits,
+    fit_trajectory,
 )
-from arm_emulator.motion.planner.target_planner import TargetPlanner, angles_over
+from arm_emulator.motion.planner.target_planner import TargetPlanner, sample_angles
 from arm_emulator.motion.planner.tool_controller import Controller
 from arm_emulator.motion.planner.tool_path_planner import plan_path
 from arm_emulator.motion.trajectory.joint_trajectory import JointTrajectory
-from arm_emulator.motion.trajectory.resumed import Resumed
+from arm_emulator.motion.trajectory.time_scaling import Resumed
 from arm_emulator.motion.trajectory.tolerances import Tolerances
 from arm_emulator.motion.trajectory.tool_path import ToolPath
 
@@ -46,12 +44,12 @@ class Planned:
     """A motion that was checked to its end before it began, and where an order is on it."""
 
     motion: Motion
-    gone: float
+    elapsed: float
     """Time within it at the end of the motion period [s]."""
 
 
-class Goal(Protocol):
-    """Interface of all orders.
+class Goal:
+    """An order of any kind.
 
     Attributes:
         kind: of the request.
@@ -59,45 +57,77 @@ class Goal(Protocol):
     """
 
     kind: Kind
-    stamp_ns: int
+    stamp_ns = 0
 
     @property
-    def way(self) -> str:
+    def path_text(self) -> str:
         """Kind of its way and the reason, as text; empty: unknown."""
+        return ""
 
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """Take over from `reference`.
 
         Raises:
             Refusal: it cannot be begun so. Nothing has changed then.
         """
+        raise NotImplementedError
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """Continue after a standstill, from rest at `reference`.
 
         Raises:
             Refusal: it cannot be continued so. Nothing has changed then.
         """
+        self.begin(controllers, now_ns, reference)
 
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """Return the joint targets of this motion period.
 
         Raises:
             PlanningError: a motion that would begin now leads to a collision, or far past its end.
                 Nothing has changed then.
         """
+        raise NotImplementedError
 
     def reference(self, now_ns: int) -> Reference | None:
         """Return the joints' commanded motion; None: that of the last instruction."""
+        raise NotImplementedError
 
     def planned(self) -> Planned | None:
         """Return its motion, after `instruct`, on which parts keep apart; None: not known."""
+        return None
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """Return its progress, after `instruct`, by the measured angles and speeds."""
+        raise NotImplementedError
+
+    def _check_motion(self, controllers: Controllers, motion: Motion) -> None:
+        """Check a motion to its end."""
+        if controllers.guard is not None:
+            controllers.guard.check(self.kind.topic, sample_angles(motion))
 
 
-class TargetGoal:
+class _ToolGoal(Goal):
+    """An order by which a control law moves the tool."""
+
+    _law: Controller
+
+    @property
+    def path_text(self) -> str:
+        """See `Goal`."""
+        return self._law.path_text
+
+    def reference(self, now_ns: int) -> Reference | None:
+        """See `Goal`."""
+        return self._law.coming
+
+    def planned(self) -> Planned | None:
+        """See `Goal`."""
+        law = self._law
+        return Planned(law.motion, law.elapsed) if isinstance(law, TargetPlanner) else None
+
+
+class TargetGoal(_ToolGoal):
     """Order to bring the tool to a pose."""
 
     kind = Kind.TOOL_TARGET
@@ -106,100 +136,76 @@ class TargetGoal:
         self.stamp_ns, self.pose = stamp_ns, pose
         self._held: Array | None = None
 
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        self._law, self._arrival = laws.controller, _Arrival(laws.config)
-        if laws.leading is not self._law:
+        self._law, self._arrival = controllers.controller, _Arrival(controllers.config)
+        if controllers.leading is not self._law:
             self._law.begin_moving(reference)
-            laws.leading = self._law
+            controllers.leading = self._law
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        laws.leading = None
+        controllers.leading = None
         self._held = None
-        self.begin(laws, now_ns, reference)
+        self.begin(controllers, now_ns, reference)
 
-    @property
-    def way(self) -> str:
-        """See `Goal`."""
-        return self._law.way
-
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         if self._held is not None:
             return JointSetpoint(self._held)
         instruction = self._law.update(q, self.pose)
-        if self._law.coming is None and self._arrival.stalls(now_ns):
+        if self._law.coming is None and self._arrival.is_stalled(now_ns):
             # Eq. (6) would never give up.
             self._held = q
         return instruction
-
-    def reference(self, now_ns: int) -> Reference | None:
-        """See `Goal`."""
-        return self._law.coming
-
-    def planned(self) -> Planned | None:
-        """See `Goal`."""
-        return _planned(self._law) if isinstance(self._law, TargetPlanner) else None
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Goal`."""
         return self._arrival.progress(now_ns, self._law, q, v)
 
 
-class PathGoal:
+class PathGoal(_ToolGoal):
     """Order to move the tool along a path."""
 
     kind = Kind.TOOL_PATH
+    _law: TargetPlanner
 
     def __init__(self, path: ToolPath) -> None:
         self.stamp_ns, self._path = path.stamp_ns, path
-        self.way = ""
 
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        law, leading = laws.ways, laws.leading
-        config = laws.config
-        if leading is not law:
+        law, config = controllers.planner, controllers.config
+        if controllers.leading is not law:
             law.begin_moving(reference)
         scaled = config.trajectory_limits == "scale"
-        self._motion = motion = plan_path(law, self._path, reference, now_ns, scaled)
-        _check(laws, self.kind, motion)
-        laws.leading = law
-        law.follow(self._motion)
-        self._law, self._arrival = law, _Arrival(config)
+        motion = plan_path(law, self._path, reference, now_ns, scaled)
+        self._check_motion(controllers, motion)
+        controllers.leading = self._law = law
+        law.follow(motion, f"in {motion.duration:.3g} s")
+        self._arrival = _Arrival(config)
         self._watch = PathMonitor(law.kinematics, self._path.poses, config.tool_path_tolerance)
-        self.way = f"in {self._motion.duration:.3g} s"
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         law = self._law
-        left = Resumed(law.motion, law.gone, reference, law.limits)
-        _check(laws, self.kind, left)
+        left = Resumed(law.motion, law.elapsed, reference, law.limits)
+        self._check_motion(controllers, left)
         law.begin_moving(reference)
-        laws.leading = law
-        law.follow(left)
-        self.way = f"goes on, in {left.duration:.3g} s"
+        controllers.leading = law
+        law.follow(left, left.path_text)
 
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         instruction = self._law.go_on(q, self._path.poses[-1])
         self._watch.see(instruction.q, q)
         return instruction
 
-    def reference(self, now_ns: int) -> Reference | None:
-        """See `Goal`."""
-        return self._law.coming
-
-    def planned(self) -> Planned:
-        """See `Goal`."""
-        return _planned(self._law)
-
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Goal`."""
         if self._watch.broken:
             return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
-        if not self._law.resting:
+        if not self._law.is_resting:
             return MOVING
         progress = self._arrival.progress(now_ns, self._law, q, v)
         missed = self._watch.missed
@@ -208,89 +214,82 @@ class PathGoal:
         return progress
 
 
-class TrajectoryGoal:
+class TrajectoryGoal(Goal):
     """Order to move the joints along a trajectory."""
 
     kind = Kind.JOINT_TRAJECTORY
+    _motion: TimedMotion
 
     def __init__(self, trajectory: JointTrajectory, tolerances: Tolerances) -> None:
         self.stamp_ns, self.trajectory = trajectory.stamp_ns, trajectory
         self._tolerances = tolerances
-        self._motion: TimedMotion
 
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         start_ns = self.stamp_ns or now_ns
-        scaled = laws.config.trajectory_limits == "scale"
-        motion = within_limits(laws.ways, self.trajectory, now_ns, start_ns, reference, scaled)
-        self._follow(laws, motion, now_ns)
-        self._start_ns = start_ns
-        laws.leading = None
+        scaled = controllers.config.trajectory_limits == "scale"
+        motion = fit_trajectory(
+            controllers.planner, self.trajectory, now_ns, start_ns, reference, scaled
+        )
+        self._follow(controllers, motion, now_ns)
+        self._late_ns = now_ns - start_ns  # when it began
+        controllers.leading = None
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        left = DelayedTrajectory(self._motion, self._at_ns, now_ns, reference, laws.ways.limits)
-        self._follow(laws, left, now_ns)
+        since = self._time(self._at_ns)
+        left = DelayedTrajectory(self._motion, since, reference, controllers.planner.limits)
+        self._follow(controllers, left, now_ns)
 
-    def _follow(self, laws: Controllers, motion: TimedMotion, now_ns: int) -> None:
-        whole = MotionInSeconds(motion, now_ns)
-        if not self.trajectory.stops:
-            _check(laws, self.kind, whole)
-        self._motion, self._whole, self._began_ns, self._at_ns = motion, whole, now_ns, now_ns
+    def _follow(self, controllers: Controllers, motion: TimedMotion, now_ns: int) -> None:
+        if not self.trajectory.is_stop:
+            self._check_motion(controllers, motion)
+        self._motion, self._began_ns, self._at_ns = motion, now_ns, now_ns
+
+    def _time(self, now_ns: int) -> float:
+        """Return the time since its motion began [s]."""
+        return (now_ns - self._began_ns) * _SECONDS
 
     @property
-    def way(self) -> str:
+    def path_text(self) -> str:
         """See `Goal`."""
-        return self._motion.way
+        return self._motion.path_text
 
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
-        self._at_ns, self._period = now_ns, laws.config.period
-        now, then = (self._motion.at(now_ns + t) for t in (0, laws.period_ns))
+        self._at_ns, self._period = now_ns, controllers.config.period
+        now, then = self.reference(now_ns), self.reference(now_ns + controllers.period_ns)
         effort = None
-        if not self.trajectory.stops:
-            effort = self.trajectory.effort(self._motion.asked_ns(now_ns), self._start_ns)
-        v = (then.q - now.q) / (laws.period_ns * _SECONDS)
+        if not self.trajectory.is_stop:
+            requested_ns = self._motion.find_requested_ns(self._time(now_ns))
+            effort = self.trajectory.compute_effort(self._late_ns + requested_ns)
+        v = (then.q - now.q) / (controllers.period_ns * _SECONDS)
         return JointSetpoint(now.q, v, effort, now, then)
 
-    def reference(self, now_ns: int) -> Reference | None:
+    def reference(self, now_ns: int) -> Reference:
         """See `Goal`."""
-        return self._motion.at(now_ns)
+        return self._motion.at(self._time(now_ns))
 
     def planned(self) -> Planned | None:
         """See `Goal`."""
-        gone = (self._at_ns - self._began_ns) * _SECONDS + self._period
-        return None if self.trajectory.stops else Planned(self._whole, gone)
+        gone = self._time(self._at_ns) + self._period
+        return None if self.trajectory.is_stop else Planned(self._motion, gone)
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Goal`."""
-        asked = self._motion.at(now_ns)
-        q_error, v_error = asked.q - q, None if v is None else asked.v - v
+        expected = self.reference(now_ns)
+        q_error, v_error = expected.q - q, None if v is None else expected.v - v
         names = self.trajectory.joint_names
-        late = (now_ns - self._motion.end_ns) * _SECONDS
+        late = self._time(now_ns) - self._motion.duration
         if late < 0.0:
-            broken = self._tolerances.path.broken(names, q_error, v_error)
+            broken = self._tolerances.path.describe_excess(names, q_error, v_error)
             return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {broken}") if broken else MOVING
-        broken = self._tolerances.goal.broken(names, q_error, v_error)
+        broken = self._tolerances.goal.describe_excess(names, q_error, v_error)
         if not broken:
             return Progress(State.REACHED)
         if 0.0 < self._tolerances.goal_time < late:
             return Progress(State.ABORTED, f"{GOAL_TOLERANCE} after {late:.3g} s: {broken}")
         return MOVING
-
-
-def _planned(law: TargetPlanner) -> Planned:
-    return Planned(law.motion, law.gone)
-
-
-def _check(laws: Controllers, kind: Kind, motion: Motion) -> None:
-    """Check a motion to its end.
-
-    Raises:
-        PlanningError: parts would touch.
-    """
-    if laws.guard is not None:
-        laws.guard.check(kind.topic, angles_over(motion))
 
 
 class _Arrival:
@@ -301,7 +300,7 @@ class _Arrival:
         self._best = math.inf
         self._best_at: int | None = None
 
-    def stalls(self, now_ns: int) -> bool:
+    def is_stalled(self, now_ns: int) -> bool:
         """Whether the tool has come no nearer for a while."""
         return self._best_at is not None and (now_ns - self._best_at) * _SECONDS >= PATIENCE
 
@@ -311,19 +310,19 @@ class _Arrival:
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))
         angle = float(np.linalg.norm(error[POSITION_ROWS:])) if len(error) > POSITION_ROWS else 0.0
         size = max(distance / config.reached_within, angle / config.reached_within_angle)
-        shown = angle if len(error) > POSITION_ROWS else math.nan
-        rests = law.resting and self._rests(law, q, v)
+        reported_angle = angle if len(error) > POSITION_ROWS else math.nan
+        rests = law.is_resting and self._is_resting(law, q, v)
         if self._best_at is None or size < _SMALLER * self._best or size <= 1.0:
             self._best, self._best_at = size, now_ns
         if size <= 1.0 and rests:
-            return Progress(State.REACHED, "", distance, shown)
-        if not law.resting and law.coming is not None:
+            return Progress(State.REACHED, "", distance, reported_angle)
+        if not law.is_resting and law.coming is not None:
             self._best_at = now_ns
-        if rests and self.stalls(now_ns):
-            return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, shown)
-        return Progress(State.MOVING, "", distance, shown)
+        if rests and self.is_stalled(now_ns):
+            return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, reported_angle)
+        return Progress(State.MOVING, "", distance, reported_angle)
 
-    def _rests(self, law: Controller, q: Array, v: Array | None) -> bool:
+    def _is_resting(self, law: Controller, q: Array, v: Array | None) -> bool:
         """Whether the measured tool needs more than `_STAYS` to leave what counts as reached."""
         if v is None:
             return True

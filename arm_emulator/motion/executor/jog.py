@@ -36,7 +36,7 @@ class JogStatus(enum.IntEnum):
 
     @property
     def words(self) -> str:
-        """The same as text."""
+        """Name of the limit as text."""
         return self.name.lower().replace("_", " ").replace("decelerate", "slower")
 
 
@@ -54,7 +54,7 @@ class JogCommand:
     """Joint speeds (N,) [rad/s or m/s]."""
 
 
-def twist_command(
+def make_twist_command(
     time_ns: int,
     twist: Sequence[float],
     link: str,
@@ -63,36 +63,31 @@ def twist_command(
 ) -> JogCommand:
     """Return a command for the tool in m/s and rad/s, within the scales.
 
-    Args:
-        time_ns: logical time of it [ns].
-        twist: translation and rotation (6,), by the parameters unitless or in m/s and rad/s.
-        link: along whose axes; empty, or ``world``: those of the base.
-        kinematics: of the arm.
-        config: parameters.
+    The twist (6,) is along the axes of a link, or of the base if that is empty or ``world``.
 
     Raises:
         Refusal: an unknown link, numbers that are not finite, or a turn where the task does not
             rule it.
     """
-    given = _TWIST.row("delta_twist_cmds", twist, POSE_ROWS)
-    if not kinematics.turns_tool and given[POSITION_ROWS:].any():
+    values = _TWIST.row("delta_twist_cmds", twist, POSE_ROWS)
+    if not kinematics.has_orientation and values[POSITION_ROWS:].any():
         rule = "be 0 with a task of 3 rows (task: position)"
-        raise Refusal("delta_twist_cmds", "twist.angular", rule, given[POSITION_ROWS:].tolist())
+        raise Refusal("delta_twist_cmds", "twist.angular", rule, values[POSITION_ROWS:].tolist())
     if link in ("world", kinematics.base):
         link = ""
     if link and link not in (*kinematics.links, kinematics.tool):
         rule, valid = "be a link of the robot", ", ".join(kinematics.links)
         raise Refusal("delta_twist_cmds", "header.frame_id", rule, link, valid)
     scales = config.jog_scale_linear, config.jog_scale_rotational
-    parts = given[:POSITION_ROWS], given[POSITION_ROWS:]
+    parts = values[:POSITION_ROWS], values[POSITION_ROWS:]
     if config.jog_command_in_type == UNITLESS:
         both = [scale * part for scale, part in zip(scales, parts, strict=True)]
     else:
-        both = [_at_most(part, scale) for scale, part in zip(scales, parts, strict=True)]
+        both = [_limit_length(part, scale) for scale, part in zip(scales, parts, strict=True)]
     return JogCommand(time_ns, np.concatenate(both), link)
 
 
-def joint_command(
+def make_joint_command(
     time_ns: int,
     names: Sequence[str],
     velocities: Sequence[float],
@@ -104,17 +99,17 @@ def joint_command(
     Raises:
         Refusal: unknown or repeated joints, another number of speeds, or not finite ones.
     """
-    where, known = "delta_joint_cmds", kinematics.joint_names
-    check_known_joints(where, names, known)
+    where, arm_joints = "delta_joint_cmds", kinematics.joint_names
+    check_known_joints(where, names, arm_joints)
     if len(set(names)) != len(names) or not names:
         raise Refusal(where, "joint_names", "name joints, each once", list(names))
-    given = _SPEED.row(where, velocities, len(names))
-    speeds = np.zeros(len(known))
+    values = _SPEED.row(where, velocities, len(names))
+    speeds = np.zeros(len(arm_joints))
     scale = config.jog_scale_joint if config.jog_command_in_type == UNITLESS else 1.0
-    speeds[[known.index(name) for name in names]] = scale * given
+    speeds[[arm_joints.index(name) for name in names]] = scale * values
     return JogCommand(time_ns, None, "", speeds)
 
 
-def _at_most(part: Array, size: float) -> Array:
+def _limit_length(part: Array, size: float) -> Array:
     norm = float(np.linalg.norm(part))
     return part if norm <= size else part * (size / norm)

@@ -8,8 +8,9 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.executor.controllers import Controllers, jerk_limited_velocity
+from arm_emulator.motion.executor.controllers import Controllers, make_jerk_limited_velocity
 from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress, State
+from arm_emulator.motion.executor.goals import Goal
 from arm_emulator.motion.executor.jog import JogCommand, JogStatus
 from arm_emulator.motion.executor.tool_directions import Speeds, ToolDirections
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
@@ -18,107 +19,95 @@ from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.target_planner import ACCELERATION_SHARE
 
 
-class JogGoal:
+class JogGoal(Goal):
     """Follows the newest jog command, and comes to rest when it is too old.
 
     Attributes:
+        command: the newest.
         status: limit of the motion.
         words: the same as text.
     """
 
     kind = Kind.JOG
-    stamp_ns = 0
-    way = ""
 
     def __init__(self, command: JogCommand) -> None:
-        self._command = command
+        self.command = command
         self.status, self.words = JogStatus.NO_WARNING, ""
 
     @classmethod
     def stop(cls, now_ns: int, joints: int) -> JogGoal:
-        """Return the order to come to rest at once."""
+        """Return the order to come to rest from now on."""
         return cls(JogCommand(now_ns, None, "", np.zeros(joints)))
 
-    def take(self, command: JogCommand) -> None:
-        """Follow another command."""
-        self._command = command
-
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        margin = laws.config.jog_joint_limit_margin
-        self._joints = jerk_limited_velocity(
-            laws.controller.kinematics, laws.config, margin, ACCELERATION_SHARE
+        margin = controllers.config.jog_joint_limit_margin
+        self._joints = make_jerk_limited_velocity(
+            controllers.controller.kinematics, controllers.config, margin, ACCELERATION_SHARE
         )
         self._joints.begin(reference)
-        self._line = JogLine(laws.controller.kinematics)
+        self._line = JogLine(controllers.controller.kinematics)
         self._stale = False
-        laws.leading = None
+        controllers.leading = None
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
-        self.begin(laws, now_ns, reference)
-
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
-        """See `Goal`."""
-        now, config = self._joints.now, laws.config
-        command = self._command
+        now, config, command = self._joints.now, controllers.config, self.command
         timeout = round(config.jog_incoming_command_timeout * 1e9)
         self._stale = now_ns - command.time_ns > timeout
         speeds = Speeds(np.zeros_like(now.q))
         if self._stale or command.twist is None:
             self._line.leave()
         if not self._stale:
-            speeds = self._speeds(laws, command, now)
-        self.status = speeds.status
-        self.words = self.status.words
-        v = self._bounded(laws, command, now.q, speeds.v)
-        mean = self._joints.go(v, alone=command.joints is not None)
-        guard = laws.guard
-        touching = "" if guard is None else guard.ahead(self._joints, now.q, self._joints.now)
-        if touching:
+            speeds = self._compute_speeds(controllers, now)
+        self.status, self.words = speeds.status, speeds.status.words
+        v = self._limit_speeds(controllers, now.q, speeds.v)
+        mean = self._joints.accelerate(v, alone=command.joints is not None)
+        guard = controllers.guard
+        if guard and (touching := guard.check_ahead(self._joints, now.q, self._joints.now)):
             self.status, self.words = JogStatus.HALT_FOR_COLLISION, f"{touching} would touch"
             self._joints.begin(now)
-            mean = self._joints.halt()
+            mean = self._joints.stop_joints()
         return JointSetpoint(now.q, mean, None, now)
 
-    def _speeds(self, laws: Controllers, command: JogCommand, now: Reference) -> Speeds:
+    def _compute_speeds(self, controllers: Controllers, now: Reference) -> Speeds:
+        command = self.command
         if command.joints is not None:
             return Speeds(command.joints)
         assert command.twist is not None
-        kinematics = laws.controller.kinematics
+        kinematics = controllers.controller.kinematics
         # Speeds taken up in this period hold at its end.
-        coming = now.q + laws.config.period * now.v
+        coming = now.q + controllers.config.period * now.v
         twist = command.twist
         if command.link:
             R_WL = kinematics.axes(command.link, coming)
             twist = np.concatenate([R_WL @ twist[:3], R_WL @ twist[3:]])
         here = ToolDirections(kinematics, coming)
-        speeds = here.speeds(twist, laws.config, self._joints.brakes)
+        speeds = here.compute_speeds(twist, controllers.config, self._joints.limit_brake_share)
         if speeds.status is not JogStatus.NO_WARNING:
             self._line.leave()  # what leads back may be what is lost there
             return speeds
-        back = self._line.back(coming, now.v, command.twist, twist)
-        return replace(speeds, v=speeds.v + here.speeds(back, laws.config).v)
+        back = self._line.compute_return(coming, now.v, command.twist, twist)
+        return replace(speeds, v=speeds.v + here.compute_speeds(back, controllers.config).v)
 
-    def _bounded(self, laws: Controllers, command: JogCommand, q: Array, v: Array) -> Array:
+    def _limit_speeds(self, controllers: Controllers, q: Array, v: Array) -> Array:
         """Return the permitted speeds: a tool keeps its direction, joints are limited singly."""
-        allowed = self._joints.allowed(q, v)
-        held = [laws.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)]
-        if held:
+        allowed = self._joints.limit_shares(q, v)
+        slowed = [
+            controllers.controller.kinematics.joint_names[j] for j in np.flatnonzero(allowed < 1.0)
+        ]
+        if slowed:
             self.status = JogStatus.JOINT_BOUND
-            self.words = f"{self.status.words}: {', '.join(held)}"
-        return v * (allowed if command.joints is not None else allowed.min())
+            self.words = f"{self.status.words}: {', '.join(slowed)}"
+        return v * (allowed if self.command.joints is not None else allowed.min())
 
     def reference(self, now_ns: int) -> Reference | None:
         """See `Goal`."""
         return self._joints.now
 
-    def planned(self) -> None:
-        """See `Goal`."""
-
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Goal`."""
-        if self._stale and not self._joints.moving:
+        if self._stale and not self._joints.is_moving:
             return Progress(State.REACHED, "no command any more, at rest")
         return MOVING
 
@@ -127,17 +116,13 @@ class JogGoal:
 # to come back to. The line begins where the tool rests, or where it goes along the twist. It shifts
 # with the tool along the twist: how far the tool has come is the lever's business.
 GAIN = 15.0  # 1/s, of the distance from the line
-MOST = 0.3  # of the twist, that leads back at most
+MAX_SHARE = 0.3  # of the twist, that leads back at most
 _SAME = 0.9998  # cosine: 1 degree
 _ALONG = 0.02  # of the twist, that may lead aside where a line begins
 
 
 class JogLine:
-    """The line of one arm's jog.
-
-    Args:
-        kinematics: of the arm.
-    """
+    """The line of one arm's jog."""
 
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics = kinematics
@@ -148,47 +133,43 @@ class JogLine:
         """Forget the line."""
         self._place = None
 
-    def back(self, q: Array, v: Array, command: Array, twist: Array) -> Array:
+    def compute_return(self, q: Array, v: Array, command: Array, twist: Array) -> Array:
         """Return the twist that leads the tool back to its line (6,) [m/s, rad/s].
 
-        Args:
-            q: joint angles (N,).
-            v: joint speeds (N,).
-            command: twist as commanded (6,), which keeps its direction in the frame of the command.
-            twist: the same along the world's axes (6,).
+        `command` is the commanded twist in its own frame, `twist` the same along the world's axes.
         """
         kinematics, rows = self._kinematics, self._kinematics.rows
         scale, back = kinematics.scale, np.zeros(POSE_ROWS)
-        wanted = scale * twist[:rows]
-        size = float(np.linalg.norm(wanted))
-        if size == 0.0 or not self._goes_on(command):
+        scaled_twist = scale * twist[:rows]
+        size = float(np.linalg.norm(scaled_twist))
+        if size == 0.0 or not self._is_same_direction(command):
             self.leave()
         self._command = command
         if size == 0.0:
             return back
         if self._place is None:
             tool = scale * (kinematics.jacobian(q) @ v)
-            if np.linalg.norm(_aside(tool, wanted)) <= _ALONG * size:
+            if np.linalg.norm(_remove_along(tool, scaled_twist)) <= _ALONG * size:
                 R_WT, p_WT = kinematics.forward(q)
                 self._place = Pose(p_WT, R_WT)
             return back
         off = scale * kinematics.tool_error(q, self._place)
-        passed = -float(off @ wanted) / size**2
+        passed = -float(off @ scaled_twist) / size**2
         self._place = Pose(
             self._place.p_WT + passed * twist[:POSITION_ROWS],
             pin.exp3(passed * twist[POSITION_ROWS:]) @ self._place.R_WT,
         )
-        aside = GAIN * _aside(off, wanted)
-        much = float(np.linalg.norm(aside)) / (MOST * size)
+        aside = GAIN * _remove_along(off, scaled_twist)
+        much = float(np.linalg.norm(aside)) / (MAX_SHARE * size)
         back[:rows] = aside / scale / max(1.0, much)
         return back
 
-    def _goes_on(self, command: Array) -> bool:
+    def _is_same_direction(self, command: Array) -> bool:
         norms = float(np.linalg.norm(command) * np.linalg.norm(self._command))
         return float(command @ self._command) >= _SAME * norms > 0.0
 
 
-def _aside(one: Array, along: Array) -> Array:
+def _remove_along(vector: Array, along: Array) -> Array:
     """Return the part of a vector across another."""
-    across: Array = one - along * float(one @ along) / float(along @ along)
+    across: Array = vector - along * float(vector @ along) / float(along @ along)
     return across

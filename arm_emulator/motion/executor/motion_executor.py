@@ -15,9 +15,9 @@ from arm_emulator.motion.executor.goal_queue import (
     AcceptedGoal,
     GoalQueue,
     check_wait,
-    path_goal,
-    stop_goal,
-    trajectory_goal,
+    make_path_goal,
+    make_stop_goal,
+    make_trajectory_goal,
 )
 from arm_emulator.motion.executor.goal_status import (
     CANCELLED,
@@ -56,9 +56,6 @@ class MotionExecutor:
     Its results are checked. If one is not finite, or beyond the bound of joint positions, the
     instructor forgets everything and holds the arm where it is.
 
-    Args:
-        config: parameters.
-
     Attributes:
         restarts: how often that happened.
         trouble: why, the last time, in words.
@@ -74,7 +71,7 @@ class MotionExecutor:
         self._config = config or MotionConfig()
         self._coming = GoalQueue()
         self._active: AcceptedGoal | None = None
-        self._laws: Controllers | None = None
+        self._controllers: Controllers | None = None
         self._stream = TargetStream(self._config.period)
         self.start_over()
 
@@ -85,52 +82,49 @@ class MotionExecutor:
                 taken.report(self.reports, Progress(State.ABORTED, reason))
         self._hold: Array | None = None
         self._active = None
-        self._standing: Standstill | None = None
-        self._only: Planned | None = None  # the only way on which the arm can stop; None: any
+        self._standstill: Standstill | None = None
+        self._only: Planned | None = None  # the only motion on which it can stop
         self._coming = GoalQueue()
         self._now_ns: int | None = None  # logical time of the newest joint angles
         self._last: tuple[int, JointSetpoint] | None = None
-        if self._laws is not None:
-            self._laws.leading = None
-            self._laws.feedforward.forget()
+        if self._controllers is not None:
+            self._controllers.leading = None
+            self._controllers.feedforward.forget()
 
     def retune(self, config: MotionConfig) -> None:
         """Continue with other parameters; a path that has begun keeps its speed."""
         self._config = config
-        if self._laws is not None:
-            self._laws.retune(config)
+        if self._controllers is not None:
+            self._controllers.retune(config)
 
     @property
-    def holding(self) -> bool:
+    def is_holding(self) -> bool:
         """Whether only the initial angles hold yet."""
         return self._active is None
 
     @property
     def leading(self) -> Controller | None:
-        """The control law that moves the tool now; None: none does."""
-        if self._active is None or self._laws is None:
+        """The control law that moves the tool now, or None."""
+        if self._active is None or self._controllers is None:
             return None
-        return self._laws.leading
+        return self._controllers.leading
 
     @property
     def wind_up(self) -> Array:
         """Assumed wind-up of the gears in the newest targets (N,) [rad]."""
-        return np.zeros(0) if self._laws is None else self._laws.feedforward.wind_up
+        return np.zeros(0) if self._controllers is None else self._controllers.feedforward.wind_up
 
     @property
     def torques_unknown(self) -> str:
         """Reason for which requested torques are missing; empty: none are missing."""
-        return "" if self._laws is None else self._laws.feedforward.trouble
+        return "" if self._controllers is None else self._controllers.feedforward.trouble
 
     def add(self, time_ns: int, target: Pose) -> None:
         """Take a tool target that holds from a logical time [ns] on, until something else does.
 
-        Of two with the same time the newer wins; a time that is past means at once.
-
-        Raises:
-            Refusal: more wait for their time than are taken.
+        Of two with the same time the newer wins; a time that is past means the next motion period.
         """
-        self._take(Kind.TOOL_TARGET, time_ns, lambda: TargetGoal(time_ns, target))
+        self._take(Kind.TOOL_TARGET, time_ns, time_ns, lambda: TargetGoal(time_ns, target))
 
     def add_trajectory(
         self,
@@ -148,15 +142,15 @@ class MotionExecutor:
             points: of it.
             stamp_ns: logical time at which it starts [ns]; 0: at once.
             tolerances: makes its own of those of the parameters.
-
-        Raises:
-            Refusal: see `JointTrajectory`, no arm, or more wait for their time than are taken.
         """
-
-        def order() -> Goal:
-            return trajectory_goal(controller, self._config, names, points, stamp_ns, tolerances)
-
-        return self._take(Kind.JOINT_TRAJECTORY, stamp_ns, order)
+        return self._take(
+            Kind.JOINT_TRAJECTORY,
+            stamp_ns,
+            stamp_ns,
+            lambda: make_trajectory_goal(
+                controller, self._config, names, points, stamp_ns, tolerances
+            ),
+        )
 
     def add_path(
         self,
@@ -172,30 +166,28 @@ class MotionExecutor:
             poses: of the tool.
             stamp_ns: logical time at which the way to the first one begins [ns]; 0: at once.
             times_ns: when the tool shall be in each [ns]; None: as the parameters state.
-
-        Raises:
-            Refusal: see `ToolPath`, no arm, or more wait for their time than are taken.
         """
-
-        def order() -> Goal:
-            return path_goal(controller, self._config, poses, stamp_ns, times_ns)
-
         begins_ns = max(stamp_ns, times_ns[0]) if times_ns else stamp_ns
-        return self._take(Kind.TOOL_PATH, stamp_ns, order, begins_ns)
+        return self._take(
+            Kind.TOOL_PATH,
+            stamp_ns,
+            begins_ns,
+            lambda: make_path_goal(controller, self._config, poses, stamp_ns, times_ns),
+        )
 
     def jog(self, command: JogCommand) -> None:
-        """Take a jog command: it holds at once, and as long as jog commands last."""
-        for order in (self.jogging, *(one.order for one in self._coming)):
+        """Take a jog command: it holds from the next period on, as long as jog commands last."""
+        for order in (self.jogging, *(taken.order for taken in self._coming)):
             if isinstance(order, JogGoal):
-                order.take(command)
+                order.command = command
                 return
-        self._take(Kind.JOG, 0, lambda: JogGoal(command))
+        self._take(Kind.JOG, 0, 0, lambda: JogGoal(command))
 
     @property
     def jogging(self) -> JogGoal | None:
-        """The jog that holds now; None: none does."""
+        """The jog that holds now, or None."""
         active = self._active
-        jogs = active is not None and not active.state.final
+        jogs = active is not None and not active.state.is_final
         return active.order if active and jogs and isinstance(active.order, JogGoal) else None
 
     def cancel(self, number: int) -> None:
@@ -206,10 +198,10 @@ class MotionExecutor:
                 taken.report(self.reports, Progress(State.ABORTED, CANCELLED))
                 return
         active = self._active
-        if self._laws is None or active is None or active.state.final:
+        if self._controllers is None or active is None or active.state.is_final:
             return
         if active.order.kind is Kind.JOINT_TRAJECTORY and active.number == number:
-            self._coming.put_first(AcceptedGoal(stop_goal(self._laws), 0))
+            self._coming.put_first(AcceptedGoal(make_stop_goal(self._controllers), 0))
 
     def instruct(
         self,
@@ -234,20 +226,20 @@ class MotionExecutor:
             Refusal: q is not finite or too large; nothing has changed then.
         """
         _Q.check("motion_controller", q.tolist())
-        laws = self._laws_of(controller)
+        controllers = self._get_controllers(controller)
         if movable is not None and not movable.all():
-            laws.feedforward.forget()  # the measured positions hold, whatever was commanded
-        laws.feedforward.observe(tau, movable)
-        measured, q = q, laws.feedforward.links(q)
+            controllers.feedforward.forget()  # the measured positions hold, whatever was commanded
+        controllers.feedforward.observe(tau, movable)
+        measured, q = q, controllers.feedforward.compute_link_angles(q)
         try:
-            self._wait(laws, time_ns, q, movable)
-            self._take_up(laws, time_ns, q)
-            if self._standing is None:
-                of_links = self._instruct(laws, time_ns, q, v)
+            self._wait(controllers, time_ns, q, movable)
+            self._take_up(controllers, time_ns, q)
+            if self._standstill is None:
+                of_links = self._instruct(controllers, time_ns, q, v)
             else:
                 can = np.ones(len(q), dtype=bool) if movable is None else movable
-                of_links = self._standing.instruct(q, v, can)
-            instruction = laws.feedforward.complete(of_links)
+                of_links = self._standstill.instruct(q, v, can)
+            instruction = controllers.feedforward.complete(of_links)
             answer = instruction.q, instruction.v, instruction.tau
             for bound, values in zip((_Q_TARGET, _V_TARGET, _TAU), answer, strict=True):
                 if values is not None:
@@ -266,38 +258,39 @@ class MotionExecutor:
     @property
     def waits_for(self) -> str:
         """Reason why the arm waits at a standstill, as text; empty: it moves."""
-        return "" if self._standing is None else self._standing.words
+        return "" if self._standstill is None else self._standstill.words
 
-    def _wait(self, laws: Controllers, time_ns: int, q: Array, movable: Flags | None) -> None:
+    def _wait(
+        self, controllers: Controllers, time_ns: int, q: Array, movable: Flags | None
+    ) -> None:
         """Stand still while a joint cannot move, and until all rest."""
-        if self._standing is None:
+        if self._standstill is None:
             if movable is not None and not movable.all():
-                self._standing = Standstill(laws, self._reference(laws, time_ns, q))
+                self._standstill = Standstill(
+                    controllers, self._find_reference(controllers, time_ns, q)
+                )
                 self._only = None
             return
-        if not self._standing.over or (movable is not None and not movable.all()):
+        if not self._standstill.is_over or (movable is not None and not movable.all()):
             return
-        rest, active = self._standing.reference, self._active
-        self._standing = None
+        rest, active = self._standstill.reference, self._active
+        self._standstill = None
         if active is None:
             self._hold = rest.q if self._hold is not None else None
             return
         begins = active.state is State.ACCEPTED
         try:
-            (active.order.begin if begins else active.order.go_on)(laws, time_ns, rest)
+            (active.order.begin if begins else active.order.go_on)(controllers, time_ns, rest)
         except Refusal as reason:
             active.report(self.reports, Progress(State.REFUSED, str(reason)))
             self._active, self._hold = None, rest.q
 
-    def _laws_of(self, controller: Controller) -> Controllers:
-        if self._laws is None or self._laws.controller is not controller:
-            self._laws = Controllers(controller, self._config)
-        return self._laws
+    def _get_controllers(self, controller: Controller) -> Controllers:
+        if self._controllers is None or self._controllers.controller is not controller:
+            self._controllers = Controllers(controller, self._config)
+        return self._controllers
 
-    def _take(
-        self, kind: Kind, time_ns: int, make: Callable[[], Goal], begins_ns: int | None = None
-    ) -> int:
-        begins_ns = time_ns if begins_ns is None else begins_ns
+    def _take(self, kind: Kind, time_ns: int, begins_ns: int, make: Callable[[], Goal]) -> int:
         try:
             if self._now_ns is not None:
                 check_wait(kind, begins_ns, self._now_ns)
@@ -308,32 +301,32 @@ class MotionExecutor:
             raise
         taken = AcceptedGoal(order, self.reports.next_number(kind), begins_ns)
         taken.report(self.reports, Progress(State.ACCEPTED))
-        before = self._coming.put(time_ns, taken)
+        before = self._coming.put(taken)
         if before is not None:
             before.report(self.reports, taken.replaces)
         return taken.number
 
-    def _take_up(self, laws: Controllers, time_ns: int, q: Array) -> None:
+    def _take_up(self, controllers: Controllers, time_ns: int, q: Array) -> None:
         """Start the orders whose time has come."""
         early = list(self._coming) if self._now_ns is None else []  # than the first joint states
-        for one in early:
+        for taken_early in early:
             try:
-                check_wait(one.order.kind, one.begins_ns, time_ns)
+                check_wait(taken_early.order.kind, taken_early.begins_ns, time_ns)
             except Refusal as reason:
-                self._coming.remove(one)
-                one.report(self.reports, Progress(State.REFUSED, str(reason)))
+                self._coming.remove(taken_early)
+                taken_early.report(self.reports, Progress(State.REFUSED, str(reason)))
         self._now_ns = time_ns
-        while (taken := self._coming.due(time_ns)) is not None:
-            reference, order = self._reference(laws, time_ns, q), taken.order
+        while (taken := self._coming.take_due(time_ns)) is not None:
+            reference, order = self._find_reference(controllers, time_ns, q), taken.order
             if isinstance(order, TargetGoal):
                 self._stream.take(order.stamp_ns or time_ns, order.pose, reference.q)
-            if (newer := self._coming.next_due(time_ns)) is not None:
+            if (newer := self._coming.find_due(time_ns)) is not None:
                 taken.report(self.reports, newer.replaces)
                 continue
             if isinstance(order, TargetGoal):
-                taken.order = self._streamed(laws, order, reference.q)
+                taken.order = self._select_stream(controllers, order, reference.q)
             try:
-                taken.order.begin(laws, time_ns, reference)
+                taken.order.begin(controllers, time_ns, reference)
             except Refusal as reason:
                 taken.report(self.reports, Progress(State.REFUSED, str(reason)))
                 continue
@@ -341,15 +334,17 @@ class MotionExecutor:
                 self._active.report(self.reports, taken.replaces)
             self._active = taken
 
-    def _streamed(self, laws: Controllers, order: TargetGoal, q: Array) -> TargetGoal | StreamGoal:
+    def _select_stream(
+        self, controllers: Controllers, order: TargetGoal, q: Array
+    ) -> TargetGoal | StreamGoal:
         """Return the order for the newest target: itself, or that of its stream."""
-        motion = self._stream.motion()
-        if motion is None or not is_near(laws.controller.kinematics, q, order):
+        motion = self._stream.fit_motion()
+        if motion is None or not is_near(controllers.controller.kinematics, q, order):
             return order
         return StreamGoal(order, motion, self._stream.posture)
 
     def _instruct(
-        self, laws: Controllers, time_ns: int, q: Array, v: Array | None
+        self, controllers: Controllers, time_ns: int, q: Array, v: Array | None
     ) -> JointSetpoint:
         taken = self._active
         if taken is None:
@@ -357,51 +352,54 @@ class MotionExecutor:
                 self._hold = q
             return JointSetpoint(self._hold)
         try:
-            instruction = taken.order.instruct(laws, time_ns, q)
+            instruction = taken.order.instruct(controllers, time_ns, q)
         except PlanningError as reason:  # nothing has changed
             before = taken.order.reference(time_ns)
             assert before is not None
             moved = bool((before.v != 0.0).any())
             state = State.ABORTED if moved else State.REFUSED
-            return self._halt(laws, time_ns, before, Progress(state, str(reason)))
+            return self._halt_goal(controllers, time_ns, before, Progress(state, str(reason)))
         progress = self.progress = taken.order.progress(time_ns, q, v)
-        way = taken.order.way
-        if taken.state is State.ACCEPTED or (taken.state is State.MOVING and way != taken.way):
-            taken.way = way
-            taken.report(self.reports, replace(progress, state=State.MOVING, reason=way), anew=True)
-        if taken.state is State.MOVING or (taken.state, progress.state) == (
-            State.UNREACHABLE,
-            State.REACHED,
+        path_text = taken.order.path_text
+        if taken.state is State.ACCEPTED or (
+            taken.state is State.MOVING and path_text != taken.path_text
         ):
-            taken.report(self.reports, progress)
+            taken.path_text = path_text
+            taken.report(
+                self.reports, replace(progress, state=State.MOVING, reason=path_text), always=True
+            )
+        taken.report(self.reports, progress)
         if taken.state is State.ABORTED:
-            return self._stop(laws, time_ns, q, v)
-        return self._guarded(laws, time_ns, q, instruction)
+            return self._stop_measured(controllers, time_ns, q, v)
+        return self._guard_setpoint(controllers, time_ns, q, instruction)
 
-    def _guarded(
-        self, laws: Controllers, time_ns: int, q: Array, instruction: JointSetpoint
+    def _guard_setpoint(
+        self, controllers: Controllers, time_ns: int, q: Array, instruction: JointSetpoint
     ) -> JointSetpoint:
         """Return an instruction after which the arm can stop before a collision."""
-        guard, taken = laws.guard, self._active
+        guard, taken = controllers.guard, self._active
         if guard is None or taken is None:
             return instruction
         if isinstance(taken.order, JogGoal) and self._only is None:
             return instruction  # jogs look ahead by themselves
-        now, then = _begin_and_end(instruction, laws.config.period)
-        then = taken.order.reference(time_ns + laws.period_ns) or then
-        touching = guard.ahead(laws.braking, now.q, then)
+        q, period = instruction.q, controllers.config.period
+        v = np.zeros_like(q) if instruction.v is None else instruction.v
+        now = instruction.now or Reference(q, v, np.zeros_like(q))
+        then = taken.order.reference(time_ns + controllers.period_ns)
+        then = then or now.after(period, q + period * v)
+        touching = guard.check_ahead(controllers.braking, now.q, then)
         if not touching:
             self._only = None
             return instruction
         planned = taken.order.planned()
-        if planned is not None and guard.frees(planned.motion):
+        if planned is not None and guard.is_free(planned.motion):
             self._only = planned
             return instruction
         why = Progress(State.ABORTED, f"collision: {touching} would touch")
-        return self._halt(laws, time_ns, now, why)
+        return self._halt_goal(controllers, time_ns, now, why)
 
-    def _halt(
-        self, laws: Controllers, time_ns: int, now: Reference, why: Progress
+    def _halt_goal(
+        self, controllers: Controllers, time_ns: int, now: Reference, why: Progress
     ) -> JointSetpoint:
         """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
@@ -410,27 +408,29 @@ class MotionExecutor:
         if self._only is None:
             stop = JogGoal.stop(time_ns, len(now.q))
         else:
-            stop = StopGoal(laws, time_ns, self._only)
-        stop.begin(laws, time_ns, now)
+            stop = StopGoal(controllers, time_ns, self._only)
+        stop.begin(controllers, time_ns, now)
         self._active = AcceptedGoal(stop, 0, state=State.MOVING)
-        instruction = stop.instruct(laws, time_ns, now.q)
+        instruction = stop.instruct(controllers, time_ns, now.q)
         if self._only is not None:
             self._only = stop.planned()
         return instruction
 
-    def _stop(self, laws: Controllers, time_ns: int, q: Array, v: Array | None) -> JointSetpoint:
+    def _stop_measured(
+        self, controllers: Controllers, time_ns: int, q: Array, v: Array | None
+    ) -> JointSetpoint:
         """Bring the joints to rest from their measured motion."""
-        stop = stop_goal(laws)
+        stop = make_stop_goal(controllers)
         still = np.zeros_like(q)
-        q = laws.feedforward.standing(q)
-        stop.begin(laws, time_ns, Reference(q, still if v is None else v, still))
+        q = controllers.feedforward.compute_rest_angles(q)
+        stop.begin(controllers, time_ns, Reference(q, still if v is None else v, still))
         self._active, self._only = AcceptedGoal(stop, 0), None
-        return stop.instruct(laws, time_ns, q)
+        return stop.instruct(controllers, time_ns, q)
 
-    def _reference(self, laws: Controllers, time_ns: int, q: Array) -> Reference:
+    def _find_reference(self, controllers: Controllers, time_ns: int, q: Array) -> Reference:
         """Return the joints' commanded motion, or the measured one if they are far apart."""
-        if self._standing is not None:
-            return self._standing.reference
+        if self._standstill is not None:
+            return self._standstill.reference
         still = np.zeros_like(q)
         reference = None if self._active is None else self._active.order.reference(time_ns)
         if reference is None and self._last is not None:
@@ -441,17 +441,7 @@ class MotionExecutor:
                 reference = Reference(last.q + (time_ns - then) * 1e-9 * last.v, last.v, still)
         elif reference is None and self._hold is not None:
             reference = Reference(self._hold, still, still)
-        scale = laws.controller.kinematics.joint_scale
+        scale = controllers.controller.kinematics.joint_scale
         if reference is None or not (np.abs(reference.q - q) <= LOST * scale).all():
             return Reference(q, still, still)
         return reference
-
-
-def _begin_and_end(instruction: JointSetpoint, period: float) -> tuple[Reference, Reference]:
-    """Return the motion at the begin and at the end of a motion period."""
-    q, still = instruction.q, np.zeros_like(instruction.q)
-    v = still if instruction.v is None else instruction.v
-    now = instruction.now or Reference(q, v, still)
-    jerk = still if now.jerk is None else now.jerk
-    ends = now.v + now.a * period + 0.5 * jerk * period**2
-    return now, Reference(q + period * v, ends, now.a + jerk * period)

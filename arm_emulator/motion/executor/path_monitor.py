@@ -17,12 +17,7 @@ _LATE = 100  # motion periods by which the tool may be behind its reference
 class PathMonitor:
     """Compares the measured tool with the way of the reference, not with its place on it.
 
-    A late tool is still on its path.
-
-    Args:
-        kinematics: of the arm.
-        poses: of the path.
-        tolerance: largest deviation from the path [m]; 0: any.
+    A late tool is still on its path. With a tolerance of 0 it may be anywhere.
 
     Attributes:
         broken: deviation of the tool from its path, as text; empty: none.
@@ -39,18 +34,22 @@ class PathMonitor:
 
     def see(self, q_reference: Array, q: Array) -> None:
         """Take reference and measured joint angles of a motion period, (N,) each."""
-        asked = self._kinematics.forward(q_reference)[1]
+        expected = self._kinematics.forward(q_reference)[1]
         tool = self._kinematics.forward(q)[1]
         if self._way:
-            passed = apart(self._poses, self._way[-1][None], asked[None])[:, 0]
+            passed = measure_distances(self._poses, self._way[-1][None], expected[None])[:, 0]
             self._passed = np.minimum(self._passed, passed)
         if self._before is not None:
-            reached = apart(self._poses, self._before[None], tool[None])[:, 0]
+            reached = measure_distances(self._poses, self._before[None], tool[None])[:, 0]
             self._reached = np.minimum(self._reached, reached)
         self._before = tool
-        self._way.append(asked)
-        way = np.array(self._way)
-        off = float(apart(tool[None], way[:-1], way[1:]).min(initial=np.linalg.norm(tool - asked)))
+        self._way.append(expected)
+        path = np.array(self._way)
+        off = float(
+            measure_distances(tool[None], path[:-1], path[1:]).min(
+                initial=np.linalg.norm(tool - expected)
+            )
+        )
         if 0.0 < self._tolerance < off and not self.broken:
             self.broken = (
                 f"the tool is {off * 1e3:.3g} mm beside its path, "
@@ -60,15 +59,15 @@ class PathMonitor:
     @property
     def missed(self) -> str:
         """First pose that the tool has not passed, as text; empty: it has passed all."""
-        seen = np.isfinite(self._passed)
-        off = np.where(seen, self._reached, 0.0) - np.where(seen, self._passed, 0.0)
+        was_passed = np.isfinite(self._passed)
+        off = np.where(was_passed, self._reached, 0.0) - np.where(was_passed, self._passed, 0.0)
         if self._tolerance == 0.0 or not (off > self._tolerance).any():
             return ""
         k = int(np.argmax(off))
         return f"poses[{k}] was missed by {off[k] * 1e3:.3g} mm"
 
 
-def apart(points: Array, begins: Array, ends: Array) -> Array:
+def measure_distances(points: Array, begins: Array, ends: Array) -> Array:
     """Return the distances of points (P, 3) from segments (S, 3), (P, S) [m]."""
     along = ends - begins
     to = points[:, None] - begins

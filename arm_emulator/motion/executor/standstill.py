@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.executor.controllers import Controllers, jerk_limited_velocity
+from arm_emulator.motion.executor.controllers import Controllers, make_jerk_limited_velocity
 from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress, State
-from arm_emulator.motion.executor.goals import Planned
+from arm_emulator.motion.executor.goals import Goal, Planned
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Motion, Reference
 from arm_emulator.motion.trajectory.online_trajectory import Rest
 from arm_emulator.motion.trajectory.time_scaling import TimeScaled
@@ -24,22 +24,20 @@ class Standstill:
     A joint that cannot move is commanded to be where it is measured, as fast as it is, so that its
     brake never opens on a difference. The others come to rest, from their commanded motion
     or, after a standstill, from the measured one.
-
-    Args:
-        laws: of the arm.
-        now: commanded motion of the joints.
     """
 
-    def __init__(self, laws: Controllers, now: Reference) -> None:
-        self._names = laws.controller.kinematics.joint_names
-        self._joints = jerk_limited_velocity(laws.controller.kinematics, laws.config, margin=0.0)
+    def __init__(self, controllers: Controllers, now: Reference) -> None:
+        self._names = controllers.controller.kinematics.joint_names
+        self._joints = make_jerk_limited_velocity(
+            controllers.controller.kinematics, controllers.config, margin=0.0
+        )
         self._joints.begin(now)
         self._led = np.ones(len(now.q), dtype=bool)  # joints that follow the reference
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether all joints can move, and rest."""
-        return bool(self._led.all()) and not self._joints.moving
+        return bool(self._led.all()) and not self._joints.is_moving
 
     @property
     def reference(self) -> Reference:
@@ -49,8 +47,8 @@ class Standstill:
     @property
     def words(self) -> str:
         """Reason of the wait, as text."""
-        held = [name for name, led in zip(self._names, self._led, strict=True) if not led]
-        return f"waits for power and brakes of {', '.join(held)}" if held else "comes to rest"
+        blocked = [name for name, led in zip(self._names, self._led, strict=True) if not led]
+        return f"waits for power and brakes of {', '.join(blocked)}" if blocked else "comes to rest"
 
     def instruct(self, q: Array, v: Array | None, movable: Flags) -> JointSetpoint:
         """Return the joint targets of this motion period.
@@ -67,49 +65,41 @@ class Standstill:
         )
         self._led = movable
         now = self._joints.now
-        return JointSetpoint(now.q, self._joints.halt(), None, now)
+        return JointSetpoint(now.q, self._joints.stop_joints(), None, now)
 
 
 _SECONDS = 1e-9
 _HARDER = 2.0  # jerk, of that of ways: a way at its limit could not be left before its end
 
 
-class StopGoal:
-    """Comes to rest on a way that is known to be free, instead of each joint by itself.
-
-    Args:
-        laws: of the arm.
-        now_ns: logical time [ns].
-        planned: the way, and the place on it.
-    """
+class StopGoal(Goal):
+    """Comes to rest on a way that is known to be free, instead of each joint independently."""
 
     kind = Kind.JOG
-    stamp_ns = 0
-    way = ""
 
-    def __init__(self, laws: Controllers, now_ns: int, planned: Planned) -> None:
+    def __init__(self, controllers: Controllers, now_ns: int, planned: Planned) -> None:
         self._motion: Motion = planned.motion
-        since = planned.gone
+        since = planned.elapsed
         if not isinstance(planned.motion, TimeScaled):  # which slows down already
-            limits = laws.ways.limits
+            limits = controllers.planner.limits
             limits = replace(limits, jerk=_HARDER * limits.jerk)
             self._motion = TimeScaled(planned.motion, since, 1.0, 0.0, limits)
             since = 0.0
         self._began_ns = now_ns - round(since / _SECONDS)
 
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        laws.leading = None
+        controllers.leading = None
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         self._motion, self._began_ns = Rest(reference.q), now_ns
 
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
-        now, then = self.reference(now_ns), self.reference(now_ns + laws.period_ns)
-        self._at_ns = now_ns + laws.period_ns
-        return JointSetpoint(now.q, (then.q - now.q) / laws.config.period, None, now, then)
+        now, then = self.reference(now_ns), self.reference(now_ns + controllers.period_ns)
+        self._at_ns = now_ns + controllers.period_ns
+        return JointSetpoint(now.q, (then.q - now.q) / controllers.config.period, None, now, then)
 
     def reference(self, now_ns: int) -> Reference:
         """See `Goal`."""

@@ -13,18 +13,22 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.executor.controllers import Controllers, jerk_limited_velocity
+from arm_emulator.motion.executor.controllers import Controllers, make_jerk_limited_velocity
 from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress
-from arm_emulator.motion.executor.goals import Planned, TargetGoal
+from arm_emulator.motion.executor.goals import Goal, Planned, TargetGoal
 from arm_emulator.motion.executor.tool_directions import ToolDirections
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
 from arm_emulator.motion.model.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 from arm_emulator.motion.model.pose import Pose
 
 GAP = 0.1  # s: targets farther apart in time are no stream
-LEAST = 3  # targets in a row
+MIN_TARGETS = 3  # targets in a row
 FASTEST, FASTEST_TURN = 2.0, 6.0  # m/s, rad/s: targets farther apart than that are no motion
-MEMORY, PERIODS, KEPT = 0.06, 1.6, 4  # s, motion periods and targets that make the motion, at least
+MEMORY, PERIODS, MIN_STORED = (
+    0.06,
+    1.6,
+    4,
+)  # s, motion periods and targets that make the motion, at least
 _SECONDS = 1e-9
 
 
@@ -43,7 +47,7 @@ class StreamMotion:
     pose: Pose
     terms: Array
 
-    def age(self, now_ns: int) -> float:
+    def compute_age(self, now_ns: int) -> float:
         """Return the time since the newest target [s]."""
         return (now_ns - self.time_ns) * _SECONDS
 
@@ -71,7 +75,7 @@ class TargetStream:
 
     period: float
     posture: Array = field(default_factory=lambda: np.zeros(0))
-    _seen: list[tuple[int, Pose]] = field(default_factory=list)
+    _targets: list[tuple[int, Pose]] = field(default_factory=list)
     _count: int = 0
 
     def take(self, time_ns: int, pose: Pose, q: Array) -> None:
@@ -82,26 +86,28 @@ class TargetStream:
             pose: of it.
             q: where the joints are commanded to be (N,).
         """
-        last = self._seen[-1] if self._seen else (time_ns, pose)
+        last = self._targets[-1] if self._targets else (time_ns, pose)
         since = (time_ns - last[0]) * _SECONDS
-        if not 0.0 < since <= GAP or not _slow(_between(last[1], pose) / since):
-            self._seen, self._count, self.posture = [], 0, q
-        self._seen.append((time_ns, pose))
+        if not 0.0 < since <= GAP or not _is_slow(_compute_step(last[1], pose) / since):
+            self._targets, self._count, self.posture = [], 0, q
+        self._targets.append((time_ns, pose))
         self._count += 1
         memory = max(MEMORY, PERIODS * self.period)
-        while len(self._seen) > KEPT and (time_ns - self._seen[1][0]) * _SECONDS > memory:
-            del self._seen[0]
+        while (
+            len(self._targets) > MIN_STORED and (time_ns - self._targets[1][0]) * _SECONDS > memory
+        ):
+            del self._targets[0]
 
-    def motion(self) -> StreamMotion | None:
+    def fit_motion(self) -> StreamMotion | None:
         """Return the motion of which the newest target is a point; None: it is a single one."""
-        if self._count < LEAST:
+        if self._count < MIN_TARGETS:
             return None
-        time_ns, newest = self._seen[-1]
-        t = np.array([(then - time_ns) * _SECONDS for then, _ in self._seen])
+        time_ns, newest = self._targets[-1]
+        t = np.array([(then - time_ns) * _SECONDS for then, _ in self._targets])
         moves = np.empty((len(t), POSE_ROWS))
-        moves[:, :POSITION_ROWS] = np.array([pose.p_WT for _, pose in self._seen]) - newest.p_WT
-        moves[:, POSITION_ROWS:] = _turns(
-            np.array([pose.R_WT for _, pose in self._seen]) @ newest.R_WT.T
+        moves[:, :POSITION_ROWS] = np.array([pose.p_WT for _, pose in self._targets]) - newest.p_WT
+        moves[:, POSITION_ROWS:] = _compute_rotations(
+            np.array([pose.R_WT for _, pose in self._targets]) @ newest.R_WT.T
         )
         span = -t[0]
         powers = np.stack([np.ones_like(t), t / span, 0.5 * (t / span) ** 2], axis=1)
@@ -109,12 +115,12 @@ class TargetStream:
         return StreamMotion(time_ns, newest, terms / span ** np.arange(3)[:, None])
 
 
-def _slow(twist: Array) -> bool:
+def _is_slow(twist: Array) -> bool:
     move, turn = twist[:POSITION_ROWS], twist[POSITION_ROWS:]
     return bool(move @ move <= FASTEST**2 and turn @ turn <= FASTEST_TURN**2)
 
 
-def _turns(R: Array) -> Array:
+def _compute_rotations(R: Array) -> Array:
     """Return the rotation vectors of rotations (K, 3, 3) below half a turn, (K, 3) [rad]."""
     across = 0.5 * np.stack([R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     sines = np.linalg.norm(across, axis=1, keepdims=True)
@@ -123,7 +129,7 @@ def _turns(R: Array) -> Array:
     return turns
 
 
-def _between(before: Pose, after: Pose) -> Array:
+def _compute_step(before: Pose, after: Pose) -> Array:
     both = np.empty(POSE_ROWS)
     both[:POSITION_ROWS] = after.p_WT - before.p_WT
     both[POSITION_ROWS:] = pin.log3(after.R_WT @ before.R_WT.T)
@@ -135,7 +141,7 @@ def _between(before: Pose, after: Pose) -> Array:
 # one is where it comes to rest.
 
 NEAR, NEAR_TURN = 0.1, 0.5  # m, rad: a tool farther from its target goes there by a way of its own
-GAIN, MOST = 15.0, 0.4  # 1/s, of the tool's distance, and part of it in a period at most
+GAIN, MAX_SHARE = 15.0, 0.4  # 1/s, of the tool's distance, and part of it in a period at most
 BACK = 2.0  # 1/s, of redundant joints' distance from their posture
 _AHEAD = 1e-3  # s, over which the change of joint speeds is taken
 
@@ -147,56 +153,49 @@ def is_near(kinematics: Kinematics, q: Array, target: TargetGoal) -> bool:
     return bool(move @ move <= NEAR**2 and turn @ turn <= NEAR_TURN**2)
 
 
-class StreamGoal:
-    """Follows the motion of a stream.
-
-    Args:
-        target: the order to rest at its newest target.
-        motion: of the stream.
-        posture: joint angles that redundant joints come back to (N,) [rad or m].
-    """
+class StreamGoal(Goal):
+    """Follows the motion of a stream."""
 
     kind = Kind.TOOL_TARGET
-    way = ""
 
     def __init__(self, target: TargetGoal, motion: StreamMotion, posture: Array) -> None:
         self.stamp_ns = target.stamp_ns
         self._target, self._motion, self._posture = target, motion, posture
 
-    def begin(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
-        self._joints = jerk_limited_velocity(laws.controller.kinematics, laws.config, margin=0.0)
+        self._joints = make_jerk_limited_velocity(
+            controllers.controller.kinematics, controllers.config, margin=0.0
+        )
         self._joints.begin(reference)
         self._rests = False
-        laws.leading = None
+        controllers.leading = None
 
-    def go_on(self, laws: Controllers, now_ns: int, reference: Reference) -> None:
+    def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
-        self.begin(laws, now_ns, reference)
-
-    def instruct(self, laws: Controllers, now_ns: int, q: Array) -> JointSetpoint:
-        """See `Goal`."""
-        age = self._motion.age(now_ns)
+        age = self._motion.compute_age(now_ns)
         if not self._rests and age > GAP:
             self._rests = True
-            self._target.begin(laws, now_ns, self._joints.now)
+            self._target.begin(controllers, now_ns, self._joints.now)
         if self._rests:
-            return self._target.instruct(laws, now_ns, q)
-        kinematics, now = laws.controller.kinematics, self._joints.now
-        period = laws.config.period
+            return self._target.instruct(controllers, now_ns, q)
+        kinematics, now = controllers.controller.kinematics, self._joints.now
+        period = controllers.config.period
         coming = now.q + period * (now.v + 0.5 * period * now.a)
         pose, twist, acceleration = self._motion.at(age + period)
         error = np.zeros(POSE_ROWS)
         error[: kinematics.rows] = kinematics.tool_error(coming, pose)
         here = ToolDirections(kinematics, coming)
-        leads = here.speeds(twist, laws.config).v
+        leads = here.compute_speeds(twist, controllers.config).v
         then = ToolDirections(kinematics, coming + _AHEAD * leads)
-        a = (then.speeds(twist + _AHEAD * acceleration, laws.config).v - leads) / _AHEAD
-        nearer = twist + min(GAIN, MOST / period) * error
-        v = here.speeds(nearer, laws.config, self._joints.brakes).v
-        v = v + here.idle(BACK * (self._posture - coming))
-        share = self._joints.allowed(now.q, v).min()
-        mean = self._joints.go(v * share, alone=False, a=a * share)
+        a = (
+            then.compute_speeds(twist + _AHEAD * acceleration, controllers.config).v - leads
+        ) / _AHEAD
+        nearer = twist + min(GAIN, MAX_SHARE / period) * error
+        v = here.compute_speeds(nearer, controllers.config, self._joints.limit_brake_share).v
+        v = v + here.project_idle(BACK * (self._posture - coming))
+        share = self._joints.limit_shares(now.q, v).min()
+        mean = self._joints.accelerate(v * share, alone=False, a=a * share)
         return JointSetpoint(now.q, mean, None, now)
 
     def reference(self, now_ns: int) -> Reference | None:

@@ -42,15 +42,8 @@ class Speeds:
 class ToolDirections:
     """Singular value decomposition of the scaled Jacobian at joint angles.
 
-    Args:
-        kinematics: of the arm.
-        q: joint angles (N,).
-
     Attributes:
         s: singular values, largest first (min(rows, N),) [rad/rad].
-
-    Raises:
-        ArithmeticError: the Jacobian is not finite.
     """
 
     def __init__(self, kinematics: Kinematics, q: Array) -> None:
@@ -67,13 +60,15 @@ class ToolDirections:
             self._V = np.zeros((len(q), len(q)))
             self._V[: len(V), moved], self._V[len(V) :, ~moved] = V, np.eye(len(q) - len(V))
 
-    def idle(self, v: Array) -> Array:
+    def project_idle(self, v: Array) -> Array:
         """Return the part of joint speeds (N,) that does not move the tool, to first order (N,)."""
         scale, V = self._kinematics.joint_scale, self._V[len(self.s) :]
         idle: Array = scale * (V.T @ (V @ (v / scale)))
         return idle
 
-    def speeds(self, twist: Array, config: MotionConfig, brakes: Brakes | None = None) -> Speeds:
+    def compute_speeds(
+        self, twist: Array, config: MotionConfig, brakes: Brakes | None = None
+    ) -> Speeds:
         """Return the joint speeds of a twist along the world's axes (6,).
 
         Args:
@@ -83,12 +78,12 @@ class ToolDirections:
                 joints that move then rest before a singular pose. None: as quick as need be.
         """
         kinematics, s, V = self._kinematics, self.s, self._V
-        wanted = kinematics.scale * twist[: kinematics.rows]
-        size = float(np.linalg.norm(wanted))
-        parts = self._U.T @ wanted
+        scaled_twist = kinematics.scale * twist[: kinematics.rows]
+        size = float(np.linalg.norm(scaled_twist))
+        parts = self._U.T @ scaled_twist
         slow = s[0] / config.jog_lower_singularity_threshold
         stop = s[0] / config.jog_hard_stop_singularity_threshold
-        whole, status = 1.0, JogStatus.NO_WARNING
+        share, status = 1.0, JogStatus.NO_WARNING
         for i in np.flatnonzero(s < slow):
             if abs(parts[i]) < 1e-9 * size or size == 0.0:
                 continue
@@ -96,20 +91,20 @@ class ToolDirections:
             towards = ToolDirections(kinematics, ahead).s[i] < s[i]
             left = min(1.0, max(0.0, (s[i] - stop) / (slow - stop))) if towards else 1.0
             if abs(parts[i]) > _SIGNIFICANT * size:
-                whole = min(whole, left)
-                status = max(status, _singular(towards, left))
+                share = min(share, left)
+                status = max(status, _find_status(towards, left))
             else:
                 parts[i] *= left
         v = kinematics.joint_scale * (V[: len(s)].T @ (parts / np.maximum(s, stop)))
-        if brakes is not None and whole > 0.0 and s[-1] < _NEAR * slow:
+        if brakes is not None and share > 0.0 and s[-1] < _NEAR * slow:
             used = (np.abs(parts) > _SIGNIFICANT * size) & (s < _NEAR * slow)
-            can = self._stopping(v, stop, used, brakes)
-            if can < whole:
-                whole = can
+            can = self._find_stopping_share(v, stop, used, brakes)
+            if can < share:
+                share = can
                 status = max(status, JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY)
-        return Speeds(whole * v, status)
+        return Speeds(share * v, status)
 
-    def _stopping(
+    def _find_stopping_share(
         self, v: Array, stop: float, used: npt.NDArray[np.bool_], brakes: Brakes
     ) -> float:
         """Return the share of v (N,) from which no singular value in use falls below `stop`."""
@@ -124,7 +119,7 @@ class ToolDirections:
         return brakes(v, float(left.min()))
 
 
-def _singular(towards: bool, left: float) -> JogStatus:
+def _find_status(towards: bool, left: float) -> JogStatus:
     if not towards:
         return JogStatus.DECELERATE_FOR_LEAVING_SINGULARITY
     if left > 0.0:

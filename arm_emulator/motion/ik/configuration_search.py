@@ -24,15 +24,12 @@ class ConfigurationSearch:
     The angles are evenly spread and the same for every target. Joints that turn farther than half a
     turn either way begin within half a turn of where they are. Joints that do not move the tool
     stay.
-
-    Args:
-        kinematics: of the arm.
     """
 
     def __init__(self, kinematics: Kinematics) -> None:
         self._to_tool = kinematics.to_tool
         self._goal = InverseKinematics(kinematics.of_tool)
-        self._parts = low_discrepancy(STARTS, int(self._to_tool.sum()))
+        self._parts = generate_low_discrepancy(STARTS, int(self._to_tool.sum()))
         self._starts: list[Array] = []
 
     def begin(self, target: Pose, q: Array) -> None:
@@ -44,42 +41,42 @@ class ConfigurationSearch:
         high = np.minimum(kinematics.upper, np.maximum(q, kinematics.lower) + turn)
         starts = low + self._parts * (high - low)
         far = np.linalg.norm((starts - q) / kinematics.joint_scale, axis=1)
-        self._starts = self._whole_turns(q) + list(starts[np.argsort(far, kind="stable")])
+        self._starts = self._turn_back(q) + list(starts[np.argsort(far, kind="stable")])
         self._target = target
         self._begin_next()
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether all angles have been tried."""
         return not self._starts
 
     def search(self, steps: int) -> Array | None:
         """Take so many steps; return joint angles that reach the target if any are found."""
-        if self.over:
+        if self.is_over:
             return None
         goal = self._goal
         goal.approach(steps)
         self._left -= steps
-        found = None
-        if goal.reached:
-            found = self._all.copy()
-            found[self._to_tool] = goal.q
-        if found is not None or goal.settled or self._left <= 0:
+        angles = None
+        if goal.is_reached:
+            angles = self._all.copy()
+            angles[self._to_tool] = goal.q
+        if angles is not None or goal.settled or self._left <= 0:
             self._starts.pop(0)
             if self._starts:
                 self._begin_next()
-        return found
+        return angles
 
-    def _whole_turns(self, q: Array) -> list[Array]:
+    def _turn_back(self, q: Array) -> list[Array]:
         """Return where joints at a limit are after a turn back: all of them, and each alone."""
         kinematics = self._goal.kinematics
-        turns = np.where(q >= kinematics.upper, -2.0 * math.pi, 0.0)
-        turns[q <= kinematics.lower] = 2.0 * math.pi
-        turns[kinematics.joint_scale != 1.0] = 0.0
+        revolutions = np.where(q >= kinematics.upper, -2.0 * math.pi, 0.0)
+        revolutions[q <= kinematics.lower] = 2.0 * math.pi
+        revolutions[kinematics.joint_scale != 1.0] = 0.0
         # From the other end of its range a joint can continue, even if that is less than a turn
         # away.
-        back = np.minimum(np.maximum(q + turns, kinematics.lower), kinematics.upper)
-        joints = np.flatnonzero(turns)
+        back = np.minimum(np.maximum(q + revolutions, kinematics.lower), kinematics.upper)
+        joints = np.flatnonzero(revolutions)
         alone = [np.where(np.arange(len(q)) == j, back, q) for j in joints]
         return ([back] if len(joints) else []) + (alone if len(joints) > 1 else [])
 
@@ -89,7 +86,7 @@ class ConfigurationSearch:
         self._left = _STEPS
 
 
-def low_discrepancy(count: int, dimensions: int) -> Array:
+def generate_low_discrepancy(count: int, dimensions: int) -> Array:
     """Return points (count, dimensions) in [0, 1).
 
     They are an additive sequence with the powers of the generalised golden ratio (Roberts 2018, The

@@ -23,7 +23,7 @@ _WHILE = 20  # steps
 _HARDLY = 1e-5  # part of the tool error
 _PROBE = 0.05  # rad
 _SINGULAR = 0.1  # rad/rad: directions that are probed
-_MOST_DAMPING = 1e9
+_MAX_DAMPING = 1e9
 
 
 class InverseKinematics:
@@ -36,7 +36,7 @@ class InverseKinematics:
     with the tool error e, the scale S of `Kinematics`, and the right singular vectors v_i of S J.
     The damping (Levenberg 1944, Marquardt 1963; proportional to the error: Sugihara 2011)
     is ``l_i^2 = max(0, k |S e| - s_i^2)``: none where the step's error of second order, at most of
-    the size |S e| D^2, is small beside s_i^2 D^2; and enough to never pass a stretched pose, where
+    the size |S e| D^2, is small against s_i^2 D^2; and enough to never pass a stretched pose, where
     the way to a target beyond reach ends: its elbow stays on the side where it was.
 
     Joint motions that leave the tool where it is lead towards a posture, so that the angles are a
@@ -48,9 +48,6 @@ class InverseKinematics:
     All angles inside are scaled: a joint that slides counts per reach of the arm, and a slow one as
     much more (`Kinematics.step_scale`), so that a redundant arm hardly waits for it. They are those
     of joints that move the tool; others stay where they are.
-
-    Args:
-        kinematics: of the arm.
 
     Attributes:
         q: the angles found so far, (N,) [rad or m], within the position limits.
@@ -72,7 +69,7 @@ class InverseKinematics:
 
     def begin(self, q: Array) -> None:
         """Take joint angles (N,) for the posture, and for the angles found."""
-        self._posture = self._scaled(q)
+        self._posture = self._scale_angles(q)
         self._x = self._reached = self._posture
         self._target: Pose | None = None
         self.returning = False
@@ -82,31 +79,31 @@ class InverseKinematics:
     @property
     def q(self) -> Array:
         """The angles found so far."""
-        return self._angles(self._x)
+        return self._convert_angles(self._x)
 
     @property
     def posture(self) -> Array:
         """The posture of redundant joints (N,)."""
-        return self._angles(self._posture)
+        return self._convert_angles(self._posture)
 
     def hold(self, q: Array) -> None:
         """Take the angles of joints that do not move the tool from q (N,)."""
         self._rest = np.array(q, dtype=np.float64)
 
-    def _scaled(self, q: Array) -> Array:
+    def _scale_angles(self, q: Array) -> Array:
         """Take joint angles (N,), and return those that move the tool, scaled and inside."""
         self.hold(q)
-        return self._inside(q[self._to_tool] / self.kinematics.step_scale)
+        return self._clamp_angles(q[self._to_tool] / self.kinematics.step_scale)
 
-    def _angles(self, x: Array) -> Array:
+    def _convert_angles(self, x: Array) -> Array:
         q = self._rest.copy()
         q[self._to_tool] = x * self.kinematics.step_scale
         return q
 
     @property
-    def reached(self) -> bool:
+    def is_reached(self) -> bool:
         """Whether the tool is at its target there."""
-        return bool(_size(self.error) <= REACHED)
+        return bool(_compute_size(self.error) <= REACHED)
 
     def aim(self, target: Pose, q: Array) -> None:
         """Seek another target, from the angles found or from q (N,), whichever are nearer to it.
@@ -114,24 +111,24 @@ class InverseKinematics:
         After one that was not reached the arm is stretched, and could bend to either side. So a
         nearer one is first sought from the angles of the last target that was reached.
         """
-        left = _size(self.error)
+        left = _compute_size(self.error)
         self.returning = self._target is not None and left > _LEEWAY
         self._target = target
-        x = self._scaled(q)
-        found = [(one, self._error(one)) for one in (self._x, x)]
-        start, error = min(found, key=lambda one: _size(one[1]))
+        x = self._scale_angles(q)
+        candidates = [(start_x, self._compute_error(start_x)) for start_x in (self._x, x)]
+        start, error = min(candidates, key=lambda start_x: _compute_size(start_x[1]))
         self._start(start, error)
-        if self.returning and _size(self.error) < left:
+        if self.returning and _compute_size(self.error) < left:
             self._start(self._reached)
             for _ in range(_RETURN_STEPS):
-                if self.settled or _size(self.error) <= _LEEWAY:
+                if self.settled or _compute_size(self.error) <= _LEEWAY:
                     break
                 self._step()
-            if _size(self.error) > _LEEWAY:
+            if _compute_size(self.error) > _LEEWAY:
                 self._start(start)
 
     def _start(self, x: Array, error: Array | None = None) -> None:
-        self._x, self.error = x, self._error(x) if error is None else error
+        self._x, self.error = x, self._compute_error(x) if error is None else error
         self._damping = 1.0
         self._steps = 0
         self._size_before = math.inf
@@ -139,8 +136,8 @@ class InverseKinematics:
 
     def take(self, q: Array) -> None:
         """Take joint angles (N,) that were found elsewhere for the target."""
-        self._x = self._scaled(q)
-        self.error = self._error(self._x)
+        self._x = self._scale_angles(q)
+        self.error = self._compute_error(self._x)
         self.settled = True
         self._reached = self._x
 
@@ -152,8 +149,8 @@ class InverseKinematics:
             self._step()
 
     def _step(self) -> None:
-        e, J = self._error_and_jacobian(self._x)
-        size = _size(e)
+        e, J = self._compute_error_and_jacobian(self._x)
+        size = _compute_size(e)
         self._steps += 1
         away = self._posture - self._x
         if self._steps > _POSTURE_STEPS:  # alternating limits could prevent an end
@@ -180,22 +177,22 @@ class InverseKinematics:
         longest = float(np.abs(step).max())
         if longest > _LONGEST_STEP:
             step *= _LONGEST_STEP / longest
-        x = self._inside(self._x + step)
-        error = self._error(x)
-        if not _size(error) <= max(size, min(free.aside, _LEEWAY)) + 1e-15:
+        x = self._clamp_angles(self._x + step)
+        error = self._compute_error(x)
+        if not _compute_size(error) <= max(size, min(free.aside, _LEEWAY)) + 1e-15:
             self._damping *= 4.0
-            if self._damping > _MOST_DAMPING or self._no_progress(size):
-                self.settled = not self._probe(J)
+            if self._damping > _MAX_DAMPING or self._is_stuck(size):
+                self.settled = not self._try_probes(J)
             return
         self._x, self.error = x, error
         self._damping = max(1.0, 0.5 * self._damping)
-        if _size(error) <= REACHED:
+        if _compute_size(error) <= REACHED:
             self.settled = free.aside < _AT_REST**2
             self._reached = self._x
-        elif longest < _AT_REST or self._no_progress(_size(error)):
-            self.settled = not self._probe(J)
+        elif longest < _AT_REST or self._is_stuck(_compute_size(error)):
+            self.settled = not self._try_probes(J)
 
-    def _no_progress(self, size: float) -> bool:
+    def _is_stuck(self, size: float) -> bool:
         """Whether recent steps have hardly reduced the tool error."""
         if self._steps % _WHILE != 0:
             return False
@@ -204,37 +201,37 @@ class InverseKinematics:
         before, self._size_before = self._size_before, size
         return before - size < _HARDLY * size
 
-    def _probe(self, J: Array) -> bool:
+    def _try_probes(self, J: Array) -> bool:
         """Try finite steps in directions that have no effect in first order; whether one helped."""
-        squares, V = directions(J)
-        best = _size(self.error) * (1.0 - 1e-6)
-        found = None
-        for way in V.T[squares < _SINGULAR**2]:
-            side = float(way @ (self._middle - self._x))
+        squares, V = compute_directions(J)
+        best = _compute_size(self.error) * (1.0 - 1e-6)
+        better = None
+        for direction in V.T[squares < _SINGULAR**2]:
+            side = float(direction @ (self._middle - self._x))
             if abs(side) < 1e-9:
-                side = float(way[int(np.argmax(np.abs(way)))])
+                side = float(direction[int(np.argmax(np.abs(direction)))])
             for sign in (1.0, -1.0) if side >= 0.0 else (-1.0, 1.0):
-                x = self._inside(self._x + sign * _PROBE * way)
-                size = _size(self._error(x))
+                x = self._clamp_angles(self._x + sign * _PROBE * direction)
+                size = _compute_size(self._compute_error(x))
                 if size < best * (1.0 - 1e-12):
-                    best, found = size, x
-        if found is None:
+                    best, better = size, x
+        if better is None:
             return False
-        self._x, self.error = found, self._error(found)
+        self._x, self.error = better, self._compute_error(better)
         return True
 
-    def _inside(self, x: Array) -> Array:
+    def _clamp_angles(self, x: Array) -> Array:
         return np.minimum(np.maximum(x, self._low), self._high)
 
-    def _error(self, x: Array) -> Array:
+    def _compute_error(self, x: Array) -> Array:
         assert self._target is not None
         kinematics = self.kinematics
         return kinematics.scale * kinematics.tool_error(x * kinematics.step_scale, self._target)
 
-    def _error_and_jacobian(self, x: Array) -> tuple[Array, Array]:
+    def _compute_error_and_jacobian(self, x: Array) -> tuple[Array, Array]:
         assert self._target is not None
         kinematics = self.kinematics
-        e, J = kinematics.error_and_jacobian(x * kinematics.step_scale, self._target)
+        e, J = kinematics.compute_error_and_jacobian(x * kinematics.step_scale, self._target)
         return kinematics.scale * e, self._scales * J
 
 
@@ -255,7 +252,7 @@ class _Free:
     """
 
     def __init__(self, J: Array, e: Array, away: Array, size: float, damping: float) -> None:
-        squares, V = directions(J)
+        squares, V = compute_directions(J)
         self._V = V
         self._stiffness = np.maximum(squares, damping * size + 1e-15)
         self._pull = V.T @ (J.T @ e)
@@ -281,7 +278,7 @@ class _Free:
         return self._V @ self._pull
 
 
-def directions(J: Array) -> tuple[Array, Array]:
+def compute_directions(J: Array) -> tuple[Array, Array]:
     """Return the squares of J's singular values, smallest first (N,), and in columns the joint
     motions that belong to them, (N, N); with more joints than rows the first of them are 0.
     """
@@ -293,11 +290,11 @@ def directions(J: Array) -> tuple[Array, Array]:
     return np.maximum(squares, 0.0), V
 
 
-def _size(error: Array) -> float:
+def _compute_size(error: Array) -> float:
     return math.sqrt(float(error @ error))
 
 
-_FOUND = 1
+_SOLVED = 1
 
 
 def solve_in_box(H: Array, g: Array, low: Array, high: Array) -> Array:
@@ -308,15 +305,12 @@ def solve_in_box(H: Array, g: Array, low: Array, high: Array) -> Array:
         g: (N,).
         low: lower bounds (N,), finite.
         high: upper bounds (N,), finite, none below its lower one.
-
-    Raises:
-        ArithmeticError: the solver fails.
     """
     n = len(g)
     x, _, flag, _ = daqp.solve(
         np.ascontiguousarray(H), -g, np.zeros((0, n)), high, low, np.zeros(n, dtype=np.int32)
     )
-    if flag != _FOUND:
+    if flag != _SOLVED:
         raise ArithmeticError(f"the quadratic program found no solution, exit flag {flag}")
     # The solver keeps bounds within its tolerance only.
     return np.clip(np.asarray(x, dtype=np.float64), low, high)

@@ -1,4 +1,4 @@
-"""An arm as arrays, for computations over many configurations at once."""
+"""An arm as arrays, for computations over many configurations together."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from arm_emulator.motion.model.kinematics import (
     POSE_ROWS,
     POSITION_ROWS,
     Kinematics,
-    arm_model,
-    tool_frame,
+    build_arm_model,
+    find_tool_frame,
 )
 from arm_emulator.motion.model.pinocchio_model import JOINT, WHERE
 from arm_emulator.toolchain.c_header import NULL, CData, Header, pointer
@@ -37,7 +37,7 @@ class ArmTree(SharedObject):
         gravity: acceleration of gravity along the world's axes (3,) [m/s2].
 
     Attributes:
-        struct: the arm as way.h takes it.
+        struct: the arm as path.h takes it.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class ArmTree(SharedObject):
         names = kinematics.joint_names
         shafts = Shafts(kinematics.urdf_xml, names)
         try:
-            model = arm_model(
+            model = build_arm_model(
                 kinematics.urdf_xml, names, shafts.joints, kinematics.tool, WHERE, masses=True
             )
         except Refusal:  # masses are missing
@@ -76,25 +76,25 @@ class ArmTree(SharedObject):
             mass.append(body.mass)
             centre.append(body.lever)
             inertia.append(body.inertia)
-        frame = model.frames[tool_frame(model, kinematics.tool, WHERE)]
+        frame = model.frames[find_tool_frame(model, kinematics.tool, WHERE)]
         self._arrays = {  # which the struct points to
             "parent": np.array(parent, dtype=np.int32),
             "slides": np.array(slides, dtype=np.int32),
-            "axis": _doubles(axis),
-            "rotation": _doubles(rotation),
-            "place": _doubles(place),
+            "axis": _copy_doubles(axis),
+            "rotation": _copy_doubles(rotation),
+            "place": _copy_doubles(place),
             "coupling": self._coupling,
             "offset": self._offset,
-            "scale": _doubles(kinematics.step_scale),
-            "mass": _doubles(mass),
-            "centre": _doubles(centre),
-            "inertia": _doubles(inertia),
-            "gravity": _doubles(gravity),
-            "tool_rotation": _doubles(frame.placement.rotation),
-            "tool_place": _doubles(frame.placement.translation),
+            "scale": _copy_doubles(kinematics.step_scale),
+            "mass": _copy_doubles(mass),
+            "centre": _copy_doubles(centre),
+            "inertia": _copy_doubles(inertia),
+            "gravity": _copy_doubles(gravity),
+            "tool_rotation": _copy_doubles(frame.placement.rotation),
+            "tool_place": _copy_doubles(frame.placement.translation),
         }
-        self.struct: CData = WAY.new(
-            "way_arm",
+        self.struct: CData = PATH_HEADER.new(
+            "path_arm",
             joints=len(chain),
             coordinates=len(names),
             tool_parent=chain.index(frame.parentJoint) if frame.parentJoint else -1,
@@ -102,21 +102,21 @@ class ArmTree(SharedObject):
             reach=kinematics.reach,
             **self._arrays,
         )
-        self._law = way_library()
+        self._library = path_library()
 
     def forward(self, q: Array) -> tuple[Array, Array]:
         """Return tool positions (K, 3) [m] and rotations (K, 3, 3) of configurations (K, N)."""
-        q = self._joints(q)
+        q = self._compute_joints(q)
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
-        self._law.way_forward(self.struct, len(q), pointer(q), pointer(p), pointer(R))
+        self._library.path_forward(self.struct, len(q), pointer(q), pointer(p), pointer(R))
         return p, R
 
     def torques(self, q: Array, v: Array, a: Array) -> Array:
         """Return the torques of the links, (K, N) [N m or N]."""
-        q = self._joints(q)
-        v, a = (np.ascontiguousarray(one @ self._coupling.T) for one in (v, a))
+        q = self._compute_joints(q)
+        v, a = (np.ascontiguousarray(rate @ self._coupling.T) for rate in (v, a))
         tau = np.empty_like(q)
-        self._law.way_torques(self.struct, len(q), pointer(q), pointer(v), pointer(a), pointer(tau))
+        self._library.path_torques(self.struct, len(q), *map(pointer, (q, v, a, tau)))
         return np.asarray(tau @ self._coupling)
 
     def trace(
@@ -133,40 +133,42 @@ class ArmTree(SharedObject):
             start: joint angles of the arm (N,), where the poses begin.
             p: positions (K, 3) [m].
             R: rotations (K, 3, 3).
-            goal: angles (N,) of joints that the poses leave free; None: any.
+            goal: angles (N,) of joints that the poses leave free, or None if any will do.
             turns: whether the rotations are asked for.
         """
         q = np.empty((len(p) + 1, len(start)))
         q[0] = start
-        wanted = None if goal is None else np.ascontiguousarray(goal)
+        end = None if goal is None else np.ascontiguousarray(goal)
         p, R = np.ascontiguousarray(p), np.ascontiguousarray(R)
-        reached = self._law.way_trace(
+        reached = self._library.path_trace(
             self.struct,
             self.kinematics.rows if turns else POSITION_ROWS,
             len(p),
             pointer(p),
             pointer(R),
-            NULL if wanted is None else pointer(wanted),
+            NULL if end is None else pointer(end),
             pointer(q),
         )
         return q[: reached + 1]
 
-    def _joints(self, q: Array) -> Array:
+    def _compute_joints(self, q: Array) -> Array:
         """Return the joints of the tree, (K, joints)."""
         return np.ascontiguousarray(q @ self._coupling.T + self._offset)
 
 
-def _doubles(values: Any) -> Array:
+def _copy_doubles(values: Any) -> Array:
     return np.ascontiguousarray(np.array(values, dtype=np.float64))
 
 
-WAY = Header(FOLDER / "way.h")
+PATH_HEADER = Header(FOLDER / "path.h")
 
 
-def topp_unit() -> Unit:
-    """Return their sources."""
-    source = '#include "way.cpp"\n'
-    return Unit("way", source, CPP_FLAGS, (FOLDER, CORE), (WAY,), "motion", "the ways", "way.cpp")
+def make_path_unit() -> Unit:
+    """Return the sources of planned paths."""
+    source = '#include "path.cpp"\n'
+    return Unit(
+        "path", source, CPP_FLAGS, (FOLDER, CORE), (PATH_HEADER,), "motion", "the paths", "path.cpp"
+    )
 
 
-way_library = compile_once(topp_unit)
+path_library = compile_once(make_path_unit)

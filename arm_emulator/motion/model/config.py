@@ -9,8 +9,8 @@ from typing import Any
 
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.validation.parameters import load_parameters, parameter
-from arm_emulator.motion.model.drive_parameters import SECTION, Drives, drives_of
-from arm_emulator.motion.model.obstacles import OBSTACLES, Obstacle, obstacles_of
+from arm_emulator.motion.model.drive_parameters import SECTION, Drives, read_drives
+from arm_emulator.motion.model.obstacles import OBSTACLES, Obstacle, read_obstacles
 
 NODE = "motion_controller"
 SECTIONS = SECTION, OBSTACLES
@@ -233,21 +233,17 @@ class MotionConfig(SharedObject):
     """Gears and friction of joints by name, for the feed-forward `full`; a joint that is not there
     has a rigid gear and no friction. In files it is the section `joints`."""
     where: str = field(default=NODE, compare=False)
-    """Its name in refusals: its file, or the node."""
+    """Name of the parameters in refusals: their file, or the node."""
 
     @property
-    def watches_collisions(self) -> bool:
+    def has_collision_stop(self) -> bool:
         """Whether the arm stops before parts touch."""
         return self.collisions == "stop" or (self.collisions == "auto" and bool(self.obstacles))
 
-    def beside(self, sections: Mapping[str, Any], where: str) -> MotionConfig:
-        """Return the parameters with those of the sections.
-
-        Raises:
-            Refusal: a section with unknown keys or impossible values.
-        """
-        drives = drives_of(sections.get(SECTION, {}), where)
-        obstacles = obstacles_of(sections.get(OBSTACLES, {}), where)
+    def add_sections(self, sections: Mapping[str, Any], where: str) -> MotionConfig:
+        """Return the parameters with those of the sections."""
+        drives = read_drives(sections.get(SECTION, {}), where)
+        obstacles = read_obstacles(sections.get(OBSTACLES, {}), where)
         return replace(self, where=where, drives=drives, obstacles=obstacles)
 
     @property
@@ -261,10 +257,6 @@ class MotionConfig(SharedObject):
 
 
 def load_motion_config(path: Path) -> MotionConfig:
-    """Read a ROS parameter file of the node `motion_controller`.
-
-    Raises:
-        Refusal: an invalid value.
-    """
+    """Read a ROS parameter file of the node `motion_controller`."""
     config, tables = load_parameters(path, NODE, MotionConfig, beside=SECTIONS)
-    return config.beside(tables, path.name)
+    return config.add_sections(tables, path.name)

@@ -52,22 +52,14 @@ class DriveParameters:
 Drives = Mapping[str, DriveParameters]
 
 
-def drives_of(given: object, where: str) -> dict[str, DriveParameters]:
-    """Return the numbers of joints by their names.
-
-    Args:
-        given: nested mappings as in parameter files, or ROS's dotted names.
-        where: name of their source, for refusals.
-
-    Raises:
-        Refusal: an unknown key or an impossible value.
-    """
+def read_drives(section: object, where: str) -> dict[str, DriveParameters]:
+    """Return the numbers of joints by their names."""
     return {
         name: DriveParameters(**read_numbers(table, DriveParameters, where, f"{SECTION}.{name}"))
-        for name, table in split_tables(given, where, SECTION).items()
+        for name, table in split_tables(section, where, SECTION).items()
     }
 
 
-def column(drives: Sequence[DriveParameters], key: str) -> Array:
+def read_column(drives: Sequence[DriveParameters], key: str) -> Array:
     """Return a number of all drives (N,)."""
     return np.array([getattr(drive, key) for drive in drives], dtype=np.float64)

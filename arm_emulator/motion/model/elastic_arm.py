@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.model.drive_parameters import DriveParameters, column
+from arm_emulator.motion.model.drive_parameters import DriveParameters, read_column
 from arm_emulator.motion.model.link_torques import LinkTorques
 
 # Share of the speed limit over which Coulomb friction grows from 0, without a step at the start.
@@ -41,7 +41,7 @@ class Drive:
     torque: Array
     """Torques that the gears carry [N m]."""
     torque_rate: Array
-    """Their rates of change [N m/s]."""
+    """Rates of change of these torques [N m/s]."""
 
 
 class ElasticArm:
@@ -57,13 +57,13 @@ class ElasticArm:
         self, links: LinkTorques, drives: Sequence[DriveParameters], velocity_limit: Array
     ) -> None:
         self._links = links
-        stiffness = column(drives, "stiffness")
+        stiffness = read_column(drives, "stiffness")
         self.softness = 1.0 / stiffness
         """Wind-up per small torque (N,) [rad/(N m)]; 0: rigid."""
-        self._cubic = column(drives, "cubic_stiffness") * np.isfinite(stiffness)
-        self._damping = column(drives, "damping") * np.isfinite(stiffness)
-        self._of_link = column(drives, "viscous"), column(drives, "coulomb")
-        self._of_rotor = column(drives, "rotor_viscous"), column(drives, "rotor_coulomb")
+        self._cubic = read_column(drives, "cubic_stiffness") * np.isfinite(stiffness)
+        self._damping = read_column(drives, "damping") * np.isfinite(stiffness)
+        self._of_link = read_column(drives, "viscous"), read_column(drives, "coulomb")
+        self._of_rotor = read_column(drives, "rotor_viscous"), read_column(drives, "rotor_coulomb")
         limit = np.where(np.isfinite(velocity_limit), velocity_limit, _UNKNOWN_LIMIT)
         self._smooth = SMOOTH * limit
         self.dry = self._of_link[1] + self._of_rotor[1]
@@ -82,11 +82,11 @@ class ElasticArm:
         `factor` multiplies the torques that the links need by their description (N,).
         """
         torque, rate = self._links.rates(q, v, a, jerk)
-        friction, slope = self._friction(self._of_link, v)
+        friction, slope = self._compute_friction(self._of_link, v)
         torque, rate = factor * torque + friction, factor * rate + slope * a
-        softness = self._slope(self.wind_up(torque))
-        wound = self.wind_up(torque - self._damping * rate * softness)
-        return Drive(q + wound, v + rate * self._slope(wound), torque, rate)
+        softness = self._compute_slope(self.wind_up(torque))
+        wind_up = self.wind_up(torque - self._damping * rate * softness)
+        return Drive(q + wind_up, v + rate * self._compute_slope(wind_up), torque, rate)
 
     def over(self, begins: Drive, ends: Drive, period: float) -> Array:
         """Return the mean torques of gears and rotors' friction in a period, (N,) [N m].
@@ -96,7 +96,7 @@ class ElasticArm:
         gear = 0.5 * (begins.torque + ends.torque)
         gear += period / 12.0 * (begins.torque_rate - ends.torque_rate)
         omega = 0.5 * (begins.omega + ends.omega)
-        return gear + self._friction(self._of_rotor, omega)[0]
+        return gear + self._compute_friction(self._of_rotor, omega)[0]
 
     def sliding(self, v: Array) -> Array:
         """Return the share of dry friction that acts at speeds v (N,), 0 to 1."""
@@ -117,11 +117,11 @@ class ElasticArm:
         scale = np.sqrt(4.0 / (3.0 * np.where(bent, cubic, 1.0)))
         return np.where(bent, scale * np.sinh(np.arcsinh(3.0 * linear / scale) / 3.0), linear)
 
-    def _slope(self, wound: Array) -> Array:
+    def _compute_slope(self, wind_up: Array) -> Array:
         """Return wind-up per torque at a wind-up (N,) [rad/(N m)]."""
-        return self.softness / (1.0 + 3.0 * self._cubic * self.softness * wound**2)
+        return self.softness / (1.0 + 3.0 * self._cubic * self.softness * wind_up**2)
 
-    def _friction(self, law: tuple[Array, Array], v: Array) -> tuple[Array, Array]:
+    def _compute_friction(self, law: tuple[Array, Array], v: Array) -> tuple[Array, Array]:
         """Return friction at speeds v (N,), and its derivative."""
         viscous, coulomb = law
         root = np.hypot(v, self._smooth)

@@ -33,11 +33,17 @@ class Reference:
     q: Array
     """Link angles [rad or m]."""
     v: Array
-    """Their speeds [rad/s or m/s]."""
+    """Link speeds [rad/s or m/s]."""
     a: Array
-    """Their accelerations [rad/s2 or m/s2]."""
+    """Link accelerations [rad/s2 or m/s2]."""
     jerk: Array | None = None
-    """Their jerks until the next change of them [rad/s3 or m/s3]; None: not known."""
+    """Link jerks until they change next [rad/s3 or m/s3]; None: not known."""
+
+    def after(self, period: float, q: Array) -> Reference:
+        """Return the motion after a period [s] at whose end the joints are at q (N,)."""
+        jerk = np.zeros_like(q) if self.jerk is None else self.jerk
+        v = self.v + self.a * period + 0.5 * jerk * period**2
+        return Reference(q, v, self.a + jerk * period, jerk)
 
     @classmethod
     def at_rest(cls, q: Array) -> Reference:

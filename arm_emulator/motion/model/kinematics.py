@@ -21,9 +21,9 @@ from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.model.pinocchio_model import (
     JOINT,
     LINK,
-    link_names,
-    rate_limits,
-    whole_model,
+    build_full_model,
+    list_links,
+    read_rate_limits,
 )
 from arm_emulator.motion.model.pose import Pose
 
@@ -32,7 +32,7 @@ _REACH = TOOL_POSITION.named("the length of the arm")
 _TARGET_ROTATION = Number.within("the rotation", "", 1.001)  # no entry is larger, up to rounding
 
 # A joint of a redundant arm that is so many times as slow as the others is spared, in proportion.
-SLOW, LEAST_SHARE = 10.0, 0.1
+SLOW, MIN_SHARE = 10.0, 0.1
 
 POSITION_ROWS = 3
 POSE_ROWS = 6
@@ -55,7 +55,7 @@ class Kinematics(SharedObject):
     Attributes:
         urdf_xml: the robot description.
         rows: of the task, 3 or 6.
-        turns_tool: whether the task rules the tool's orientation.
+        has_orientation: whether the task rules the tool's orientation.
         to_tool: whether a joint moves the tool, (N,): a second arm or a gripper does not.
         reach: length of the chain from its first joint to the tool, with what limited joints slide
             [m].
@@ -92,7 +92,7 @@ class Kinematics(SharedObject):
         self.joint_names = tuple(joint_names)
         self.tool = tool
         self.shafts = Shafts(urdf_xml, self.joint_names, tool)
-        self.model = arm_model(urdf_xml, self.joint_names, self.shafts.joints, tool, where)
+        self.model = build_arm_model(urdf_xml, self.joint_names, self.shafts.joints, tool, where)
         self._data = self.model.createData()
         self._joints = [
             self.model.joints[self.model.getJointId(JOINT + n)] for n in self.shafts.joints
@@ -103,32 +103,34 @@ class Kinematics(SharedObject):
         self.continuous = self._turning[: len(alone)] & alone
         self._places = np.array([joint.idx_q for joint in self._joints])
         self._neutral = pin.neutral(self.model)
-        self._frame = tool_frame(self.model, tool, where)
-        self.to_tool = self._moves_tool()
-        self.rows = _rows(task, int(self.to_tool.sum()), where)
-        self.turns_tool = self.rows == POSE_ROWS
+        self._frame = find_tool_frame(self.model, tool, where)
+        self.to_tool = self._find_tool_joints()
+        self.rows = _count_rows(task, int(self.to_tool.sum()), where)
+        self.has_orientation = self.rows == POSE_ROWS
         self._of_tool: Kinematics | None = None
         if not self.to_tool.all():
             names = [name for name, on in zip(joint_names, self.to_tool, strict=True) if on]
             self._of_tool = Kinematics(urdf_xml, names, tool, task, where)
-        self.lower, self.upper = self._position_limits()
-        rates = rate_limits(urdf_xml)
+        self.lower, self.upper = self._read_position_limits()
+        rates = read_rate_limits(urdf_xml)
         moved = [rates[name] for name in self.shafts.joints]
-        self.velocity_limit = self.shafts.most(np.array([one.velocity for one in moved]))
-        self.acceleration_limit = self.shafts.most(np.array([one.acceleration for one in moved]))
+        self.velocity_limit = self.shafts.most(np.array([limit.velocity for limit in moved]))
+        self.acceleration_limit = self.shafts.most(
+            np.array([limit.acceleration for limit in moved])
+        )
         # Limit of a drive: a torque of its shaft, whichever joints it moves.
         self.effort_limit = np.array([rates[name].effort for name in self.joint_names])
-        self.reach = self._reach()
+        self.reach = self._measure_reach()
         _REACH.check("robot_description", [self.reach])
         pin.framesForwardKinematics(self.model, self._data, self._neutral)
         R_WT, p_WT = self._data.oMf[self._frame].rotation, self._data.oMf[self._frame].translation
         TOOL_POSITION.named("tool").check("robot_description", p_WT.tolist())
         _TARGET_ROTATION.check("robot_description", np.ravel(R_WT).tolist())
-        self.links = tuple(link_names(self.model))
+        self.links = tuple(list_links(self.model))
         self.base = self.links[0]
         self.scale = np.ones(self.rows)
         self.scale[:POSITION_ROWS] = 1.0 / self.reach
-        slides = [_slides(joint) for joint in self._joints[: len(self.joint_names)]]
+        slides = [_is_sliding(joint) for joint in self._joints[: len(self.joint_names)]]
         self.joint_scale = np.where(slides, self.reach, 1.0)
         self.step_scale = self._step_scale()
 
@@ -138,7 +140,7 @@ class Kinematics(SharedObject):
         return self._of_tool or self
 
     @property
-    def redundant(self) -> bool:
+    def is_redundant(self) -> bool:
         """Whether more joints move the tool than the task has rows."""
         return int(self.to_tool.sum()) > self.rows
 
@@ -146,12 +148,12 @@ class Kinematics(SharedObject):
         return f"<Kinematics of {', '.join(self.joint_names)} to {self.tool}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        task = "pose" if self.turns_tool else "position"
+        task = "pose" if self.has_orientation else "position"
         return Kinematics, (self.urdf_xml, self.joint_names, self.tool, task)
 
     def forward(self, q: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the tool's pose: ``R_WT`` (3, 3) and ``p_WT`` (3,) [m]."""
-        pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
+        pin.framesForwardKinematics(self.model, self._data, self._compute_configuration(q))
         placement = self._data.oMf[self._frame]
         return placement.rotation.copy(), placement.translation.copy()
 
@@ -167,25 +169,25 @@ class Kinematics(SharedObject):
         if not self.model.existFrame(LINK + link, pin.FrameType.BODY):
             raise Refusal("Kinematics.axes", "link", "be of the robot", link)
         number = self.model.getFrameId(LINK + link, pin.FrameType.BODY)
-        pin.framesForwardKinematics(self.model, self._data, self._configuration(q))
+        pin.framesForwardKinematics(self.model, self._data, self._compute_configuration(q))
         axes: Array = self._data.oMf[number].rotation.copy()
         return axes
 
     def jacobian(self, q: npt.ArrayLike) -> Array:
         """Return J(q), (rows, N) [m/rad, rad/rad], along the world's axes at the tool."""
-        return self._jacobian(self._configuration(q))
+        return self._compute_jacobian(self._compute_configuration(q))
 
     def tool_error(self, q: npt.ArrayLike, target: Pose) -> Array:
         """Return ``X_target - X(q)``, (rows,) [m, rad]."""
-        return self._tool_error(*self.forward(q), target)
+        return self._compute_tool_error(*self.forward(q), target)
 
-    def error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[Array, Array]:
+    def compute_error_and_jacobian(self, q: npt.ArrayLike, target: Pose) -> tuple[Array, Array]:
         """Return `tool_error` and `jacobian` at the cost of one of them."""
-        J = self._jacobian(self._configuration(q))
+        J = self._compute_jacobian(self._compute_configuration(q))
         placement = pin.updateFramePlacement(self.model, self._data, self._frame)
-        return self._tool_error(placement.rotation, placement.translation, target), J
+        return self._compute_tool_error(placement.rotation, placement.translation, target), J
 
-    def _jacobian(self, configuration: Array) -> Array:
+    def _compute_jacobian(self, configuration: Array) -> Array:
         J = pin.computeFrameJacobian(
             self.model,
             self._data,
@@ -197,7 +199,7 @@ class Kinematics(SharedObject):
         rows: Array = J[: self.rows, self._columns]
         return self.shafts.columns(rows)
 
-    def _tool_error(self, R_WT: Array, p_WT: Array, target: Pose) -> Array:
+    def _compute_tool_error(self, R_WT: Array, p_WT: Array, target: Pose) -> Array:
         error = coerce_kind(target, Pose, "Kinematics", "target", "be a Pose").p_WT - p_WT
         if self.rows == POSITION_ROWS:
             return error
@@ -217,7 +219,7 @@ class Kinematics(SharedObject):
         """
         return _Q.row("Kinematics", q, len(self.joint_names))
 
-    def _configuration(self, q: npt.ArrayLike) -> Array:
+    def _compute_configuration(self, q: npt.ArrayLike) -> Array:
         """Return Pinocchio's configuration: a continuous joint has cos and sin there."""
         q = self.shafts.of_joints(self.vector(q))
         configuration: Array = self._neutral.copy()
@@ -231,13 +233,13 @@ class Kinematics(SharedObject):
     def _step_scale(self) -> Array:
         """Return by how much the joints move towards a target, relative to each other (N,)."""
         speeds = self.velocity_limit / self.joint_scale
-        usual = float(np.median(speeds[self.to_tool])) if self.to_tool.any() else np.inf
-        if self.to_tool.sum() <= self.rows or not np.isfinite(usual):
+        median = float(np.median(speeds[self.to_tool])) if self.to_tool.any() else np.inf
+        if self.to_tool.sum() <= self.rows or not np.isfinite(median):
             return self.joint_scale  # nothing to choose from, or nothing known
-        share: Array = np.clip(SLOW * speeds / usual, LEAST_SHARE, 1.0)
+        share: Array = np.clip(SLOW * speeds / median, MIN_SHARE, 1.0)
         return share * self.joint_scale
 
-    def _position_limits(self) -> tuple[Array, Array]:
+    def _read_position_limits(self) -> tuple[Array, Array]:
         """Return the position limits of the URDF, (N,) each; a continuous joint has none."""
         bounds = [
             (-math.inf, math.inf)
@@ -251,24 +253,24 @@ class Kinematics(SharedObject):
         lower, upper = self.shafts.positions(*np.array(bounds, dtype=np.float64).T)
         return lower, upper
 
-    def _moves_tool(self) -> npt.NDArray[np.bool_]:
+    def _find_tool_joints(self) -> npt.NDArray[np.bool_]:
         """Return which joints move the tool (N,); where none does, all."""
-        joint, way = self.model.frames[self._frame].parentJoint, set[str]()
+        joint, chain = self.model.frames[self._frame].parentJoint, set[str]()
         while joint > 0:
-            way.add(self.model.names[joint].removeprefix(JOINT))
+            chain.add(self.model.names[joint].removeprefix(JOINT))
             joint = self.model.parents[joint]
-        on_way = np.array([name in way for name in self.shafts.joints])
-        moved = np.asarray((self.shafts.C[on_way] != 0.0).any(axis=0))
+        on_chain = np.array([name in chain for name in self.shafts.joints])
+        moved = np.asarray((self.shafts.C[on_chain] != 0.0).any(axis=0))
         return moved if moved.any() else ~moved
 
-    def _reach(self) -> float:
+    def _measure_reach(self) -> float:
         frame = self.model.frames[self._frame]
         length = math.hypot(*frame.placement.translation)
         joint = frame.parentJoint
         while joint > 0:
             if self.model.parents[joint] > 0:
                 length += math.hypot(*self.model.jointPlacements[joint].translation)
-            if _slides(self.model.joints[joint]):
+            if _is_sliding(self.model.joints[joint]):
                 place = self.model.joints[joint].idx_q
                 travel = max(
                     abs(self.model.lowerPositionLimit[place]),
@@ -279,11 +281,11 @@ class Kinematics(SharedObject):
         return length or 1.0
 
 
-def _slides(joint: Any) -> bool:
+def _is_sliding(joint: Any) -> bool:
     return bool(joint.shortname().removeprefix("JointModel").startswith("P"))
 
 
-def moving_joints(urdf_xml: str) -> tuple[str, ...]:
+def list_moving_joints(urdf_xml: str) -> tuple[str, ...]:
     """Return the joints of a robot description that are commanded, base to tool.
 
     Mimic joints are not among them.
@@ -291,10 +293,10 @@ def moving_joints(urdf_xml: str) -> tuple[str, ...]:
     Raises:
         Refusal: not a robot description, or one that Pinocchio does not take.
     """
-    return read_shafts(_moving(whole_model(urdf_xml)), urdf_xml)
+    return read_shafts(_list_moving(build_full_model(urdf_xml)), urdf_xml)
 
 
-def _rows(task: str, joints: int, where: str) -> int:
+def _count_rows(task: str, joints: int, where: str) -> int:
     """Return the number of task rows."""
     tasks = {
         "auto": POSE_ROWS if joints >= POSE_ROWS else POSITION_ROWS,
@@ -306,11 +308,11 @@ def _rows(task: str, joints: int, where: str) -> int:
     return tasks[task]
 
 
-def _moving(model: Any) -> tuple[str, ...]:
+def _list_moving(model: Any) -> tuple[str, ...]:
     return tuple(name.removeprefix(JOINT) for name in list(model.names)[1:])
 
 
-def arm_model(
+def build_arm_model(
     urdf_xml: str,
     joint_names: tuple[str, ...],
     moved: tuple[str, ...],
@@ -318,13 +320,9 @@ def arm_model(
     where: str,
     masses: bool = False,
 ) -> Any:
-    """Return the Pinocchio model whose moving joints are exactly `moved`.
-
-    Raises:
-        Refusal: a description or name that is not taken.
-    """
-    model = whole_model(urdf_xml, tool, masses)
-    moving = _moving(model)
+    """Return the Pinocchio model whose moving joints are exactly `moved`."""
+    model = build_full_model(urdf_xml, tool, masses)
+    moving = _list_moving(model)
     for name in joint_names:
         if name not in moving:
             raise Refusal(
@@ -344,7 +342,7 @@ def arm_model(
     return model
 
 
-def tool_frame(model: Any, tool: str, where: str) -> int:
+def find_tool_frame(model: Any, tool: str, where: str) -> int:
     """Return the index of the link (or other frame) `tool`."""
     for name, kind in (
         (LINK + tool, pin.FrameType.BODY),
@@ -357,5 +355,5 @@ def tool_frame(model: Any, tool: str, where: str) -> int:
         "tool",
         "be a link of the robot description",
         tool,
-        ", ".join(link_names(model)),
+        ", ".join(list_links(model)),
     )

@@ -16,10 +16,6 @@ class LinkMotions:
 
     Attributes:
         names: of the links, the base first.
-
-    Args:
-        urdf: the description; its root is the world's frame.
-        joint_names: the shafts (N).
     """
 
     def __init__(self, urdf: str, joint_names: Sequence[str]) -> None:
@@ -37,12 +33,7 @@ class LinkMotions:
         self.names = tuple(self._frames)
 
     def place(self, q: Array, v: Array) -> None:
-        """Place the links.
-
-        Args:
-            q: positions of the shafts (N,) [rad or m].
-            v: their speeds (N,) [rad/s or m/s].
-        """
+        """Place the links, for positions q and speeds v of the shafts (N,) [rad or m, s]."""
         shafts = self._shafts
         at, speeds = pin.neutral(self._model), np.zeros(self._model.nv)
         for joint, x, xd in zip(

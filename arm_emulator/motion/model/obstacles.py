@@ -32,17 +32,13 @@ class Obstacle:
     """Orientation: roll, pitch, yaw as in a URDF [rad]."""
 
 
-def obstacles_of(given: object, where: str) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a section; nested, or with ROS's dotted names.
-
-    Raises:
-        Refusal: an unknown key or an impossible value.
-    """
-    tables = split_tables(given, where, OBSTACLES)
-    return tuple(_obstacle(name, table, where) for name, table in tables.items())
+def read_obstacles(section: object, where: str) -> tuple[Obstacle, ...]:
+    """Return the obstacles of a section; nested, or with ROS's dotted names."""
+    tables = split_tables(section, where, OBSTACLES)
+    return tuple(_read_obstacle(name, table, where) for name, table in tables.items())
 
 
-def _obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
+def _read_obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
     path = f"{OBSTACLES}.{name}"
     for key in table:
         if key not in _KEYS:
@@ -55,12 +51,12 @@ def _obstacle(name: str, table: Mapping[str, Any], where: str) -> Obstacle:
     if "size" not in table:
         raise Refusal(where, path, "have a height (a floor) or a size (a box)", sorted(table))
     values = {
-        key: _three(table[key], one, where, f"{path}.{key}")
-        for key, one in (("size", _LENGTH), ("at", _PLACE), ("rpy", _ANGLE))
+        key: _read_three(table[key], number, where, f"{path}.{key}")
+        for key, number in (("size", _LENGTH), ("at", _PLACE), ("rpy", _ANGLE))
         if key in table
     }
     return Obstacle(name, None, **values)
 
 
-def _three(given: object, one: Number, where: str, path: str) -> tuple[float, ...]:
-    return tuple(one.named(path).row(where, given, 3).tolist())
+def _read_three(values: object, number: Number, where: str, path: str) -> tuple[float, ...]:
+    return tuple(number.named(path).row(where, values, 3).tolist())

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 
-LEAST, MOST = 0.5, 2.0
+MIN_FACTOR, MAX_FACTOR = 0.5, 2.0
 _SETTLED = 0.1  # s at rest before the motors' torques count: links swing after a motion
 _FOLLOWS = 0.3  # s, in which the factor follows
 _TAKEN = 1.0  # s of motion, in which the servo's integral takes over what friction has let go of
@@ -60,42 +60,40 @@ class RestLoad:
         self._held: Array = np.zeros(len(dry))  # by friction at rest, N m
         self._rested = 0.0  # s
 
-    def moves(self) -> None:
+    def note_motion(self) -> None:
         """Take note that the joints do not rest, or cannot move."""
         self._rested = 0.0
 
-    def brakes(self, free: npt.NDArray[np.bool_]) -> None:
+    def note_brakes(self, free: npt.NDArray[np.bool_]) -> None:
         """Take note which joints can move (N,): brakes hold the others, or nothing does."""
         self._held = np.where(free, self._held, 0.0)
-        self.moves()
+        self.note_motion()
 
-    def let_go(self, sliding: Array) -> Array:
+    def release_friction(self, sliding: Array) -> Array:
         """Return what friction held at rest and holds no longer in a motion period (N,) [N m].
 
         Args:
             sliding: share of its dry friction with which a joint slides (N,), 0 at rest.
         """
-        gone = sliding * self._held
-        self._held = self._held - min(1.0, self._period / _TAKEN) * gone
-        return gone
+        released = sliding * self._held
+        self._held = self._held - min(1.0, self._period / _TAKEN) * released
+        return released
 
-    def rests(self, tau: Array, weight: Array) -> None:
+    def observe_rest(self, tau: Array, weight: Array) -> None:
         """Follow the load in a motion period of rest.
 
-        Args:
-            tau: torques that the motors give, at the links (N,) [N m].
-            weight: predicted torques (N,) [N m].
+        `tau` are torques that the motors give, `weight` those predicted, at the links (N,) [N m].
         """
         self._rested += self._period
         if self._rested < _SETTLED:
             return
-        wanted = np.empty_like(self.factor)
+        factors = np.empty_like(self.factor)
         for j, carried in self._outboard:
-            expected = float(np.mean([wanted[k] for k in carried])) if carried else 1.0
+            expected = float(np.mean([factors[k] for k in carried])) if carried else 1.0
             w, uncertain = float(weight[j]), float(self._uncertain[j])
             surplus = float(tau[j]) - expected * w
             surplus -= min(max(surplus, -uncertain), uncertain)
-            found = expected + surplus * w / (w**2 + uncertain**2)
-            wanted[j] = min(max(found, LEAST), MOST)
+            factor = expected + surplus * w / (w**2 + uncertain**2)
+            factors[j] = min(max(factor, MIN_FACTOR), MAX_FACTOR)
         self._held = np.clip(tau - self.factor * weight, -self._dry, self._dry)
-        self.factor = self.factor + min(1.0, self._period / _FOLLOWS) * (wanted - self.factor)
+        self.factor = self.factor + min(1.0, self._period / _FOLLOWS) * (factors - self.factor)

@@ -15,27 +15,27 @@ import ruckig
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.ik.configuration_search import low_discrepancy
+from arm_emulator.motion.ik.configuration_search import generate_low_discrepancy
 from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.joint_reference import Overshoot
 from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.motion.trajectory.jerk_limited_velocity import found
+from arm_emulator.motion.trajectory.jerk_limited_velocity import solve_with_ruckig
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath, ToolPathLimits
-from arm_emulator.motion.trajectory.tool_line import joints_along
+from arm_emulator.motion.trajectory.tool_line import trace_line
 
 MUCH_LONGER = 1.5  # times the joints' line takes, and
 LONGER = 0.1  # s: then the joints' line is taken
 FARTHEST_PAST = 3e-3  # m past its end, that a way may take the tool
-LEAST_TURN = 0.5 * math.pi  # rad, whose other way round may be gone
+MIN_TURN = 0.5 * math.pi  # rad, whose other way round may be gone
 
 
 @dataclass(frozen=True, eq=False)
 class CandidatePath:
     """A way to a target."""
 
-    way: TimedPath
+    path: TimedPath
     words: str
     """Kind and reason, as text."""
     end: Array
@@ -74,7 +74,7 @@ class CandidatePaths:
         self._begin = Pose.computed(p_WT, R_WT)
         self.notices: list[str] = []
 
-    def to(self, end: Array, line: JointCurve | str) -> Iterator[CandidatePath]:
+    def generate_paths(self, end: Array, line: JointCurve | str) -> Iterator[CandidatePath]:
         """Yield the ways to joint angles (N,) that reach the target.
 
         Args:
@@ -86,18 +86,20 @@ class CandidatePaths:
         """
         along = JointCurve.line(self._start, end)
         joints: TimedPath | None = None
-        slow, other_last = None, True
+        slow, reverse_last = None, True
         if isinstance(line, JointCurve):
-            straight = self._way(line)
-            longest = MUCH_LONGER * joints_duration(end - self._start, self._limits) + LONGER
+            straight = self._time_curve(line)
+            longest = (
+                MUCH_LONGER * compute_joints_duration(end - self._start, self._limits) + LONGER
+            )
             if straight.duration > longest:
-                joints = self._way(along)
+                joints = self._time_curve(along)
                 longest = MUCH_LONGER * joints.duration + LONGER
             if straight.duration <= longest:
-                yield CandidatePath(self._limited(straight), "along the tool's line", end)
+                yield CandidatePath(self._limit_tool(straight), "along the tool's line", end)
                 line = "parts would touch on the tool's"
-                yield from self._turning_the_other_way(line)
-                other_last = False
+                yield from self._reverse_turn(line)
+                reverse_last = False
             else:
                 assert joints is not None
                 slow = straight
@@ -105,61 +107,63 @@ class CandidatePaths:
                     "the tool's passes near a singular pose and would take "
                     f"{straight.duration:.3g} s instead of {joints.duration:.3g} s"
                 )
-        joints = joints or self._way(along)
-        free = self._turning_with_the_joints(end)
+        joints = joints or self._time_curve(along)
+        free = self._follow_joints(end)
         if isinstance(free, JointCurve):
-            straight = self._way(free)
+            straight = self._time_curve(free)
             if straight.duration <= MUCH_LONGER * joints.duration + LONGER:
                 words = f"along the tool's line, turning as the joints do: {line}"
-                yield CandidatePath(self._limited(straight), words, end)
-        past = past_end(self._arm, along)
+                yield CandidatePath(self._limit_tool(straight), words, end)
+        past = measure_overshoot(self._arm, along)
         if past > QUIETLY_PAST:
             line = f"{line}; on the joints' line the tool goes {past * 1e3:.3g} mm past its end"
-            arc = joint_arc(self._arm, self._start, end)
+            arc = find_joint_arc(self._arm, self._start, end)
             if arc is not None:
-                yield CandidatePath(self._way(arc), f"along an arc of the joints: {line}", end)
+                yield CandidatePath(
+                    self._time_curve(arc), f"along an arc of the joints: {line}", end
+                )
         if past <= FARTHEST_PAST:
             yield CandidatePath(joints, f"along the joints' line: {line}", end)
         if slow is not None:
             words = "along the tool's line, slowly: no other way is free"
-            yield CandidatePath(self._limited(slow), words, end)
-        if other_last:
-            yield from self._turning_the_other_way("no other way is free")
+            yield CandidatePath(self._limit_tool(slow), words, end)
+        if reverse_last:
+            yield from self._reverse_turn("no other way is free")
 
-    def past_end(self, end: Array) -> Overshoot:
+    def refuse_overshoot(self, end: Array) -> Overshoot:
         """Return the refusal of joint angles (N,) to which no way leads."""
-        past = past_end(self._arm, JointCurve.line(self._start, end)) * 1e3
+        past = measure_overshoot(self._arm, JointCurve.line(self._start, end)) * 1e3
         rule = f"take the tool at most {FARTHEST_PAST * 1e3:g} mm past its end"
         valid = "a target on the way, or a joint trajectory"
         return Overshoot(
             self._where, "the way", rule, f"{past:.3g} mm on all that were found", valid
         )
 
-    def _turning_the_other_way(self, why: str) -> Iterator[CandidatePath]:
+    def _reverse_turn(self, why: str) -> Iterator[CandidatePath]:
         """Yield the tool's line, turning the other way round, if that exists."""
         kinematics = self._arm.kinematics
         turn = kinematics.tool_error(self._start, self._target)[POSITION_ROWS:]
-        if np.linalg.norm(turn) < LEAST_TURN:
+        if np.linalg.norm(turn) < MIN_TURN:
             return
         ends = self._begin, self._target
-        curve = joints_along(self._arm, self._start, *ends, None, other_way=True)
+        curve = trace_line(self._arm, self._start, *ends, None, other_way=True)
         if isinstance(curve, JointCurve):
             words = f"along the tool's line, turning the other way round: {why}"
-            yield CandidatePath(self._limited(self._way(curve)), words, curve.end)
+            yield CandidatePath(self._limit_tool(self._time_curve(curve)), words, curve.end)
 
-    def _turning_with_the_joints(self, end: Array) -> JointCurve | str:
+    def _follow_joints(self, end: Array) -> JointCurve | str:
         """Return the joints' curve to their angles at the end on which the tool goes straight."""
         if self._arm.kinematics.to_tool.sum() <= POSITION_ROWS:
             return "the tool's place alone determines the joints"
         p, R = self._arm.forward(np.stack([self._start, end]))
         begin, to = (Pose.computed(p[k], R[k]) for k in range(2))
-        return joints_along(self._arm, self._start, begin, to, end, False)
+        return trace_line(self._arm, self._start, begin, to, end, False)
 
-    def _limited(self, way: TimedPath) -> TimedPath:
+    def _limit_tool(self, path: TimedPath) -> TimedPath:
         """Return a way along the tool's line within the limits of the tool."""
-        return way if self._along is None else self._way(way.curve, self._along)
+        return path if self._along is None else self._time_curve(path.curve, self._along)
 
-    def _way(self, curve: JointCurve, along: ToolPathLimits | None = None) -> TimedPath:
+    def _time_curve(self, curve: JointCurve, along: ToolPathLimits | None = None) -> TimedPath:
         try:
             return TimedPath(curve, self._limits, self._arm, along, where=self._where)
         except Refusal as reason:  # the arm exceeds the torques of its description there
@@ -169,7 +173,7 @@ class CandidatePaths:
             return TimedPath(curve, self._limits, along=along)
 
 
-def joints_duration(step: Array, limits: JointPathLimits) -> float:
+def compute_joints_duration(step: Array, limits: JointPathLimits) -> float:
     """Return the duration of a line of the joints without torque limits [s]."""
     size = np.maximum(np.abs(step), 1e-12)
     problem, trajectory = ruckig.InputParameter(1), ruckig.Trajectory(1)
@@ -178,14 +182,14 @@ def joints_duration(step: Array, limits: JointPathLimits) -> float:
     problem.max_acceleration = [float((limits.acceleration / size).min())]
     problem.max_jerk = [float((limits.jerk / size).min())]
     try:
-        found(lambda: ruckig.Ruckig(1).calculate(problem, trajectory))
+        solve_with_ruckig(lambda: ruckig.Ruckig(1).calculate(problem, trajectory))
     except ArithmeticError:  # numbers beyond its range: no step
         return 0.0
     return float(trajectory.duration)
 
 
 # On the joints' line the tool may go past the place where it comes to rest, and come back. An arc
-# of the joints beside that line comes to the same end from before it.
+# of the joints next to that line comes to the same end from before it.
 QUIETLY_PAST = 1e-3  # m past its end, that a curve of the joints may take the tool without a word
 _TRIED = ((1, 256), (2, 512))  # control points between the ends, and sets of them
 _TOGETHER = 64  # sets
@@ -200,24 +204,19 @@ _POWERS = {
 }
 
 
-def past_end(arm: ArmTree, curve: JointCurve) -> float:
+def measure_overshoot(arm: ArmTree, curve: JointCurve) -> float:
     """Return how far the tool goes past its end, along the line to it, on a curve [m].
 
     A tool that comes to rest where it began has no such line: 0.
     """
-    return float(_past(arm, curve.derivatives(_LOOKS_AGAIN)[0][None])[0])
+    return float(_measure_past(arm, curve.derivatives(_LOOKS_AGAIN)[0][None])[0])
 
 
-def joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
+def find_joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
     """Return a curve on which the tool goes `QUIETLY_PAST` its end at most; None: none was found.
 
     Bezier's curves with control points all over the limits, those nearest to the joints' line
     first: they lie within the limits, as their control points do.
-
-    Args:
-        arm: the arm.
-        start: joints at the begin (N,).
-        end: joints at the end (N,).
     """
     kinematics = arm.kinematics
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -225,7 +224,7 @@ def joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
     low = np.maximum(np.minimum(kinematics.lower, low), low - aside)
     high = np.minimum(np.maximum(kinematics.upper, high), high + aside)
     for between, count in _TRIED:
-        parts = low_discrepancy(count, between * len(start)).reshape(count, between, -1)
+        parts = generate_low_discrepancy(count, between * len(start)).reshape(count, between, -1)
         share = np.arange(1.0, between + 1.0)[:, None] / (between + 1)
         line = start + share * (end - start)
         points = np.where(kinematics.to_tool, low + parts * (high - low), line)
@@ -236,14 +235,14 @@ def joint_arc(arm: ArmTree, start: Array, end: Array) -> JointCurve | None:
             ends = [np.broadcast_to(q, (len(some), 1, len(q))) for q in (start, end)]
             coefficients = _POWERS[between] @ np.concatenate([ends[0], some, ends[1]], axis=1)
             powers = np.vander(_LOOKS, between + 2, increasing=True)
-            for k in np.flatnonzero(_past(arm, powers @ coefficients) <= QUIETLY_PAST):
+            for k in np.flatnonzero(_measure_past(arm, powers @ coefficients) <= QUIETLY_PAST):
                 curve = JointCurve(np.array([0.0, 1.0]), coefficients[k][None])
-                if past_end(arm, curve) <= QUIETLY_PAST:
+                if measure_overshoot(arm, curve) <= QUIETLY_PAST:
                     return curve
     return None
 
 
-def _past(arm: ArmTree, q: Array) -> Array:
+def _measure_past(arm: ArmTree, q: Array) -> Array:
     """Return how far the tool goes past its end on curves (K, looks, N), (K,) [m]."""
     p = arm.forward(q.reshape(-1, q.shape[-1]))[0].reshape(*q.shape[:2], 3)
     line = p[:, -1] - p[:, 0]

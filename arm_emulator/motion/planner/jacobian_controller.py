@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
@@ -71,13 +70,13 @@ class JacobianController:
         )
         self.notices: tuple[str, ...] = ()
         """Limit of the last `update`, as text; empty: none."""
-        self.searching = False
+        self.is_searching = False
         """Eq. (6) has one way only."""
-        self.way = ""
+        self.path_text = ""
         """Eq. (6) does not plan a way."""
         self.coming: Reference | None = None
         """Eq. (6) gives no speeds."""
-        self.resting = True
+        self.is_resting = True
         """Each answer of eq. (6) is a position of rest."""
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last `update` found, (rows,) [m, rad]; NaN before any."""
@@ -94,14 +93,7 @@ class JacobianController:
         self.begin(now.q)
 
     def retune(self, config: MotionConfig) -> None:
-        """Continue with other parameters.
-
-        Raises:
-            Refusal: config is not a MotionConfig.
-        """
-        coerce_kind(
-            config, MotionConfig, "JacobianController.retune", "config", "be a MotionConfig"
-        )
+        """Continue with other parameters."""
         self.weight = config.weight
         self.step_limit = config.step_limit
         self.singular_below = config.singular_below
@@ -146,21 +138,21 @@ class JacobianController:
                 f"{self.singular_below:g}"
             )
         step = np.zeros(len(q))
-        step[moved] = self.weight * (Vt.T @ (self._inverse(s) * (U.T @ (scale * error))))
+        step[moved] = self.weight * (Vt.T @ (self._invert_values(s) * (U.T @ (scale * error))))
         longest = float(np.abs(step).max())
         if longest > self.step_limit:
             step *= self.step_limit / longest
             notices.append(f"step of {longest:.3g} rad shortened to {self.step_limit:g} rad")
-        return self._within_limits(q, q + step, notices), error, notices
+        return self._limit_target(q, q + step, notices), error, notices
 
-    def _inverse(self, s: Array) -> Array:
+    def _invert_values(self, s: Array) -> Array:
         """Return 1/s, damped where s is small."""
         e = self.singular_below
         damping = np.where(s < e, (0.5 * e) ** 2 * (1.0 - (s / e) ** 2), 0.0)
         inverse: Array = s / (s**2 + damping)
         return inverse
 
-    def _within_limits(self, q: Array, q_target: Array, notices: list[str]) -> Array:
+    def _limit_target(self, q: Array, q_target: Array, notices: list[str]) -> Array:
         """Return `q_target` within the joint limits; a joint already outside may only come back."""
         lower, upper = self.kinematics.lower, self.kinematics.upper
         low, high = np.minimum(lower, q), np.maximum(upper, q)

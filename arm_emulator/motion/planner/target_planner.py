@@ -2,7 +2,7 @@
 
 A target that comes while the arm rests is reached along the tool's line, or along the joints' line
 where that of the tool is not possible or takes much longer; where the tool would go past its end
-on that, along an arc of the joints beside it. One that comes while the arm moves is
+on that, along an arc of the joints next to it. One that comes while the arm moves is
 reached from that motion, jerk-limited (`OnlineTrajectory`). All of them are planned to their end
 within the limits of speed, acceleration and jerk, those from rest within the torques of the
 description too; so nothing goes past its end.
@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.motion.ik.configuration_search import ConfigurationSearch
 from arm_emulator.motion.ik.inverse_kinematics import InverseKinematics
 from arm_emulator.motion.model.arm_tree import ArmTree
@@ -41,10 +40,10 @@ from arm_emulator.motion.planner.collision_guard import CollisionGuard
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.online_trajectory import OnlineTrajectory, Rest
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
-from arm_emulator.motion.trajectory.tool_line import joints_along
+from arm_emulator.motion.trajectory.tool_line import trace_line
 
 LOST = 0.2  # rad (or m per reach) between arm and reference: something else moves the arm
-# Of the description's limits; the rest is for links that swing on their gears.
+# Shares of the description's limits; the rest is for links that swing on their gears.
 SPEED_SHARE, ACCELERATION_SHARE = 0.89, 0.72
 JERK_TIME = 0.05  # s in which the acceleration comes to its limit, where no jerk is given
 # Periods that this takes at least: the servo knows a change of the acceleration a period late, and
@@ -74,14 +73,14 @@ class TargetPlanner:
         self.kinematics = kinematics
         self.period = config.period
         self.arm = ArmTree(kinematics, (config.gravity_x, config.gravity_y, config.gravity_z))
-        self._limit(config)
+        self._set_limits(config)
         self._goal = InverseKinematics(kinematics)
         self._elsewhere = ConfigurationSearch(kinematics)
         self.error = np.full(kinematics.rows, math.nan)
         """Tool error that the last answer found, (rows,) [m, rad]; NaN before any."""
         self.notices: tuple[str, ...] = ()
         """Limit of the last answer, as text; empty: none."""
-        self.way = ""
+        self.path_text = ""
         """Kind of the way to the target and the reason, as text; empty: unknown yet."""
         self.guard: CollisionGuard | None = None
         """Checks motions before they begin; None: nobody does."""
@@ -94,13 +93,8 @@ class TargetPlanner:
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
 
     def retune(self, config: MotionConfig) -> None:
-        """Continue with other limits, from the next way on.
-
-        Raises:
-            Refusal: config is not a MotionConfig.
-        """
-        coerce_kind(config, MotionConfig, "TargetPlanner.retune", "config", "be a MotionConfig")
-        self._limit(config)
+        """Continue with other limits, from the next way on."""
+        self._set_limits(config)
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
         """Begin at joint angles q (N,), which redundant arms come back to.
@@ -108,9 +102,6 @@ class TargetPlanner:
         Args:
             q: [rad or m].
             v: joint speeds (N,) [rad/s or m/s]; None: at rest.
-
-        Raises:
-            Refusal: q of a wrong length, not finite or too large. Nothing has changed then.
         """
         here = Reference.at_rest(self.kinematics.vector(q).copy())
         if v is not None:
@@ -135,7 +126,7 @@ class TargetPlanner:
         return self._motion
 
     @property
-    def gone(self) -> float:
+    def elapsed(self) -> float:
         """Time of the reference within its motion [s]."""
         return self._time
 
@@ -145,9 +136,9 @@ class TargetPlanner:
         return self._goal.posture
 
     @property
-    def searching(self) -> bool:
+    def is_searching(self) -> bool:
         """Whether it still looks for joint angles that reach the target."""
-        return self._seeking > 0 or (self._looking and not self._elsewhere.over)
+        return self._seeking > 0 or (self._looking and not self._elsewhere.is_over)
 
     def update(self, q: npt.ArrayLike, target: Pose) -> JointSetpoint:
         """Return the joint targets that bring the tool nearer to its target, and hold it there.
@@ -162,43 +153,37 @@ class TargetPlanner:
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
-        coerce_kind(target, Pose, "TargetPlanner.update", "target", "be a Pose")
         notices = self._find_reference(q)
         now = self.coming
-        if target is not self._target and not _same(target, self._target):
+        if target is not self._target and not _is_same(target, self._target):
             self._aim(target, now)
         self._target = target
         try:
-            self._find_way(now, notices)
+            self._find_path(now, notices)
         except PlanningError:
             self._forget()  # the same target is a new one
             raise
-        if not self._seeking and not self._goal.reached:
-            notices.append(self._unreachable())
+        if not self._seeking and not self._goal.is_reached:
+            notices.append(self._describe_unreachable())
         self.notices = tuple(notices)
         return self.go_on(q, target)
 
-    def _find_way(self, now: Reference, notices: list[str]) -> None:
+    def _find_path(self, now: Reference, notices: list[str]) -> None:
         """Search the joint angles of the target, and set out."""
         if self._seeking:
             self._iterate_ik(now, notices)
         elif self._past_end is not None or (
-            not self._goal.reached and (self._goal.settled or self._looking)
+            not self._goal.is_reached and (self._goal.settled or self._looking)
         ):
             self._search_configurations(now, notices)
 
-    def follow(self, motion: Motion) -> None:
+    def follow(self, motion: Motion, path_text: str) -> None:
         """Follow a motion that begins with the joints' commanded motion, from now on."""
         self._forget()
-        self._follow(motion, "")
+        self._follow(motion, path_text)
 
     def go_on(self, q: Array, end: Pose) -> JointSetpoint:
-        """Return the present joint targets, and advance along the motion.
-
-        Args:
-            q: measured joint angles (N,) [rad or m].
-            end: end pose of the tool.
-        """
+        """Return the present joint targets, and advance along the motion."""
         now = self.coming
         self._time, self._coming = self._time + self.period, None
         v = (self.coming.q - now.q) / self.period
@@ -208,12 +193,12 @@ class TargetPlanner:
         return JointSetpoint(now.q, v, None, now, self.coming)
 
     @property
-    def resting(self) -> bool:
+    def is_resting(self) -> bool:
         """Whether the reference is at the end of its last way."""
-        return self._time > self._motion.duration and not self.searching
+        return self._time > self._motion.duration and not self.is_searching
 
-    def _limit(self, config: MotionConfig) -> None:
-        self.limits = joint_path_limits(self.kinematics, config)
+    def _set_limits(self, config: MotionConfig) -> None:
+        self.limits = make_joint_path_limits(self.kinematics, config)
         self.top_speed = np.minimum(self.kinematics.velocity_limit, config.velocity_limit)
         """Bounds of requested speeds (N,): without the reserve for swinging links."""
 
@@ -221,17 +206,17 @@ class TargetPlanner:
         """Set the reference to the joints' motion, and bring it to rest."""
         self._goal.begin(now.q)
         self._forget()
-        self._follow(self.stopping(now), "")
+        self._follow(self.plan_stop(now), "")
 
     def _forget(self) -> None:
         self._target = None
         self._seeking, self._looking, self._waits = 0, False, 0
         self._past_end: Overshoot | None = None  # why the way to the first joint angles is not gone
 
-    def _follow(self, motion: Motion, way: str) -> None:
-        self._motion, self._time, self._coming, self.way = motion, 0.0, None, way
+    def _follow(self, motion: Motion, path_text: str) -> None:
+        self._motion, self._time, self._coming, self.path_text = motion, 0.0, None, path_text
 
-    def stopping(self, now: Reference) -> Motion:
+    def plan_stop(self, now: Reference) -> Motion:
         """Return the joints' motion to rest."""
         if self._is_still(now):
             return Rest(now.q)
@@ -256,14 +241,14 @@ class TargetPlanner:
     def _aim(self, target: Pose, now: Reference) -> None:
         self._goal.aim(target, now.q)
         if not self._is_still(now) and not self.kinematics.to_tool.all():
-            stop = self.stopping(now)
+            stop = self.plan_stop(now)
             self._goal.hold(stop.at(stop.duration).q)
         self._looking, self._waits, self._past_end = False, 0, None
         self._seeking = 1
         self._followed: JointCurve | str = ""
-        if self._is_still(now) and not self.kinematics.redundant:
+        if self._is_still(now) and not self.kinematics.is_redundant:
             # The tool's line leads to the only joint angles that continue those of now.
-            self._followed = self._tool_line(now, target, None)
+            self._followed = self._follow_line(now, target, None)
             if isinstance(self._followed, JointCurve):
                 self._accept_line_end(self._followed.end, now)
 
@@ -276,8 +261,8 @@ class TargetPlanner:
         far = float(np.abs((end - now.q) / scale).max())
         if far > _FAR:
             self._goal.approach(_FAR_STEPS)
-            found = float(np.abs((self._goal.q - now.q) / scale).max())
-            if self._goal.reached and found < _NEARER * far:
+            distance = float(np.abs((self._goal.q - now.q) / scale).max())
+            if self._goal.is_reached and distance < _NEARER * far:
                 self._followed = "the tool's leads to joint angles that are farther away"
                 return
         self._goal.take(end)
@@ -292,108 +277,107 @@ class TargetPlanner:
         if still and 0 < self._seeking < _LONGEST_SEEK:  # until it knows the end of its way
             return
         if not still:
-            self._replan_moving(now)
+            self._plan_from_motion(now)
             return
         line = self._followed
-        if goal.reached and not isinstance(line, JointCurve):
-            if self.kinematics.redundant:
-                line = self._tool_line(now, self._target, goal.q)
-        if goal.reached:
+        if goal.is_reached and not isinstance(line, JointCurve):
+            if self.kinematics.is_redundant:
+                line = self._follow_line(now, self._target, goal.q)
+        if goal.is_reached:
             try:
                 self._start_motion(now, line, notices)
             except Overshoot as reason:
                 self._past_end = reason
-                self._search_begins(now)
+                self._start_search(now)
         elif goal.settled or self._seeking == _LONGEST_SEEK:
             # Another configuration may reach it, and is better taken from here.
             self._seeking = 0
-            self._search_begins(now)
+            self._start_search(now)
             self._waits = math.ceil(_LONGEST_SEARCH / self.period)
         else:
             self._start_motion(now, BEYOND_REACH, notices)
 
-    def _tool_line(self, now: Reference, target: Pose, goal: Array | None) -> JointCurve | str:
+    def _follow_line(self, now: Reference, target: Pose, goal: Array | None) -> JointCurve | str:
         R_WT, p_WT = self.kinematics.forward(now.q)
-        return joints_along(self.arm, now.q, Pose.computed(p_WT, R_WT), target, goal)
+        return trace_line(self.arm, now.q, Pose.computed(p_WT, R_WT), target, goal)
 
-    def _replan_moving(self, now: Reference) -> None:
+    def _plan_from_motion(self, now: Reference) -> None:
         """Go to the joint goal from a motion."""
         kinematics = self.kinematics
-        way = OnlineTrajectory(now, self._goal.q, self.limits, kinematics.lower, kinematics.upper)
-        self._permit(way)
-        self._follow(way, "from its motion along a way of the joints: the target came on the way")
-        if way.stops:  # from rest it goes on
+        motion = OnlineTrajectory(
+            now, self._goal.q, self.limits, kinematics.lower, kinematics.upper
+        )
+        self._check_motion(motion)
+        self._follow(
+            motion, "from its motion along a way of the joints: the target came on the way"
+        )
+        if motion.stops:  # from rest it goes on
             self._seeking = max(1, self._seeking)
 
     def _start_motion(self, now: Reference, line: JointCurve | str, notices: list[str]) -> None:
-        """Go to the joint goal from rest, along the tool's line or the reason why not.
-
-        Raises:
-            PlanningError: parts would touch, or the tool would go far past its end. Nothing has
-                changed.
-        """
+        """Go to the joint goal from rest, along the tool's line or the reason why not."""
         assert self._target is not None
         refused: PlanningError | None = None
-        ways = CandidatePaths(self.arm, self.limits, now.q, self._target, where=WHERE)
+        candidates = CandidatePaths(self.arm, self.limits, now.q, self._target, where=WHERE)
         end = self._goal.q
-        for one in ways.to(end, line):
-            if refused is not None and one.end is end and self._touches(end):
+        for candidate in candidates.generate_paths(end, line):
+            if refused is not None and candidate.end is end and self._is_touching(end):
                 continue  # wherever it comes from
             try:
-                self._permit(one.way)
+                self._check_motion(candidate.path)
             except PlanningError as reason:
                 refused = refused or reason
                 continue
-            notices += ways.notices
-            if one.end is not end:
-                self._goal.take(one.end)
-            self._follow(one.way, one.words)
+            notices += candidates.notices
+            if candidate.end is not end:
+                self._goal.take(candidate.end)
+            self._follow(candidate.path, candidate.words)
             return
         if refused is not None:
             raise refused
-        raise ways.past_end(end)
+        raise candidates.refuse_overshoot(end)
 
-    def _touches(self, q: Array) -> bool:
+    def _is_touching(self, q: Array) -> bool:
         return self.guard is not None and bool(self.guard.collisions.first(q))
 
-    def _permit(self, motion: Motion) -> None:
+    def _check_motion(self, motion: Motion) -> None:
         if self.guard is not None:
-            self.guard.check(WHERE, angles_over(motion))
+            self.guard.check(WHERE, sample_angles(motion))
 
     def _search_configurations(self, now: Reference, notices: list[str]) -> None:
         """Search for a configuration that reaches; while it takes long, at the nearest point."""
         if not self._looking:
             if self._time > self._motion.duration:
-                self._search_begins(now)
+                self._start_search(now)
             return
         # As many per time whatever the period: all are tried within 0.7 s.
-        found = self._elsewhere.search(max(3, round(self.period / _SEARCH_TIME)))
+        angles = self._elsewhere.search(max(3, round(self.period / _SEARCH_TIME)))
         self._waits -= 1
-        if found is not None:
-            self._goal.take(found)
+        if angles is not None:
+            self._goal.take(angles)
             try:
                 self._start_motion(now, "another configuration reaches the target", notices)
             except Overshoot as reason:
                 self._past_end = self._past_end or reason
             else:
                 self._looking, self._past_end = False, None
-        elif self._past_end is not None and self._elsewhere.over:
+        elif self._past_end is not None and self._elsewhere.is_over:
             raise self._past_end
         elif self._past_end is None and (
-            self._waits == 0 or (self._waits > 0 and self._elsewhere.over)
+            self._waits == 0 or (self._waits > 0 and self._elsewhere.is_over)
         ):
             self._looking, self._waits = False, 0
             self._start_motion(now, BEYOND_REACH, notices)
             self._seeking = 0 if self._goal.settled else _LONGEST_SEEK  # goes on on the way
-        elif self.searching:
+        elif self.is_searching:
             notices.append("looks for another configuration")
 
-    def _search_begins(self, now: Reference) -> None:
+    def _start_search(self, now: Reference) -> None:
         assert self._target is not None
         self._looking = True
         self._elsewhere.begin(self._target, now.q)
 
-    def _unreachable(self) -> str:
+    def _describe_unreachable(self) -> str:
         goal, kinematics = self._goal, self.kinematics
         error = goal.error / kinematics.scale
         words = f"unreachable: the nearest point is {np.linalg.norm(error[:3]):.3g} m"
@@ -408,14 +392,14 @@ class TargetPlanner:
         return words
 
 
-def angles_over(motion: Motion) -> Callable[[Array], Array]:
+def sample_angles(motion: Motion) -> Callable[[Array], Array]:
     """Return joint angles (K, N) at parts of a motion (K,): of its curve where it has one."""
     if isinstance(motion, TimedPath):
         return lambda part: np.asarray(motion.curve.derivatives(part)[0])
     return lambda part: np.array([motion.at(time).q for time in part * motion.duration])
 
 
-def joint_path_limits(kinematics: Kinematics, config: MotionConfig) -> JointPathLimits:
+def make_joint_path_limits(kinematics: Kinematics, config: MotionConfig) -> JointPathLimits:
     """Return the joints' limits, by robot description and parameters."""
     speed = np.minimum(SPEED_SHARE * kinematics.velocity_limit, config.velocity_limit)
     acceleration = np.minimum(
@@ -427,8 +411,8 @@ def joint_path_limits(kinematics: Kinematics, config: MotionConfig) -> JointPath
     return JointPathLimits(speed, acceleration, jerk, kinematics.effort_limit)
 
 
-def _same(one: Pose, other: Pose | None) -> bool:
-    return other is not None and bool(
-        (np.abs(one.p_WT - other.p_WT) <= _SAME).all()
-        and (np.abs(one.R_WT - other.R_WT) <= _SAME).all()
+def _is_same(pose: Pose, second: Pose | None) -> bool:
+    return second is not None and bool(
+        (np.abs(pose.p_WT - second.p_WT) <= _SAME).all()
+        and (np.abs(pose.R_WT - second.R_WT) <= _SAME).all()
     )

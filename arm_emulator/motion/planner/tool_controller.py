@@ -26,24 +26,24 @@ class Controller(Protocol):
         kinematics: of the arm.
         error: tool error that the last `update` found, (rows,) [m, rad]; NaN before any.
         notices: limits of the last `update`, as text; empty: none.
-        way: kind of the way to the target and its reason, as text; empty: unknown.
+        path_text: kind of the way to the target and its reason, as text; empty: unknown.
     """
 
     kinematics: Kinematics
     error: Array
     notices: tuple[str, ...]
-    way: str
+    path_text: str
 
     @property
     def coming(self) -> Reference | None:
         """Commanded motion of the joints at the next motion period; None: unknown."""
 
     @property
-    def resting(self) -> bool:
+    def is_resting(self) -> bool:
         """Whether the law has ended, so that only the machine has to follow."""
 
     @property
-    def searching(self) -> bool:
+    def is_searching(self) -> bool:
         """Whether it still searches a way to its target."""
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
@@ -59,7 +59,7 @@ class Controller(Protocol):
         """Continue with other parameters."""
 
 
-def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConfig) -> Controller:
+def make_controller(urdf_xml: str, joint_names: Sequence[str], config: MotionConfig) -> Controller:
     """Return the control law of a configuration.
 
     Raises:
@@ -68,9 +68,9 @@ def controller_for(urdf_xml: str, joint_names: Sequence[str], config: MotionConf
     kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task, config.where)
     for name in config.drives:
         if name not in kinematics.joint_names:
-            known = ", ".join(kinematics.joint_names)
-            raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, known)
-    if config.watches_collisions:
+            joints = ", ".join(kinematics.joint_names)
+            raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, joints)
+    if config.has_collision_stop:
         CollisionGuard(kinematics, config)  # refuses shapes that cannot be read
     if config.method == "way":
         return TargetPlanner(kinematics, config)

@@ -19,11 +19,11 @@ from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.motion.trajectory.joint_curve import ROUNDING, JointCurve
 from arm_emulator.motion.trajectory.online_trajectory import Rest
 from arm_emulator.motion.trajectory.timed_path import TimedPath, ToolPathLimits
-from arm_emulator.motion.trajectory.tool_line import OFF_THE_LINE, errors, joints_along
+from arm_emulator.motion.trajectory.tool_line import OFF_THE_LINE, measure_errors, trace_line
 from arm_emulator.motion.trajectory.tool_path import WHERE, ToolPath
 
 FEWEST_NODES = 32  # of a run between two stops
-MOST_NODES = 40_000
+MAX_NODES = 40_000
 LONGEST_TIME = 1e6  # s, of the whole path
 _IN_AN_ARC = 8.0  # nodes
 _FARTHEST_NODE = 5e-3  # m, or of the measure of a turn
@@ -43,8 +43,8 @@ class MotionSequence:
     def __init__(self, motions: Sequence[Motion]) -> None:
         self.motions = list(motions)
         self.begins = [0.0]
-        for one in self.motions:
-            self.begins.append(self.begins[-1] + one.duration)
+        for motion in self.motions:
+            self.begins.append(self.begins[-1] + motion.duration)
         self.duration = self.begins[-1]
 
     def at(self, time: float) -> Reference:
@@ -58,48 +58,41 @@ def plan_path(
 ) -> MotionSequence:
     """Return the joints' motion to a path and along it.
 
-    Args:
-        law: whose arm and limits hold.
-        path: the path.
-        now: motion of the joints.
-        now_ns: logical time [ns].
-        scaled: whether a path with times may take longer than they allow.
-
     Raises:
         Refusal: some place of it cannot be reached, or not by its time.
     """
-    stop = law.stopping(now)
+    stop = law.plan_stop(now)
     rest = stop.at(stop.duration).q
-    way_in = _way_in(law, rest, path)
-    start = way_in.at(way_in.duration).q
-    before: list[Motion] = [stop, way_in]
-    arrival = stop.duration + way_in.duration
+    approach = _plan_approach(law, rest, path)
+    start = approach.at(approach.duration).q
+    before: list[Motion] = [stop, approach]
+    arrival = stop.duration + approach.duration
     if path.times_ns is not None:
-        given = (path.times_ns[0] - now_ns) * _SECONDS
-        if arrival > given + 1e-9:
+        first_time = (path.times_ns[0] - now_ns) * _SECONDS
+        if arrival > first_time + 1e-9:
             rule = f"leave the tool {arrival:.3g} s to reach it"
-            raise Refusal(WHERE, "the time of the first pose", rule, f"{given:.6g} s")
-        before.append(Rest(start, max(0.0, given - arrival)))
-        along = _timed(law, path, start, scaled)
+            raise Refusal(WHERE, "the time of the first pose", rule, f"{first_time:.6g} s")
+        before.append(Rest(start, max(0.0, first_time - arrival)))
+        along = _plan_timed(law, path, start, scaled)
     else:
-        along = _as_limits_allow(law, path, start)
+        along = _plan_runs(law, path, start)
     row = MotionSequence([*before, *along])
     if row.duration > LONGEST_TIME:
-        got = f"{row.duration:.6g} s"
-        raise Refusal(WHERE, "the path", f"take at most {LONGEST_TIME:g} s", got)
+        value = f"{row.duration:.6g} s"
+        raise Refusal(WHERE, "the path", f"take at most {LONGEST_TIME:g} s", value)
     return row
 
 
-def _way_in(law: TargetPlanner, q: Array, path: ToolPath) -> Motion:
+def _plan_approach(law: TargetPlanner, q: Array, path: ToolPath) -> Motion:
     """Return the way from rest to the first pose, the best of `CandidatePaths`."""
     kinematics, to, limits = law.kinematics, path.first, path.limits
     R_WT, p_WT = kinematics.forward(q)
-    begin = Pose(p_WT, R_WT if kinematics.turns_tool else to.R_WT)
+    begin = Pose(p_WT, R_WT if kinematics.has_orientation else to.R_WT)
     off = kinematics.tool_error(q, to) * kinematics.scale
     if float(np.linalg.norm(off)) < 1e-9:
         return Rest(q)
     line: JointCurve | str = (
-        "" if kinematics.redundant else joints_along(law.arm, q, begin, to, None)
+        "" if kinematics.is_redundant else trace_line(law.arm, q, begin, to, None)
     )
     if isinstance(line, JointCurve):
         end = line.end
@@ -108,34 +101,34 @@ def _way_in(law: TargetPlanner, q: Array, path: ToolPath) -> Motion:
         goal.begin(law.posture)
         goal.aim(to, q)
         goal.approach(_SETTLING_STEPS)
-        if not goal.reached:
+        if not goal.is_reached:
             error = goal.error[:3] / kinematics.scale[:3]
-            got = f"one {np.linalg.norm(error):.3g} m beyond the nearest point"
-            raise Refusal(WHERE, "poses[0]", "be where a way leads to", got)
+            value = f"one {np.linalg.norm(error):.3g} m beyond the nearest point"
+            raise Refusal(WHERE, "poses[0]", "be where a way leads to", value)
         end = goal.q
-        line = joints_along(law.arm, q, begin, to, end)
-    turned = float(np.linalg.norm(off[3:])) if kinematics.turns_tool else 0.0
+        line = trace_line(law.arm, q, begin, to, end)
+    turned = float(np.linalg.norm(off[3:])) if kinematics.has_orientation else 0.0
     length = max(float(np.linalg.norm(to.p_WT - p_WT)), limits.per_turn * turned)
     along = ToolPathLimits.straight(length, limits.speed, limits.acceleration, limits.jerk)
-    ways = CandidatePaths(law.arm, law.limits, q, to, along, heavy=False, where=WHERE)
-    for one in ways.to(end, line):
-        return one.way
-    raise ways.past_end(end)
+    candidates = CandidatePaths(law.arm, law.limits, q, to, along, heavy=False, where=WHERE)
+    for candidate in candidates.generate_paths(end, line):
+        return candidate.path
+    raise candidates.refuse_overshoot(end)
 
 
-def _as_limits_allow(law: TargetPlanner, path: ToolPath, start: Array) -> list[Motion]:
+def _plan_runs(law: TargetPlanner, path: ToolPath, start: Array) -> list[Motion]:
     """Return a way for each run between stops."""
     curve, limits = path.curve, path.limits
     ends = [(float(a), float(b)) for a, b in zip(path.stops, path.stops[1:], strict=False)]
     if not ends:
         return [Rest(start)]
-    nodes = [_run(path, a, b) for a, b in ends]
-    q = _joints(law, path, start, nodes)
-    ways: list[Motion] = []
-    bend = curve.curvature()
+    nodes = [_place_nodes(path, a, b) for a, b in ends]
+    q = _trace_joints(law, path, start, nodes)
+    paths: list[Motion] = []
+    bend = curve.compute_curvature()
     first = 0
     for (a, b), x in zip(ends, nodes, strict=True):
-        joints = JointCurve.spline(q[first : first + len(x) + 1])
+        joints = JointCurve.fit_spline(q[first : first + len(x) + 1])
         _check_between(law, path, joints, lambda s, a=a, b=b: a + s * (b - a))
         first += len(x)
         inside = slice(
@@ -150,59 +143,54 @@ def _as_limits_allow(law: TargetPlanner, path: ToolPath, start: Array) -> list[M
             (curve.ends[inside] - a) / (b - a),
             bend[inside],
         )
-        ways.append(TimedPath(joints, law.limits, law.arm, along, where=WHERE))
-    return ways
+        paths.append(TimedPath(joints, law.limits, law.arm, along, where=WHERE))
+    return paths
 
 
-def _run(path: ToolPath, a: float, b: float) -> Array:
+def _place_nodes(path: ToolPath, a: float, b: float) -> Array:
     """Return evenly spread measures from one stop, without it, to the next (K,)."""
     curve = path.curve
-    inside = (curve.ends > a) & (curve.ends - curve.length < b) & (curve.curvature() > 0.0)
+    inside = (curve.ends > a) & (curve.ends - curve.length < b) & (curve.compute_curvature() > 0.0)
     farthest = _FARTHEST_NODE
     if inside.any():
         farthest = min(farthest, float(curve.length[inside].min()) / _IN_AN_ARC)
-    count = min(max(FEWEST_NODES, math.ceil((b - a) / farthest)), MOST_NODES)
+    count = min(max(FEWEST_NODES, math.ceil((b - a) / farthest)), MAX_NODES)
     return a + (b - a) * np.arange(1, count + 1) / count
 
 
-def _timed(law: TargetPlanner, path: ToolPath, start: Array, scaled: bool) -> list[Motion]:
+def _plan_timed(law: TargetPlanner, path: ToolPath, start: Array, scaled: bool) -> list[Motion]:
     """Return the way of a path with times."""
     assert path.times_ns is not None
     curve = path.curve
     times = (np.array(path.times_ns) - path.times_ns[0]) * _SECONDS
-    whole = float(times[-1])
+    duration = float(times[-1])
     if len(curve) == 0:
-        return [Rest(start, whole)]
+        return [Rest(start, duration)]
     stops = np.isclose(curve.at_poses[:, None], path.stops, rtol=0.0, atol=1e-9).any(axis=1)
     distance = TimedDistance(times, curve.at_poses, stops)
-    count = min(max(FEWEST_NODES, math.ceil(whole / _NODE_TIME)), MOST_NODES)
+    count = min(max(FEWEST_NODES, math.ceil(duration / _NODE_TIME)), MAX_NODES)
 
     def measure(s: Array) -> Array:
-        return distance.at(s * whole)
+        return distance.at(s * duration)
 
-    q = _joints(law, path, start, [measure(np.arange(1, count + 1) / count)])
-    joints = JointCurve.spline(q)
+    q = _trace_joints(law, path, start, [measure(np.arange(1, count + 1) / count)])
+    joints = JointCurve.fit_spline(q)
     _check_between(law, path, joints, measure)
-    exact = ConstantRateCurve(joints, whole)
-    beyond = exact.beyond(law)
+    exact = ConstantRateCurve(joints, duration)
+    beyond = exact.find_excess(law)
     if not beyond:
         return [exact]
     if not scaled:
         j, share, s = beyond[:3]
         name = law.kinematics.joint_names[j]
         rule = f"keep the limits of {name}; with trajectory_limits: scale it takes longer"
-        got = f"{share:.3g} times its {beyond[3]} {path.place(float(measure(np.array([s]))[0]))}"
-        raise Refusal(WHERE, "the path", rule, got)
-    return [TimedPath(joints, law.limits, law.arm, asked=whole, where=WHERE)]
+        value = f"{share:.3g} times its {beyond[3]} {path.place(float(measure(np.array([s]))[0]))}"
+        raise Refusal(WHERE, "the path", rule, value)
+    return [TimedPath(joints, law.limits, law.arm, requested=duration, where=WHERE)]
 
 
 class ConstantRateCurve:
-    """A curve of the joints at a constant rate.
-
-    Args:
-        curve: of the joints.
-        duration: [s].
-    """
+    """A curve of the joints at a constant rate."""
 
     def __init__(self, curve: JointCurve, duration: float) -> None:
         self.curve, self.duration = curve, duration
@@ -212,10 +200,10 @@ class ConstantRateCurve:
         if time >= self.duration:
             return Reference.at_rest(self.curve.end)
         return Reference(
-            *self.curve.moving(max(0.0, time) / self.duration, 1 / self.duration, 0, 0)
+            *self.curve.derive_by_time(max(0.0, time) / self.duration, 1 / self.duration, 0, 0)
         )
 
-    def beyond(self, law: TargetPlanner) -> tuple[int, float, float, str] | None:
+    def find_excess(self, law: TargetPlanner) -> tuple[int, float, float, str] | None:
         """Return joint, ratio to the limit, place and limit of the largest excess."""
         s = np.linspace(0.0, 1.0, 4 * len(self.curve.breaks) + 1)
         derivatives = self.curve.derivatives(s)
@@ -225,29 +213,27 @@ class ConstantRateCurve:
         ):
             share = np.abs(derivatives[order]) / (limit * self.duration**order)
             k, j = np.unravel_index(int(np.argmax(share)), share.shape)
-            most = float(share[k, j])
-            if most > 1.0 + 1e-6 and (worst is None or most > worst[1]):
-                worst = int(j), most, float(s[k]), name
+            largest = float(share[k, j])
+            if largest > 1.0 + 1e-6 and (worst is None or largest > worst[1]):
+                worst = int(j), largest, float(s[k]), name
         return worst
 
 
-def _joints(law: TargetPlanner, path: ToolPath, start: Array, nodes: Sequence[Array]) -> Array:
-    """Return the joints at measures of a path (1 + K, N).
-
-    Raises:
-        Refusal: the arm cannot follow; with the place.
-    """
+def _trace_joints(
+    law: TargetPlanner, path: ToolPath, start: Array, nodes: Sequence[Array]
+) -> Array:
+    """Return the joints at measures of a path (1 + K, N)."""
     x = np.concatenate(nodes)
-    poses, arm, kinematics = path.curve.poses(x), law.arm, law.kinematics
+    poses, arm, kinematics = path.curve.sample_poses(x), law.arm, law.kinematics
     low = np.minimum(kinematics.lower, start) - ROUNDING
     high = np.maximum(kinematics.upper, start) + ROUNDING
     q = arm.trace(start, poses.p, poses.R)
-    if len(q) == len(x) + 1 and kinematics.redundant:
+    if len(q) == len(x) + 1 and kinematics.is_redundant:
         goal = InverseKinematics(kinematics)  # redundant joints end where they began after a cycle
         goal.begin(law.posture)
         goal.aim(Pose(poses.p[-1], poses.R[-1]), q[-1])
         goal.approach(_SETTLING_STEPS)
-        if goal.reached:
+        if goal.is_reached:
             again = arm.trace(start, poses.p, poses.R, goal.q)
             inside = (again >= low) & (again <= high)
             q = again if len(again) == len(q) and inside.all() else q
@@ -260,17 +246,17 @@ def _joints(law: TargetPlanner, path: ToolPath, start: Array, nodes: Sequence[Ar
 def _check_between(law: TargetPlanner, path: ToolPath, joints: JointCurve, measure) -> None:  # type: ignore[no-untyped-def]
     """Refuse a spline that leaves limits of position, or the path: the arm would flip there."""
     kinematics = law.kinematics
-    beyond = joints.leaves(kinematics.lower, kinematics.upper)
+    beyond = joints.find_exit(kinematics.lower, kinematics.upper)
     if beyond is not None:
         place, j, angle = beyond
         name = kinematics.joint_names[j]
         rule = f"keep {name} within [{kinematics.lower[j]:.4g}, {kinematics.upper[j]:.4g}]"
-        got = f"{angle:.6g} {path.place(float(measure(np.array([place]))[0]))}"
-        raise Refusal(WHERE, "the path", rule, got)
+        value = f"{angle:.6g} {path.place(float(measure(np.array([place]))[0]))}"
+        raise Refusal(WHERE, "the path", rule, value)
     breaks = joints.breaks
     s = 0.5 * (breaks[1:] + breaks[:-1])
     x = measure(s)
-    off = errors(law.arm, joints.derivatives(s)[0], path.curve.poses(x))
+    off = measure_errors(law.arm, joints.derivatives(s)[0], path.curve.sample_poses(x))
     k = int(np.argmax(off))
     if off[k] > OFF_THE_PATH:
         rule = "be where the joints can follow without a jump"

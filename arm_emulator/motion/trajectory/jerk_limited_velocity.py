@@ -46,10 +46,10 @@ class JerkLimitedVelocity:
         self._otg = ruckig.Ruckig(joints, period)
         self._in, self._out = ruckig.InputParameter(joints), ruckig.OutputParameter(joints)
         self._stop, self._ends = ruckig.InputParameter(joints), ruckig.Trajectory(joints)
-        for one in (self._in, self._stop):
-            one.control_interface = ruckig.ControlInterface.Velocity
-            one.max_acceleration, one.max_jerk = acceleration.tolist(), jerk.tolist()
-            one.target_velocity = one.target_acceleration = [0.0] * joints
+        for motion in (self._in, self._stop):
+            motion.control_interface = ruckig.ControlInterface.Velocity
+            motion.max_acceleration, motion.max_jerk = acceleration.tolist(), jerk.tolist()
+            motion.target_velocity = motion.target_acceleration = [0.0] * joints
         self._stop.synchronization = ruckig.Synchronization.No
 
     def __getstate__(self) -> tuple[tuple[Array | float, ...], Reference]:
@@ -66,8 +66,8 @@ class JerkLimitedVelocity:
         """Take over a motion."""
         self._in.current_position = now.q.tolist()
         self._in.current_velocity = now.v.tolist()
-        most = self._acceleration
-        self._in.current_acceleration = np.clip(now.a, -most, most).tolist()
+        limit = self._acceleration
+        self._in.current_acceleration = np.clip(now.a, -limit, limit).tolist()
 
     @property
     def now(self) -> Reference:
@@ -75,56 +75,59 @@ class JerkLimitedVelocity:
         return Reference(*(np.array(getattr(self._in, name)) for name in _NOW))
 
     @property
-    def moving(self) -> bool:
+    def is_moving(self) -> bool:
         """Whether a joint moves."""
         now = self.now
         return bool(np.abs(now.v).max() > 1e-9 or np.abs(now.a).max() > 1e-6)
 
-    def allowed(self, q: Array, v: Array) -> Array:
+    def limit_shares(self, q: Array, v: Array) -> Array:
         """Return the permitted share of each joint's speed (N,) at q, 0 to 1."""
         to_limit = np.where(v > 0.0, self._upper - q, q - self._lower)
-        most = np.minimum(
-            self._velocity, _stopping(to_limit, _BRAKES * self._acceleration, _BRAKES * self._jerk)
+        fastest = np.minimum(
+            self._velocity,
+            _compute_stopping_speeds(to_limit, _BRAKES * self._acceleration, _BRAKES * self._jerk),
         )
         part = np.ones_like(v)
-        fast = np.abs(v) > most
-        part[fast] = most[fast] / np.abs(v[fast])
+        fast = np.abs(v) > fastest
+        part[fast] = fastest[fast] / np.abs(v[fast])
         return np.where(part < _HALTS, 0.0, part)
 
-    def brakes(self, v: Array, seconds: float) -> float:
+    def limit_brake_share(self, v: Array, seconds: float) -> float:
         """Return the share of speeds v (N,) that comes to rest within a time at v [s], 0 to 1."""
         moves = v != 0.0
         if not moves.any():
             return 1.0
         slows, grows = (
-            np.array((_BRAKES * most[moves] / np.abs(v[moves])).min())
-            for most in (self._acceleration, self._jerk)
+            np.array((_BRAKES * limit[moves] / np.abs(v[moves])).min())
+            for limit in (self._acceleration, self._jerk)
         )
-        share = float(_stopping(np.array(seconds), slows, grows))
+        share = float(_compute_stopping_speeds(np.array(seconds), slows, grows))
         return 0.0 if share < _HALTS else min(1.0, share)
 
-    def stopping_way(self, then: Reference, pieces: Callable[[Array], int]) -> Array:
-        """Return angles (K, N) on the way on which the joints come to rest, each by itself.
+    def sample_stop(self, then: Reference, pieces: Callable[[Array], int]) -> Array:
+        """Return angles (K, N) on the way on which the joints come to rest, each independently.
 
         Args:
             then: the motion.
             pieces: in how many pieces to return a way of the joints (N,).
         """
-        stop, most = self._stop, self._acceleration
+        stop, limit = self._stop, self._acceleration
         stop.current_position, stop.current_velocity = then.q.tolist(), then.v.tolist()
-        stop.current_acceleration = np.clip(then.a, -most, most).tolist()
-        found(lambda: self._otg.calculate(stop, self._ends))
+        stop.current_acceleration = np.clip(then.a, -limit, limit).tolist()
+        solve_with_ruckig(lambda: self._otg.calculate(stop, self._ends))
         duration = self._ends.duration
         end = np.array(self._ends.at_time(duration)[0])
         count = pieces(end - then.q) if duration > 0.0 else 0
         times = [duration * k / count for k in range(count)] if count else []
         return np.array([*(self._ends.at_time(t)[0] for t in times), end.tolist()])
 
-    def halt(self) -> Array:
-        """Brake each joint by itself for a period; return their mean speeds in it."""
-        return self.go(np.zeros(len(self._lower)), alone=True, together=False)
+    def stop_joints(self) -> Array:
+        """Brake each joint independently for a period; return their mean speeds in it."""
+        return self.accelerate(np.zeros(len(self._lower)), alone=True, together=False)
 
-    def go(self, v: Array, alone: bool, together: bool = True, a: Array | None = None) -> Array:
+    def accelerate(
+        self, v: Array, alone: bool, together: bool = True, a: Array | None = None
+    ) -> Array:
         """Move the joints towards speeds v (N,) for a period; return their mean speeds in it.
 
         From where they are then every joint can stop before its limit. A joint that could not if it
@@ -132,54 +135,54 @@ class JerkLimitedVelocity:
         Speeds that change `together` do so along a line. With accelerations `a` (N,) they are to
         be there at the end of the period, and go on to change so.
         """
-        one = self._in
-        before = np.array(one.current_position)
+        motion = self._in
+        before = np.array(motion.current_position)
         kind = ruckig.Synchronization
         if a is None:
             self._step(v, kind.Phase if together else kind.No)
         else:
             self._step_on(v, a)
-        late = self._too_late(before)
+        late = self._find_late(before)
         more = late.any()
         while more:
             v = np.where(late if alone else True, 0.0, v)
             self._step(v, ruckig.Synchronization.No)
-            found = self._too_late(before) & (v != 0.0)
-            late, more = late | found, found.any()
-        self._out.pass_to_input(one)
-        mean: Array = (np.array(one.current_position) - before) / self._period
+            newly_late = self._find_late(before) & (v != 0.0)
+            late, more = late | newly_late, newly_late.any()
+        self._out.pass_to_input(motion)
+        mean: Array = (np.array(motion.current_position) - before) / self._period
         return mean
 
-    def _extreme(self, stop: ruckig.InputParameter, at: float) -> Array:
+    def _find_extremes(self, stop: ruckig.InputParameter, at: float) -> Array:
         """Return the largest positions (N,) on the way to rest from positions `at` > 0, or least.
 
         Ruckig 0.19 has 0 among the positions of such a way.
         """
         stop.current_position = [at] * len(self._lower)
-        found(lambda: self._otg.calculate(stop, self._ends))
+        solve_with_ruckig(lambda: self._otg.calculate(stop, self._ends))
         extrema = self._ends.position_extrema
-        return np.array([one.max if at > 0.0 else one.min for one in extrema])
+        return np.array([extremum.max if at > 0.0 else extremum.min for extremum in extrema])
 
     def _step_on(self, v: Array, a: Array) -> None:
         """Step to speeds v that go on to change by a, as far as the limits let them."""
-        one, left = self._in, np.maximum(self._velocity - np.abs(v), 0.0)
-        most = np.minimum(_BRAKES * self._acceleration, np.sqrt(2.0 * self._jerk * left))
-        one.target_acceleration = np.clip(a, -most, most).tolist()
-        one.minimum_duration = self._period
+        motion, left = self._in, np.maximum(self._velocity - np.abs(v), 0.0)
+        limit = np.minimum(_BRAKES * self._acceleration, np.sqrt(2.0 * self._jerk * left))
+        motion.target_acceleration = np.clip(a, -limit, limit).tolist()
+        motion.minimum_duration = self._period
         try:
             self._step(v, ruckig.Synchronization.Time)
         finally:
-            one.target_acceleration, one.minimum_duration = [0.0] * len(v), None
+            motion.target_acceleration, motion.minimum_duration = [0.0] * len(v), None
 
     def _step(self, v: Array, together: ruckig.Synchronization) -> None:
         self._in.target_velocity, self._in.synchronization = v.tolist(), together
         self._otg.reset()
         try:
-            found(lambda: self._otg.update(self._in, self._out))
+            solve_with_ruckig(lambda: self._otg.update(self._in, self._out))
         except ArithmeticError as error:
             raise ArithmeticError(f"no way to take up the speeds {v.tolist()}: {error}") from None
 
-    def _too_late(self, before: Array) -> npt.NDArray[np.bool_]:
+    def _find_late(self, before: Array) -> npt.NDArray[np.bool_]:
         """Return which joints cannot stop within their limits after the step, (N,).
 
         One that began outside may come back.
@@ -187,14 +190,14 @@ class JerkLimitedVelocity:
         stop, step = self._stop, self._out
         stop.current_velocity, stop.current_acceleration = step.new_velocity, step.new_acceleration
         q = np.array(step.new_position)
-        least = q + (self._extreme(stop, -_FAR) + _FAR)
-        most = q + (self._extreme(stop, _FAR) - _FAR)
+        lowest = q + (self._find_extremes(stop, -_FAR) + _FAR)
+        highest = q + (self._find_extremes(stop, _FAR) - _FAR)
         lower, upper = np.minimum(self._lower, before), np.maximum(self._upper, before)
-        late: npt.NDArray[np.bool_] = (least < lower - _ROUNDING) | (most > upper + _ROUNDING)
+        late: npt.NDArray[np.bool_] = (lowest < lower - _ROUNDING) | (highest > upper + _ROUNDING)
         return late
 
 
-def _stopping(distance: Array, acceleration: Array, jerk: Array) -> Array:
+def _compute_stopping_speeds(distance: Array, acceleration: Array, jerk: Array) -> Array:
     """Return the speeds (N,) from which joints at no acceleration stop within distances.
 
     From v a joint stops within v sqrt(v / j) where it does not come to its largest acceleration a,
@@ -208,7 +211,7 @@ def _stopping(distance: Array, acceleration: Array, jerk: Array) -> Array:
     return np.where(short <= ramp, short, long)
 
 
-def found(call: Callable[[], ruckig.Result]) -> None:
+def solve_with_ruckig(call: Callable[[], ruckig.Result]) -> None:
     """Call ruckig for a motion.
 
     Raises:

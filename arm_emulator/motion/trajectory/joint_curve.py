@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.motion.model.arm_tree import WAY, way_library
+from arm_emulator.motion.model.arm_tree import PATH_HEADER, path_library
 from arm_emulator.toolchain.c_header import CData, pointer
 
 DERIVATIVES = 4  # the curve itself among them
@@ -17,7 +17,7 @@ ROUNDING = 1e-9  # rad or m beyond a limit, or beyond the begin of a curve that 
 
 
 @functools.cache
-def _derived(degrees: int) -> tuple[Array, Array]:
+def _derive_powers(degrees: int) -> tuple[Array, Array]:
     """Return factors and exponents of powers in their derivatives, (DERIVATIVES, degrees) each."""
     orders, powers = range(DERIVATIVES), range(degrees)
     factors = [[float(math.perm(d, order)) for d in powers] for order in orders]
@@ -35,7 +35,7 @@ class JointCurve:
     def __init__(self, breaks: Array, coefficients: Array) -> None:
         self.breaks, self.coefficients = breaks, np.ascontiguousarray(coefficients)
         self._breaks: list[float] = breaks[1:-1].tolist()
-        self._factors, self._powers = _derived(coefficients.shape[1])
+        self._factors, self._powers = _derive_powers(coefficients.shape[1])
 
     @classmethod
     def line(cls, start: Array, end: Array) -> JointCurve:
@@ -43,13 +43,13 @@ class JointCurve:
         return cls(np.array([0.0, 1.0]), np.stack([start, end - start])[None])
 
     @classmethod
-    def spline(cls, nodes: Array) -> JointCurve:
+    def fit_spline(cls, nodes: Array) -> JointCurve:
         """Return the cubic spline through configurations (K + 1, N), evenly spread over s."""
         y = np.ascontiguousarray(nodes)
         count, columns = y.shape
         h = 1.0 / (count - 1)
-        m, work = np.empty_like(y), np.empty(count)
-        way_library().way_spline(count, columns, h, pointer(y), pointer(m), pointer(work))
+        m = np.empty_like(y)
+        path_library().path_spline(count, columns, h, pointer(y), pointer(m))
         slope = np.diff(y, axis=0) / h - h / 6.0 * (2.0 * m[:-1] + m[1:])
         rise = np.diff(m, axis=0) / (6.0 * h)
         coefficients = np.stack([y[:-1], slope, 0.5 * m[:-1], rise], axis=1)
@@ -57,10 +57,10 @@ class JointCurve:
 
     @property
     def struct(self) -> CData:
-        """The curve as way.h takes it, which must not outlive it."""
+        """The curve as path.h takes it, which must not outlive it."""
         pieces, degrees, columns = self.coefficients.shape
-        return WAY.new(
-            "way_curve",
+        return PATH_HEADER.new(
+            "path_curve",
             pieces=pieces,
             degrees=degrees,
             columns=columns,
@@ -70,10 +70,10 @@ class JointCurve:
 
     @property
     def end(self) -> Array:
-        """Its end (N,)."""
+        """Joint angles at s = 1 (N,)."""
         return np.asarray(self.derivatives(np.ones(1))[0, 0])
 
-    def leaves(self, low: Array, high: Array) -> tuple[float, int, float] | None:
+    def find_exit(self, low: Array, high: Array) -> tuple[float, int, float] | None:
         """Return place, joint and angle where it leaves a range (N,) first; None: nowhere."""
         low = np.minimum(low, self.coefficients[0, 0]) - ROUNDING
         high = np.maximum(high, self.coefficients[0, 0]) + ROUNDING
@@ -83,8 +83,8 @@ class JointCurve:
             changes = (changes + row) * lengths[:, None]  # at most, from the begin of a piece
         if (at - changes >= low).all() and (at + changes <= high).all():
             return None
-        found = beyond(self.coefficients, lengths, 0, low, high)
-        return None if found is None else (float(self.breaks[found[0]]), *found[1:])
+        excess = find_excess(self.coefficients, lengths, 0, low, high)
+        return None if excess is None else (float(self.breaks[excess[0]]), *excess[1:])
 
     def derivatives(self, s: Array) -> Array:
         """Return q and its first three derivatives at places (K,), (4, K, N)."""
@@ -93,7 +93,7 @@ class JointCurve:
         weights = self._factors * powers[:, self._powers]
         return np.asarray(np.swapaxes(weights @ self.coefficients[piece], 0, 1))
 
-    def moving(self, s: float, d1: float, d2: float, d3: float) -> Array:
+    def derive_by_time(self, s: float, d1: float, d2: float, d3: float) -> Array:
         """Return q and its first three derivatives by time, (4, N), from those of s."""
         piece = bisect.bisect_right(self._breaks, s)
         x = s - float(self.breaks[piece])
@@ -108,17 +108,17 @@ class JointCurve:
         q, q1, q2, q3 = by_s
         weights = [
             q,
-            [d1 * one for one in q1],
-            [d2 * one + d1 * d1 * two for one, two in zip(q1, q2, strict=True)],
+            [d1 * by_1 for by_1 in q1],
+            [d2 * by_1 + d1 * d1 * by_2 for by_1, by_2 in zip(q1, q2, strict=True)],
             [
-                d3 * one + 3.0 * d1 * d2 * two + d1**3 * three
-                for one, two, three in zip(q1, q2, q3, strict=True)
+                d3 * by_1 + 3.0 * d1 * d2 * by_2 + d1**3 * by_3
+                for by_1, by_2, by_3 in zip(q1, q2, q3, strict=True)
             ],
         ]
         return np.asarray(np.array(weights) @ coefficients)
 
 
-def beyond(
+def find_excess(
     pieces: Array, lengths: Array, order: int, low: Array, high: Array
 ) -> tuple[int, int, float] | None:
     """Return piece, column and value where a derivative leaves its range first; None: nowhere.
@@ -138,18 +138,18 @@ def beyond(
     if order == 1:
         c = np.concatenate([c[:, 1:] * np.arange(1, degree + 1)[:, None], 0.0 * c[:, :1]], axis=1)
         c /= lengths[:, None, None]
-    hull = np.einsum("ik,skm->sim", _bernstein(degree), c)
+    hull = np.einsum("ik,skm->sim", _compute_bernstein(degree), c)
     for piece, column in np.argwhere((hull.min(axis=1) < low) | (hull.max(axis=1) > high)):
         poly = np.polynomial.Polynomial(c[piece, :, column])
-        turns = np.clip(poly.deriv().trim().roots().real, 0.0, 1.0)
-        values = poly(np.concatenate([[0.0, 1.0], turns]))
+        extremes = np.clip(poly.deriv().trim().roots().real, 0.0, 1.0)
+        values = poly(np.concatenate([[0.0, 1.0], extremes]))
         for value in (float(values.min()), float(values.max())):
             if not low[column] <= value <= high[column]:
                 return int(piece), int(column), value
     return None
 
 
-def _bernstein(degree: int) -> Array:
+def _compute_bernstein(degree: int) -> Array:
     """Return the weights that make Bernstein coefficients (rows) from those of powers."""
     rows = range(degree + 1)
     return np.array(

@@ -24,10 +24,10 @@ from arm_emulator.base.validation.bound import ACCELERATION, EFFORT, POSITION, V
 from arm_emulator.base.validation.joint_order import check_known_joints
 from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.model.joint_reference import Reference
-from arm_emulator.motion.trajectory.joint_curve import beyond
+from arm_emulator.motion.trajectory.joint_curve import find_excess
 
 WHERE = "joint_trajectory"
-MOST_POINTS = 10_000
+MAX_POINTS = 10_000
 AT_REST = float(np.finfo(np.float32).eps)  # rad/s: what counts as speed 0 at the end
 # A planner's points keep the limits; a spline through them is a little faster here and there, where
 # the planner changes its acceleration between two of them.
@@ -76,33 +76,33 @@ class TrajectoryPoint:
 
 
 class JointMotion:
-    """Joint angles as polynomials of time, piece by piece; before and after it they rest.
+    """Joint angles as polynomials of time, piece by piece; after it they rest.
 
     Args:
-        starts_ns: when each piece begins, strictly increasing (S,) [ns].
-        end_ns: when the last one ends.
+        starts_ns: when each piece begins, the first at 0 (S,) [ns].
+        end_ns: when the last piece ends.
         coefficients: of each piece, in powers of the seconds since it began, (S, 6, N).
     """
 
-    way = ""  # it keeps its times, see `TimedMotion`
+    path_text = ""  # it keeps its times, see `TimedMotion`
 
     def __init__(self, starts_ns: Sequence[int], end_ns: int, coefficients: Array) -> None:
-        self.starts_ns = list(starts_ns)
-        self.end_ns = end_ns
-        self.coefficients = coefficients
+        self.starts_ns, self.end_ns, self.coefficients = list(starts_ns), end_ns, coefficients
+        self.duration = end_ns * _SECONDS
 
     @property
     def durations(self) -> Array:
         """Durations of the pieces (S,) [s]."""
-        return _seconds_between([*self.starts_ns, self.end_ns])
+        return _compute_seconds([*self.starts_ns, self.end_ns])
 
-    def asked_ns(self, time_ns: int) -> int:
-        """Return the time for which the trajectory gives what holds at a logical time."""
-        return time_ns
+    def find_requested_ns(self, time: float) -> int:
+        """See `TimedMotion`."""
+        return round(time / _SECONDS)
 
-    def at(self, time_ns: int) -> Reference:
-        """Return the joints at a logical time."""
-        within = min(max(time_ns, self.starts_ns[0]), self.end_ns)
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since its begin [s]."""
+        time_ns = round(time / _SECONDS)
+        within = min(time_ns, self.end_ns)
         piece = max(0, bisect.bisect_right(self.starts_ns, within) - 1)
         c, t = self.coefficients[piece], (within - self.starts_ns[piece]) * _SECONDS
         q, v, a = c[5].copy(), np.zeros_like(c[5]), np.zeros_like(c[5])
@@ -115,12 +115,11 @@ class JointMotion:
         return Reference(q, v, a)
 
 
-def come_to_rest(time_ns: int, q: Array, v: Array, acceleration: Array) -> JointMotion:
+def plan_rest(q: Array, v: Array, acceleration: Array) -> JointMotion:
     """Return the motion that brings all joints to rest together, straight on in joint space.
 
     Args:
-        time_ns: when it begins.
-        q: angles then (N,) [rad].
+        q: angles at its begin (N,) [rad].
         v: speeds then (N,) [rad/s].
         acceleration: at most (N,) [rad/s2].
     """
@@ -130,7 +129,7 @@ def come_to_rest(time_ns: int, q: Array, v: Array, acceleration: Array) -> Joint
     c[0, 0] = q
     if seconds > 0.0:
         c[0, 1], c[0, 2] = v, -0.5 * v / (duration_ns * _SECONDS)
-    return JointMotion([time_ns], time_ns + duration_ns, c)
+    return JointMotion([0], duration_ns, c)
 
 
 class JointTrajectory:
@@ -160,7 +159,7 @@ class JointTrajectory:
         self.stamp_ns = stamp_ns
         self.limits = limits
         self.joint_names = tuple(joint_names)
-        self.moved = _places(self.joint_names, names, bool(points))
+        self.moved = _find_joints(self.joint_names, names, bool(points))
         """Index of each joint that is named, (M,)."""
         check_number_of_points(len(points))
         self.times_ns = [point.time_ns for point in points]
@@ -168,7 +167,7 @@ class JointTrajectory:
         _check_times(self.times_ns)
         _check_kinds(points)
         count = len(self.moved)
-        self.q, self.v, self.a, self.tau = (_table(points, field, count) for field in _BOUNDS)
+        self.q, self.v, self.a, self.tau = (_read_table(points, field, count) for field in _BOUNDS)
         """Values at the points, (K, M) each; rows of NaN where nothing is given."""
         if not points:
             return
@@ -180,73 +179,67 @@ class JointTrajectory:
                 self.v[-1].tolist(),
             )
         self._check_points()
-        self._pieces = _hermite(self.times_ns, self.q, self.v, self.a)
+        self._pieces = _fit_hermite(self.times_ns, self.q, self.v, self.a)
         self._check_between(self._pieces, self.times_ns)
 
     @property
-    def stops(self) -> bool:
+    def is_stop(self) -> bool:
         """Whether there are no points: the joints come to rest."""
         return not self.times_ns
 
-    def end_ns(self, start_ns: int) -> int:
-        """Return its end [ns] for a start."""
-        return start_ns + (self.times_ns[-1] if self.times_ns else 0)
-
-    def begin(self, now_ns: int, start_ns: int, q: Array, v: Array, a: Array) -> JointMotion:
+    def begin(self, now_ns: int, start_ns: int, now: Reference) -> JointMotion:
         """Return the motion of all joints from now on.
 
         Args:
             now_ns: logical time at which it takes over [ns].
             start_ns: from which the times of its points count [ns], not after `now_ns`.
-            q: commanded angles now (N,) [rad].
-            v: commanded speeds now (N,) [rad/s].
-            a: commanded accelerations now (N,) [rad/s2].
+            now: commanded motion of the joints.
 
         Raises:
             Refusal: all points are past, or the first one is too far away to be reached in time.
                 Nothing has changed then.
         """
-        rest = come_to_rest(now_ns, q, v, self.limits.acceleration)
-        times = [start_ns + time for time in self.times_ns]
-        if self.stops:
-            return rest
-        first = bisect.bisect_right(times, now_ns)
-        if first == len(times):
-            got = f"{times[-1] * _SECONDS:g} s, at {now_ns * _SECONDS:g} s"
-            raise Refusal(WHERE, "the time of the last point", "be still to come", got)
         moved, limits = self.moved, self.limits
-        whole = np.where(
+        q, v, a = now.q, now.v, now.a
+        rest = plan_rest(q, v, limits.acceleration)
+        if self.is_stop:
+            return rest
+        times = [start_ns - now_ns + time for time in self.times_ns]
+        first = bisect.bisect_right(times, 0)
+        if first == len(times):
+            end_ns = now_ns + times[-1]
+            value = f"{end_ns * _SECONDS:g} s, at {now_ns * _SECONDS:g} s"
+            raise Refusal(WHERE, "the time of the last point", "be still to come", value)
+        revolutions = np.where(
             limits.continuous[moved],
             2.0 * np.pi * np.round((q[moved] - self.q[first]) / (2.0 * np.pi)),
             0.0,
         )
-        there = np.stack([q[moved], self.q[first] + whole])
-        speeds, accelerations = (
-            np.stack([v[moved], self.v[first]]),
-            np.stack([a[moved], self.a[first]]),
-        )
-        approach = _hermite([now_ns, times[first]], there, speeds, accelerations)
-        self._check_between(approach, [now_ns, times[first]], "the way to the first point")
+        there = np.stack([q[moved], self.q[first] + revolutions])
+        speeds = np.stack([v[moved], self.v[first]])
+        accelerations = np.stack([a[moved], self.a[first]])
+        approach = _fit_hermite([0, times[first]], there, speeds, accelerations)
+        self._check_between(approach, [0, times[first]], "the way to the first point")
         pieces = self._pieces[first:].copy()
-        pieces[:, 0] += whole
-        own = JointMotion([now_ns, *times[first:-1]], times[-1], np.concatenate([approach, pieces]))
-        return _beside(own, moved, rest)
+        pieces[:, 0] += revolutions
+        own = JointMotion([0, *times[first:-1]], times[-1], np.concatenate([approach, pieces]))
+        return _merge_motions(own, moved, rest)
 
-    def effort(self, time_ns: int, start_ns: int) -> Array | None:
-        """Return the torques given for a logical time, straight between points.
+    def compute_effort(self, time_ns: int) -> Array | None:
+        """Return the torques given for a time since its start [ns], straight between points.
 
         (N,) [N m], 0 for joints that are not named; None where the points next to it have none.
         """
-        times = [start_ns + time for time in self.times_ns]
+        times = self.times_ns
         later = min(bisect.bisect_right(times, time_ns), len(times) - 1)
         before = max(0, later - 1) if time_ns < times[later] else later
         span = times[later] - times[before]
         part = min(1.0, max(0.0, (time_ns - times[before]) / span)) if span else 0.0
-        given = self.tau[before] + part * (self.tau[later] - self.tau[before])
-        if np.isnan(given).any():
+        torques = self.tau[before] + part * (self.tau[later] - self.tau[before])
+        if np.isnan(torques).any():
             return None
         tau = np.zeros(len(self.joint_names))
-        tau[self.moved] = given
+        tau[self.moved] = torques
         return tau
 
     def _check_points(self) -> None:
@@ -263,17 +256,19 @@ class JointTrajectory:
         ):
             if wrong.any():
                 point, at = np.argwhere(wrong)[0]
-                rule = f"keep the limits of {self._name(at)}, {self._range(at, field)} {unit}"
+                rule = (
+                    f"keep the limits of {self._name(at)}, {self._format_range(at, field)} {unit}"
+                )
                 raise Refusal(WHERE, f"points[{point}].{field}", rule, f"{table[point, at]:.6g}")
 
     def _check_between(
-        self, pieces: Array, times_ns: Sequence[int], what: str = "the spline"
+        self, pieces: Array, times_ns: Sequence[int], quantity: str = "the spline"
     ) -> None:
         """Refuse pieces (S, 6, M) that leave the limits between their ends."""
         if not len(pieces):
             return
         m, limits = self.moved, self.limits
-        seconds = _seconds_between(times_ns)
+        seconds = _compute_seconds(times_ns)
         for order, field, low, high, unit in (
             (0, "positions", limits.lower[m] - ROUNDING, limits.upper[m] + ROUNDING, "rad"),
             (
@@ -284,17 +279,19 @@ class JointTrajectory:
                 "rad/s",
             ),
         ):
-            found = beyond(pieces, seconds, order, low, high)
-            if found is not None:
-                piece, at, value = found
-                rule = f"keep the limits of {self._name(at)}, {self._range(at, field)} {unit}"
-                where = f"{what}" if len(pieces) == 1 else f"{what} after points[{piece}]"
+            excess = find_excess(pieces, seconds, order, low, high)
+            if excess is not None:
+                piece, at, value = excess
+                rule = (
+                    f"keep the limits of {self._name(at)}, {self._format_range(at, field)} {unit}"
+                )
+                where = f"{quantity}" if len(pieces) == 1 else f"{quantity} after points[{piece}]"
                 raise Refusal(WHERE, where, rule, f"{value:.6g} {unit}")
 
     def _name(self, at: int) -> str:
         return self.joint_names[int(self.moved[at])]
 
-    def _range(self, at: int, field: str) -> str:
+    def _format_range(self, at: int, field: str) -> str:
         limits, joint = self.limits, self.moved[at]
         if field == "positions":
             return f"[{limits.lower[joint]:.6g}, {limits.upper[joint]:.6g}]"
@@ -303,20 +300,20 @@ class JointTrajectory:
 
 def check_number_of_points(count: int) -> None:
     """Refuse too many points."""
-    if count > MOST_POINTS:
-        raise Refusal(WHERE, "points", f"be at most {MOST_POINTS}", count)
+    if count > MAX_POINTS:
+        raise Refusal(WHERE, "points", f"be at most {MAX_POINTS}", count)
 
 
-def _places(
+def _find_joints(
     joint_names: tuple[str, ...], names: Sequence[str], needed: bool
 ) -> npt.NDArray[np.int64]:
     """Return the index of each name among the arm's joints."""
-    known, valid = {name: i for i, name in enumerate(joint_names)}, ", ".join(joint_names)
+    places, valid = {name: i for i, name in enumerate(joint_names)}, ", ".join(joint_names)
     check_known_joints(WHERE, names, joint_names)
     if len(set(names)) != len(names) or (needed and not names):
-        got = ", ".join(names) or "none"
-        raise Refusal(WHERE, "joint_names", "name some joints, each once", got, valid)
-    return np.array([known[name] for name in names], dtype=np.int64)
+        value = ", ".join(names) or "none"
+        raise Refusal(WHERE, "joint_names", "name some joints, each once", value, valid)
+    return np.array([places[name] for name in names], dtype=np.int64)
 
 
 def _check_times(times_ns: Sequence[int]) -> None:
@@ -343,7 +340,7 @@ def _check_kinds(points: Sequence[TrajectoryPoint]) -> None:
             raise Refusal(WHERE, f"points[{i}].velocities", rule, "none")
 
 
-def _table(points: Sequence[TrajectoryPoint], field: str, count: int) -> Array:
+def _read_table(points: Sequence[TrajectoryPoint], field: str, count: int) -> Array:
     """Return a field of all points, (K, M); NaN where a point has none."""
     table = np.full((len(points), count), math.nan)
     needed = field == "positions"
@@ -355,16 +352,16 @@ def _table(points: Sequence[TrajectoryPoint], field: str, count: int) -> Array:
     return table
 
 
-def _seconds_between(times_ns: Sequence[int]) -> Array:
+def _compute_seconds(times_ns: Sequence[int]) -> Array:
     return np.diff(np.array(times_ns, dtype=np.int64)).astype(np.float64) * _SECONDS
 
 
-def _hermite(times_ns: Sequence[int], q: Array, v: Array, a: Array) -> Array:
+def _fit_hermite(times_ns: Sequence[int], q: Array, v: Array, a: Array) -> Array:
     """Return the pieces between points, (K - 1, 6, M).
 
     Where the speeds of an end are NaN a piece is straight, where its accelerations are, cubic.
     """
-    T = _seconds_between(times_ns)[:, None]
+    T = _compute_seconds(times_ns)[:, None]
     q0, v0, a0, v1, a1 = q[:-1], v[:-1], a[:-1], v[1:], a[1:]
     mean = np.diff(q, axis=0) / T
     c = np.zeros((len(T), 6, q.shape[1]))
@@ -384,7 +381,9 @@ def _hermite(times_ns: Sequence[int], q: Array, v: Array, a: Array) -> Array:
     return c
 
 
-def _beside(own: JointMotion, moved: npt.NDArray[np.int64], rest: JointMotion) -> JointMotion:
+def _merge_motions(
+    own: JointMotion, moved: npt.NDArray[np.int64], rest: JointMotion
+) -> JointMotion:
     """Return the motion of all joints: those in `moved` by `own`, the others by `rest`."""
     count = rest.coefficients.shape[2]
     if len(moved) == count:
@@ -396,16 +395,16 @@ def _beside(own: JointMotion, moved: npt.NDArray[np.int64], rest: JointMotion) -
     starts = [start for start in starts if start < end]
     coefficients = np.zeros((len(starts), 6, count))
     for i, start in enumerate(starts):
-        coefficients[i] = _from(rest, start)
-        coefficients[i][:, moved] = _from(own, start)
+        coefficients[i] = _shift_piece(rest, start)
+        coefficients[i][:, moved] = _shift_piece(own, start)
     return JointMotion(starts, end, coefficients)
 
 
-def _from(motion: JointMotion, start_ns: int) -> Array:
+def _shift_piece(motion: JointMotion, start_ns: int) -> Array:
     """Return the piece that holds at a time, in powers of the seconds since then, (6, N)."""
     if start_ns >= motion.end_ns:
         c: Array = np.zeros_like(motion.coefficients[0])
-        c[0] = motion.at(motion.end_ns).q
+        c[0] = motion.at(motion.duration).q
         return c
     piece = max(0, bisect.bisect_right(motion.starts_ns, start_ns) - 1)
     t = (start_ns - motion.starts_ns[piece]) * _SECONDS

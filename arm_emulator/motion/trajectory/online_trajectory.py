@@ -12,7 +12,7 @@ import ruckig
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.model.joint_reference import Reference
-from arm_emulator.motion.trajectory.jerk_limited_velocity import found
+from arm_emulator.motion.trajectory.jerk_limited_velocity import solve_with_ruckig
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits
 
 _MOMENT = 1e-7  # s, over which the jerk is measured: it is constant but for a few jumps
@@ -31,9 +31,6 @@ class OnlineTrajectory(SharedObject):
     Attributes:
         duration: [s].
         stops: whether they only come to rest: `end` was None, or the way there leaves the limits.
-
-    Raises:
-        ArithmeticError: numbers that ruckig does not cope with.
     """
 
     def __init__(
@@ -57,12 +54,12 @@ class OnlineTrajectory(SharedObject):
             problem.target_position = end.tolist()
             for together in (ruckig.Synchronization.Time, ruckig.Synchronization.No):
                 problem.synchronization = together
-                if self._found(problem) and self._within(low, high):
+                if self._is_solved(problem) and self._is_within(low, high):
                     return
         self.stops = True
         problem.control_interface = ruckig.ControlInterface.Velocity
         problem.synchronization = ruckig.Synchronization.No
-        if not self._found(problem):
+        if not self._is_solved(problem):
             raise ArithmeticError(f"no way to rest was found from q = {now.q}, v = {now.v}")
 
     def at(self, time: float) -> Reference:
@@ -74,21 +71,21 @@ class OnlineTrajectory(SharedObject):
         jerk = (np.array(later) - np.array(a)) / _MOMENT
         return Reference(np.array(q), np.array(v), np.array(a), jerk)
 
-    def _found(self, problem: ruckig.InputParameter) -> bool:
+    def _is_solved(self, problem: ruckig.InputParameter) -> bool:
         self._trajectory = ruckig.Trajectory(problem.degrees_of_freedom)
         law = ruckig.Ruckig(problem.degrees_of_freedom)
         try:
-            found(lambda: law.calculate(problem, self._trajectory))
+            solve_with_ruckig(lambda: law.calculate(problem, self._trajectory))
         except ArithmeticError:
             return False
         self.duration = float(self._trajectory.duration)
         return True
 
-    def _within(self, low: Array, high: Array) -> bool:
+    def _is_within(self, low: Array, high: Array) -> bool:
         extremes = self._trajectory.position_extrema
         return all(
-            one.min >= least and one.max <= most
-            for one, least, most in zip(extremes, low, high, strict=True)
+            extreme.min >= lowest and extreme.max <= highest
+            for extreme, lowest, highest in zip(extremes, low, high, strict=True)
         )
 
 

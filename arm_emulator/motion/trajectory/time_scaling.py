@@ -1,15 +1,20 @@
-"""A motion at another pace."""
+"""A motion at another pace, and one that continues after a standstill."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from arm_emulator.motion.model.joint_reference import Motion, Reference
-from arm_emulator.motion.trajectory.timed_path import JointPathLimits
+from arm_emulator.motion.trajectory.joint_curve import JointCurve
+from arm_emulator.motion.trajectory.online_trajectory import Rest
+from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
 
 _LOOKS = 40
 _SHORTEST, _LONGEST = 0.05, 1e3  # s, in which the pace changes
 _ROUNDING = 1e-6  # of a limit
+_SLID = 0.5  # s of the motion in which the place nearest to a standing arm is searched
+_PLACES = 100
+_RESUMED = 0.95  # of the motion's own pace: what is left of its limits is for taking up the pace
 
 
 class TimeScaled:
@@ -33,47 +38,54 @@ class TimeScaled:
         self._since = min(since, self._end)
         self._pace, self._then = pace, then
         self._ramp = _SHORTEST
-        while self._ramp < _LONGEST and not self._keeps(limits):
+        while self._ramp < _LONGEST and not self._is_within_limits(limits):
             self._ramp *= 1.5
-        self.duration = self._takes()
+        self.duration = self._compute_duration()
 
     def place(self, time: float) -> float:
         """Return the time within the motion after a time [s]."""
-        return self._along(time)[0]
+        return self._compute_place(time)[0]
 
     def at(self, time: float) -> Reference:
         """Return the joints at a time since its begin [s]."""
-        place, rate, change, bend = self._along(time)
-        one = self._motion.at(place)
+        place, rate, change, bend = self._compute_place(time)
+        original = self._motion.at(place)
         jerk = None
-        if one.jerk is not None:
-            jerk = one.jerk * rate**3 + 3.0 * one.a * rate * change + one.v * bend
-        return Reference(one.q, one.v * rate, one.a * rate**2 + one.v * change, jerk)
+        if original.jerk is not None:
+            jerk = original.jerk * rate**3 + 3.0 * original.a * rate * change + original.v * bend
+        return Reference(
+            original.q, original.v * rate, original.a * rate**2 + original.v * change, jerk
+        )
 
-    def _along(self, time: float) -> tuple[float, float, float, float]:
+    def _compute_place(self, time: float) -> tuple[float, float, float, float]:
         """Return the place of the motion [s], and its first three derivatives by time."""
         T, by = self._ramp, self._then - self._pace
         x = min(1.0, time / T)
-        gone = by * T * x**3 * (1.0 - 0.5 * x) + by * max(0.0, time - T)
-        place = min(self._end, self._since + self._pace * time + gone)
+        gained = by * T * x**3 * (1.0 - 0.5 * x) + by * max(0.0, time - T)
+        place = min(self._end, self._since + self._pace * time + gained)
         if x >= 1.0:
             return place, self._then, 0.0, 0.0
         change, bend = by * 6.0 * x * (1.0 - x) / T, by * 6.0 * (1.0 - 2.0 * x) / T**2
         return place, self._pace + by * x * x * (3.0 - 2.0 * x), change, bend
 
-    def _keeps(self, limits: JointPathLimits) -> bool:
+    def _is_within_limits(self, limits: JointPathLimits) -> bool:
         """Whether the pace changes within the limits, or those of the motion itself."""
-        for time in np.linspace(0.0, min(self._ramp, self._takes()), _LOOKS):
-            one, itself = self.at(float(time)), self._motion.at(self.place(float(time)))
-            pairs = [(one.v, itself.v, limits.speed), (one.a, itself.a, limits.acceleration)]
-            if one.jerk is not None and itself.jerk is not None:
-                pairs.append((one.jerk, itself.jerk, limits.jerk))
-            for value, own, limit in pairs:
-                if (np.abs(value) > np.maximum(limit, np.abs(own)) * (1.0 + _ROUNDING)).any():
+        for time in np.linspace(0.0, min(self._ramp, self._compute_duration()), _LOOKS):
+            scaled, original = self.at(float(time)), self._motion.at(self.place(float(time)))
+            pairs = [
+                (scaled.v, original.v, limits.speed),
+                (scaled.a, original.a, limits.acceleration),
+            ]
+            if scaled.jerk is not None and original.jerk is not None:
+                pairs.append((scaled.jerk, original.jerk, limits.jerk))
+            for value, original_value, limit in pairs:
+                if (
+                    np.abs(value) > np.maximum(limit, np.abs(original_value)) * (1.0 + _ROUNDING)
+                ).any():
                     return False
         return True
 
-    def _takes(self) -> float:
+    def _compute_duration(self) -> float:
         """Return its duration [s]."""
         T = self._ramp
         left = self._end - self._since - 0.5 * (self._pace + self._then) * T
@@ -84,3 +96,41 @@ class TimeScaled:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.place(middle) < self._end else (low, middle)
         return high
+
+
+class Resumed:
+    """Returns to the way of a motion along the joints' line, and continues along it from rest.
+
+    Args:
+        motion: that was interrupted.
+        since: time within it at the interruption [s].
+        now: joints at rest.
+        limits: of the joints.
+
+    Attributes:
+        duration: [s].
+        path_text: kind of its way, as text.
+    """
+
+    def __init__(
+        self, motion: Motion, since: float, now: Reference, limits: JointPathLimits
+    ) -> None:
+        since = min(since, motion.duration)
+        times = np.linspace(since, min(motion.duration, since + _SLID), _PLACES)
+        off = [float(np.abs(motion.at(float(t)).q - now.q).max()) for t in times]
+        nearest = float(times[int(np.argmin(off))])
+        to = motion.at(nearest).q
+        apart = np.abs(to - now.q).max() > 1e-12
+        self._back: Motion = TimedPath(JointCurve.line(now.q, to), limits) if apart else Rest(to)
+        self._along = TimeScaled(motion, nearest, 0.0, _RESUMED, limits)
+        self.duration = self._back.duration + self._along.duration
+        self.path_text = f"goes on, in {self.duration:.3g} s"
+
+    def place(self, time: float) -> float:
+        """Return the time within the motion after a time [s]."""
+        return self._along.place(max(0.0, time - self._back.duration))
+
+    def at(self, time: float) -> Reference:
+        """Return the joints at a time since its begin [s]."""
+        resumed_for = time - self._back.duration
+        return self._back.at(time) if resumed_for <= 0.0 else self._along.at(resumed_for)

@@ -17,15 +17,15 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
-from arm_emulator.motion.model.arm_tree import WAY, ArmTree, way_library
+from arm_emulator.motion.model.arm_tree import PATH_HEADER, ArmTree, path_library
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.toolchain.c_header import NULL, pointer
 
 FEWEST_PIECES = 24  # of the timing
-MOST_PIECES = 400  # of a way in which the ramps decide how many it has
+MAX_PIECES = 400  # of a way in which the ramps decide how many it has
 IN_A_RAMP = 12  # pieces of it
-MOST_TIMINGS = 3  # that are found for a way with as many pieces
+MAX_TIMINGS = 3  # that are found for a way with as many pieces
 CLOSE = 0.94  # factor of c with which a timing is slowed down as a whole
 FAR, FINER = 0.83, 4  # with which its pieces are too long, and so many more are tried
 MARGIN = 1.002  # of time: for what lies between the checks
@@ -81,8 +81,8 @@ class TimedPath(SharedObject):
         limits: of the joints.
         arm: for torques; None: they are not limited.
         along: of the tool; None: it is as fast as the joints.
-        asked: time in which the curve was meant to be gone through evenly [s], which no part of it
-            falls below; 0: none.
+        requested: time in which the curve was meant to be followed evenly [s], below which no part
+            of it falls; 0: none.
         where: names the motion in refusals.
 
     Attributes:
@@ -98,35 +98,35 @@ class TimedPath(SharedObject):
         limits: JointPathLimits,
         arm: ArmTree | None = None,
         along: ToolPathLimits | None = None,
-        asked: float = 0.0,
+        requested: float = 0.0,
         where: str = "motion",
     ) -> None:
         self.curve = curve
-        self._limits, self._along, self._asked = limits, along, asked
+        self._limits, self._along, self._requested = limits, along, requested
         self._loaded = np.flatnonzero(np.isfinite(limits.torque))
         self._arm = arm if len(self._loaded) else None
-        ramp, pieces = self._ramp()
+        ramp, pieces = self._choose_ramp()
         self._ramps = Ramps(ramp)
-        given = self._given()
-        self._timing = self._found(pieces, given, where)
+        given = self._make_arguments()
+        self._timing = self._find_timing(pieces, given, where)
         self.duration = self._timing.duration
 
     def at(self, time: float) -> Reference:
         """Return the joints at a time since the start [s]."""
-        q, v, a, jerk = self.curve.moving(*self._over_time(time))
+        q, v, a, jerk = self.curve.derive_by_time(*self._derive_place(time))
         return Reference(q, v, a, jerk)
 
     def place(self, time: float) -> float:
         """Return s at a time since the start [s]."""
-        return self._over_time(time)[0]
+        return self._derive_place(time)[0]
 
-    def _over_time(self, time: float) -> tuple[float, float, float, float]:
+    def _derive_place(self, time: float) -> tuple[float, float, float, float]:
         """Return s and its first three derivatives by time."""
         sigma, d1, d2, d3 = self._timing.derivatives(max(0.0, time))
         s, s1, s2, s3 = self._ramps.at(sigma)
         return s, s1 * d1, s1 * d2 + s2 * d1**2, s1 * d3 + 3.0 * s2 * d1 * d2 + s3 * d1**3
 
-    def _ramp(self) -> tuple[float, int]:
+    def _choose_ramp(self) -> tuple[float, int]:
         """Return the share of sigma of the ramps, and its number of pieces."""
         _, f1, _, _ = self.curve.derivatives(_LOOKS)
         limits, tiny = self._limits, 1e-12
@@ -135,68 +135,72 @@ class TimedPath(SharedObject):
         if self._along is not None:
             slow = np.maximum(slow, self._along.length / self._along.speed)
             stiff = np.maximum(stiff, self._along.length / self._along.acceleration)
-        cruise = max(float(slow.mean()), self._asked)
+        cruise = max(float(slow.mean()), self._requested)
         ends = float(stiff[[0, -1]].max()) / cruise + float(
             (limits.acceleration / limits.jerk).max()
         )
         # Ways of any length are planned in so many pieces at most; a longer ramp is gentler.
-        ramp = min(0.5, max(ends / (cruise + ends), IN_A_RAMP / MOST_PIECES))
+        ramp = min(0.5, max(ends / (cruise + ends), IN_A_RAMP / MAX_PIECES))
         # Two checks or more in each piece of the curve, whose third derivative steps.
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _found(self, pieces: int, given: tuple[Any, ...], where: str) -> Timing:
+    def _find_timing(self, pieces: int, given: tuple[Any, ...], where: str) -> Timing:
         """Return the quickest timing found that keeps every limit at every check.
 
         Where one exceeds limits between the places for which it was found, it is found again with
         tighter ones there, and slowed down as a whole by the rest; and of more pieces, too, if the
         first exceeds them by much.
         """
-        law, timings, first = way_library(), list[Timing](), 0.0
+        law, timings, first = path_library(), list[Timing](), 0.0
         # Once more with as many: now what is exceeded is known from more looks.
-        for count in (pieces, pieces, min(FINER * pieces, max(pieces, MOST_PIECES))):
-            sigma, keeps = places(count), np.empty(count)
-            rows = self._rows(sigma, given)
-            for _ in range(MOST_TIMINGS):
-                found = least_duration(count, rows)
-                if isinstance(found, int):
-                    raise self._too_heavy(sigma[found], where)
+        for count in (pieces, pieces, min(FINER * pieces, max(pieces, MAX_PIECES))):
+            sigma, keeps, coefficients = compute_places(count), np.empty(count), np.empty(count + 2)
+            most, firsts, thirds = self._compute_rows(sigma, given)
+            for _ in range(MAX_TIMINGS):
+                rows = (pointer(most), firsts.shape[2], pointer(firsts), thirds.shape[2])
+                fault = law.path_time(count, *rows, pointer(thirds), _GAP, pointer(coefficients))
+                if fault >= 0:
+                    raise self._refuse_torque(sigma[fault], where)
                 looks = _CHECKED_AGAIN if timings else _CHECKED
-                law.way_keeps(*given, count, pointer(found), looks, JERK_MARGIN, pointer(keeps))
+                law.path_keeps(
+                    *given, count, pointer(coefficients), looks, JERK_MARGIN, pointer(keeps)
+                )
                 least = float(keeps.min())
                 first = first or least
-                timings.append(Timing(found * least / MARGIN**2))
+                timings.append(Timing(coefficients * least / MARGIN**2))
                 if least > CLOSE:
                     break
-                rows = rows.within(keeps)
+                k = np.repeat(keeps, len(POINTS))
+                most, thirds = most * k, thirds / (k**1.5)[:, None]
+                firsts[1:] /= k[:, None]
             if first > FAR:
                 break
-        return min(timings, key=lambda one: one.duration)
+        return min(timings, key=lambda timing: timing.duration)
 
-    def _rows(self, sigma: Array, given: tuple[Any, ...]) -> Rows:
-        """Return the limits at places (P,), in parts of them; those of torque with an arm."""
-        joints, along, torques = len(self._limits.speed), self._along is not None, 0
-        if self._arm is not None:
-            torques = len(self._loaded)
+    def _compute_rows(self, sigma: Array, given: tuple[Any, ...]) -> tuple[Array, Array, Array]:
+        """Return the limits at places (P,), as path_time takes them: (P,), (3, P, F), (3, P, G)."""
+        joints, along = len(self._limits.speed), self._along is not None
+        torques = 0 if self._arm is None else len(self._loaded)
         most = np.empty(len(sigma))
         firsts = np.empty((3, len(sigma), joints + torques + along))
         thirds = np.empty((3, len(sigma), joints + along))
-        way_library().way_rows(*given, len(sigma), *map(pointer, (sigma, most, firsts, thirds)))
-        return Rows(most, firsts, thirds)
+        path_library().path_rows(*given, len(sigma), *map(pointer, (sigma, most, firsts, thirds)))
+        return most, firsts, thirds
 
-    def _given(self) -> tuple[Any, ...]:
-        """Return arm, curve, limits and ramp as way.h takes them."""
+    def _make_arguments(self) -> tuple[Any, ...]:
+        """Return arm, curve, limits and ramp as path.h takes them."""
         limits, along = self._limits, self._along
-        struct = WAY.new(
-            "way_limits",
+        struct = PATH_HEADER.new(
+            "path_limits",
             speed=limits.speed,
             acceleration=limits.acceleration,
             jerk=limits.jerk,
             torque=limits.torque,
-            asked=self._asked,
+            requested=self._requested,
         )
         if along is not None:
-            WAY.fill(
+            PATH_HEADER.fill(
                 struct,
                 length=along.length,
                 tool_speed=along.speed,
@@ -209,7 +213,7 @@ class TimedPath(SharedObject):
         arm = NULL if self._arm is None else self._arm.struct
         return arm, self.curve.struct, struct, self._ramps.ramp
 
-    def _too_heavy(self, sigma: float, where: str) -> Refusal:
+    def _refuse_torque(self, sigma: float, where: str) -> Refusal:
         assert self._arm is not None
         s = self._ramps.at(sigma)[0]
         q = self.curve.derivatives(np.array([s]))[0]
@@ -218,16 +222,16 @@ class TimedPath(SharedObject):
         j = int(np.argmax(share))
         name = self._arm.kinematics.joint_names[j]
         rule = f"need no more torque of {name} than its limit, {self._limits.torque[j]:.4g} N m"
-        got = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s:.0%} of the way"
-        return Refusal(where, "the way", rule, got)
+        value = f"{share[j] * self._limits.torque[j]:.4g} N m to hold it at {s:.0%} of the way"
+        return Refusal(where, "the way", rule, value)
 
 
 # A place s of the way is a function of sigma in [0, 1], `Ramps`, whose slope rises smoothly from 0
 # and falls to 0 again. So what goes along it evenly in sigma begins and ends at rest, with
 # continuous accelerations, and the rate c = (dsigma/dt)^2 that remains to be found is an ordinary
-# function: the quadratic spline of cpp/way.h.
+# function: the quadratic spline of cpp/path.h.
 
-POINTS = (0.0, 0.5, 1.0)  # of a piece, at which way.h asks for the limits
+POINTS = (0.0, 0.5, 1.0)  # of a piece, at which path.h asks for the limits
 _BESIDE = 1e-9  # of a piece: an end belongs to the piece that it is asked for
 _GAUSS, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 _GAUSS, _WEIGHTS = 0.5 * (_GAUSS + 1.0), 0.5 * _WEIGHTS
@@ -258,29 +262,10 @@ class Ramps:
         return (1.0 - s, s1, -s2, s3) if falling else (s, s1, s2, s3)
 
 
-def places(pieces: int) -> Array:
+def compute_places(pieces: int) -> Array:
     """Return sigma at the `POINTS` of each of so many equal pieces."""
     inside = np.clip(np.array(POINTS), _BESIDE, 1.0 - _BESIDE)
     return np.asarray(((np.arange(pieces)[:, None] + inside) / pieces).ravel())
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Limits at places along a way, by the derivatives of c = (dsigma/dt)^2, in parts of them."""
-
-    most: Array
-    """Largest c at each place, (P,)."""
-    firsts: Array
-    """|f0 + fc c + fd c'| <= 1, (3, P, F)."""
-    thirds: Array
-    """|tc c + td c' + te c''| sqrt(c) <= 1, (3, P, G)."""
-
-    def within(self, factors: Array) -> Rows:
-        """Return limits of which c may take parts (pieces,) in each piece, 1 or less."""
-        k = np.repeat(factors, len(POINTS))
-        still, moving = self.firsts[:1], self.firsts[1:]
-        firsts = np.concatenate([still, moving / k[:, None]])
-        return Rows(self.most * k, firsts, self.thirds / (k**1.5)[:, None])
 
 
 class Timing:
@@ -316,8 +301,8 @@ class Timing:
         left = (time - self._times[piece]) * self._pieces
         u = min(1.0, left * math.sqrt(k0))
         for _ in range(8):  # Newton's method: the rate is nearly even in a piece
-            gone = u * sum(w / math.sqrt(k0 + g * u * (k1 + g * u * k2)) for g, w in _PAIRS)
-            step = (left - gone) * math.sqrt(k0 + u * (k1 + u * k2))
+            elapsed = u * sum(w / math.sqrt(k0 + g * u * (k1 + g * u * k2)) for g, w in _PAIRS)
+            step = (left - elapsed) * math.sqrt(k0 + u * (k1 + u * k2))
             before, u = u, min(1.0, max(0.0, u + step))
             if abs(u - before) < 1e-12:
                 break
@@ -326,23 +311,3 @@ class Timing:
         rate = math.sqrt(c)
         slope, bend = n * (k1 + 2.0 * u * k2), n * n * 2.0 * k2
         return (piece + u) / n, rate, 0.5 * slope, 0.5 * bend * rate
-
-
-def least_duration(pieces: int, rows: Rows) -> Array | int:
-    """Return the coefficients of c, or the place at which not even rest keeps the limits.
-
-    Args:
-        pieces: of c.
-        rows: at `places(pieces)`.
-    """
-    law = way_library()
-    firsts, thirds = rows.firsts.shape[2], rows.thirds.shape[2]
-    found = np.empty(pieces + 2)
-    work = np.empty(law.way_work(pieces, firsts, thirds))
-    held = [np.ascontiguousarray(rows.most)]
-    held += [np.ascontiguousarray(one) for one in (*rows.firsts, *rows.thirds)]
-    most, f0, fc, fd, tc, td, te = map(pointer, held)
-    fault: int = law.way_time(
-        pieces, most, firsts, f0, fc, fd, thirds, tc, td, te, _GAP, pointer(work), pointer(found)
-    )
-    return fault if fault >= 0 else found

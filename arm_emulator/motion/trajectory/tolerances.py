@@ -16,7 +16,7 @@ WHERE = "joint_trajectory"
 
 @dataclass(frozen=True, eq=False)
 class Allowed:
-    """Largest errors, (N,) each; 0: any."""
+    """Largest errors, (N,) each; 0 allows any error."""
 
     q: Array
     """[rad]."""
@@ -24,11 +24,11 @@ class Allowed:
     """[rad/s]."""
 
     @classmethod
-    def alike(cls, count: int, q: float) -> Allowed:
+    def make_equal(cls, count: int, q: float) -> Allowed:
         """Return the same angle for all joints, and any speed."""
         return cls(np.full(count, q), np.zeros(count))
 
-    def broken(self, names: Sequence[str], q: Array, v: Array | None) -> str:
+    def describe_excess(self, names: Sequence[str], q: Array, v: Array | None) -> str:
         """Return as text the joint whose error is larger; empty: none.
 
         Args:
@@ -36,26 +36,22 @@ class Allowed:
             q: errors of the angles [rad].
             v: errors of the speeds [rad/s]; None: not known.
         """
-        for error, most, unit in ((q, self.q, "rad"), (v, self.v, "rad/s")):
+        for error, largest, unit in ((q, self.q, "rad"), (v, self.v, "rad/s")):
             if error is None:
                 continue
-            for j in np.flatnonzero((most > 0.0) & ~(np.abs(error) <= most)).tolist():
-                return f"{names[j]} is off by {abs(error[j]):.3g} {unit}, more than {most[j]:.3g}"
+            for j in np.flatnonzero((largest > 0.0) & ~(np.abs(error) <= largest)).tolist():
+                return (
+                    f"{names[j]} is off by {abs(error[j]):.3g} {unit}, more than {largest[j]:.3g}"
+                )
         return ""
 
-    def changed(self, names: Sequence[str], given: Mapping[str, tuple[float, float]]) -> Allowed:
-        """Return what control_msgs/JointTolerance makes of it: 0 keeps a value, -1 means any.
-
-        Args:
-            names: of the joints.
-            given: angle [rad] and speed [rad/s] by joint.
-
-        Raises:
-            Refusal: an unknown joint, or another number below 0.
-        """
+    def change_values(
+        self, names: Sequence[str], values_by_joint: Mapping[str, tuple[float, float]]
+    ) -> Allowed:
+        """Return what control_msgs/JointTolerance makes of it: 0 keeps a value, -1 means any."""
         q, v = self.q.copy(), self.v.copy()
-        check_known_joints(WHERE, given, names)
-        for name, values in given.items():
+        check_known_joints(WHERE, values_by_joint, names)
+        for name, values in values_by_joint.items():
             for table, value, unit in ((q, values[0], "rad"), (v, values[1], "rad/s")):
                 if not (value >= 0.0 or value == -1.0):
                     rule = f"be >= 0 {unit}, or -1 for any"

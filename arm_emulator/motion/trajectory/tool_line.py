@@ -17,7 +17,7 @@ NODES = (32, 128, 512)  # of the spline; more where it leaves the line between t
 OFF_THE_LINE = 1e-5  # rad, or m per reach: between nodes
 
 
-def joints_along(
+def trace_line(
     arm: ArmTree,
     start: Array,
     begin: Pose,
@@ -40,39 +40,39 @@ def joints_along(
     why = ""
     for nodes in NODES:
         halves = np.arange(1, 2 * nodes + 1) / (2 * nodes)  # and nodes, in turns
-        every = along_a_line(begin, end, halves, other_way)
-        poses, wanted = every[1::2], every[::2]
+        every = sample_line(begin, end, halves, other_way)
+        poses, expected = every[1::2], every[::2]
         q = arm.trace(start, poses.p, poses.R, goal, turns)
         if len(q) <= nodes:
             why = f"the arm cannot follow it at {(len(q) - 1) / nodes:.0%} of its length"
             if nodes < NODES[-1] and len(q) > 1:
                 continue  # a finer one may pass where the arm moves fast
             return why
-        curve = JointCurve.spline(q)
-        beyond = curve.leaves(arm.kinematics.lower, arm.kinematics.upper)
+        curve = JointCurve.fit_spline(q)
+        beyond = curve.find_exit(arm.kinematics.lower, arm.kinematics.upper)
         if beyond is not None:
             name = arm.kinematics.joint_names[beyond[1]]
             return f"{name} would leave its limits at {beyond[0]:.0%} of its length"
         between = halves[::2]
-        off = errors(arm, curve.derivatives(between)[0], wanted, turns)
+        off = measure_errors(arm, curve.derivatives(between)[0], expected, turns)
         if float(off.max()) <= OFF_THE_LINE:
             return curve
         why = f"the joints would jump at {between[int(np.argmax(off))]:.0%} of its length"
     return why
 
 
-def errors(arm: ArmTree, q: Array, wanted: Poses, turns: bool = True) -> Array:
+def measure_errors(arm: ArmTree, q: Array, expected: Poses, turns: bool = True) -> Array:
     """Return the tool's distances from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
     p, R = arm.forward(q)
-    off: Array = _length(p - wanted.p) / kinematics.reach
-    if turns and kinematics.turns_tool:
+    off: Array = _measure_rows(p - expected.p) / kinematics.reach
+    if turns and kinematics.has_orientation:
         # |R - 1| is 2 sqrt(2) sin(angle / 2).
-        off += _length((R - wanted.R).reshape(-1, 9)) / np.sqrt(2.0)
+        off += _measure_rows((R - expected.R).reshape(-1, 9)) / np.sqrt(2.0)
     return off
 
 
-def _length(rows: Array) -> Array:
+def _measure_rows(rows: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))
 
 
@@ -90,7 +90,7 @@ class Poses:
         return Poses(self.p[places], self.R[places])
 
 
-def along_a_line(begin: Pose, end: Pose, parts: Array, other_way: bool = False) -> Poses:
+def sample_line(begin: Pose, end: Pose, parts: Array, other_way: bool = False) -> Poses:
     """Return poses at shares (K,) of a straight way that turns evenly about one axis.
 
     Half a turn at most, or the other way round: what is left of a whole one.
@@ -106,7 +106,7 @@ def along_a_line(begin: Pose, end: Pose, parts: Array, other_way: bool = False) 
     return Poses(p, begin.R_WT + np.sin(angles) * once + 2.0 * np.sin(0.5 * angles) ** 2 * twice)
 
 
-def rotations(vectors: Array) -> Array:
+def compute_rotations(vectors: Array) -> Array:
     """Return the rotation matrices of rotation vectors (K, 3), (K, 3, 3)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     x, y, z = vectors.T

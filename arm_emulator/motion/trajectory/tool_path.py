@@ -22,10 +22,10 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.motion.trajectory.tool_line import Poses, rotations
+from arm_emulator.motion.trajectory.tool_line import Poses, compute_rotations
 
 WHERE = "tool_path"
-MOST_POSES = 5000
+MAX_POSES = 5000
 LONGEST = 1000.0  # m, of the whole path
 ROUNDED = 5e-5  # m, of a pose in a flat corner
 SHARP = 0.02  # m/m: where the change of a pose per measure steps by more, the tool stops
@@ -86,7 +86,7 @@ class ToolPath:
         check_number_of_poses(len(poses))
         self.stamp_ns, self.limits = stamp_ns, limits
         self.poses = list(poses)
-        self.times_ns = None if times_ns is None else _in_order(times_ns, len(poses))
+        self.times_ns = None if times_ns is None else _check_order(times_ns, len(poses))
         timed = self.times_ns is not None
         self.curve = ToolCurve(
             [poses[0], *poses] if len(poses) == 1 else poses,
@@ -99,12 +99,14 @@ class ToolPath:
         if length > LONGEST:
             raise Refusal(WHERE, "the path", f"be at most {LONGEST:g} m long", f"{length:.6g} m")
         ends = np.concatenate([[0.0], self.curve.ends])
-        sharp = self.curve.kinks() > SHARP if len(self.curve) > 1 else np.zeros(0, dtype=bool)
+        sharp = (
+            self.curve.measure_kinks() > SHARP if len(self.curve) > 1 else np.zeros(0, dtype=bool)
+        )
         self.stops = ends[np.concatenate([[True], sharp, [len(self.curve) > 0]])[: len(ends)]]
 
     @property
     def first(self) -> Pose:
-        """Its first pose."""
+        """First pose of the path."""
         return self.poses[0]
 
     def place(self, x: float) -> str:
@@ -116,11 +118,11 @@ class ToolPath:
 
 def check_number_of_poses(count: int) -> None:
     """Refuse no poses, or too many."""
-    if not 1 <= count <= MOST_POSES:
-        raise Refusal(WHERE, "poses", f"be from 1 to {MOST_POSES}", count)
+    if not 1 <= count <= MAX_POSES:
+        raise Refusal(WHERE, "poses", f"be from 1 to {MAX_POSES}", count)
 
 
-def _in_order(times_ns: Sequence[int], count: int) -> list[int]:
+def _check_order(times_ns: Sequence[int], count: int) -> list[int]:
     if len(times_ns) != count:
         raise Refusal(WHERE, "header.stamp", f"be given for all of {count} poses", len(times_ns))
     for i in range(1, count):
@@ -142,7 +144,7 @@ def _in_order(times_ns: Sequence[int], count: int) -> list[int]:
 # and of turning speed, the one that counts is kept.
 
 SAME = 1e-9  # m, and rad: poses no farther apart are the same
-LEAST_CUT = 2e-3  # m: shorter arcs would be passed as slowly as a stop
+MIN_CUT = 2e-3  # m: shorter arcs would be passed as slowly as a stop
 STRAIGHT = 1e-6  # of a distance: three points this near to a line lie on it
 
 
@@ -151,7 +153,7 @@ class _Segments(NamedTuple):
 
     p0: Array
     R0: Array
-    gone: Array
+    distance: Array
     tangent: Array
     normal: Array
     curvature: Array
@@ -172,7 +174,7 @@ class ToolCurve(SharedObject):
             three on a line stay on it.
         blend: where two lines meet, an arc begins this far before the corner [m], at most in the
             middle of a line.
-        rounding: corners so flat that an arc which passes them this near [m] begins `LEAST_CUT`
+        rounding: corners so flat that an arc which passes them this near [m] begins `MIN_CUT`
             or more before them, or in the middle of a line, are rounded by it whatever `blend` is.
 
     Attributes:
@@ -191,15 +193,15 @@ class ToolCurve(SharedObject):
     ) -> None:
         self._per_turn = per_turn
         points = np.array([pose.p_WT for pose in poses])
-        segments = _lines(points, np.array([pose.R_WT for pose in poses]))
+        segments = _make_lines(points, np.array([pose.R_WT for pose in poses]))
         if arcs:
-            segments = _bent_to_arcs(points, segments)
-        apart = (segments.gone > SAME) | (np.linalg.norm(segments.turn, axis=1) > SAME)
-        whole = np.where(apart, self._measure(segments), 0.0)
-        self.at_poses = np.concatenate([[0.0], np.cumsum(whole)])
+            segments = _bend_to_arcs(points, segments)
+        apart = (segments.distance > SAME) | (np.linalg.norm(segments.turn, axis=1) > SAME)
+        measures = np.where(apart, self._measure(segments), 0.0)
+        self.at_poses = np.concatenate([[0.0], np.cumsum(measures)])
         segments = _Segments(*(column[apart] for column in segments))
-        if (blend > 0.0 or rounding > 0.0) and len(segments.gone) > 1:
-            segments = _with_round_corners(segments, blend, rounding)
+        if (blend > 0.0 or rounding > 0.0) and len(segments.distance) > 1:
+            segments = _round_corners(segments, blend, rounding)
         self._segments = segments
         self.length = self._measure(segments)
         self.ends = np.cumsum(self.length)
@@ -208,64 +210,67 @@ class ToolCurve(SharedObject):
         """Return the number of segments."""
         return len(self.length)
 
-    def poses(self, x: Array) -> Poses:
+    def sample_poses(self, x: Array) -> Poses:
         """Return the tool at measures x (K,) from the start, between 0 and the end."""
         i = np.minimum(np.searchsorted(self.ends, x, side="right"), len(self) - 1)
         part = np.clip(1.0 - (self.ends[i] - x) / self.length[i], 0.0, 1.0)
-        one = _Segments(*(column[i] for column in self._segments))
-        k, gone = one.curvature, part * one.gone
+        segment = _Segments(*(column[i] for column in self._segments))
+        k, length = segment.curvature, part * segment.distance
         bent = k > 0.0
         radius = 1.0 / np.where(bent, k, 1.0)
-        ahead = np.where(bent, radius * np.sin(k * gone), gone)
-        aside = np.where(bent, 2.0 * radius * np.sin(0.5 * k * gone) ** 2, 0.0)
-        p = one.p0 + ahead[:, None] * one.tangent + aside[:, None] * one.normal
-        return Poses(p, rotations(part[:, None] * one.turn) @ one.R0)
+        ahead = np.where(bent, radius * np.sin(k * length), length)
+        aside = np.where(bent, 2.0 * radius * np.sin(0.5 * k * length) ** 2, 0.0)
+        p = segment.p0 + ahead[:, None] * segment.tangent + aside[:, None] * segment.normal
+        return Poses(p, compute_rotations(part[:, None] * segment.turn) @ segment.R0)
 
-    def curvature(self) -> Array:
+    def compute_curvature(self) -> Array:
         """Return, for each segment, the acceleration across at measure speed 1, (S,) [1/m]."""
-        rate = self._segments.gone / self.length
+        rate = self._segments.distance / self.length
         return np.asarray(self._segments.curvature * rate**2)
 
-    def kinks(self) -> Array:
+    def measure_kinks(self) -> Array:
         """Return how much the change per measure differs where segments meet (S - 1,) [m/m].
 
         Of the position, or of the orientation times `per_turn`, whichever is larger.
         """
-        one = self._segments
-        rate, angle = (one.gone / self.length)[:, None], (one.curvature * one.gone)[:, None]
-        leaving = rate * (one.tangent * np.cos(angle) + one.normal * np.sin(angle))
-        position = np.linalg.norm(rate[1:] * one.tangent[1:] - leaving[:-1], axis=1)
-        turning = self._per_turn * one.turn / self.length[:, None]
+        segments = self._segments
+        rate, angle = (
+            (segments.distance / self.length)[:, None],
+            (segments.curvature * segments.distance)[:, None],
+        )
+        leaving = rate * (segments.tangent * np.cos(angle) + segments.normal * np.sin(angle))
+        position = np.linalg.norm(rate[1:] * segments.tangent[1:] - leaving[:-1], axis=1)
+        turning = self._per_turn * segments.turn / self.length[:, None]
         orientation = np.linalg.norm(np.diff(turning, axis=0), axis=1)
         return np.asarray(np.maximum(position, orientation))
 
     def _measure(self, segments: _Segments) -> Array:
         angle = np.linalg.norm(segments.turn, axis=1)
-        return np.asarray(np.maximum(segments.gone, self._per_turn * angle))
+        return np.asarray(np.maximum(segments.distance, self._per_turn * angle))
 
 
-def _lines(points: Array, R: Array) -> _Segments:
+def _make_lines(points: Array, R: Array) -> _Segments:
     """Return the lines between points (K, 3), with the turns between orientations (K, 3, 3)."""
     step = np.diff(points, axis=0)
-    gone = np.linalg.norm(step, axis=1)
+    lengths = np.linalg.norm(step, axis=1)
     relative = R[1:] @ np.swapaxes(R[:-1], 1, 2)
     return _Segments(
         p0=points[:-1],
         R0=R[:-1],
-        gone=gone,
-        tangent=step / np.maximum(gone, SAME)[:, None],
+        distance=lengths,
+        tangent=step / np.maximum(lengths, SAME)[:, None],
         normal=np.zeros_like(step),
-        curvature=np.zeros_like(gone),
-        turn=np.array([pin.log3(one) for one in relative]).reshape(-1, 3),
+        curvature=np.zeros_like(lengths),
+        turn=np.array([pin.log3(R_step) for R_step in relative]).reshape(-1, 3),
     )
 
 
-def _bent_to_arcs(points: Array, segments: _Segments) -> _Segments:
+def _bend_to_arcs(points: Array, segments: _Segments) -> _Segments:
     """Return arcs instead of lines through each three points that are not on a line."""
-    gone, curvature = np.array(segments.gone), np.array(segments.curvature)
+    lengths, curvature = np.array(segments.distance), np.array(segments.curvature)
     tangent, normal = segments.tangent.copy(), segments.normal.copy()
     for i in range(0, len(points) - 2, 2):
-        circle = _circle(*points[i : i + 3])
+        circle = _find_circle(*points[i : i + 3])
         if circle is None:
             continue
         center, axis = circle
@@ -273,73 +278,73 @@ def _bent_to_arcs(points: Array, segments: _Segments) -> _Segments:
             out, to = points[j] - center, points[j + 1] - center
             radius = float(np.linalg.norm(out))
             angle = math.atan2(axis @ np.cross(out, to), out @ to) % (2.0 * math.pi)
-            gone[j], curvature[j] = radius * angle, 1.0 / radius
+            lengths[j], curvature[j] = radius * angle, 1.0 / radius
             tangent[j], normal[j] = np.cross(axis, out) / radius, -out / radius
-    return segments._replace(gone=gone, tangent=tangent, normal=normal, curvature=curvature)
+    return segments._replace(distance=lengths, tangent=tangent, normal=normal, curvature=curvature)
 
 
-def _with_round_corners(segments: _Segments, blend: float, rounding: float) -> _Segments:
+def _round_corners(segments: _Segments, blend: float, rounding: float) -> _Segments:
     """Return the same segments with arcs where two lines meet, tangent to both."""
-    tangent, gone = segments.tangent, np.asarray(segments.gone)
+    tangent, lengths = segments.tangent, np.asarray(segments.distance)
     cosine = np.einsum("ij,ij->i", tangent[:-1], tangent[1:])
-    line = (np.asarray(segments.curvature) == 0.0) & (gone > SAME)
+    line = (np.asarray(segments.curvature) == 0.0) & (lengths > SAME)
     corner = line[:-1] & line[1:] & (np.abs(cosine) < 1.0 - STRAIGHT)
-    middle = 0.5 * np.minimum(gone[:-1], gone[1:])
+    middle = 0.5 * np.minimum(lengths[:-1], lengths[1:])
     # An arc that begins d before a corner of a small angle passes it at d angle / 4.
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     near = np.minimum(4.0 * rounding / np.maximum(angle, STRAIGHT), middle)
-    near = np.where(near >= np.minimum(LEAST_CUT, middle), near, 0.0)
+    near = np.where(near >= np.minimum(MIN_CUT, middle), near, 0.0)
     cut = np.where(corner, np.maximum(np.minimum(blend, middle), near), 0.0)
     cut = np.concatenate([[0.0], cut, [0.0]])  # at the start of segment i, and at its end
-    return _rows(_cut_and_joined(segments, cut))
+    return _stack_segments(_join_segments(segments, cut))
 
 
-def _rows(rows: Iterable[_Segments]) -> _Segments:
+def _stack_segments(rows: Iterable[_Segments]) -> _Segments:
     return _Segments(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _cut_and_joined(segments: _Segments, cut: Array) -> Iterable[_Segments]:
+def _join_segments(segments: _Segments, cut: Array) -> Iterable[_Segments]:
     """Yield each segment without its cut ends, and the arc to the next one where it is cut."""
     count = len(cut) - 1
     every = [_Segments(*(column[i] for column in segments)) for i in range(count)]
-    for i, one in enumerate(every):
-        whole = float(one.gone)
-        rest = whole - cut[i] - cut[i + 1]
-        if rest == whole:
-            yield one
+    for i, segment in enumerate(every):
+        length = float(segment.distance)
+        rest = length - cut[i] - cut[i + 1]
+        if rest == length:
+            yield segment
             continue
         if rest > SAME:
-            yield one._replace(
-                p0=one.p0 + cut[i] * one.tangent,
-                R0=pin.exp3(cut[i] / whole * one.turn) @ one.R0,
-                gone=np.asarray(rest),
-                turn=rest / whole * one.turn,
+            yield segment._replace(
+                p0=segment.p0 + cut[i] * segment.tangent,
+                R0=pin.exp3(cut[i] / length * segment.turn) @ segment.R0,
+                distance=np.asarray(rest),
+                turn=rest / length * segment.turn,
             )
         if cut[i + 1] > 0.0:
-            yield _corner(one, every[i + 1], float(cut[i + 1]))
+            yield _make_corner(segment, every[i + 1], float(cut[i + 1]))
 
 
-def _corner(one: _Segments, onward: _Segments, cut: float) -> _Segments:
+def _make_corner(segment: _Segments, onward: _Segments, cut: float) -> _Segments:
     """Return the arc from a line to the next, from `cut` before their corner to `cut` after it."""
-    cosine = float(one.tangent @ onward.tangent)
-    sine = float(np.linalg.norm(np.cross(one.tangent, onward.tangent)))
+    cosine = float(segment.tangent @ onward.tangent)
+    sine = float(np.linalg.norm(np.cross(segment.tangent, onward.tangent)))
     angle = math.atan2(sine, cosine)
     radius = cut / math.tan(0.5 * angle)
-    normal = onward.tangent - cosine * one.tangent
-    R = pin.exp3((1.0 - cut / float(one.gone)) * one.turn) @ one.R0
-    R_after = pin.exp3(cut / float(onward.gone) * onward.turn) @ onward.R0
+    normal = onward.tangent - cosine * segment.tangent
+    R = pin.exp3((1.0 - cut / float(segment.distance)) * segment.turn) @ segment.R0
+    R_after = pin.exp3(cut / float(onward.distance) * onward.turn) @ onward.R0
     return _Segments(
-        p0=one.p0 + (float(one.gone) - cut) * one.tangent,
+        p0=segment.p0 + (float(segment.distance) - cut) * segment.tangent,
         R0=R,
-        gone=np.asarray(radius * angle),
-        tangent=one.tangent,
+        distance=np.asarray(radius * angle),
+        tangent=segment.tangent,
         normal=normal / np.linalg.norm(normal),
         curvature=np.asarray(1.0 / radius),
         turn=pin.log3(R_after @ R.T),
     )
 
 
-def _circle(a: Array, b: Array, c: Array) -> tuple[Array, Array] | None:
+def _find_circle(a: Array, b: Array, c: Array) -> tuple[Array, Array] | None:
     """Return center and axis of the circle through three points in this order; None of a line."""
     ab, ac = b - a, c - a
     across = np.cross(ab, ac)

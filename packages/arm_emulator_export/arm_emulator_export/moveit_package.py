@@ -19,8 +19,13 @@ from arm_emulator.extension.machine import (
     list_element_names,
     read_urdf_joints,
 )
-from arm_emulator.extension.motion import DRAWN_CONFIGURATIONS, Kinematics, link_pairs, rate_limits
-from arm_emulator.extension.page import package_folders
+from arm_emulator.extension.motion import (
+    DRAWN_CONFIGURATIONS,
+    Kinematics,
+    find_link_pairs,
+    read_rate_limits,
+)
+from arm_emulator.extension.page import list_package_folders
 from arm_emulator.extension.runs import MotionConfig
 from arm_emulator_export import control_files
 from arm_emulator_export.control_files import TRAJECTORY_CONTROLLER
@@ -175,7 +180,7 @@ def _yaml(content: Mapping[str, Any]) -> str:
 def _description(scene: Scene, package: str) -> str:
     """Return the robot description as a xacro source that finds the machine in its package."""
     robot = ET.fromstring(control_files.description(scene, f"MACHINE/{name_stem(scene.name)}"))
-    folders = [Path(folder) for folder in package_folders()]
+    folders = [Path(folder) for folder in list_package_folders()]
     for mesh in robot.iter("mesh"):
         # A wheel's packages are not in the index of ROS packages.
         rest = mesh.get("filename", "").removeprefix("package://")
@@ -266,7 +271,7 @@ def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
 
     Args:
         scene: the machine.
-        drawn: configurations in which links are tested for contact (`link_pairs`).
+        drawn: configurations in which links are tested for contact (`find_link_pairs`).
 
     Raises:
         Refusal: a mesh of the robot that cannot be read.
@@ -282,7 +287,7 @@ def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
     if base != WORLD:
         ET.SubElement(robot, "virtual_joint", name=f"{WORLD}_to_{base}", type="fixed",
                       parent_frame=WORLD, child_link=base)  # fmt: skip
-    for pair in link_pairs(scene.urdf, scene.joint_names, drawn):
+    for pair in find_link_pairs(scene.urdf, scene.joint_names, drawn):
         ET.SubElement(robot, "disable_collisions", link1=pair.first, link2=pair.second,
                       reason=pair.reason.value)  # fmt: skip
     ET.indent(robot)
@@ -291,7 +296,7 @@ def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
 
 def joint_limits(scene: Scene, motion: MotionConfig) -> dict[str, Any]:
     """Return the content of joint_limits.yaml: what our motion control would keep, too."""
-    limits = rate_limits(scene.urdf)
+    limits = read_rate_limits(scene.urdf)
     of_joints = {}
     for name in scene.joint_names:
         values = {

@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.motion.model.mesh_units import package_folders
+from arm_emulator.motion.model.mesh_units import list_package_folders
 from arm_emulator_export import control_files
 from arm_emulator_export.moveit_package import (
     GROUP,
@@ -52,7 +52,7 @@ def test_pinocchio_reads_the_srdf(name: str) -> None:
                for at in places]  # fmt: skip
         assert np.allclose(angles, scene.start if state.get("name") == "start" else 0.0)
     shapes = pin.buildGeomFromUrdfString(
-        model, scene.urdf, pin.GeometryType.COLLISION, package_dirs=package_folders()
+        model, scene.urdf, pin.GeometryType.COLLISION, package_dirs=list_package_folders()
     )
     shapes.addAllCollisionPairs()
     names = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]

@@ -192,7 +192,7 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
     R_WT, p_WT = arm.forward(q + np.where(arm.to_tool, way, 0.0))
     target = Pose(p_WT, R_WT)
     rows = [law.update(law.coming.q, target).q for _ in range(1500)]
-    assert law.resting, law.notices
+    assert law.is_resting, law.notices
     end = rows[-1]
     assert np.linalg.norm(arm.tool_error(end, target)) < 1e-6, "the tool is at its target"
     assert end[~arm.to_tool] == pytest.approx(stop[~arm.to_tool], abs=1e-9), "where they stop"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Shafts
 from arm_emulator.extension.machine import Scene
-from arm_emulator.extension.page import in_metres, package_folders
+from arm_emulator.extension.page import list_package_folders, scale_to_metres
 
 GREY = (0.75, 0.76, 0.78)
 WAY = (31, 119, 180)
@@ -44,9 +44,9 @@ class ArmScene:
         try:
             self._shapes = pin.buildGeomFromUrdfString(
                 self._model,
-                in_metres(scene.urdf),
+                scale_to_metres(scene.urdf),
                 pin.GeometryType.VISUAL,
-                package_dirs=package_folders(),
+                package_dirs=list_package_folders(),
             )
         except ValueError as error:  # a mesh that this machine has not
             self._shapes, self.missing = pin.GeometryModel(), str(error).strip()

@@ -1,8 +1,8 @@
-/* Expensive parts of planning a way: the joints along a way of the tool, their torques,
- * and the timing of least duration within limits. No state, no allocation by the caller's leave:
- * all arrays are the caller's, row by row. Apache-2.0. */
-#ifndef ARM_WAY_H
-#define ARM_WAY_H
+/* Expensive parts of planning a path: the joints along a path of the tool, their torques,
+ * and the timing of least duration within limits. All arrays are the caller's, row by row, and
+ * nothing is kept. Apache-2.0. */
+#ifndef ARM_PATH_H
+#define ARM_PATH_H
 
 #include <stdint.h>
 
@@ -31,7 +31,7 @@ typedef struct {
   const double* tool_rotation; /* (3, 3) in its parent's frame */
   const double* tool_place;    /* (3) [m] */
   double reach;                /* [m], by which the tool's errors are divided */
-} way_arm;
+} path_arm;
 
 /* A curve of the coordinates over s in [0, 1]: polynomials piece by piece. */
 typedef struct {
@@ -40,71 +40,66 @@ typedef struct {
   int32_t columns;            /* coordinates */
   const double* breaks;       /* (pieces + 1), where pieces begin, and 1 */
   const double* coefficients; /* (pieces, degrees, columns), in powers of s - breaks */
-} way_curve;
+} path_curve;
 
-/* Limits along a way. */
+/* Limits along a path. */
 typedef struct {
   const double* speed; /* (columns) of the coordinates, as those below */
   const double* acceleration;
   const double* jerk;
-  const double* torque;     /* infinite: none */
-  double asked;             /* s, time that no part of the way falls below in proportion; 0: none */
-  double length;            /* m, of the tool's curve; 0: the tool is not limited */
-  double tool_speed;        /* m/s */
+  const double* torque; /* infinite: none */
+  double requested;     /* s, time that no part of the path falls below in proportion; 0: none */
+  double length;        /* m, of the tool's curve; 0: the tool is not limited */
+  double tool_speed;    /* m/s */
   double tool_acceleration; /* m/s2, along and across */
   double tool_jerk;         /* m/s3 */
   int32_t parts;            /* of the tool's curve */
   const double* ends;       /* (parts) in s */
   const double* curvature;  /* (parts) 1/m */
-} way_limits;
+} path_limits;
 
 /* Tool poses p (count, 3), R (count, 3, 3) of joint coordinates q (count, joints). */
-void way_forward(const way_arm* arm, int32_t count, const double* q, double* p, double* R);
+void path_forward(const path_arm* arm, int32_t count, const double* q, double* p, double* R);
 
 /* Torques tau (count, joints) at q, v, a (count, joints) each. */
-void way_torques(const way_arm* arm, int32_t count, const double* q, const double* v,
-                 const double* a, double* tau);
+void path_torques(const path_arm* arm, int32_t count, const double* q, const double* v,
+                  const double* a, double* tau);
 
 /* Coordinates q (count + 1, coordinates) that take the tool from row 0, where it is, through poses
  * p, R (count, ...): the nearest ones to the line of the joints to `goal` (coordinates), or, where
- * that is NULL, to the way before. rows: 3, position only; 6. Returns how many poses were reached.
+ * that is NULL, to the path before. rows: 3, position only; 6. Returns how many poses were reached.
  */
-int32_t way_trace(const way_arm* arm, int32_t rows, int32_t count, const double* p, const double* R,
-                  const double* goal, double* q);
+int32_t path_trace(const path_arm* arm, int32_t rows, int32_t count, const double* p,
+                   const double* R, const double* goal, double* q);
 
 /* Second derivatives m (nodes, columns) of the cubic spline through y (nodes, columns), `step`
- * apart; at both ends those of the cubic through the four nodes there. work: (nodes). */
-void way_spline(int32_t nodes, int32_t columns, double step, const double* y, double* m,
-                double* work);
+ * apart; at both ends those of the cubic through the four nodes there. */
+void path_spline(int32_t nodes, int32_t columns, double step, const double* y, double* m);
 
-/* Timing of least duration: c = (ds/dt)^2 over s in [0, 1], a quadratic spline of `intervals` equal
- * pieces, of which `coefficients` (intervals + 2) are found. At three points of each piece, its
- * begin, middle and end, (points = 3 intervals):
- *
- *   c <= most,
- *   |firsts_0 + firsts_c c + firsts_d dc/ds| <= 1      (points, firsts) each,
- *   |thirds_c c + thirds_d dc/ds + thirds_e d2c/ds2| sqrt(c) <= 1   (points, thirds) each.
- *
- * gap: how much longer than the shortest it may be, in parts of it. work: of way_work numbers.
- * Returns -1, or the point at which not even rest keeps the limits. */
-/* The rows of way_time at places sigma (count) of a curve whose s over sigma has ramps
- * (timed_path.py): most (count), firsts (3, count, F) and thirds (3, count, G). F is the number of
+/* The rows of path_time at places sigma (count) of a curve whose s over sigma has ramps
+ * (timed_path.py): max_c (count), firsts (3, count, F) and thirds (3, count, G). F is the number of
  * coordinates, of limited torques unless arm is NULL, and 1 where the tool is limited; G the same
  * without torques. */
-void way_rows(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
-              int32_t count, const double* sigma, double* most, double* firsts, double* thirds);
+void path_rows(const path_arm* arm, const path_curve* curve, const path_limits* limits, double ramp,
+               int32_t count, const double* sigma, double* max_c, double* firsts, double* thirds);
 
 /* Factors of c, 1 or less, with which the timing keeps all limits at `looks` evenly spread places
  * of each piece, both ends among them, `keeps` (intervals). jerk_margin: factor of jerks. */
-void way_keeps(const way_arm* arm, const way_curve* curve, const way_limits* limits, double ramp,
-               int32_t intervals, const double* coefficients, int32_t looks, double jerk_margin,
-               double* keeps);
+void path_keeps(const path_arm* arm, const path_curve* curve, const path_limits* limits,
+                double ramp, int32_t intervals, const double* coefficients, int32_t looks,
+                double jerk_margin, double* keeps);
 
-int64_t way_work(int32_t intervals, int32_t firsts, int32_t thirds);
-int32_t way_time(int32_t intervals, const double* most, int32_t firsts, const double* firsts_0,
-                 const double* firsts_c, const double* firsts_d, int32_t thirds,
-                 const double* thirds_c, const double* thirds_d, const double* thirds_e, double gap,
-                 double* work, double* coefficients);
+/* Timing of least duration: c = (ds/dt)^2 over s in [0, 1], a quadratic spline of `intervals` equal
+ * pieces, of which `coefficients` (intervals + 2) are found. At three points of each piece, its
+ * begin, middle and end, (points = 3 intervals), with rows f (3, points, firsts) and
+ * g (3, points, thirds):
+ *
+ *   c <= max_c,   |f0 + f1 c + f2 dc/ds| <= 1,   |g0 c + g1 dc/ds + g2 d2c/ds2| sqrt(c) <= 1.
+ *
+ * gap: how much longer than the shortest it may be, in parts of it. Returns -1, or the point at
+ * which not even rest keeps the limits. */
+int32_t path_time(int32_t intervals, const double* max_c, int32_t firsts, const double* first_rows,
+                  int32_t thirds, const double* third_rows, double gap, double* coefficients);
 
 #ifdef __cplusplus
 }
