@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -121,7 +122,8 @@ class SimulationServices:
                 return _refuse(response, "the simulation is in this state", ALREADY)
             if wanted == state.STATE_QUITTING:
                 self._node.get_logger().info("a client lets the simulation quit")
-                create_wall_timer(self._node, QUIT_AFTER, _quit)
+                end = partial(os.kill, os.getpid(), signal.SIGTERM)
+                create_wall_timer(self._node, QUIT_AFTER, end)
             elif wanted == state.STATE_STOPPED:
                 self._stepper.end("the simulation was stopped")
                 self._waits_at_start = False
@@ -281,7 +283,3 @@ def _not_done(reason: Refusal, goal: Any) -> Any:
     result = action.SimulateSteps.Result()
     goal.abort()
     return _refuse(result, str(reason), msg.Result.RESULT_OPERATION_FAILED)
-
-
-def _quit() -> None:
-    os.kill(os.getpid(), signal.SIGTERM)

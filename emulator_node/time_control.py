@@ -33,19 +33,16 @@ class TimeControl:
 
     def step(self) -> str:
         """Advance a paused machine by one tick; return why it cannot, or ""."""
-        trouble = self._step()
+        trouble = ""
+        if self._session.paused:
+            at_start = self._session.tick == 0 and self._gate.is_closed(at_start=True)
+            behind = self._gate.waited_for if at_start else self._gate.find_full_recorder()
+            trouble = f"recorder {behind} has to catch up first, step again then" if behind else ""
+        trouble = trouble or self._session.step()
         if not trouble:
             self._reports.publish_tick()
         self._health.report_fault()
         return trouble
-
-    def _step(self) -> str:
-        if self._session.paused:
-            at_start = self._session.tick == 0 and self._gate.is_closed(at_start=True)
-            behind = self._gate.waited_for if at_start else self._gate.find_full_recorder()
-            if behind:
-                return f"recorder {behind} has to catch up first, step again then"
-        return self._session.step()
 
     def reset(self, *, paused: bool = False) -> None:
         """Reset to tick 0, and stay there if `paused`."""

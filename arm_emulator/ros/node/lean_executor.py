@@ -44,17 +44,15 @@ class LeanExecutor:
     Args:
         node: the node to serve. Its `housekeeping`, if it has one, is the interval of what is left
             to rclpy's executor, shorter for actions [s, wall].
-        hot: messages in C of a node that is not a `ManagedNode`; None: nothing.
         take: calls back with a message of a subscription, as `take_message`.
     """
 
     def __init__(
         self,
         node: Node,
-        hot: HotPath | None = None,
         take: Callable[[Any, SolePublisher | None], bool] = take_message,
     ) -> None:
-        self._node, self._explicit_hot, self._take_message = node, hot, take
+        self._node, self._take_message = node, take
         self._hot: HotPath | None = None
         self._arrivals: Arrivals | None = None
         self._served = -1  # generation of these
@@ -87,7 +85,7 @@ class LeanExecutor:
 
     def _update_hot_path(self) -> None:
         node = self._node
-        hot = node.in_c if isinstance(node, ManagedNode) else self._explicit_hot
+        hot = node.in_c if isinstance(node, ManagedNode) else None
         if hot is self._hot and self._served == self._generation:
             return
         self._end_arrivals()

@@ -228,7 +228,8 @@ class ManagedNode(LifecycleNode):
         try:
             self.cleanup.close()
         finally:
-            for one in self._list_own_entities():
+            # Entities of `configure`, and later ones.
+            for one in (one for one in self._list_entities() if one not in self._permanent):
                 for many, destroy in (
                     (self.publishers, self.destroy_publisher),
                     (self.subscriptions, self.destroy_subscription),
@@ -240,10 +241,6 @@ class ManagedNode(LifecycleNode):
 
     def _list_entities(self) -> list[Any]:
         return [*self.publishers, *self.subscriptions, *self.services, *self.timers]
-
-    def _list_own_entities(self) -> list[Any]:
-        """Return what `configure` has created, and what followed it."""
-        return [one for one in self._list_entities() if one not in self._permanent]
 
     def _run_transitions(self, *transitions: Callable[[], TransitionCallbackReturn]) -> None:
         for transition in transitions:
