@@ -13,8 +13,9 @@ from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS
 from arm_emulator.base.arrays import Array
+from arm_emulator.machine.plant.core_machine import EnergyFlow
 from arm_emulator.machine.plant.measured import Measured
-from arm_emulator.machine.plant.plant import EnergyFlow, Plant
+from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import PlantState
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.ros.messages.event_words import describe_motion

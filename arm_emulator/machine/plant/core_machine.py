@@ -337,3 +337,15 @@ class Equations(ArrayEquality):
         states = [k * N + j for j in range(N) for k in range(int(counts[j]))]
         there = np.array(states, np.int64)
         return cls(x, u, there, D[: K * N], table[:, :-1], table[:, -1], sticks > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyFlow(ArrayEquality):
+    """Energy supplied to and dissipated by each joint, (N,): W now, J over a time.
+
+    The supply and the share of the external wrench that turns this joint supply it.
+    A motor with different torque and back-EMF constants gets the difference, too.
+    """
+
+    given: Array
+    dissipated: Array  # in windings, gears and friction

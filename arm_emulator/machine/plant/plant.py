@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.synchronized import synchronized
@@ -25,7 +24,12 @@ from arm_emulator.machine.plant.call_arguments import (
     order_by_joint,
 )
 from arm_emulator.machine.plant.core_calls import ARM, DIVERGED, FAULT_THERMAL, OK, REFUSED
-from arm_emulator.machine.plant.core_machine import BorrowedMachine, CoreMachine, Equations
+from arm_emulator.machine.plant.core_machine import (
+    BorrowedMachine,
+    CoreMachine,
+    EnergyFlow,
+    Equations,
+)
 from arm_emulator.machine.plant.diverged import Diverged
 from arm_emulator.machine.plant.inputs import (
     arrange_further_rows,
@@ -441,15 +445,3 @@ class Plant(CoreMachine):
         places = pointer(at), pointer(u), x is None, slides, pointer(numbers)
         self.equation("arm_linearise", *places)
         return Equations.of(at, u, numbers)
-
-
-@dataclass(frozen=True, eq=False)
-class EnergyFlow(ArrayEquality):
-    """Energy supplied to and dissipated by each joint, (N,): W now, J over a time.
-
-    The supply and the share of the external wrench that turns this joint supply it.
-    A motor with different torque and back-EMF constants gets the difference, too.
-    """
-
-    given: Array
-    dissipated: Array  # in windings, gears and friction
