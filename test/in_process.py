@@ -172,7 +172,7 @@ class InProcess:
         patch = pytest.MonkeyPatch()
         calls = SimpleNamespace(ros_send=self._wires.send, ros_publish=self._wires.publish)
         for module in PUBLISHING:
-            patch.setattr(f"{module}.middleware", lambda: calls)
+            patch.setattr(f"{module}.get_middleware", lambda: calls)
         self.states: dict[int, bytes] = {}
         self.tick = -1
         self._heard = _as_message(MotorState, self._on_state)
