@@ -46,7 +46,7 @@ def overloads(scene: Scene) -> list[Overload]:
     """Return the joints that cannot hold the arm in every pose; the first pose is the start."""
     loads = LinkLoads(scene)
     at = np.array(poses(scene, POSES))
-    takes = np.abs(np.array([loads.weight(q) + _springs(scene, q) for q in at]))
+    takes = np.abs(np.array([loads.weight(q) + _compute_spring_torques(scene, q) for q in at]))
     found = []
     for j, joint in enumerate(scene.joints):
         if joint.motor is None:
@@ -79,7 +79,7 @@ def largest_torque(joint: Joint, supply_voltage: float) -> float:
     return torque
 
 
-def _springs(scene: Scene, q: Array) -> Array:
+def _compute_spring_torques(scene: Scene, q: Array) -> Array:
     """Return the torques that hold counterbalances and the like at rest, (N,)."""
     torque, none = np.zeros(len(q)), np.zeros(1)
     for j, joint in enumerate(scene.joints):

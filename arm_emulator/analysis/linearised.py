@@ -84,13 +84,13 @@ def linearise(
         plant = Plant(coerce_scene(plant, "linearise"))
     if q is None:
         given = plant.commanded[0] if command is None else command
-        return _without_what_follows(plant.equations(given))
+        return _eliminate_algebraic_states(plant.equations(given))
     if command is not None:
         raise Refusal("linearise", "command", "be absent in a pose, which decides it", command)
-    return _without_what_follows(_at_rest(plant, q))
+    return _eliminate_algebraic_states(_solve_rest(plant, q))
 
 
-def _at_rest(plant: Plant, q: ArrayLike) -> Equations:
+def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
     """Return the equations at commands that hold a pose, by Newton's method from unloaded gears."""
     other = copy.copy(plant)
     other.reset(q)
@@ -115,7 +115,7 @@ def _at_rest(plant: Plant, q: ArrayLike) -> Equations:
     raise Refusal("linearise", "the pose", "be one that the motors hold", np.asarray(q))
 
 
-def _without_what_follows(of: Equations) -> LinearMachine:
+def _eliminate_algebraic_states(of: Equations) -> LinearMachine:
     """Return the linear system without the algebraic states."""
     N, m = len(of.u), len(of.D)
     follows = of.states[of.D[of.states] == 0.0]

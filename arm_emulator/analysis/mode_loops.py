@@ -134,14 +134,14 @@ class ModeLoops:
 
     def _all(self) -> Iterator[LoopFigure]:
         for loop in Loop:
-            yield from self._figures(0, loop, alike=True)
+            yield from self._evaluate_loop(0, loop, alike=True)
             for j in range(self._N):
                 if loop is not Loop.POSITION:
-                    yield from self._figures(j, loop)
+                    yield from self._evaluate_loop(j, loop)
                 if j in self._braked:
-                    yield from self._figures(j, loop, braked=True)
+                    yield from self._evaluate_loop(j, loop, braked=True)
 
-    def _figures(
+    def _evaluate_loop(
         self, j: int, loop: Loop, braked: bool = False, alike: bool = False
     ) -> Iterator[LoopFigure]:
         """Evaluate one loop; a loop of all joints is named after the joint that moves most."""
@@ -156,7 +156,7 @@ class ModeLoops:
         if most <= HARMLESS:
             for factor in (GAIN, 1.0 / GAIN):
                 other = SampledLoop(
-                    _scaled(plants[worst], factor, None if alike else j), servos, self._delay
+                    _scale_command(plants[worst], factor, None if alike else j), servos, self._delay
                 )
                 grows = self._beyond(other, self._falls[worst], loop, self._fast)
                 if grows > HARMLESS:
@@ -200,7 +200,7 @@ class ModeLoops:
         return found
 
 
-def _scaled(plant: SampledPlant, factor: float, joint: int | None) -> SampledPlant:
+def _scale_command(plant: SampledPlant, factor: float, joint: int | None) -> SampledPlant:
     """Return a machine with a scaled command of a joint (None: of all)."""
     by = np.full(len(plant.q), factor)
     if joint is not None:

@@ -147,7 +147,7 @@ class SampledLoop:
     def margins(self) -> list[Margins]:
         """Return the margins of each joint's loop."""
         w, S = self.sensitivities()
-        return [_margins(w, one) for one in S.T]
+        return [_compute_margins(w, one) for one in S.T]
 
     def step(self, joint: int, rows: int, every: int = 1) -> Array:
         """Return the response of the link positions to a joint's unit target.
@@ -173,7 +173,7 @@ class SampledLoop:
         return response
 
 
-def _margins(w: Array, S: ComplexArray) -> Margins:
+def _compute_margins(w: Array, S: ComplexArray) -> Margins:
     L = 1.0 / S - 1.0
     # Crossings of L with the negative real axis and the unit circle; linear between two
     # frequencies.

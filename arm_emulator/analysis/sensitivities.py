@@ -199,12 +199,12 @@ def numbers_of(scene: Scene) -> dict[str, Varied]:
     """Return the numbers of a machine that its motion may depend on, by their names."""
     here = {
         number.name: number
-        for number in list_variable_numbers(_without_sensors(scene).joints, scene.chain, ())
+        for number in list_variable_numbers(_remove_sensors(scene).joints, scene.chain, ())
     }
     return here | {one.name: one for one in scene.varied if one.name == MASS}
 
 
-def _without_sensors(scene: Scene) -> Scene:
+def _remove_sensors(scene: Scene) -> Scene:
     joints = tuple(dataclasses.replace(joint, sensors=JointSensors()) for joint in scene.joints)
     return dataclasses.replace(scene, joints=joints, imus=(), faults=())
 
@@ -223,6 +223,6 @@ def differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
                 rule = f"not name both {MASS} and numbers of the link that carries it"
                 raise Refusal(WHERE, "by", rule, one.name)
     return dataclasses.replace(
-        _without_sensors(scene), varied=varied, load=load, threads=1, external_wrench=False,
+        _remove_sensors(scene), varied=varied, load=load, threads=1, external_wrench=False,
         energy_flow=False,
     )  # fmt: skip

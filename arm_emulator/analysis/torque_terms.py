@@ -86,9 +86,9 @@ class TorqueTerms:
                     side = rotor if out[n + extras + e, j] else link
                     section = type(joint.extras[e]).section.replace("_", " ")
                     side.setdefault(section, np.full(N, np.nan))[j] = out[n + e, j]
-        return TermsNow(_there(link), _there(rotor))
+        return TermsNow(_select_present(link), _select_present(rotor))
 
 
-def _there(terms: dict[str, Array]) -> dict[str, Array]:
+def _select_present(terms: dict[str, Array]) -> dict[str, Array]:
     """Return the terms that at least one joint has."""
     return {name: torque for name, torque in terms.items() if not np.isnan(torque).all()}

@@ -40,7 +40,7 @@ def run_with(one: Command, words: Sequence[str]) -> int:
         BadArguments: the arguments are invalid.
     """
     try:
-        function, given, _ = _app([one]).parse_args(
+        function, given, _ = _build_app([one]).parse_args(
             [one.name, *words], print_error=False, exit_on_error=False
         )
     except UnusedCliTokensError as error:
@@ -56,7 +56,7 @@ def run_with(one: Command, words: Sequence[str]) -> int:
 def page_of(one: Command) -> str:
     """Return the help page of a command."""
     page = io.StringIO()
-    _app([one]).help_print([one.name], console=Console(file=page, width=WIDTH, no_color=True))
+    _build_app([one]).help_print([one.name], console=Console(file=page, width=WIDTH, no_color=True))
     return "\n".join(line.rstrip() for line in page.getvalue().strip().splitlines())
 
 
@@ -70,10 +70,10 @@ def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
         with contextlib.suppress(ModuleNotFoundError, Refusal):
             if one := load_command(name):
                 every.append(one)
-    return _app(every).generate_completion(prog_name="arm_emulator", shell=shell)
+    return _build_app(every).generate_completion(prog_name="arm_emulator", shell=shell)
 
 
-def _app(commands: Iterable[Command]) -> App:
+def _build_app(commands: Iterable[Command]) -> App:
     app = App(
         name="arm_emulator",
         help_flags=(),
@@ -83,11 +83,11 @@ def _app(commands: Iterable[Command]) -> App:
         default_parameter=DEFAULTS,
     )
     for command in commands:
-        app.command(_with_json(command.function), name=command.name)
+        app.command(_add_json_option(command.function), name=command.name)
     return app
 
 
-def _with_json(function: Callable[..., int]) -> Callable[..., int]:
+def _add_json_option(function: Callable[..., int]) -> Callable[..., int]:
     """Return a command's function with the option that all commands have."""
     plain = inspect.signature(function)
     kind = inspect.Parameter.KEYWORD_ONLY

@@ -71,7 +71,7 @@ def command_names() -> list[str]:
 
 def summary_of(name: str) -> str:
     """Return the first line of a command's module, which is not imported."""
-    module = importlib.util.find_spec(_module_of(name) or "")
+    module = importlib.util.find_spec(_find_module(name) or "")
     assert module is not None and module.origin is not None, name
     with open(module.origin, encoding="utf-8") as file:
         return file.readline().strip().strip('"').removesuffix(".")
@@ -79,14 +79,14 @@ def summary_of(name: str) -> str:
 
 def load_command(name: str) -> Command | None:
     """Import a command and return it, None if it does not exist."""
-    module = _module_of(name)
+    module = _find_module(name)
     if module is None:
         return None
     importlib.import_module(module)
     return _registered[name]
 
 
-def _module_of(name: str) -> str | None:
+def _find_module(name: str) -> str | None:
     """Return the module of a command; packages are looked through for names unknown here alone."""
     if any(name in names for names in GROUPS.values()):
         return f"{__package__}.commands.{name.replace('-', '_')}"

@@ -45,17 +45,17 @@ def main() -> None:
         one = load_command(name)
     except Exception as error:
         end_at_once(None)
-        sys.exit(_printed(partial(_refused, _reason(name, error)), as_json))
+        sys.exit(_run_printed(partial(_print_refusal, _translate_error(name, error)), as_json))
     code = 0 if one is not None and one.until_stopped else None
     end_at_once(code)
     if one is None:
-        sys.exit(_printed(partial(_without_command, words), as_json))
+        sys.exit(_run_printed(partial(_answer_without_command, words), as_json))
     with CtrlC(code):
-        sys.exit(_printed(partial(_run, one, words[1:]), as_json))
+        sys.exit(_run_printed(partial(_run, one, words[1:]), as_json))
     sys.exit(get_exit_code(CtrlC.signal, code))
 
 
-def _printed(work: Callable[[], int], as_json: bool) -> int:
+def _run_printed(work: Callable[[], int], as_json: bool) -> int:
     """Do work and return its exit code; end as by SIGPIPE if the reader of our output has."""
     try:
         check_stdout()
@@ -64,19 +64,19 @@ def _printed(work: Callable[[], int], as_json: bool) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        if not _reader_is_gone():
+        if not _is_reader_gone():
             raise
         drop_descriptor(1)  # for output not flushed yet
         return get_exit_code(signal.SIGPIPE, None)
     except Refusal as closed:
-        return _refused(closed)
+        return _print_refusal(closed)
     except OSError as error:
         of_stdout = find_stdout_error()
         if of_stdout is None and error.errno not in DISK_ERRORS:
             raise
         what = "stdout" if of_stdout else f"file {error.filename}" if error.filename else "disk"
         got = error.strerror or error
-        return _refused(Refusal("arm_emulator", what, "accept all that is written", got))
+        return _print_refusal(Refusal("arm_emulator", what, "accept all that is written", got))
 
 
 def _run(one: Command, words: Sequence[str]) -> int:
@@ -90,23 +90,23 @@ def _run(one: Command, words: Sequence[str]) -> int:
     try:
         return run_with(one, words)
     except BadArguments as bad:
-        return _refused(f"arm_emulator {one.name}: {bad}")
+        return _print_refusal(f"arm_emulator {one.name}: {bad}")
     except Exception as error:
-        return _refused(_reason(one.name, error))
+        return _print_refusal(_translate_error(one.name, error))
 
 
-def _reason(name: str, error: Exception) -> Refusal:
+def _translate_error(name: str, error: Exception) -> Refusal:
     """Return why a command cannot be imported or go on; raise again what is a mistake in it."""
     if isinstance(error, Refusal):
         return error
     if isinstance(error, ModuleNotFoundError):
-        return _missing(name, error)
+        return _refuse_missing_module(name, error)
     if isinstance(error, BrokenPipeError) or not is_out_of_memory(error):
         raise error
     return Refusal("arm_emulator", "memory", "suffice", repr(error))
 
 
-def _refused(reason: Refusal | str) -> int:
+def _print_refusal(reason: Refusal | str) -> int:
     """Print a refusal, for people and for programs, and return the exit code."""
     try:
         print(reason, file=sys.stderr, flush=True)
@@ -116,14 +116,14 @@ def _refused(reason: Refusal | str) -> int:
     return 2
 
 
-def _reader_is_gone() -> bool:
+def _is_reader_gone() -> bool:
     """Return whether the reader of our output, such as `head`, has ended."""
     poll = select.poll()
     poll.register(1, 0)
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def _missing(where: str, missing: ModuleNotFoundError) -> Refusal:
+def _refuse_missing_module(where: str, missing: ModuleNotFoundError) -> Refusal:
     """Return which package is missing, and the remedy."""
     top = (missing.name or "").partition(".")[0]
     if not top or top == "arm_emulator":
@@ -135,10 +135,10 @@ def _missing(where: str, missing: ModuleNotFoundError) -> Refusal:
     return Refusal(where, quantity, "be installed", "none", ROS_REMEDY)
 
 
-def _without_command(words: Sequence[str]) -> int:
+def _answer_without_command(words: Sequence[str]) -> int:
     """Print help or the version, or refuse a command that does not exist."""
     if not words or words[0] in HELP:
-        output.line(_overview())
+        output.line(_render_overview())
         output.facts({"commands": {name: summary_of(name) for name in command_names()}})
     elif words[0] == "--version":
         from arm_emulator.version import VERSION
@@ -146,7 +146,7 @@ def _without_command(words: Sequence[str]) -> int:
         output.line(f"arm_emulator {VERSION}")
         output.facts({"version": VERSION})
     elif (package := package_of_command(words[0])) is not None:
-        return _refused(missing_package(words[0], package))
+        return _print_refusal(missing_package(words[0], package))
     else:
         known = difflib.get_close_matches(words[0], command_names())
         near = (
@@ -154,11 +154,11 @@ def _without_command(words: Sequence[str]) -> int:
             if known
             else "; `arm_emulator --help` lists them"
         )
-        return _refused(f"arm_emulator: unknown command {words[0]}{near}")
+        return _print_refusal(f"arm_emulator: unknown command {words[0]}{near}")
     return 0
 
 
-def _overview() -> str:
+def _render_overview() -> str:
     groups = "\n\n".join(
         "\n".join([f"{group}:", *(f"  {name:<14} {summary_of(name)}" for name in names)])
         for group, names in command_groups().items()

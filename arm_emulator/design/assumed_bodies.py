@@ -60,7 +60,7 @@ def assume_bodies(
             continue
         body, how = shape_of(link, folder)
         if body is None:
-            body, why = _rod(links[name], SHORTEST * longest or LONE), how
+            body, why = _make_rod(links[name], SHORTEST * longest or LONE), how
             how = f"a rod to the next joint{why}"
         scale = density
         for old in link.findall("inertial"):
@@ -87,7 +87,7 @@ def shape_of(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
         seen: list[str] = []
         for element in link.findall(kind):
             try:
-                one, what = _shape(element, folder)
+                one, what = _read_shape(element, folder)
             except Refusal as refusal:
                 why = f" ({refusal.quantity} {refusal.got})"
                 continue
@@ -97,32 +97,32 @@ def shape_of(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
     return None, why
 
 
-def _shape(element: ET.Element, folder: Path) -> tuple[Body, str]:
+def _read_shape(element: ET.Element, folder: Path) -> tuple[Body, str]:
     origin, geometry = element.find("origin"), element.find("geometry")
     at = Frame()
     if origin is not None:
-        at = frame_of(_row(origin, "xyz", "0 0 0"), _row(origin, "rpy", "0 0 0"))
+        at = frame_of(_read_row(origin, "xyz", "0 0 0"), _read_row(origin, "rpy", "0 0 0"))
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
         raise Refusal("new", "geometry", "be a shape", "without one")
     if shape.tag == "mesh":
-        body = _hull(_points(shape, folder))
+        body = _make_hull(_read_points(shape, folder))
     elif shape.tag == "box":
-        x, y, z = _row(shape, "size")
-        body = _about_centre(x * y * z, (y * y + z * z, x * x + z * z, x * x + y * y), 12.0)
+        x, y, z = _read_row(shape, "size")
+        body = _make_centred_body(x * y * z, (y * y + z * z, x * x + z * z, x * x + y * y), 12.0)
     elif shape.tag in ("cylinder", "capsule"):
-        r, l = _row(shape, "radius", count=1)[0], _row(shape, "length", count=1)[0]  # noqa: E741
+        r, l = _read_row(shape, "radius", count=1)[0], _read_row(shape, "length", count=1)[0]  # noqa: E741
         across = 0.75 * r * r + 0.25 * l * l
-        body = _about_centre(math.pi * r * r * l, (across, across, 1.5 * r * r), 3.0)
+        body = _make_centred_body(math.pi * r * r * l, (across, across, 1.5 * r * r), 3.0)
     elif shape.tag == "sphere":
-        r = _row(shape, "radius", count=1)[0]
-        body = _about_centre(4.0 / 3.0 * math.pi * r**3, (r * r,) * 3, 2.5)
+        r = _read_row(shape, "radius", count=1)[0]
+        body = _make_centred_body(4.0 / 3.0 * math.pi * r**3, (r * r,) * 3, 2.5)
     else:
         raise Refusal("new", "shape", "be known", shape.tag)
     return body.seen_from(at), "convex hull" if shape.tag == "mesh" else shape.tag
 
 
-def _row(element: ET.Element, key: str, default: str = "", count: int = 3) -> list[float]:
+def _read_row(element: ET.Element, key: str, default: str = "", count: int = 3) -> list[float]:
     text = element.get(key, default)
     try:
         values = [float(word) for word in text.split()]
@@ -133,12 +133,12 @@ def _row(element: ET.Element, key: str, default: str = "", count: int = 3) -> li
     return values
 
 
-def _about_centre(volume: float, moments: Iterable[float], by: float) -> Body:
+def _make_centred_body(volume: float, moments: Iterable[float], by: float) -> Body:
     inertia = np.diag([volume * moment / by for moment in moments])
     return Body(volume, np.zeros(3), inertia)
 
 
-def _rod(end: Array, least: float) -> Body:
+def _make_rod(end: Array, least: float) -> Body:
     """Return a cylinder from the origin to a point; one along z where that is nearer than least."""
     length = float(np.linalg.norm(end))
     if length < least:
@@ -150,7 +150,7 @@ def _rod(end: Array, least: float) -> Body:
     return Body.from_center(volume, 0.5 * end, inertia)
 
 
-def _hull(points: Array) -> Body:
+def _make_hull(points: Array) -> Body:
     """Return the convex hull of points, of 1 kg/m3: the sum of tetrahedra over its faces."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -170,11 +170,11 @@ def _hull(points: Array) -> Body:
     return Body(float(volume.sum()), h, inertia).seen_from(Frame(p=centre))
 
 
-def _points(mesh: ET.Element, folder: Path) -> Array:
+def _read_points(mesh: ET.Element, folder: Path) -> Array:
     """Return the corners of a mesh (K, 3) [m]."""
     import coal
 
-    name, scale = mesh.get("filename", ""), np.array(_row(mesh, "scale", "1 1 1"))
+    name, scale = mesh.get("filename", ""), np.array(_read_row(mesh, "scale", "1 1 1"))
     file = find_mesh(name, folder)
     if file is None:
         raise Refusal("new", f"mesh {name}", "be a file", "not found")

@@ -64,8 +64,8 @@ class _Tree:
     def __init__(self, robot: ET.Element, where: str) -> None:
         self.where = where
         self.links = [link.get("name", "") for link in robot.findall("link")]
-        self.followers = _followers(robot, where)
-        follows = _follows(robot, self.followers)
+        self.followers = _read_followers(robot, where)
+        follows = _find_followed(robot, self.followers)
         self.joints = [
             _read(element, follows.get(element.get("name", ""), ()), where)
             for element in robot.findall("joint")
@@ -88,7 +88,7 @@ class _Tree:
                 raise Refusal(self.where, f"link {link}", "have no loop above it", "one")
         return path[::-1]
 
-    def ordered(self) -> list[_Joint]:
+    def list_ordered(self) -> list[_Joint]:
         """Return all joints, each behind what carries it, and with all that it carries."""
         left = [link for link in self.links if link not in self.above]
         found: list[_Joint] = []
@@ -98,14 +98,14 @@ class _Tree:
             found += below
         return found
 
-    def fixed_to(self, link: str) -> list[str]:
+    def find_fixed(self, link: str) -> list[str]:
         """Return a link and all that are fixed to it, towards the tips."""
         found = [link]
         for one in found:
             found += [joint.child for joint in self.below.get(one, []) if joint.kind == "fixed"]
         return found
 
-    def branches(self, joint: _Joint) -> int:
+    def count_branches(self, joint: _Joint) -> int:
         """Return how many joints begin on the body on which a joint begins.
 
         Those that follow a joint of the way there count not: rods of a palletizer.
@@ -113,7 +113,7 @@ class _Tree:
         body = joint.parent
         while body in self.above and self.above[body].kind == "fixed":
             body = self.above[body].parent
-        beside = [one for link in self.fixed_to(body) for one in self.below.get(link, [])]
+        beside = [one for link in self.find_fixed(body) for one in self.below.get(link, [])]
         way = {one.name for one in self.path(body)}
         return sum(one.kind in MOVING and not way & {*one.follows} for one in beside)
 
@@ -148,29 +148,29 @@ def choose_joints(
     limbs = _Tree(robot, where)
     guesses: list[str] = []
     if joints is not None:
-        chosen = _named(limbs, joints, tool)
+        chosen = _find_named(limbs, joints, tool)
         rows = [limbs.path(joint.child) for joint in chosen] or [[]]
-        way = max(rows, key=len) if tool is None else limbs.path(_tip(limbs, tool))
+        way = max(rows, key=len) if tool is None else limbs.path(_find_tip(limbs, tool))
     else:
-        way = limbs.path(_tip(limbs, tool))
+        way = limbs.path(_find_tip(limbs, tool))
         chosen = [joint for joint in way if joint.moves]
         if tool is None:
-            chosen = _without_gripper(limbs, chosen, [] if tree else guesses)
+            chosen = _remove_gripper(limbs, chosen, [] if tree else guesses)
     if not chosen:
         raise Refusal(where, "the robot", "have a joint that moves", "none on the way to the tool")
     if tool is None:
-        along = _along(way, chosen)
+        along = _find_along(way, chosen)
         last = [joint for joint in way if joint in chosen or joint in along][-1]
-        tool = _tool_behind(limbs, last.child)
+        tool = _find_tool_link(limbs, last.child)
         guesses.append(f"tool: {tool} (--tool names another)")
     if tree:
-        chosen = [joint for joint in limbs.ordered() if joint.moves]
-    along = _along(way if joints is None and not tree else limbs.joints, chosen)
+        chosen = [joint for joint in limbs.list_ordered() if joint.moves]
+    along = _find_along(way if joints is None and not tree else limbs.joints, chosen)
     guesses[:0] = [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
     names = tuple(joint.name for joint in chosen)
-    positions = _positions(limbs)
+    positions = _compute_positions(limbs)
     held = {
-        joint.name: _held(joint, chosen, positions[joint.name])
+        joint.name: _hold_joint(joint, chosen, positions[joint.name])
         for joint in limbs.joints
         if joint.kind != "fixed" and joint.name not in names and joint not in along
     }
@@ -183,7 +183,7 @@ def choose_joints(
     return Choice(tool, names, held, tuple(guesses))
 
 
-def _named_by(robot: ET.Element) -> dict[str, tuple[str, ...]]:
+def _read_followed(robot: ET.Element) -> dict[str, tuple[str, ...]]:
     """Return the joints that each joint names as those which it follows."""
     rows = {
         joint.get("name", ""): [*joint.findall("mimic"), *joint.findall("coupling")]
@@ -192,23 +192,23 @@ def _named_by(robot: ET.Element) -> dict[str, tuple[str, ...]]:
     return {name: tuple(row.get("joint", "") for row in of) for name, of in rows.items()}
 
 
-def _lost(robot: ET.Element) -> dict[str, tuple[str, ...]]:
+def _find_lost(robot: ET.Element) -> dict[str, tuple[str, ...]]:
     """Return the joints that follow one which the robot has not, with all that they follow."""
-    named = _named_by(robot)
+    named = _read_followed(robot)
     return {name: others for name, others in named.items() if not {*others} <= {*named}}
 
 
-def _followers(robot: ET.Element, where: str) -> dict[str, Follows]:
+def _read_followers(robot: ET.Element, where: str) -> dict[str, Follows]:
     """Return the laws of the joints that follow joints of the robot, by name."""
-    return followers(robot, where, list(_lost(robot)))
+    return followers(robot, where, list(_find_lost(robot)))
 
 
-def _follows(robot: ET.Element, laws: Mapping[str, Follows]) -> dict[str, tuple[str, ...]]:
+def _find_followed(robot: ET.Element, laws: Mapping[str, Follows]) -> dict[str, tuple[str, ...]]:
     """Return with which joints those move that have no shaft of their own, by name."""
-    alone = list_own_shafts(list(_named_by(robot)), laws)
-    return {name: tuple(one.shares) for name, one in laws.items() if name not in alone} | _lost(
-        robot
-    )
+    alone = list_own_shafts(list(_read_followed(robot)), laws)
+    return {
+        name: tuple(one.shares) for name, one in laws.items() if name not in alone
+    } | _find_lost(robot)
 
 
 def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
@@ -225,7 +225,7 @@ def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
     if limit is not None and kind != "continuous":
         for key in bounds:
             if limit.get(key) is not None:
-                bounds[key] = _number(limit.get(key, ""), element, key, where)
+                bounds[key] = _read_number(limit.get(key, ""), element, key, where)
     return _Joint(
         name=element.get("name", ""),
         kind=kind,
@@ -236,7 +236,7 @@ def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
     )
 
 
-def _number(text: str, element: ET.Element, key: str, where: str) -> float:
+def _read_number(text: str, element: ET.Element, key: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
@@ -246,7 +246,7 @@ def _number(text: str, element: ET.Element, key: str, where: str) -> float:
     return value
 
 
-def _tip(tree: _Tree, tool: str | None) -> str:
+def _find_tip(tree: _Tree, tool: str | None) -> str:
     """Return the link at which the arm ends: the tool, or the end of the longest row of joints."""
     if tool is not None:
         if tool not in tree.links:
@@ -258,7 +258,7 @@ def _tip(tree: _Tree, tool: str | None) -> str:
     return max(tips, key=lambda link: sum(joint.moves for joint in tree.path(link)))
 
 
-def _along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
+def _find_along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
     """Return the joints among some that move with those chosen alone."""
     names = {joint.name for joint in chosen}
     return [
@@ -268,7 +268,7 @@ def _along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
     ]
 
 
-def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
+def _find_named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
     """Return the joints of these names."""
     known = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
     for name in joints:
@@ -280,15 +280,15 @@ def _named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]
             kind = f"one that follows {others}" if others else known[name].kind
             raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))
     if tool is not None:
-        _tip(tree, tool)
-    return [joint for joint in tree.ordered() if joint.name in joints]
+        _find_tip(tree, tool)
+    return [joint for joint in tree.list_ordered() if joint.name in joints]
 
 
-def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> list[_Joint]:
+def _remove_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> list[_Joint]:
     """Return the joints without those at the end that look like a gripper's."""
     for k, joint in enumerate(chosen[LEAST_ARM:], start=LEAST_ARM):
         short = len(chosen) - k <= MOST_FINGER
-        branches = tree.branches(joint)
+        branches = tree.count_branches(joint)
         named = _GRIPPER.search(joint.name) is not None
         if branches >= FINGERS or (short and (branches > 1 or named)):
             names = ", ".join(one.name for one in chosen[k:])
@@ -298,9 +298,9 @@ def _without_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> l
     return chosen
 
 
-def _tool_behind(tree: _Tree, link: str) -> str:
+def _find_tool_link(tree: _Tree, link: str) -> str:
     """Return the link fixed to `link` that its maker meant for tools, or the link itself."""
-    fixed = tree.fixed_to(link)
+    fixed = tree.find_fixed(link)
     for word in _TOOLS:
         for one in fixed:
             if re.search(rf"(^|[^a-z]){word}([^a-z]|$)", one.lower()):
@@ -308,7 +308,7 @@ def _tool_behind(tree: _Tree, link: str) -> str:
     return fixed[0]
 
 
-def _positions(tree: _Tree) -> dict[str, float]:
+def _compute_positions(tree: _Tree) -> dict[str, float]:
     """Return where joints stand that are held [rad or m], by name.
 
     A joint that moves by itself stands next to 0 within its limits, and those that follow it as it
@@ -326,7 +326,7 @@ def _positions(tree: _Tree) -> dict[str, float]:
     return positions | {name: law.position(positions) for name, law in laws.items()}
 
 
-def _held(joint: _Joint, chosen: Sequence[_Joint], position: float) -> Held:
+def _hold_joint(joint: _Joint, chosen: Sequence[_Joint], position: float) -> Held:
     if joint.follows:
         moved = {one.name for one in chosen}.issuperset(joint.follows)
         off = ", which moves, but not on the way to the tool" if moved else ""

@@ -71,17 +71,17 @@ class _Arm:
     joints: tuple[JointSheet, ...]
 
 
-def _rpm(value: float) -> float:
+def _convert_rpm(value: float) -> float:
     return value * 2.0 * math.pi / 60.0
 
 
 STS3215 = Servo(
-    "STS3215", 12.0, 30.0 * 0.0980665, _rpm(45.0), 345.0,
+    "STS3215", 12.0, 30.0 * 0.0980665, _convert_rpm(45.0), 345.0,
     "maker's figures at 12 V in https://robonine.com/"
     "testing-of-feetech-sts3215-servomotor-backlash-repeatability-and-torque",
 )  # fmt: skip
 XM430_W350 = Servo(
-    "XM430-W350", 12.0, 4.1, _rpm(46.0), 353.5,
+    "XM430-W350", 12.0, 4.1, _convert_rpm(46.0), 353.5,
     "https://emanual.robotis.com/docs/en/dxl/x/xm430-w350", stall_current=2.3,
 )  # fmt: skip
 
@@ -89,7 +89,7 @@ _UR = "https://www.universal-robots.com/articles/ur-articles/max-joint-torques"
 _FRANKA = "https://frankarobotics.github.io/docs/robot_specifications.html"
 
 
-def _servos(names: str, *servos: Servo) -> _Arm:
+def _make_servo_arm(names: str, *servos: Servo) -> _Arm:
     return _Arm(
         names,
         tuple(
@@ -98,20 +98,22 @@ def _servos(names: str, *servos: Servo) -> _Arm:
     )
 
 
-def _sheet(names: str, torques: tuple[float, ...], degrees: tuple[float, ...], source: str) -> _Arm:
+def _make_arm(
+    names: str, torques: tuple[float, ...], degrees: tuple[float, ...], source: str
+) -> _Arm:
     pairs = zip(torques, degrees, strict=True)
     return _Arm(names, tuple(JointSheet(T, math.radians(w), source) for T, w in pairs))
 
 
 _ARMS = (
-    _servos(r"so[-_ ]?(arm)?[-_ ]?10[01].*", *[STS3215] * 5),
-    _servos(r"open_?manipulator(_?x)?", *[XM430_W350] * 4),
-    _sheet(r"ur3([-_]?(robot|cb3?))?", (56.0, 56.0, 28.0, 12.0, 12.0, 12.0),
+    _make_servo_arm(r"so[-_ ]?(arm)?[-_ ]?10[01].*", *[STS3215] * 5),
+    _make_servo_arm(r"open_?manipulator(_?x)?", *[XM430_W350] * 4),
+    _make_arm(r"ur3([-_]?(robot|cb3?))?", (56.0, 56.0, 28.0, 12.0, 12.0, 12.0),
            (180.0,) * 3 + (360.0,) * 3, _UR),
-    _sheet(r"ur5([-_]?(robot|cb3?))?", (150.0,) * 3 + (28.0,) * 3, (180.0,) * 6, _UR),
-    _sheet(r"ur10([-_]?(robot|cb3?))?", (330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
+    _make_arm(r"ur5([-_]?(robot|cb3?))?", (150.0,) * 3 + (28.0,) * 3, (180.0,) * 6, _UR),
+    _make_arm(r"ur10([-_]?(robot|cb3?))?", (330.0, 330.0, 150.0, 56.0, 56.0, 56.0),
            (120.0, 120.0) + (180.0,) * 4, _UR),
-    _sheet(r"(franka[-_]?(emika[-_]?)?)?panda([-_]?arm)?", (87.0,) * 4 + (12.0,) * 3,
+    _make_arm(r"(franka[-_]?(emika[-_]?)?)?panda([-_]?arm)?", (87.0,) * 4 + (12.0,) * 3,
            tuple(map(math.degrees, (2.175,) * 4 + (2.61,) * 3)), _FRANKA),
 )  # fmt: skip
 

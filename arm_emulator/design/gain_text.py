@@ -24,7 +24,7 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
             joints at once, as with anchors. Nothing is written then.
     """
     check_own("tune", file)
-    new = _replaced(read_text(file, MOST_BYTES), servo)
+    new = _replace_gains(read_text(file, MOST_BYTES), servo)
     trial = file.with_name(f".{file.name}")
     try:
         trial.write_text(new, encoding="utf-8")
@@ -38,7 +38,7 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
         trial.unlink(missing_ok=True)
 
 
-def _replaced(text: str, servo: ServoConfig) -> str:
+def _replace_gains(text: str, servo: ServoConfig) -> str:
     nodes = read_nodes(text)
 
     def ending(path: str) -> tuple[yaml.Node, yaml.Node] | None:

@@ -79,10 +79,10 @@ def doubtful_inertias(
             whole = whole + bodies.one(places[name]).seen_from(frame)
         for name, body in alone.items():
             if elements[name].find("inertial") is not None:
-                shape = _shape(elements[name], folder)
-                own += _doubts(name, body, shape, _length(robot, name), whole.mass)
+                shape = _read_shape(elements[name], folder)
+                own += _find_doubts(name, body, shape, _measure_length(robot, name), whole.mass)
         heaviest = max(parts, key=lambda name: alone[name].mass, default=None)
-        if heaviest is not None and (reason := _why_no_body(whole, arm)):
+        if heaviest is not None and (reason := _explain_no_body(whole, arm)):
             own.insert(0, Doubt(heaviest, reason, is_impossible=True))
         found += own
     return found
@@ -110,7 +110,7 @@ def check_inertias(doubts: Sequence[Doubt], where: str) -> None:
         warn(f"{where}: doubtful inertias: {REMEDY}")
 
 
-def _shape(link: ET.Element, folder: Path) -> Body | None:
+def _read_shape(link: ET.Element, folder: Path) -> Body | None:
     """Return the body of a link's shapes at 1 kg/m3, if they can be read."""
     try:
         return shape_of(link, folder)[0]
@@ -118,7 +118,7 @@ def _shape(link: ET.Element, folder: Path) -> Body | None:
         return None
 
 
-def _length(robot: ET.Element, link: str) -> float:
+def _measure_length(robot: ET.Element, link: str) -> float:
     """Return the distance from a link's origin to the farthest joint that it carries [m]."""
     length = 0.0
     for joint in robot.findall("joint"):
@@ -128,7 +128,7 @@ def _length(robot: ET.Element, link: str) -> float:
     return length
 
 
-def _why_no_body(body: Body, largest: float) -> str:
+def _explain_no_body(body: Body, largest: float) -> str:
     """Return why no body moved by a joint has an inertia; empty: one may have.
 
     Args:
@@ -137,17 +137,17 @@ def _why_no_body(body: Body, largest: float) -> str:
     """
     if body.mass <= 0.0:
         return ""  # refused where the machine is made
-    if reason := _why_no_moments(body):
+    if reason := _explain_no_moments(body):
         return reason
-    radius = math.sqrt(_moments(body)[2] / body.mass)
+    radius = math.sqrt(_compute_moments(body)[2] / body.mass)
     if radius > largest > 0.0:
         return f"radius of gyration {radius:.3g} m, longer than the arm, {largest:.3g} m"
     return ""
 
 
-def _why_no_moments(body: Body) -> str:
+def _explain_no_moments(body: Body) -> str:
     """Return why no body has these principal moments; empty: one has."""
-    moments = _moments(body)
+    moments = _compute_moments(body)
     shown = ", ".join(f"{moment:.3g}" for moment in moments)
     # A body as small as a point has moments near 0, computed as the difference of two large
     # tensors. Their rounding can be larger than what remains.
@@ -159,25 +159,27 @@ def _why_no_moments(body: Body) -> str:
     return ""
 
 
-def _doubts(name: str, body: Body, shape: Body | None, length: float, moved: float) -> list[Doubt]:
+def _find_doubts(
+    name: str, body: Body, shape: Body | None, length: float, moved: float
+) -> list[Doubt]:
     """Return the doubts about one link.
 
     Args:
         name: of the link.
         body: that the description gives.
-        shape: see `_shape`.
-        length: see `_length`.
+        shape: see `_read_shape`.
+        length: see `_measure_length`.
         moved: mass of all that its joint moves [kg].
     """
     if body.mass <= 0.0:
         return [Doubt(name, "inertia without mass")] if body.inertia.any() else []
     found: list[Doubt] = []
-    if reason := _why_no_moments(body):
+    if reason := _explain_no_moments(body):
         found.append(Doubt(name, reason))
     if shape is None:
         return found
-    radius = math.sqrt(max(_moments(body)[2], 0.0) / body.mass)
-    density, filled = body.mass / shape.mass, math.sqrt(_moments(shape)[2] / shape.mass)
+    radius = math.sqrt(max(_compute_moments(body)[2], 0.0) / body.mass)
+    density, filled = body.mass / shape.mass, math.sqrt(_compute_moments(shape)[2] / shape.mass)
     low, high = DENSITIES
     if not low <= density <= high:
         reason = f"{body.mass:.3g} kg in its shape, {density:.3g} kg/m3, not {low:g} to {high:g}"
@@ -191,7 +193,7 @@ def _doubts(name: str, body: Body, shape: Body | None, length: float, moved: flo
     return found
 
 
-def _moments(body: Body) -> Array:
+def _compute_moments(body: Body) -> Array:
     """Return the principal moments about the centre of mass, ascending (3,) [kg m2]."""
     com_x = compute_cross(body.moment / body.mass)
     moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)

@@ -175,7 +175,7 @@ def _search(
                         rounded(with_rotor),
                     )
                 )
-    return trial.best()
+    return trial.choose_best()
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ class _Trial:
         if sensitivity <= SENSITIVITY and overshoot <= OVERSHOOT and kick <= self.kick:
             self.fastest = min(self.fastest, settling)
 
-    def best(self) -> ServoGains | None:
+    def choose_best(self) -> ServoGains | None:
         """Return the best of what was tried; None where nothing holds."""
         quiet = [one for one in self.found if one.kick <= self.kick]
         for sensitivity, overshoot in ((SENSITIVITY, OVERSHOOT), *_IF_NEED_BE):

@@ -74,14 +74,14 @@ def source_packages(folder: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     folder = folder.resolve()
     for place in (folder, *folder.parents):
-        for candidate in (place, *_subfolders(place)):
-            name = _package_name(candidate / MANIFEST)
+        for candidate in (place, *_list_subfolders(place)):
+            name = _read_package_name(candidate / MANIFEST)
             if name:
                 found.setdefault(name, candidate)
     return found
 
 
-def _subfolders(folder: Path) -> Iterator[Path]:
+def _list_subfolders(folder: Path) -> Iterator[Path]:
     try:
         entries = sorted(folder.iterdir())
     except OSError:  # a folder that may be passed through, but not read
@@ -89,7 +89,7 @@ def _subfolders(folder: Path) -> Iterator[Path]:
     yield from entries[:MOST_FOLDERS]
 
 
-def _package_name(manifest: Path) -> str:
+def _read_package_name(manifest: Path) -> str:
     """Return the name that a manifest gives; empty without one."""
     try:
         if not manifest.is_file() or manifest.stat().st_size > MOST_BYTES:

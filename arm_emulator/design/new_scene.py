@@ -118,13 +118,13 @@ def write_new(
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)
     mended = forget_impossible(description)
-    assumed = _assume(description, robot, choice, density)
+    assumed = _assume_missing_bodies(description, robot, choice, density)
     if replace_inertias and trust_inertias:
         raise Refusal("new", "--trust-inertias", "stand without --replace-inertias", "both")
-    doubts = _doubts(description, robot, choice, assumed)
+    doubts = _find_doubts(description, robot, choice, assumed)
     if replace_inertias and doubts:
         assumed += _replace(description, robot, choice, density, doubts)
-        doubts = _doubts(description, robot, choice, assumed)
+        doubts = _find_doubts(description, robot, choice, assumed)
     if not trust_inertias:
         check_inertias(doubts, robot.name)
     trusted = [*dict.fromkeys(doubt.link for doubt in doubts)] if trust_inertias else []
@@ -140,36 +140,38 @@ def write_new(
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
     bodies = assumed, trusted
-    drives, tools, texts = _texts(robot, text, description, choice, payload, bodies, kind)
+    drives, tools, texts = _make_texts(robot, text, description, choice, payload, bodies, kind)
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})
         scene = load_scene(made)
-        servo = tuned_servo(made, _servo_of(scene, drives))
+        servo = tuned_servo(made, _make_servo(scene, drives))
     texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
     _write(folder, {place.format(name): one for place, one in texts.items()})
     return NewScene(file, choice, drives, overloads(scene), assumed, tools)
 
 
-def _assume(description: ET.Element, robot: Path, choice: Choice, density: float) -> list[Assumed]:
+def _assume_missing_bodies(
+    description: ET.Element, robot: Path, choice: Choice, density: float
+) -> list[Assumed]:
     """Add a body in the description to each moving link without one; return these links."""
     if not 0.0 < density <= MOST_DENSITY:
         raise Refusal("new", "--density", f"be > 0 and at most {MOST_DENSITY:g} kg/m3", density)
     shapes = {link.get("name", ""): has_shape(link) for link in description.findall("link")}
     wanted: dict[str, Array] = {}
-    for body in _moved(description, robot, choice):
+    for body in _find_moved(description, robot, choice):
         if body.fault is not None:
             lacking = [link for link in body.links if shapes[link]] or list(body.links[:1])
             wanted |= {link: body.tip for link in lacking}
     return assume_bodies(description, robot.parent, wanted, density)
 
 
-def _doubts(
+def _find_doubts(
     description: ET.Element, robot: Path, choice: Choice, assumed: list[Assumed]
 ) -> list[Doubt]:
     """Return what is wrong with inertias that the description gives."""
     text = ET.tostring(description, encoding="unicode")
-    chain = _links_alone(text, robot.name, choice).chain
+    chain = _load_links(text, robot.name, choice).chain
     given = [one.link for one in assumed]
     return doubtful_inertias(description, robot.name, robot.parent, chain, given)
 
@@ -183,7 +185,7 @@ def _replace(
     """
     of_mass = {doubt.link for doubt in doubts if doubt.is_of_mass}
     wanted: dict[str, Array] = {}
-    for body in _moved(description, robot, choice):
+    for body in _find_moved(description, robot, choice):
         for link in body.links:
             if any(doubt.link == link for doubt in doubts):
                 wanted[link] = body.tip
@@ -199,7 +201,7 @@ def _replace(
     return assume_bodies(description, robot.parent, wanted, density)
 
 
-def _moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
+def _find_moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
     """Return what each moving joint of a choice moves."""
     locked = {name: held.position for name, held in choice.held.items()}
     return collect_moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
@@ -222,7 +224,7 @@ def scene_name(robot: Path) -> str:
     return re.sub(r"\W+", "_", stem).strip("_") or "arm"
 
 
-def _links_alone(text: str, where: str, choice: Choice, payload: float = 0.0) -> Scene:
+def _load_links(text: str, where: str, choice: Choice, payload: float = 0.0) -> Scene:
     """Return the robot as a machine without motors; `where`: its name in refusals."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / where).write_text(text, encoding="utf-8")
@@ -243,7 +245,7 @@ def _links_alone(text: str, where: str, choice: Choice, payload: float = 0.0) ->
         return load_scene(file)
 
 
-def _texts(
+def _make_texts(
     robot: Path,
     text: str,
     description: ET.Element,
@@ -261,13 +263,13 @@ def _texts(
     """
     name = scene_name(robot)
     move_meshes(description, robot.parent)
-    links = _links_alone(ET.tostring(description, encoding="unicode"), robot.name, choice)
+    links = _load_links(ET.tostring(description, encoding="unicode"), robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
-    shapes = _own_shapes(links.urdf, links.joint_names)
+    shapes = _read_own_shapes(links.urdf, links.joint_names)
     bare = survey(links, kinematics, shapes)
     seen = bare
     if payload:
-        seen = survey(_links_alone(text, robot.name, choice, payload), kinematics)
+        seen = survey(_load_links(text, robot.name, choice, payload), kinematics)
     limits = read_limits(description)
     count = len(links.joints)
     sheets = published(description.get("name", ""), count) or (None,) * count
@@ -278,9 +280,9 @@ def _texts(
     tools = rated_tools(links.chain, choice.tool, speeds, payload)
     loaded = with_tools(parse_urdf(text, robot.name), tools)
     rated = survey(
-        _links_alone(ET.tostring(loaded, encoding="unicode"), robot.name, choice), kinematics
+        _load_links(ET.tostring(loaded, encoding="unicode"), robot.name, choice), kinematics
     )
-    demands = _demands(limits, sheets, links, kinematics, (bare, seen, rated))
+    demands = _collect_demands(limits, sheets, links, kinematics, (bare, seen, rated))
     supply, drives = size(demands, kind)
     motion = {
         "tool": choice.tool,
@@ -291,7 +293,7 @@ def _texts(
     }
     # The motion controller reads the joints' limits from the robot description.
     write_limits(description, {drive.joint.name: drive for drive in drives})
-    motion["collisions"], why = _own_collisions(shapes, bare.start)
+    motion["collisions"], why = _choose_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
     given = Given(robot.name, choice, payload or 0.0, *bodies, tools)
     scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
@@ -306,7 +308,7 @@ def _texts(
     return drives, tools, dict(zip(PLACES, contents, strict=True))
 
 
-def _demands(
+def _collect_demands(
     limits: dict[str, dict[str, float | None]],
     sheets: Sequence[JointSheet | None],
     links: Scene,
@@ -345,7 +347,7 @@ def _demands(
     ]
 
 
-def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
+def _make_servo(scene: Scene, drives: list[Sized]) -> ServoConfig:
     """Return the servo of a scene with its data sheets, without gains."""
     return ServoConfig(
         period=SERVO_PERIOD,
@@ -370,10 +372,10 @@ def _servo_of(scene: Scene, drives: list[Sized]) -> ServoConfig:
 
 def known_drives(joints: Iterable[Joint]) -> dict[str, DriveParameters]:
     """Return the data sheet of each joint's gear and friction, by names."""
-    return {joint.name: _known_drive(joint) for joint in joints}
+    return {joint.name: _read_known_drive(joint) for joint in joints}
 
 
-def _known_drive(joint: Joint) -> DriveParameters:
+def _read_known_drive(joint: Joint) -> DriveParameters:
     gear, values = joint.gear, dict[str, float]()
     known = list_numbers(DriveParameters)
     if gear.stiffness is not None:
@@ -392,7 +394,7 @@ _DRAWN = 100  # poses within the limits
 _MOST = 0.8  # share of them: shapes that overlap nearly everywhere are not those of the arm
 
 
-def _own_shapes(urdf_xml: str, joint_names: tuple[str, ...]) -> Collisions | None:
+def _read_own_shapes(urdf_xml: str, joint_names: tuple[str, ...]) -> Collisions | None:
     """Return the test of an arm against itself; None: its shapes cannot be read.
 
     Args:
@@ -405,11 +407,11 @@ def _own_shapes(urdf_xml: str, joint_names: tuple[str, ...]) -> Collisions | Non
         return None
 
 
-def _own_collisions(tested: Collisions | None, start: Array) -> tuple[str, str]:
+def _choose_collisions(tested: Collisions | None, start: Array) -> tuple[str, str]:
     """Return the parameter `collisions` for an arm, and the reason.
 
     Args:
-        tested: of `_own_shapes`.
+        tested: of `_read_own_shapes`.
         start: angles of the joints at the start (N,) [rad or m].
     """
     if tested is None:

@@ -43,7 +43,7 @@ class RatedTool:
     @property
     def inertia(self) -> float:
         """About any axis through its centre [kg m2]."""
-        return self.mass * _edge(self.mass) ** 2 / 6.0
+        return self.mass * _compute_edge(self.mass) ** 2 / 6.0
 
 
 def rated_tools(
@@ -67,14 +67,14 @@ def rated_tools(
         at, frame = chain.carried[tool]
         way = chain.way_to(at)
         on_way.update(way)
-        mass = _mass(chain, way, speeds) if payload is None else payload
-        found.append(_tool(chain, at, tool, frame, mass))
+        mass = _estimate_mass(chain, way, speeds) if payload is None else payload
+        found.append(_place_tool(chain, at, tool, frame, mass))
     for end in range(len(chain.links)):
         branch = [joint for joint in chain.way_to(end) if joint not in on_way]
         if end in carriers or len(branch) < LEAST_ARM:
             continue
         link, frame = list(chain.links[end].links.items())[-1]
-        found.append(_tool(chain, end, link, frame, _mass(chain, branch, speeds)))
+        found.append(_place_tool(chain, end, link, frame, _estimate_mass(chain, branch, speeds)))
     return found
 
 
@@ -99,7 +99,7 @@ def with_tools(robot: ET.Element, tools: list[RatedTool]) -> ET.Element:
     return loaded
 
 
-def _mass(chain: Chain, way: list[int], speeds: Mapping[str, float]) -> float:
+def _estimate_mass(chain: Chain, way: list[int], speeds: Mapping[str, float]) -> float:
     """Return the payload by the rule [kg]; `way`: the joints that carry it."""
     way = way[-MOST_ARM:]
     moving = sum(chain.links[joint].body.mass for joint in way)
@@ -109,11 +109,11 @@ def _mass(chain: Chain, way: list[int], speeds: Mapping[str, float]) -> float:
     return float(min(payload, LARGEST_SHARE * moving))
 
 
-def _edge(mass: float) -> float:
+def _compute_edge(mass: float) -> float:
     return float((mass / DENSITY) ** (1.0 / 3.0))
 
 
-def _tool(chain: Chain, at: int, link: str, frame: Frame, mass: float) -> RatedTool:
+def _place_tool(chain: Chain, at: int, link: str, frame: Frame, mass: float) -> RatedTool:
     """Return a tool at a link, whose frame in that of its joint's child is given."""
     joint = chain.links[at]
     axis = joint.axes[2]  # of the joint, in the child's frame
@@ -129,5 +129,5 @@ def _tool(chain: Chain, at: int, link: str, frame: Frame, mass: float) -> RatedT
         helper = np.eye(3)[int(np.argmin(np.abs(outward)))]
         aside = np.cross(outward, helper)
         aside /= math.hypot(*aside)
-    half = 0.5 * _edge(mass)
+    half = 0.5 * _compute_edge(mass)
     return RatedTool(link, mass, frame.R.T @ (half * (outward + aside)))

@@ -48,10 +48,10 @@ def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
             if arguments:
                 raise Refusal(file.name, "arguments", "come with a xacro source", list(arguments))
             return text
-    return _expanded(file, arguments)
+    return _expand_source(file, arguments)
 
 
-def _expanded(file: Path, arguments: Mapping[str, str]) -> str:
+def _expand_source(file: Path, arguments: Mapping[str, str]) -> str:
     if importlib.util.find_spec("xacro") is None:
         valid = "pip install xacro, or give the output of `xacro FILE > robot.urdf`"
         raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
@@ -93,14 +93,14 @@ def read_limits(robot: ET.Element) -> dict[str, dict[str, float | None]]:
     limits: dict[str, dict[str, float | None]] = {}
     for joint in robot.findall("joint"):
         limit = joint.find("limit")
-        values = {key: math.nan if limit is None else _number_of(limit, key) for key in KEYS}
+        values = {key: math.nan if limit is None else _read_number(limit, key) for key in KEYS}
         limits[joint.get("name", "")] = {
             key: value if 0.0 < value < math.inf else None for key, value in values.items()
         }
     return limits
 
 
-def _number_of(limit: ET.Element, key: str) -> float:
+def _read_number(limit: ET.Element, key: str) -> float:
     """Return a number of a joint's limit, 0 where it is not given, NaN for another text."""
     try:
         return float(limit.get(key, "0"))
@@ -113,7 +113,7 @@ def forget_impossible(robot: ET.Element) -> bool:
     found = False
     for limit in robot.iter("limit"):
         for key in KEYS:
-            if not _number_of(limit, key) >= 0.0:
+            if not _read_number(limit, key) >= 0.0:
                 limit.set(key, "0")
                 found = True
     return found

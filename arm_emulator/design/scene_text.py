@@ -77,9 +77,9 @@ def scene_text(
     rules = "\n".join(f"#                {rule}" for kind in kinds for rule in kind.rules)
     lines = [
         _RULES.format(robot=escape_to_line(given.robot), file=f"{name}.yaml", motor=rules),
-        f"name: {_text(name)}",
-        f"urdf: {_text(f'urdf/{name}.urdf')}",
-        f"tool: {_text(choice.tool)}",
+        f"name: {_quote_text(name)}",
+        f"urdf: {_quote_text(f'urdf/{name}.urdf')}",
+        f"tool: {_quote_text(choice.tool)}",
         "gravity: [0.0, 0.0, -9.81]  # m/s2, z up",
         f"supply_voltage: {supply:g}  # V, "
         + ("of the servos" if any(one.sheet and one.sheet.servo for one in demands) else "guess"),
@@ -94,20 +94,24 @@ def scene_text(
             )
     if given.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
-        lines += [f"  - {_text(one.link)}  # {escape_to_line(one.how)}" for one in given.assumed]
+        lines += [
+            f"  - {_quote_text(one.link)}  # {escape_to_line(one.how)}" for one in given.assumed
+        ]
     if given.trusted:
         lines += [
             "",
             "trusted_inertias:  # as in the description, though no body of its shape has them",
         ]
-        lines += [f"  - {_text(link)}" for link in given.trusted]
+        lines += [f"  - {_quote_text(link)}" for link in given.trusted]
     if choice.held:
         lines += ["", "locked:"]
         for joint, held in choice.held.items():
-            lines.append(f"  {_text(joint)}: {held.position!r}  # {escape_to_line(held.reason)}")
+            lines.append(
+                f"  {_quote_text(joint)}: {held.position!r}  # {escape_to_line(held.reason)}"
+            )
     lines += ["", "joints:"]
     for demand, drive in zip(demands, drives, strict=True):
-        lines += _joint(demand, drive)
+        lines += _format_joint(demand, drive)
     lines += [
         "",
         f"integrator: {{scheme: {SCHEMES[0]}, dt: 5.0e-4}}  "
@@ -117,7 +121,7 @@ def scene_text(
     return "\n".join(lines) + "\n"
 
 
-def _joint(demand: Demand, drive: Sized) -> list[str]:
+def _format_joint(demand: Demand, drive: Sized) -> list[str]:
     slide = demand.kind == "prismatic"
     torque, speed, inertia, angle = ("N", "m/s", "kg", "m") if slide else UNITS_OF_TURN
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
@@ -130,29 +134,29 @@ def _joint(demand: Demand, drive: Sized) -> list[str]:
         f"  # {drive.speed:.3g} {speed} ({drive.notes['speed']});",
         f"  # feels {least:.3g} to {most:.3g} {inertia}, weight up to "
         f"{demand.gravity_torque:.3g} {torque}",
-        f"  {_text(joint.name)}:",
+        f"  {_quote_text(joint.name)}:",
         f"    start: {joint.start!r}  # {angle}",
-        *_motor(joint.motor, joint.decorators),
+        *_format_motor(joint.motor, joint.decorators),
         "    gear:",
         f"      ratio: {gear.ratio!r}  # {ratio}",
         f"      stiffness: {gear.stiffness!r}  # {torque}/{angle}",
         f"      damping: {gear.damping!r}  # {torque} s/{angle}",
         f"    friction: {{viscous: {joint.friction.viscous!r}}}  # {torque} s/{angle}",
         f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
-        *(_end_stops(most, drive.speed, slide) if demand.limited else ()),
+        *(_format_end_stops(most, drive.speed, slide) if demand.limited else ()),
     ]
 
 
-def _motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:
+def _format_motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:
     """Return the section of a motor and of what is around it."""
     kind = [] if motor.is_default else [f"      kind: {motor.kind}"]
-    lines = ["    motor:", *kind, *_numbers(motor, "      ")]
+    lines = ["    motor:", *kind, *_format_numbers(motor, "      ")]
     for one in decorators:
-        lines += [f"      {one.section.rpartition('.')[2]}:", *_numbers(one, "        ")]
+        lines += [f"      {one.section.rpartition('.')[2]}:", *_format_numbers(one, "        ")]
     return lines
 
 
-def _numbers(part: Part, indent: str) -> list[str]:
+def _format_numbers(part: Part, indent: str) -> list[str]:
     """Return the numbers of a part that are not what an absent key gives, a line each."""
     values = {key: (getattr(part, key), one) for key, one in part.numbers().items()}
     return [
@@ -162,7 +166,7 @@ def _numbers(part: Part, indent: str) -> list[str]:
     ]
 
 
-def _end_stops(inertia: float, speed: float, slide: bool) -> list[str]:
+def _format_end_stops(inertia: float, speed: float, slide: bool) -> list[str]:
     """Return stops that an arm at full speed presses in by their depth."""
     stiffness = inertia * (speed / (STOP_DEPTH_OF_SLIDE if slide else STOP_DEPTH)) ** 2
     damping = 2.0 * STOP_DAMPING * math.sqrt(stiffness * inertia)
@@ -183,23 +187,23 @@ def servo_text(config: ServoConfig, heading: str) -> str:
         f"    hold_after: {config.hold_after!r}  # s of silence, then the joints are held",
         f"    cut_after: {config.cut_after!r}  # s of silence, then the power is cut",
         f"    supply_voltage: {config.supply_voltage!r}  # V",
-        f"    joint_names: [{', '.join(_text(name) for name in config.joint_names)}]",
+        f"    joint_names: [{', '.join(_quote_text(name) for name in config.joint_names)}]",
     ]
-    lines += _by_joint("joints", {joint.name: joint for joint in config.joints})
+    lines += _format_by_joint("joints", {joint.name: joint for joint in config.joints})
     return "\n".join(lines) + "\n"
 
 
-def _by_joint(section: str, joints: Mapping[str, JointServo | DriveParameters]) -> list[str]:
+def _format_by_joint(section: str, joints: Mapping[str, JointServo | DriveParameters]) -> list[str]:
     """Return a section of a ROS parameter file with the numbers of joints that are no defaults."""
     dotted = any("." in name for name in joints)  # ROS's reader loses its way
     lines = [] if dotted else [f"    {section}:"]
     for name, joint in joints.items():
         if not dotted:
-            lines.append(f"      {_text(name)}:")
+            lines.append(f"      {_quote_text(name)}:")
         for field in fields(joint):
             value = getattr(joint, field.name)
             if field.name != "name" and value != field.default:
-                path = _text(f"{section}.{name}.{field.name}")
+                path = _quote_text(f"{section}.{name}.{field.name}")
                 key = f"    {path}" if dotted else f"        {field.name}"
                 lines.append(f"{key}: {value!r}")
     return lines
@@ -213,13 +217,13 @@ def motion_text(
     """Return the ROS parameter file of a motion controller."""
     lines = ["/**/motion_controller:", "  ros__parameters:"]
     for key, value in parameters.items():
-        shown = _text(value) if isinstance(value, str) else repr(value)
+        shown = _quote_text(value) if isinstance(value, str) else repr(value)
         comment = f"  # {comments[key]}" if key in comments else ""
         lines.append(f"    {key}: {shown}{comment}")
     known = {name: drive for name, drive in drives.items() if drive != DriveParameters()}
     if known:
         about = "for feed-forward, as in the scene; seen at the links, in N m, rad, s (a slide: m)"
-        lines += [f"    # {about}", *_by_joint(SECTION, known)]
+        lines += [f"    # {about}", *_format_by_joint(SECTION, known)]
     return "\n".join(lines) + "\n"
 
 
@@ -232,7 +236,7 @@ def demo_text(displacement: list[float], settle: float, instructions: int) -> st
     )
 
 
-def _text(value: str) -> str:
+def _quote_text(value: str) -> str:
     """Return a text as YAML takes it for one."""
     if _PLAIN.fullmatch(value) and value.lower() not in _NOT_TEXTS:
         return value

@@ -122,11 +122,11 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
         (max(demand.bare_torque, alone / UNDERSIZED), most * need)
         for demand, alone, need in zip(demands, links_alone.tolist(), needs.tolist(), strict=True)
     ]
-    alike = {kind: _impossible_for_all(kind, demands, bounds) for kind in MOST_SPEED}
+    alike = {kind: _find_impossible_for_all(kind, demands, bounds) for kind in MOST_SPEED}
     for j, (demand, (_, of_speed), needed) in enumerate(
         zip(demands, rated, needs.tolist(), strict=True)
     ):
-        torque, about = _peak_torque(demand, needed, *bounds[j], alike[demand.kind])
+        torque, about = _choose_peak_torque(demand, needed, *bounds[j], alike[demand.kind])
         torques.append(torque)
         notes.append({"torque": about, "speed": of_speed})
     # Each joint for itself, as much as all joints can hold; what several ask for at a time is
@@ -135,16 +135,16 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
     left = np.maximum(TORQUE_PART * (peak - weight), LEAST_PART * peak)
     asked = (coupling / left[:, None]).max(axis=0)  # per acceleration, of what is left
     accelerations = 1.0 / np.maximum(SPEED_UP / speeds, asked)
-    supply = _supply(demands, float((peak * speeds).max()))
+    supply = _choose_supply(demands, float((peak * speeds).max()))
     return supply, [
-        _drive(demand, torque, float(speed), float(acceleration), note, supply, kind)
+        _size_drive(demand, torque, float(speed), float(acceleration), note, supply, kind)
         for demand, torque, speed, acceleration, note in zip(
             demands, torques, speeds, accelerations, notes, strict=True
         )
     ]
 
 
-def _supply(demands: list[Demand], power: float) -> float:
+def _choose_supply(demands: list[Demand], power: float) -> float:
     """Return the supply voltage of drives whose strongest has a power [W]."""
     servos = [demand.sheet.servo for demand in demands if demand.sheet is not None]
     known = [servo.supply for servo in servos if servo is not None]
@@ -167,7 +167,9 @@ def full_speed(kind: str, given: float | None, sheet: JointSheet | None) -> tupl
     return DEFAULT_SPEED[kind], f"guess, {why}"
 
 
-def _impossible_for_all(kind: str, demands: list[Demand], bounds: list[tuple[float, float]]) -> str:
+def _find_impossible_for_all(
+    kind: str, demands: list[Demand], bounds: list[tuple[float, float]]
+) -> str:
     """Return the joint that cannot have the figure of all joints of a kind; empty: none."""
     pairs = [
         (demand, ends)
@@ -183,7 +185,7 @@ def _impossible_for_all(kind: str, demands: list[Demand], bounds: list[tuple[flo
     return ""
 
 
-def _peak_torque(
+def _choose_peak_torque(
     demand: Demand, needed: float, least: float, largest: float, alike: str
 ) -> tuple[float, str]:
     """Return a joint's peak torque, and where it comes from.
@@ -216,7 +218,7 @@ def _peak_torque(
     return needed, f"guess, {why}: {rule}"
 
 
-def _drive(
+def _size_drive(
     demand: Demand,
     torque: float,
     speed: float,
@@ -255,7 +257,7 @@ def _drive(
     joint = Joint(
         name=demand.name,
         start=demand.start,
-        motor=_rounded(motor),
+        motor=_round_part(motor),
         gear=find_gear(
             ratio=rounded(ratio, 6),
             stiffness=rounded(stiffness),
@@ -263,7 +265,7 @@ def _drive(
         ),
         sensors=JointSensors.add_counts(2**bits),
         friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
-        decorators=tuple(_rounded(one) for one in around if one is not None),
+        decorators=tuple(_round_part(one) for one in around if one is not None),
     )
     return Sized(joint, torque, speed, acceleration, notes)
 
@@ -271,7 +273,7 @@ def _drive(
 _Kind = TypeVar("_Kind", bound=Part)
 
 
-def _rounded(part: _Kind) -> _Kind:
+def _round_part(part: _Kind) -> _Kind:
     """Return a part with numbers as a data sheet would give them."""
     values = {key: getattr(part, key) for key, one in part.numbers().items() if not one.whole}
     return dataclasses.replace(

@@ -47,7 +47,7 @@ def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = Non
         shapes: of the arm, of which no two touch at the start if there is such a start; None:
             not known.
     """
-    low, high = _ranges(scene, kinematics)
+    low, high = _choose_ranges(scene, kinematics)
     rng = np.random.default_rng(0)
     N = len(low)
     poses = low + (high - low) * rng.random((POSES, N))
@@ -59,13 +59,13 @@ def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = Non
         least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
         coupling = np.maximum(coupling, np.abs(M))
         weight = np.maximum(weight, np.abs(loads.weight(q)))
-    start = _start(kinematics, low, high, rng, shapes)
+    start = _choose_start(kinematics, low, high, rng, shapes)
     inertia = np.stack([least, np.diag(coupling)], axis=1)
-    displacement = _displacement(kinematics, start, low, high)
+    displacement = _choose_displacement(kinematics, start, low, high)
     return Survey(inertia, coupling, weight, start, displacement)
 
 
-def _ranges(scene: Scene, kinematics: Kinematics) -> tuple[Array, Array]:
+def _choose_ranges(scene: Scene, kinematics: Kinematics) -> tuple[Array, Array]:
     """Return lower and upper ends of the poses to look at, (N,) each."""
     free = np.array(
         [FREE_SLIDE if joint.kind == "prismatic" else FREE_TURN for joint in scene.chain.joints]
@@ -77,7 +77,7 @@ def _ranges(scene: Scene, kinematics: Kinematics) -> tuple[Array, Array]:
     return np.minimum(np.maximum(bottom, low), high), np.maximum(np.minimum(top, high), low)
 
 
-def _start(
+def _choose_start(
     kinematics: Kinematics,
     low: Array,
     high: Array,
@@ -100,7 +100,7 @@ def _start(
     return np.asarray(next(free, best[0]), dtype=np.float64)
 
 
-def _displacement(kinematics: Kinematics, start: Array, low: Array, high: Array) -> Array:
+def _choose_displacement(kinematics: Kinematics, start: Array, low: Array, high: Array) -> Array:
     """Return a short way of the tool that the arm can go.
 
     An arm of six joints and more can go any short way; of one with fewer a joint motion decides.

@@ -268,13 +268,13 @@ def examine(scene: Scene, without: Scene | None, servo: ServoConfig) -> Tuned:
         servo,
         loops.margins(),
         None if without is None else ServoLoops(without, servo).margins(),
-        [_step(loops, j) for j in range(len(scene.joints))],
+        [_compute_step(loops, j) for j in range(len(scene.joints))],
         run(scene, servo),
         loops,
     )
 
 
-def _step(loops: ServoLoops, joint: int) -> Step:
+def _compute_step(loops: ServoLoops, joint: int) -> Step:
     period = loops.servo.period
     every = max(1, round(12.0 / loops.joints[joint].position_gain / period / ROWS))
     worst = Step(0.0, 0.0, 0.0)
@@ -309,7 +309,7 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
         state, measured = session.state, session.measured
         counts, current = measured.encoder_counts[order], measured.current[order]
         drives.measure(session.logical_ns, counts, current, session.measured.applied[order])
-        s, rate = _quintic((tick - begin) * period / time)
+        s, rate = _compute_quintic((tick - begin) * period / time)
         if tick % every == 0:
             q = scene.start + s * way
             drives.aim(Target(q[order], (rate / time * way)[order]))
@@ -325,7 +325,7 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
     return Run(np.array(off), np.ptp(np.array(q_late), axis=0), period)
 
 
-def _quintic(s: float) -> tuple[float, float]:
+def _compute_quintic(s: float) -> tuple[float, float]:
     """Return how far along a smooth way from 0 to 1 is, and its rate."""
     s = min(max(s, 0.0), 1.0)
     return s**3 * (10.0 - 15.0 * s + 6.0 * s * s), 30.0 * s * s * (1.0 - s) ** 2

@@ -47,7 +47,7 @@ def check_scenes(
         output.line(one.line)
         fact: dict[str, object] = plain(one)
         if modes:
-            machine, servo = _with_loops(name)
+            machine, servo = _load_with_loops(name)
             fact["modes"] = mode_facts(machine, servo)
             if not output.as_json:
                 print(page_table(mode_rows(machine, servo)))
@@ -133,7 +133,7 @@ def _check_links(scene: Scene, file: Path) -> None:
     check_inertias(doubts, scene.where)
 
 
-def _with_loops(name: str) -> tuple[Scene, ServoConfig]:
+def _load_with_loops(name: str) -> tuple[Scene, ServoConfig]:
     """Return a scene and its servo if all joints have loops.
 
     Raises:
@@ -182,7 +182,7 @@ def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
                 of_rows.setdefault(key, []).append(figure)
         for (j, loop), pair in sorted(of_rows.items(), key=lambda item: item[0][0]):
             name = "all" if alike else scene.joint_names[j]
-            rows.append((name, loop, *_cells(pair)))
+            rows.append((name, loop, *_format_cells(pair)))
     return rows
 
 
@@ -204,7 +204,7 @@ def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
     ]
 
 
-def _cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
+def _format_cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
     by_brake = {one.braked: one for one in pair}
     cells: list[str] = []
     for braked in (False, True):

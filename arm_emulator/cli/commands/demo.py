@@ -91,7 +91,7 @@ def demo(
     warn_of_loops(machine, gains.servo)
     plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
     predicted = predicted_rest(machine, gains, plan)
-    console.print(f"predicted residual (mm)   {_row(predicted.deviations[-1])}")
+    console.print(f"predicted residual (mm)   {_format_row(predicted.deviations[-1])}")
     if predicted.missed:
         console.print(f"predicted: the target is {predicted.target}: {predicted.missed}")
     out.mkdir(parents=True, exist_ok=True)
@@ -120,7 +120,7 @@ def demo(
     return max(output.judge("demo", missed), 1 if unclean else 0)
 
 
-def _row(values: Array) -> str:
+def _format_row(values: Array) -> str:
     return "  ".join(
         f"{axis} {value * 1e3:+9.4f}" for axis, value in zip("xyz", values, strict=False)
     )
@@ -220,7 +220,7 @@ class _Observer(Node):
 
     def send_target(self, from_ns: int) -> None:
         """Send the target, repeatedly until accepted: an undiscovered node does not receive it."""
-        message = _pose_message(self._target, from_ns)
+        message = _make_pose_message(self._target, from_ns)
 
         def send() -> None:
             if not self.target_taken:
@@ -232,7 +232,7 @@ class _Observer(Node):
     def show(self, pose: Pose) -> None:
         """Send a target to the nodes that have met, from the next instruction on."""
         after = self._start_ns + len(self.q) * self._period_ns
-        self._targets.publish(_pose_message(pose, after))
+        self._targets.publish(_make_pose_message(pose, after))
 
     def can_go(self) -> bool:
         return self._pause.service_is_ready()
@@ -276,7 +276,7 @@ class _Observer(Node):
             raise Refusal("demo", "emulator/joint_states", "come without a gap", f"t = {now} ns")
 
 
-def _pose_message(target: Pose, from_ns: int) -> PoseStamped:
+def _make_pose_message(target: Pose, from_ns: int) -> PoseStamped:
     """Return the message of a tool target that holds from a logical time on."""
     message = PoseStamped()
     message.header.stamp = to_stamp(from_ns)
@@ -319,7 +319,7 @@ def _report(
         "target": predicted.target,
         "missed": missed or None,
     }
-    console.print(f"residual (mm)             {_row(residual)}")
+    console.print(f"residual (mm)             {_format_row(residual)}")
     if not missed:
         near = "" if clock == "lockstep" else "near "
         console.print(f"the target is reached, and the residual is {near}the predicted one")

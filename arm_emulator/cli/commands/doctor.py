@@ -93,11 +93,20 @@ def findings() -> Iterator[Finding]:
     """Yield the findings, from compiler to packages."""
     of_python = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     yield Finding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
-    for look in (_compiler, _cache, _disk, _ros, _domain, _processes, _shared_memory, _priority):
+    for look in (
+        _check_compiler,
+        _check_cache,
+        _check_disk,
+        _check_ros,
+        _check_domain,
+        _check_processes,
+        _check_shared_memory,
+        _check_priority,
+    ):
         yield look()
     yield from imports()
     if importlib.util.find_spec("rclpy") is not None:
-        yield _network()
+        yield _check_network()
 
 
 def imports() -> Iterator[Finding]:
@@ -126,14 +135,14 @@ def imports() -> Iterator[Finding]:
         yield Finding(module, level, text, f"pip install {package}")
 
 
-def _tried(name: str, look: Callable[[], str]) -> Finding:
+def _try_check(name: str, look: Callable[[], str]) -> Finding:
     try:
         return Finding(name, "ok", look())
     except Refusal as reason:
         return Finding(name, "problem", str(reason))
 
 
-def _compiler() -> Finding:
+def _check_compiler() -> Finding:
     def look() -> str:
         words = find_compiler()
         program = "#include <concepts>\n#include <numbers>\n"
@@ -148,16 +157,16 @@ def _compiler() -> Finding:
         ).stdout.splitlines()
         return f"{' '.join(words)}: {version[0] if version else 'compiles C++20'}"
 
-    return _tried("compiler", look)
+    return _try_check("compiler", look)
 
 
-def _cache() -> Finding:
-    return _tried(
+def _check_cache() -> Finding:
+    return _try_check(
         "cache", lambda: f"{next(list_writable_caches())}, at most {read_largest_size() / 1e6:g} MB"
     )
 
 
-def _disk() -> Finding:
+def _check_disk() -> Finding:
     places = {Path.cwd(), Path(os.environ.get("TMPDIR", "/tmp"))}
     free = {place: shutil.disk_usage(place).free / 1e9 for place in sorted(places)}
     text = ", ".join(f"{size:.1f} GB free in {place}" for place, size in free.items())
@@ -166,7 +175,7 @@ def _disk() -> Finding:
     return Finding("disk", "ok", text)
 
 
-def _ros() -> Finding:
+def _check_ros() -> Finding:
     missing = [
         name for name in ("rclpy", "arm_emulator_msgs") if importlib.util.find_spec(name) is None
     ]
@@ -182,7 +191,7 @@ def _ros() -> Finding:
     return Finding("ROS 2", "ok", text)
 
 
-def _domain() -> Finding:
+def _check_domain() -> Finding:
     named = os.environ.get("ROS_DOMAIN_ID", "0")
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     if not (named.isdecimal() and int(named) <= LARGEST):
@@ -195,7 +204,7 @@ def _domain() -> Finding:
     return Finding("ROS domain", "ok", f"{named}, {reach}")
 
 
-def _network() -> Finding:
+def _check_network() -> Finding:
     """Look at the nodes of the domain, of any program."""
     try:
         from arm_emulator.ros.node.network_client import join_network
@@ -220,7 +229,7 @@ def _network() -> Finding:
     return Finding("network", level, f"{nodes}; {'; '.join(texts)}", faults[0].remedy)
 
 
-def _processes() -> Finding:
+def _check_processes() -> Finding:
     """Look for nodes of this user whose launcher is gone."""
     alive, orphans = 0, list[int]()
     for entry in Path("/proc").iterdir():
@@ -242,7 +251,7 @@ def _processes() -> Finding:
     return Finding("processes", "ok", f"{alive} nodes run, none left behind")
 
 
-def _shared_memory() -> Finding:
+def _check_shared_memory() -> Finding:
     count = sum(1 for _ in find_left_over())
     if count:
         text = f"{count} remains of killed processes in /dev/shm"
@@ -250,7 +259,7 @@ def _shared_memory() -> Finding:
     return Finding("shared memory", "ok", "nothing left behind")
 
 
-def _priority() -> Finding:
+def _check_priority() -> Finding:
     before = os.sched_getscheduler(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))

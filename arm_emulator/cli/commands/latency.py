@@ -85,7 +85,7 @@ def latency(
         for rate in rates:
             one = measure_wake_up_latency(machine, 1.0 / rate, seconds)
             found.append(one)
-            facts[f"{rate:g}"] = fact = _facts(one)
+            facts[f"{rate:g}"] = fact = _list_facts(one)
             words = "".join(f"{late * 1e6:7.0f} us" for late in one.quantiles)
             words = f"{rate:5g} Hz         {words} {one.lost:9d}"
             if not alone:
@@ -105,7 +105,7 @@ def latency(
     return int(not all(value["held"] for value in facts.values()))
 
 
-def _facts(one: WakeUps) -> dict[str, Any]:
+def _list_facts(one: WakeUps) -> dict[str, Any]:
     return {
         "late": dict(zip(map(str, QUANTILES), one.quantiles, strict=True)),
         "spent": float(sorted(one.spent)[len(one.spent) // 2]),
@@ -230,7 +230,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
         Refusal: the network does not begin.
     """
     with tempfile.TemporaryDirectory() as folder, own_domain():
-        file = _with_period(find_scene(scene), period, Path(folder))
+        file = _write_with_period(find_scene(scene), period, Path(folder))
         log = Path(folder) / "log"
         with (
             Bringup(str(file), clock="realtime", log=log, only=("emulator", "servo")) as network,
@@ -243,7 +243,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
 
             def settled() -> bool:
                 if network.ended() is not None:
-                    rule, got = "run in real time", _last_line(log)
+                    rule, got = "run in real time", _read_last_line(log)
                     raise Refusal("latency", f"nodes of {scene} at {period:g} s", rule, got)
                 status = newest()
                 moving = status is not None and status.phase == EmulatorStatus.PHASE_RUNNING
@@ -265,13 +265,13 @@ def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
     )
 
 
-def _with_period(scene: Path, period: float, folder: Path) -> Path:
+def _write_with_period(scene: Path, period: float, folder: Path) -> Path:
     """Write a scene and its servo with another servo period; return the scene's file."""
     machine = dict(read_yaml(scene))
     step = machine["integrator"]["dt"]
     machine["integrator"] = {**machine["integrator"], "dt": period / math.ceil(period / step)}
     machine["servo_period"] = period
-    machine["urdf"] = _absolute(scene, machine["urdf"])
+    machine["urdf"] = _resolve_urdf(scene, machine["urdf"])
     file = folder / f"{scene.stem}.yaml"
     gains = dict(read_yaml(find_beside(scene, "servo")))
     for node in gains.values():
@@ -284,11 +284,11 @@ def _with_period(scene: Path, period: float, folder: Path) -> Path:
     return file
 
 
-def _absolute(scene: Path, urdf: str) -> str:
+def _resolve_urdf(scene: Path, urdf: str) -> str:
     beside = scene.parent / urdf
     return str(beside.resolve()) if beside.is_file() else urdf
 
 
-def _last_line(log: Path) -> str:
+def _read_last_line(log: Path) -> str:
     lines = [line for file in log.glob("*.log") for line in file.read_text().splitlines() if line]
     return lines[-1] if lines else "no reason"

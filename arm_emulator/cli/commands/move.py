@@ -81,7 +81,7 @@ def move(
         raise Refusal("move", "--seconds", "be > 0 and finite", seconds)
     if at is not None and not 0.0 < at < LATEST:
         raise Refusal("move", "--at", f"be > 0 s and below {LATEST:g} s", at)
-    angles = _angles(joints or ())
+    angles = _parse_angles(joints or ())
     with join_network("move", namespace) as node:
         node.listen("joint_states", JointState, STATE_SUB_QOS)
         node.listen("robot_description", String, DESCRIPTION_QOS)
@@ -92,15 +92,15 @@ def move(
             if "clock" in node.newest:
                 rule, valid = "be known", "--to with --quaternion; or let the machine go on"
                 raise Refusal("move", "position of an arm that stands", rule, "none", valid)
-            raise _no_network(f"{needed} be published")
+            raise _refuse_no_network(f"{needed} be published")
         if joints:
             kind, topic = MotionStatus.KIND_JOINT_TRAJECTORY, "joint_trajectory"
             publisher = node.create_publisher(JointTrajectory, topic, COMMAND_QOS)
-            message = _trajectory(node.newest["joint_states"], angles, seconds)
+            message = _make_trajectory(node.newest["joint_states"], angles, seconds)
         else:
             kind, topic = MotionStatus.KIND_TOOL_TARGET, "tool_target"
             publisher = node.create_publisher(PoseStamped, topic, COMMAND_QOS)
-            message = _tool_target(node, to, by, quaternion)
+            message = _make_tool_target(node, to, by, quaternion)
         at_ns = None if at is None else round(at * NANOSECONDS)
         return _watch(node, publisher, message, kind, at_ns, timeout)
 
@@ -116,8 +116,8 @@ def _watch(
     heard: list[MotionStatus] = []
     node.create_subscription(MotionStatus, "motion/status", heard.append, EVENT_QOS)
     if not node.spin_until(lambda: node.is_heard(publisher, "motion/status"), PATIENCE):
-        raise _no_network(f"a motion controller take {publisher.topic_name}")
-    now = _logical_ns(node)
+        raise _refuse_no_network(f"a motion controller take {publisher.topic_name}")
+    now = _find_logical_time(node)
     if at_ns is not None and at_ns <= now:
         rule, got = f"be later than logical time, {now / NANOSECONDS:g} s", at_ns / NANOSECONDS
         raise Refusal("move", "--at", rule, f"{got:g} s", "a network started with --start paused")
@@ -137,7 +137,7 @@ def _watch(
                 continue
             states.append(state)
             last = one
-            output.line(f"{state}{_left(one)}{f': {one.reason}' if one.reason else ''}")
+            output.line(f"{state}{_format_distance(one)}{f': {one.reason}' if one.reason else ''}")
         return bool(states) and states[-1] not in UNDER_WAY
 
     if not node.spin_until(ended, timeout):
@@ -155,7 +155,7 @@ def _watch(
     return 0 if outcome == "reached" else 1
 
 
-def _logical_ns(node: NetworkClient) -> int:
+def _find_logical_time(node: NetworkClient) -> int:
     """Return logical time by the newest messages [ns]."""
     known = node.newest
     stamps = [known["joint_states"].header.stamp] if "joint_states" in known else []
@@ -163,13 +163,13 @@ def _logical_ns(node: NetworkClient) -> int:
     return max(map(to_nanoseconds, stamps))
 
 
-def _left(status: MotionStatus) -> str:
+def _format_distance(status: MotionStatus) -> str:
     if status.state not in (MotionStatus.STATE_REACHED, MotionStatus.STATE_UNREACHABLE):
         return ""
     return describe_left(status.distance, status.angle)
 
 
-def _angles(given: Sequence[str]) -> dict[str, float]:
+def _parse_angles(given: Sequence[str]) -> dict[str, float]:
     angles = dict[str, float]()
     for one in given:
         name, sign, text = one.partition("=")
@@ -182,7 +182,7 @@ def _angles(given: Sequence[str]) -> dict[str, float]:
     return angles
 
 
-def _trajectory(now: JointState, angles: dict[str, float], seconds: float) -> JointTrajectory:
+def _make_trajectory(now: JointState, angles: dict[str, float], seconds: float) -> JointTrajectory:
     """Return a trajectory of one point: the given joints, and the others at their positions."""
     known = dict(zip(now.name, now.position, strict=True))
     for name in angles:
@@ -196,7 +196,7 @@ def _trajectory(now: JointState, angles: dict[str, float], seconds: float) -> Jo
     return JointTrajectory(joint_names=list(goal), points=[point])
 
 
-def _tool_target(
+def _make_tool_target(
     node: NetworkClient,
     to: Sequence[float] | None,
     by: Sequence[float] | None,
@@ -205,7 +205,7 @@ def _tool_target(
     """Return the pose; missing values are those of the measured tool."""
     message = PoseStamped()
     if to is None or quaternion is None:
-        R_WT, p_WT = _tool_now(node)
+        R_WT, p_WT = _compute_tool_pose(node)
         turn = Pose(p_WT, R_WT).quaternion() if quaternion is None else quaternion
         where = p_WT + np.array(by) if by is not None else to
     else:
@@ -217,7 +217,7 @@ def _tool_target(
     return message
 
 
-def _tool_now(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
+def _compute_tool_pose(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation and position of the motion controller's tool, from the measured angles."""
     asked = node.create_client(GetParameters, "motion_controller/get_parameters")
 
@@ -225,17 +225,17 @@ def _tool_now(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
         return "robot_description" in node.newest and asked.service_is_ready()
 
     if not node.spin_until(ready, PATIENCE):
-        raise _no_network("robot_description and a motion controller be present")
+        raise _refuse_no_network("robot_description and a motion controller be present")
     answer = node.ask(asked, GetParameters.Request(names=["tool"]), PATIENCE)
     if answer is None:
-        raise _no_network("the motion controller answer")
+        raise _refuse_no_network("the motion controller answer")
     now = node.newest["joint_states"]
     tool = answer.values[0].string_value
     kinematics = Kinematics(node.newest["robot_description"].data, list(now.name), tool)
     return kinematics.forward(np.array(now.position))
 
 
-def _no_network(rule: str) -> Refusal:
+def _refuse_no_network(rule: str) -> Refusal:
     what, _, rest = rule.partition(" ")
     valid = "start it (`arm_emulator up`) in the same ROS_DOMAIN_ID and namespace"
     return Refusal("move", f"in the network, {what}", rest, f"nothing in {PATIENCE:g} s", valid)

@@ -68,7 +68,7 @@ def replay(
     if not (math.isfinite(rate) and rate > 0.0):
         raise Refusal("replay", "rate", "be > 0 and finite", rate)
     recorded = Bag(bag)
-    names = _chosen(recorded, topics)
+    names = _choose_topics(recorded, topics)
     rclpy.init()
     CtrlC.leave_to_rclpy()
     node = rclpy.create_node("replayer", enable_rosout=False, start_parameter_services=False)
@@ -144,7 +144,7 @@ def offer(recorded: Collection[QoSProfile]) -> QoSProfile:
     return profile
 
 
-def _chosen(bag: Bag, topics: Collection[str] | None) -> list[str]:
+def _choose_topics(bag: Bag, topics: Collection[str] | None) -> list[str]:
     if topics is None:
         return [name for name, topic in bag.topics.items() if topic.count]
     names = [name if name.startswith("/") else f"/{name}" for name in topics]
@@ -159,7 +159,7 @@ def _wait_for_listeners(publishers: dict[str, Publisher]) -> None:
     for name, publisher in publishers.items():
         reported = False
         while publisher.get_subscription_count() == 0:
-            _go_on()
+            _check_running()
             if not reported:
                 print(f"waiting for a listener on {name}", flush=True)
                 reported = True
@@ -175,15 +175,15 @@ def _publish(bag: Bag, publishers: dict[str, Publisher], rate: float) -> int:
             origin = message.received
         due = begin + (message.received - origin) / rate
         while (left := (due - time.monotonic_ns()) / NANOSECONDS) > 0.0:
-            _go_on()
+            _check_running()
             time.sleep(min(left, NAP))
-        _go_on()
+        _check_running()
         publishers[message.topic].publish(message.data)
         count += 1
     return count
 
 
-def _go_on() -> None:
+def _check_running() -> None:
     if not rclpy.ok():
         raise ExternalShutdownException
 

@@ -94,7 +94,7 @@ def run(
         try:
             (line or one).advance(ticks)
         except Diverged as fault:
-            return _diverged(fault, session)
+            return _report_divergence(fault, session)
         wall = time.perf_counter() - started
         report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
     missed = find_missed_order(one) if displacement else find_missed_target(session, machine.start)
@@ -142,7 +142,7 @@ def _report_table(
             with ctrl_c_ends_at_once():
                 one.advance(ticks)
         except Diverged as fault:
-            return _diverged(fault, session)
+            return _report_divergence(fault, session)
         wall = time.perf_counter() - started
         wanted = find_last_target(session.scene, targets, ticks)
         report(session, ticks, wall, compute_tool_error(session, wanted))
@@ -156,7 +156,7 @@ def _name_viewer(kept: RunOutputs) -> None:
         output.line(f"moving arm        {get_viewer_command(str(kept.rerun))}")
 
 
-def _diverged(fault: Diverged, session: Session) -> int:
+def _report_divergence(fault: Diverged, session: Session) -> int:
     """Print that a machine has diverged, and return the exit code."""
     text = explain(fault)
     print(text, file=sys.stderr)

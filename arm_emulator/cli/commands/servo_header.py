@@ -93,7 +93,7 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
     fields = SERVO.dtype("servo_joint").names or ()
     names = ", ".join(escape_c_string(name) for name in joint_names)
     bodies = ",\n".join(
-        f"    {{{', '.join(_field(*pair) for pair in zip(fields, row, strict=True))}}}"
+        f"    {{{', '.join(_format_field(*pair) for pair in zip(fields, row, strict=True))}}}"
         for row in rows
     )
     times = {
@@ -127,13 +127,13 @@ static const servo_joint servo_joints[SERVO_JOINTS] = {{
 """
 
 
-def _field(name: str, value: object) -> str:
+def _format_field(name: str, value: object) -> str:
     if isinstance(value, tuple):
-        return f"\n     .{name} = {{{', '.join(map(_number, value))}}}"
-    return f"\n     .{name} = {_number(value)}"
+        return f"\n     .{name} = {{{', '.join(map(_format_number, value))}}}"
+    return f"\n     .{name} = {_format_number(value)}"
 
 
-def _number(value: object) -> str:
+def _format_number(value: object) -> str:
     if isinstance(value, int):
         return str(value)
     assert isinstance(value, float)

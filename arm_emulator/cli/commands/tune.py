@@ -70,13 +70,13 @@ def tune(
     if write:
         write_gains(servo_file, computed)
         console.print(f"written: {servo_file}")
-    joints = _facts(machine, inertias, pair)
+    joints = _list_facts(machine, inertias, pair)
     written = servo_file if write else None
     output.facts({"scene": machine.name, "joints": joints, "picture": picture, "written": written})
     return 0
 
 
-def _facts(
+def _list_facts(
     scene: Scene,
     inertias: list[Range],
     pair: Mapping[str, Tuned],

@@ -97,7 +97,7 @@ class Judge:
         """
         found = []
         for threads in sorted({1, self.scene.threads}):
-            kinds = reversed(INTEGRATOR_EVENTS) if self._meets_events else INTEGRATOR_EVENTS[:1]
+            kinds = reversed(INTEGRATOR_EVENTS) if self._has_events else INTEGRATOR_EVENTS[:1]
             for events in kinds:
                 for scheme in SCHEMES:
                     one = Method(scheme, events, threads)
@@ -113,7 +113,7 @@ class Judge:
         return own, scene.steps_per_period
 
     @cached_property
-    def _meets_events(self) -> bool:
+    def _has_events(self) -> bool:
         rows = [motion.commands for motion in self.motions]
         pairs = ((self.runs.q(one, LOOK, row) for one in (FINEST, OTHERWISE)) for row in rows)
         return not all(np.array_equal(one, other) for one, other in pairs)  # type: ignore[arg-type]
@@ -125,7 +125,7 @@ class Judge:
         """
         worst = 0.0
         for m in tuple(self._hardest):
-            one = self._error_on(method, steps, m)
+            one = self._compute_error_on(method, steps, m)
             worst = max(worst, one)
             if one > limit:
                 # Ask this motion first from now on.
@@ -134,7 +134,7 @@ class Judge:
                 break
         return worst
 
-    def _error_on(self, method: Method, steps: int, m: int) -> float:
+    def _compute_error_on(self, method: Method, steps: int, m: int) -> float:
         key = method, steps, m
         if key not in self._errors:
             q, truth = self.runs.q(method, steps, self.motions[m].commands), self._truths[m]
@@ -144,7 +144,9 @@ class Judge:
 
     def errors(self, method: Method, steps: int) -> Array:
         """Return the error on each motion (M,)."""
-        return np.array([self._error_on(method, steps, m) for m in range(len(self.motions))])
+        return np.array(
+            [self._compute_error_on(method, steps, m) for m in range(len(self.motions))]
+        )
 
     def know_truths(self, error: float) -> str:
         """Find the truths to a share of an error; return why that is impossible, or nothing."""
@@ -177,7 +179,10 @@ class Judge:
         most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
         while (off := self.error(method, steps, error)) > error:
-            failed, steps = steps, _next(steps, off / error, KNOWN_SCHEMES[method.scheme].order)
+            failed, steps = (
+                steps,
+                _choose_next_steps(steps, off / error, KNOWN_SCHEMES[method.scheme].order),
+            )
             if steps > most or self.runs.least_cost(method, steps) > most_cost:
                 return None
         for fewer in step_counts(failed + 1, steps):
@@ -195,7 +200,7 @@ class Judge:
         for _ in range(ROUNDS):
             for m, motion in enumerate(self.motions):
                 for k, (plant, steps) in enumerate(plants):
-                    least[k, m] = min(least[k, m], _time(plant, steps, motion))
+                    least[k, m] = min(least[k, m], _measure_time(plant, steps, motion))
         seconds = self.scene.servo_period * sum(len(motion.commands) for motion in self.motions)
         return [float(one) / seconds for one in least.sum(axis=1)]
 
@@ -255,7 +260,7 @@ def reserve(errors: Array) -> float:
     return max(LEAST_RESERVE, largest / second if second > 0.0 else 0.0)
 
 
-def _time(plant: Plant, steps: int, motion: Motion) -> float:
+def _measure_time(plant: Plant, steps: int, motion: Motion) -> float:
     """Return the wall time of a motion [s]; inf if it diverges."""
     plant.reset()
     began = time.perf_counter()
@@ -266,7 +271,7 @@ def _time(plant: Plant, steps: int, motion: Motion) -> float:
     return time.perf_counter() - began
 
 
-def _next(steps: int, off: float, order: int) -> int:
+def _choose_next_steps(steps: int, off: float, order: int) -> int:
     """Return the number of steps to try if this one is `off` times too far from the truth."""
     # Less than its order requires: a method may be lucky, or not yet converge at its order.
     factor = 0.7 * off ** (1.0 / order) if math.isfinite(off) else 2.0

@@ -43,9 +43,9 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
     values = {"scheme": method.scheme, "dt": number}
     if method.events != before.integrator.events:
         values["events"] = method.events
-    text = _replaced(text, SECTION, values)
+    text = _replace_values(text, SECTION, values)
     if method.threads != before.threads:
-        text = _replaced(text, "", {"threads": str(method.threads)})
+        text = _replace_values(text, "", {"threads": str(method.threads)})
     new = text.encode("utf-8")
     # Tried in a file beside the scene first: the URDF is named relative to it.
     trial = file.with_name(f".{file.stem}.advised.yaml")
@@ -59,7 +59,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
             before.integrator, scheme=method.scheme, events=method.events, dt=dt
         )
         as_wanted = after.integrator == wanted and after.threads == method.threads
-        if not as_wanted or _rest(after) != _rest(before):
+        if not as_wanted or _select_rest(after) != _select_rest(before):
             raise Refusal(
                 file.name,
                 SECTION,
@@ -72,7 +72,7 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
         raise Refusal(file.name, "file", "be writable", reason.strerror or reason) from None
 
 
-def _rest(scene: Scene) -> tuple[object, ...]:
+def _select_rest(scene: Scene) -> tuple[object, ...]:
     """Return what of a scene has nothing to do with how it is integrated."""
     plain = dataclasses.replace(scene.integrator, scheme=SCHEMES[0], events=INTEGRATOR_EVENTS[0])
     return (
@@ -81,7 +81,7 @@ def _rest(scene: Scene) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _replaced(text: str, section: str, values: dict[str, str]) -> str:
+def _replace_values(text: str, section: str, values: dict[str, str]) -> str:
     """Return YAML text with values of a section, or at its top, replaced or added at its begin."""
     nodes, prefix = yaml_nodes(text), f"{section}." if section else ""
     edits = []

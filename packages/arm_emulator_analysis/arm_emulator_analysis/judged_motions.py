@@ -57,7 +57,7 @@ class ExcitationMotions:
         self._rotors = np.array(
             [m.reflect_to_link(ratio)["rotor inertia"] if m else 0.0 for m, ratio in motors]
         )
-        self._plant = self._with_steps(FINE)
+        self._plant = self._make_plant(FINE)
 
     def drawn(self, kind: str, rng: Rng) -> Motion:
         """Return a motion of one of the `KINDS`.
@@ -72,7 +72,7 @@ class ExcitationMotions:
         try:
             commands = self._along(q_ref, self._plant)
         except Diverged:
-            commands = self._along(q_ref, self._with_steps(20 * FINE))
+            commands = self._along(q_ref, self._make_plant(20 * FINE))
         if kind == "stop":
             commands[self.rows // 2 :] = 0.0
         return Motion(kind, commands)
@@ -80,7 +80,7 @@ class ExcitationMotions:
     @property
     def pushed(self) -> Array:
         """Largest commands of the drives, or those that move a joint briskly from rest (N,)."""
-        M, bias = self._equation(self.scene.start, np.zeros(len(self._size)))
+        M, bias = self._compute_equation(self.scene.start, np.zeros(len(self._size)))
         brisk = self._command(np.abs(bias) + ACCELERATION * np.diag(M))
         return np.where(np.isfinite(self._limit), self._limit, np.abs(brisk))
 
@@ -91,7 +91,7 @@ class ExcitationMotions:
         plant.reset()
         for k, (wanted, speed) in enumerate(zip(q_ref, v_ref, strict=True)):
             x = plant.state
-            M, bias = self._equation(x.q, x.v)
+            M, bias = self._compute_equation(x.q, x.v)
             a = RATE**2 * (wanted - x.q) + 2.0 * RATE * (speed - x.v)
             commands[k] = np.clip(self._command(M @ a + bias), -self._limit, self._limit)
             plant.advance(commands[k], steps)
@@ -102,7 +102,7 @@ class ExcitationMotions:
         np.divide(torque, self._gain, out=out, where=self._gain != 0.0)
         return out
 
-    def _equation(self, q: Array, v: Array) -> tuple[Array, Array]:
+    def _compute_equation(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Return M with rotors (N, N) and the torques of motion at constant speed (N,)."""
         N = len(q)
         at, torques = np.tile(q, (N + 1, 1)), np.vstack([np.zeros(N), np.eye(N)])
@@ -110,7 +110,7 @@ class ExcitationMotions:
         M = np.linalg.inv((a[1:] - a[0]).T)
         return M + np.diag(self._rotors), -M @ a[0]
 
-    def _with_steps(self, steps: int) -> Plant:
+    def _make_plant(self, steps: int) -> Plant:
         scene = self.scene
         integrator = dataclasses.replace(
             scene.integrator, scheme=SCHEMES[0], events="located", dt=scene.servo_period / steps

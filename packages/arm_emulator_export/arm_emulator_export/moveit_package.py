@@ -125,7 +125,7 @@ def generate_launch_description():
 
 def package_name(scene: Scene) -> str:
     """Return the name of a scene's package, as ROS allows names."""
-    return f"{_ros_name(scene.name)}_moveit_config"
+    return f"{_make_ros_name(scene.name)}_moveit_config"
 
 
 def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, str]:
@@ -142,16 +142,16 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         Refusal: as `control_files.description`; a scene without a rate for controllers, or with
             unreadable meshes.
     """
-    name, package = _ros_name(scene.name), package_name(scene)
+    name, package = _make_ros_name(scene.name), package_name(scene)
     words = {"name": name, "package": package, "scene": bringup, "machine": MACHINE}
     texts = {
-        "package.xml": _package_xml(package, scene.name),
+        "package.xml": _write_package_xml(package, scene.name),
         "CMakeLists.txt": _CMAKE.format(**words),
-        ".setup_assistant": _yaml(_assistant(name, package)),
-        f"config/{name}.urdf.xacro": _description(scene, package),
+        ".setup_assistant": _dump_yaml(_configure_assistant(name, package)),
+        f"config/{name}.urdf.xacro": _describe_robot(scene, package),
         f"config/{name}.srdf": srdf(scene),
         "config/ros2_controllers.yaml": control_files.controllers(scene),
-        "config/moveit.rviz": _yaml(_rviz()),
+        "config/moveit.rviz": _dump_yaml(_configure_rviz()),
         "launch/network.launch.py": _NETWORK.format(**words),
     }
     contents = {
@@ -161,23 +161,23 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         "moveit_controllers": trajectory_execution(scene, network=False),
         "network_controllers": trajectory_execution(scene, network=True),
     }
-    texts |= {f"config/{file}.yaml": _yaml(content) for file, content in contents.items()}
+    texts |= {f"config/{file}.yaml": _dump_yaml(content) for file, content in contents.items()}
     for file, function in LAUNCHES.items():
         texts[f"launch/{file}.launch.py"] = _LAUNCH.format(function=function, **words)
     return texts
 
 
-def _ros_name(name: str) -> str:
+def _make_ros_name(name: str) -> str:
     """Return a name of lower-case letters, digits and underscores that begins with a letter."""
     words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return words if words[:1].isalpha() else f"arm_{words}".rstrip("_")
 
 
-def _yaml(content: Mapping[str, Any]) -> str:
+def _dump_yaml(content: Mapping[str, Any]) -> str:
     return yaml.safe_dump(dict(content), sort_keys=False)
 
 
-def _description(scene: Scene, package: str) -> str:
+def _describe_robot(scene: Scene, package: str) -> str:
     """Return the robot description as a xacro source that finds the machine in its package."""
     robot = ET.fromstring(control_files.description(scene, f"MACHINE/{name_stem(scene.name)}"))
     folders = [Path(folder) for folder in list_package_folders()]
@@ -191,7 +191,7 @@ def _description(scene: Scene, package: str) -> str:
     return text.replace(">MACHINE/", f">$(find {package})/{MACHINE}/") + "\n"
 
 
-def _assistant(name: str, package: str) -> dict[str, Any]:
+def _configure_assistant(name: str, package: str) -> dict[str, Any]:
     files = {
         "urdf": {"package": package, "relative_path": f"config/{name}.urdf.xacro"},
         "srdf": {"relative_path": f"config/{name}.srdf"},
@@ -199,7 +199,7 @@ def _assistant(name: str, package: str) -> dict[str, Any]:
     return {"moveit_setup_assistant_config": files}
 
 
-def _package_xml(package: str, scene: str) -> str:
+def _write_package_xml(package: str, scene: str) -> str:
     root = ET.Element("package", format="3")
     for tag, text in (
         ("name", package),
@@ -217,7 +217,7 @@ def _package_xml(package: str, scene: str) -> str:
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _rviz() -> dict[str, Any]:
+def _configure_rviz() -> dict[str, Any]:
     planning = {
         "Class": "moveit_rviz_plugin/MotionPlanning",
         "Name": "MotionPlanning",

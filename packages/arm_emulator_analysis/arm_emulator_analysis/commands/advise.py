@@ -59,7 +59,7 @@ def advise(
         check_own("advise", file)
     machine = load_scene(file)
     with console.status("leading the arm along motions"):
-        motions, what = _motions(machine, file, motion)
+        motions, what = _collect_motions(machine, file, motion)
     judge = Judge(machine, motions)
     with console.status(f"trying schemes, events and steps on {what}"):
         found = settings_for(judge, error)
@@ -73,7 +73,7 @@ def advise(
         return 1
     best = found.settings[0]
     _print(found)
-    console.print(_statement(best, len(motions)))
+    console.print(_state_accuracy(best, len(motions)))
     events = f", events: {best.method.events}" if best.method.events != "step" else ""
     threads = f"; threads: {best.method.threads}" if machine.threads != best.method.threads else ""
     step = f"scheme: {best.method.scheme}, dt: {best.dt:.6g}{events}"
@@ -85,11 +85,13 @@ def advise(
     return 0
 
 
-def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
+def _collect_motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
     """Return the test motions, and their description."""
     if commands is not None:
         rows = read_commands(commands, scene)
-        return [Motion(commands.name, rows)], f"{_seconds(scene, rows):g} s of {commands.name}"
+        return [
+            Motion(commands.name, rows)
+        ], f"{_compute_seconds(scene, rows):g} s of {commands.name}"
     try:
         motions = judged_motions(scene, SECONDS)
     except Diverged as fault:
@@ -99,10 +101,13 @@ def _motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Moti
     demo = demo_commands(scene, file)
     if demo is None:
         return motions, f"{what} (it has no demo)"
-    return [*motions, Motion("demo", demo)], f"{what} and {_seconds(scene, demo):g} s of its demo"
+    return [
+        *motions,
+        Motion("demo", demo),
+    ], f"{what} and {_compute_seconds(scene, demo):g} s of its demo"
 
 
-def _seconds(scene: Scene, rows: Array) -> float:
+def _compute_seconds(scene: Scene, rows: Array) -> float:
     return len(rows) * scene.servo_period
 
 
@@ -137,7 +142,7 @@ def demo_commands(scene: Scene, file: Path) -> Array | None:
     return np.array(rows)
 
 
-def _statement(best: Setting, motions: int) -> str:
+def _state_accuracy(best: Setting, motions: int) -> str:
     """Return the accuracy of the errors in the table, as text."""
     if math.isinf(best.others):
         return "errors: a bound for the motions that were judged, not for others"
@@ -170,10 +175,10 @@ def read_commands(path: Path, scene: Scene) -> Array:
     Raises:
         Refusal: the file is missing, joints or servo period differ, or ticks are missing.
     """
-    return _from_bag(path, scene) if path.is_dir() else _from_table(path, scene)
+    return _read_bag(path, scene) if path.is_dir() else _read_table(path, scene)
 
 
-def _from_table(path: Path, scene: Scene) -> Array:
+def _read_table(path: Path, scene: Scene) -> Array:
     table = load_target_table(path, scene.joint_names)
     ticks = table.ticks(scene.servo_period)
     last = ticks[-1] + (ticks[-1] - ticks[-2] if len(ticks) > 1 else 1)
@@ -183,7 +188,7 @@ def _from_table(path: Path, scene: Scene) -> Array:
     return rows
 
 
-def _from_bag(path: Path, scene: Scene) -> Array:
+def _read_bag(path: Path, scene: Scene) -> Array:
     """Return the commands that the motors got in the last run of a bag."""
     # It needs ROS, which is optional here.
     from arm_emulator.extension.bags import RecordedMachine

@@ -61,7 +61,7 @@ def bode(
     }
     width = max(map(len, found))
     for name, one in found.items():
-        listed = (_listed(values) for values in (one.antiresonances, one.resonances))
+        listed = (_format_frequencies(values) for values in (one.antiresonances, one.resonances))
         output.line("{:{}}  antiresonances {:24} resonances {}".format(name, width, *listed))
     for file, write in ((picture, _draw), (table, _write)):
         if file is not None:
@@ -73,16 +73,16 @@ def bode(
     units = {joint.name: joint.unit for joint in machine.joints}
     output.facts({
         "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[KEPT],
-        "joints": {name: _facts(one, units[name]) for name, one in found.items()},
+        "joints": {name: _list_facts(one, units[name]) for name, one in found.items()},
     })  # fmt: skip
     return 0
 
 
-def _listed(frequencies: np.ndarray) -> str:
+def _format_frequencies(frequencies: np.ndarray) -> str:
     return ", ".join(f"{one:.4g}" for one in frequencies) + " Hz" if len(frequencies) else "none"
 
 
-def _facts(of: FrequencyResponse, unit: str) -> dict[str, object]:
+def _list_facts(of: FrequencyResponse, unit: str) -> dict[str, object]:
     return {
         "unit": unit, "resonances": of.resonances, "antiresonances": of.antiresonances,
         **{
@@ -145,14 +145,14 @@ class FrequencyResponse:
     @property
     def resonances(self) -> Array:
         """Frequencies at which the motor moves more than at neighbouring frequencies [Hz]."""
-        return self._peaks(1.0)
+        return self._find_peaks(1.0)
 
     @property
     def antiresonances(self) -> Array:
         """Frequencies at which the links hold the motor [Hz]."""
-        return self._peaks(-1.0)
+        return self._find_peaks(-1.0)
 
-    def _peaks(self, sign: float) -> Array:
+    def _find_peaks(self, sign: float) -> Array:
         decibels = sign * 20.0 * np.log10(np.abs(self.motor))
         at, _ = signal.find_peaks(decibels, prominence=PROMINENCE)
         found: Array = self.frequency[at]

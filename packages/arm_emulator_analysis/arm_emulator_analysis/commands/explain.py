@@ -76,7 +76,7 @@ def explain(
         rule = f"be within the run, 0 to {machine.last * period:g} s"
         raise Refusal("explain", "--at", rule, f"{begin:g}")
     machine.advance(round(begin / period))
-    if when is not None and not _found(machine, Condition(when, machine.scene, "explain")):
+    if when is not None and not _is_found(machine, Condition(when, machine.scene, "explain")):
         output.line(f"it never holds, up to {machine.last * period:g} s: {when}")
         output.facts({"scene": machine.scene.name, "tick": None})
         return 1
@@ -115,7 +115,7 @@ def _compare(names: tuple[str, str], one: RecordedMachine, other: RecordedMachin
     return 1
 
 
-def _found(machine: RecordedMachine, condition: Condition) -> bool:
+def _is_found(machine: RecordedMachine, condition: Condition) -> bool:
     """Advance to the first tick at which a condition holds."""
     if machine.tick == 0 and condition.holds(machine.session):
         return True
@@ -129,9 +129,9 @@ def _print(scene: Scene, now: Explanation) -> None:
     output.line(f"scene {scene.name}, tick {now.tick}, {now.t:g} s of logical time")
     if now.orders:
         output.line(f"motion controller: {now.orders}")
-    _table("", names, {TITLES[key]: row for key, row in now.rows.items()})
+    _print_table("", names, {TITLES[key]: row for key, row in now.rows.items()})
     if now.flow is not None:
-        _table(
+        _print_table(
             "power [W]",
             names,
             {"supplied": now.flow.given, "dissipated": now.flow.dissipated},
@@ -139,15 +139,15 @@ def _print(scene: Scene, now: Explanation) -> None:
     for title, terms in (("link", now.terms.link), ("rotor", now.terms.rotor)):
         table = np.array(list(terms.values()))
         sums = {"sum": np.nansum(table, axis=0)} if "inertia" in terms else {}
-        _table(f"torques on each {title} [N m or N]", names, {**terms, **sums})
+        _print_table(f"torques on each {title} [N m or N]", names, {**terms, **sums})
     for line in now.active:
         output.line(line)
     if now.rows["applied"] is None:
         output.line("the record ends here: torques are those without a command")
-    output.facts(_facts(scene, now))
+    output.facts(_list_facts(scene, now))
 
 
-def _table(title: str, names: tuple[str, ...], rows: dict[str, Array | None]) -> None:
+def _print_table(title: str, names: tuple[str, ...], rows: dict[str, Array | None]) -> None:
     cells = (
         (name, *("-" if math.isnan(one) else format(one + 0.0, ".5g") for one in row.tolist()))
         for name, row in rows.items()
@@ -157,7 +157,7 @@ def _table(title: str, names: tuple[str, ...], rows: dict[str, Array | None]) ->
     output.table((title, *names), cells)
 
 
-def _facts(scene: Scene, now: Explanation) -> dict[str, Any]:
+def _list_facts(scene: Scene, now: Explanation) -> dict[str, Any]:
     def by_joint(row: Array | None) -> dict[str, float | None] | None:
         if row is None:
             return None

@@ -88,7 +88,7 @@ def foxglove_layout(
 
     def plot(title: str, topic: str, field: str) -> dict[str, Any]:
         paths = [
-            _path(f"{base}{topic}.{field}[{k}]", name, COLOURS[k % len(COLOURS)])
+            _make_path(f"{base}{topic}.{field}[{k}]", name, COLOURS[k % len(COLOURS)])
             for k, name in enumerate(joints)
         ]
         return {"title": title, "paths": paths, "xAxisVal": "timestamp", "showLegend": True}
@@ -102,7 +102,7 @@ def foxglove_layout(
         for title, topic, field in (*PLOTS, *more)
     }
     speed = "Plot!speed"
-    paths = [_path(f"{base}emulator/status.real_time_factor", "times real time", COLOURS[0])]
+    paths = [_make_path(f"{base}emulator/status.real_time_factor", "times real time", COLOURS[0])]
     plots[speed] = {"title": "Speed of logical time", "paths": paths, "xAxisVal": "timestamp"}
     states = [
         {"value": f"{base}{topic}.{field}", "label": title, "timestampMethod": "headerStamp"}
@@ -119,25 +119,27 @@ def foxglove_layout(
         "RawMessages!events": {"topicPath": f"{base}emulator/events"},
         "DiagnosticSummary!health": {"minLevel": 0, "topicToRender": f"{base}diagnostics"},
     }
-    right = _split(
-        "column", "Tab!signals", _split("column", "StateTransitions!states", "RawMessages!events")
+    right = _make_split(
+        "column",
+        "Tab!signals",
+        _make_split("column", "StateTransitions!states", "RawMessages!events"),
     )
-    left = _split("column", "3D!arm", "DiagnosticSummary!health", 75.0)
+    left = _make_split("column", "3D!arm", "DiagnosticSummary!health", 75.0)
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1.0},
-        "layout": _split("row", left, right, ROOM),
+        "layout": _make_split("row", left, right, ROOM),
     }
 
 
-def _path(value: str, label: str, colour: str) -> dict[str, Any]:
+def _make_path(value: str, label: str, colour: str) -> dict[str, Any]:
     how = {"enabled": True, "timestampMethod": "headerStamp"}
     return {"value": value, "label": label, "color": colour, **how}
 
 
-def _split(direction: str, first: Any, second: Any, share: float = 50.0) -> dict[str, Any]:
+def _make_split(direction: str, first: Any, second: Any, share: float = 50.0) -> dict[str, Any]:
     return {"direction": direction, "first": first, "second": second, "splitPercentage": share}
 
 
