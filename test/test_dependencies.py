@@ -26,7 +26,7 @@ OPTIONAL = {"control_msgs", "simulation_interfaces"}
 def packages() -> list[str]:
     """Names of our packages, as setup.py installs them."""
     setup = (ROOT / "setup.py").read_text()
-    return re.findall(r'"(\w+)"', setup[setup.index("PACKAGES = (") : setup.index(")\n")])
+    return re.findall(r'"(\w+)"', setup.split("PACKAGES = (")[1].split(")\n")[0])
 
 
 def imported(package: str) -> set[str]:
