@@ -99,7 +99,8 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: 
     for arm in range(count):
         plant = alone(scene, values, arm, q, v)
         expected = plant.run(voltages[:, arm], STEPS)
-        stuck += int((plant.state.v == 0.0).sum())
+        # A joint that sticks has the same angle to the last bit in two rows.
+        stuck += int((np.diff(expected, axis=0) == 0.0).sum())
         largest = [
             values.get(f"joints.{joint.name}.motor.current_limit", np.full(count, limit))[arm]
             for joint, limit in zip(scene.joints, limits, strict=True)
@@ -109,9 +110,7 @@ def test_each_arm_moves_as_alone(seed: int, scheme: str, events: str, tmp_path: 
         assert_state_of(fleet, arm, plant)
         furthest = max(furthest, float(np.abs(expected - q[arm]).max()))
     assert furthest > 0.01, f"the arms hardly moved: {furthest} rad"
-    met = f"at the end {stuck} joints stick, {limited} are limited"
-    assert stuck + limited > 0, met
-    assert seed != 6 or (stuck > 0 and limited > 0), met
+    assert stuck > 0 and limited > 0, f"{stuck} rows of joints stick, {limited} end at a limit"
 
 
 @pytest.mark.parametrize("cause", some(["it turns too far in a step", "its gear is too stiff"], 1))
