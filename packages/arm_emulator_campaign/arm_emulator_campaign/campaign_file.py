@@ -12,8 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.extension.base import LARGEST_YAML_FILE as MOST_BYTES
 from arm_emulator.extension.base import (
+    LARGEST_YAML_FILE,
     VERSION,
     Number,
     Refusal,
@@ -211,7 +211,7 @@ def load_campaign(file: Path) -> Campaign:
     scene, overrides = _scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
-    used = {"scene": read_bytes(scene_file, MOST_BYTES), "urdf": scene.urdf.encode()}
+    used = {"scene": read_bytes(scene_file, LARGEST_YAML_FILE), "urdf": scene.urdf.encode()}
     used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
     used |= _named_files(data, file.parent)
     sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])

@@ -26,12 +26,10 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
         folder: the bag; its file `scene.yaml` is the campaign's scene.
     """
     # ROS 2 need not be installed for a campaign.
-    from arm_emulator.extension.bags import BAG_SCENE_FILE as SCENE
-    from arm_emulator.extension.bags import CHANGE_KINDS as KINDS
-    from arm_emulator.extension.bags import RunBag
+    from arm_emulator.extension.bags import BAG_SCENE_FILE, CHANGE_KINDS, RunBag
 
     def changed(change: Change) -> None:
-        bag.changed(KINDS[type(change)])
+        bag.changed(CHANGE_KINDS[type(change)])
 
     pieces = simulator.drive(case, 1, changed)
     next(pieces)
@@ -39,7 +37,7 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
         folder, simulator.session, {"campaign": f"run {case.index} of {campaign.file}"}
     ) as bag:
         data = _scene_data(campaign, campaign.overrides, folder)
-        (folder / SCENE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
+        (folder / BAG_SCENE_FILE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
         try:
             for _ in pieces:
                 bag.report()

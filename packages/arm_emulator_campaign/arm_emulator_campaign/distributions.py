@@ -13,8 +13,7 @@ from typing import Any
 
 from scipy import special
 
-from arm_emulator.extension.base import LARGEST_NUMBER as LARGEST
-from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.base import LARGEST_NUMBER, Refusal
 
 Quantile = Callable[[float], float]
 
@@ -270,8 +269,8 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
 
 def _read(tree: ast.expr) -> float | Distribution:
     if isinstance(tree, ast.Constant) and type(tree.value) in (int, float):
-        if not abs(tree.value) <= LARGEST:  # type: ignore[arg-type]
-            raise _Bad(f"have numbers within +-{LARGEST:g}", tree.value)
+        if not abs(tree.value) <= LARGEST_NUMBER:  # type: ignore[arg-type]
+            raise _Bad(f"have numbers within +-{LARGEST_NUMBER:g}", tree.value)
         return float(tree.value)  # type: ignore[arg-type]
     if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
         inner = _read(tree.operand)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Refusal, find_scene
 from arm_emulator.extension.machine import Diverged, Scene, SceneFault, load_scene
-from arm_emulator.extension.runs import MotionState as State
-from arm_emulator.extension.runs import OfflineRun, Pose, load_gains
+from arm_emulator.extension.runs import MotionState, OfflineRun, Pose, load_gains
 
 AWAY = (0.0, 0.05, 0.05)  # m, of the tool and back
 BEGINS, ENDS = 0.1, 1.5  # s, of the fault and of the run
@@ -104,7 +103,7 @@ def _run(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float) 
         found = [
             *["drive"] * bool(session.measured.faults.any()),
             *["servo"] * bool(unable),
-            *["motion controller"] * (State.ABORTED in states),
+            *["motion controller"] * (MotionState.ABORTED in states),
             *["encoder check"] * (largest > apart),
         ]
         if found and by == NOBODY and fault is not None and k >= begins:

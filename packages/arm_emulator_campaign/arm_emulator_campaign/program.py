@@ -11,17 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Constant, Operation, Signal
-from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
-from arm_emulator.extension.compiler import C_FLAGS, Header, Unit, compile_once
-from arm_emulator.extension.compiler import C_NULL as NULL
-from arm_emulator.extension.compiler import c_pointer as pointer
-from arm_emulator.extension.machine import FORMULA_HEADER as FORMULA
-from arm_emulator.extension.machine import FormulaRows
+from arm_emulator.extension.compiler import (
+    BOUNDARY_FOLDER,
+    C_FLAGS,
+    C_NULL,
+    Header,
+    Unit,
+    c_pointer,
+    compile_once,
+)
+from arm_emulator.extension.machine import FORMULA_HEADER, FormulaRows
 from arm_emulator_campaign.requirement import Robustness
 
 HERE = Path(__file__).resolve().parent
-JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY))
-BLOCK = FORMULA.constant("FORMULA_BLOCK")
+JUDGES = Header(HERE / "judges.h", (HERE, BOUNDARY_FOLDER))
+BLOCK = FORMULA_HEADER.constant("FORMULA_BLOCK")
 
 
 def judges_unit() -> Unit:
@@ -30,7 +34,9 @@ def judges_unit() -> Unit:
     source = "".join(f'#include "{part}"\n' for part in parts)
     headers = (JUDGES, Header(HERE / "robustness.h"))
     about = "the judges of campaigns"
-    return Unit("judges", source, C_FLAGS, (HERE, BOUNDARY), headers, "campaign", about, parts[1])
+    return Unit(
+        "judges", source, C_FLAGS, (HERE, BOUNDARY_FOLDER), headers, "campaign", about, parts[1]
+    )
 
 
 judges = compile_once(judges_unit)
@@ -159,7 +165,7 @@ class Program:
                 requirements=self._pointers[run],
                 measures=JUDGES.pointer("judges_measure", own[run]),
                 kept_rows=kept_rows,
-                kept=pointer(self.kept[run]) if len(kept) else NULL,
+                kept=c_pointer(self.kept[run]) if len(kept) else C_NULL,
                 kept_stride=room,
             )
         self._pieces = JUDGES.rows("judges_samples", runs)
@@ -191,7 +197,7 @@ class Program:
 
     def end(self) -> tuple[Array, Array]:
         """Return robustness (runs, requirements) and measures (runs, measures), as copies."""
-        places = pointer(self._robustness), pointer(self._found)
+        places = c_pointer(self._robustness), c_pointer(self._found)
         self._calls.judges_end(self._structs, len(self._pieces), *places)
         return self._robustness.copy(), self._found.copy()
 

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from arm_emulator.extension.base import Combined, Formula, Refusal, Window
-from arm_emulator.extension.compiler import C_NULL as NULL
-from arm_emulator.extension.compiler import Header, Library
+from arm_emulator.extension.compiler import C_NULL, Header, Library
 from arm_emulator.extension.machine import is_at_one_instant
 
 HERE = Path(__file__).resolve().parent
@@ -60,11 +59,11 @@ class Robustness:
         self.pointer = self._calls.robustness_new(
             ROBUSTNESS.pointer("robustness_node", rows), len(rows)
         )
-        if self.pointer == NULL:
+        if self.pointer == C_NULL:
             raise MemoryError("no memory for a requirement")
 
     def __del__(self) -> None:
-        one, self.pointer = getattr(self, "pointer", NULL), NULL
+        one, self.pointer = getattr(self, "pointer", C_NULL), C_NULL
         if one:
             self._calls.robustness_delete(one)
 

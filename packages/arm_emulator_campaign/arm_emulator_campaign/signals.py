@@ -10,13 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array
-from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
-from arm_emulator.extension.compiler import C_FLAGS, CData, Header, Unit, compile_once
-from arm_emulator.extension.compiler import C_NULL as NULL
-from arm_emulator.extension.compiler import c_pointer as pointer
-from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
-from arm_emulator.extension.machine import TOOL_SIGNALS_NAME as TOOL
+from arm_emulator.extension.compiler import (
+    BOUNDARY_FOLDER,
+    C_FLAGS,
+    C_NULL,
+    CData,
+    Header,
+    Unit,
+    c_pointer,
+    compile_once,
+)
 from arm_emulator.extension.machine import (
+    STATE_NAMES_IN_C,
+    TOOL_SIGNALS_NAME,
     MeasuredPlace,
     Plant,
     RecordRow,
@@ -31,7 +37,7 @@ from arm_emulator_fleet.unit import FLEET
 from arm_emulator_fleet.unit import FOLDER as FLEET_FOLDER
 
 HERE = Path(__file__).resolve().parent
-SAMPLER = Header(HERE / "sampler.h", (BOUNDARY, FLEET_FOLDER))
+SAMPLER = Header(HERE / "sampler.h", (BOUNDARY_FOLDER, FLEET_FOLDER))
 _KINDS = {"f8": "DOUBLE", "i8": "INT64", "u4": "UINT32"}
 
 
@@ -39,7 +45,7 @@ def sampler_unit() -> Unit:
     """Return the sources of the sampler."""
     part = "sampler.c"
     source, about = f'#include "{part}"\n', "the samples of campaigns"
-    folders = HERE, BOUNDARY, FLEET_FOLDER
+    folders = HERE, BOUNDARY_FOLDER, FLEET_FOLDER
     return Unit("sampler", source, C_FLAGS, folders, (SAMPLER,), "campaign", about, part)
 
 
@@ -72,14 +78,18 @@ class Samples:
         self.room = room
         wanted = list(names)
         self._tool = {
-            wanted.index(name): place for place, name in enumerate(TOOL) if name in wanted
+            wanted.index(name): place
+            for place, name in enumerate(TOOL_SIGNALS_NAME)
+            if name in wanted
         }
         if self._tool:
             self._chain = ToolChain(scene)
             wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
         own = {one.name: one for one in list_columns(scene)}
-        self._columns = {place: own[name] for place, name in enumerate(wanted) if name not in TOOL}
+        self._columns = {
+            place: own[name] for place, name in enumerate(wanted) if name not in TOOL_SIGNALS_NAME
+        }
         kinds = {value.path[0] for value in self._columns.values()}
         self.measures, self.truth = "measured" in kinds, kinds - {"measured"}
         self._samples = np.zeros((arms, max(1, len(wanted)), room))
@@ -100,7 +110,7 @@ class Samples:
             count=len(self._columns),
             rows=self._samples.shape[1],
             numbers=SAMPLER.pointer("sampler_number", self._numbers),
-            samples=pointer(self._samples),
+            samples=c_pointer(self._samples),
             room=self.room,
             taken=self._taken,
             **more,
@@ -141,7 +151,7 @@ class Sampler(Samples):
         })  # fmt: skip
         self._sampler = self.sampler(
             rows,
-            measure=plant.core.arm_measure if self.measures else NULL,
+            measure=plant.core.arm_measure if self.measures else C_NULL,
             get_truth=plant.core.arm_get_truth,
             measurement=self._row.measurement,
             truth=self._at,
@@ -156,7 +166,7 @@ class Sampler(Samples):
 
     def end(self) -> None:
         """End sampling."""
-        self._plant.core.arm_listen(self._plant.machine, NULL, NULL)
+        self._plant.core.arm_listen(self._plant.machine, C_NULL, C_NULL)
 
     @property
     def left(self) -> int:
@@ -188,14 +198,15 @@ class FleetSampler(Samples):
             "arm_fleet_measurement", **{name: place.arrays[name] for name in arrays}
         )
         self._truth = FLEET.new(
-            "arm_fleet_truth", **{PLACES.get(name, name): rows for name, rows in truth.items()}
+            "arm_fleet_truth",
+            **{STATE_NAMES_IN_C.get(name, name): rows for name, rows in truth.items()},
         )
         self._keeps = place, truth
         self.with_ = self.sampler(
             place.arrays | truth,
             show=fleet.core.arm_fleet_step,
             fleet=fleet.handle,
-            measurements=self._measurement if self.measures else NULL,
+            measurements=self._measurement if self.measures else C_NULL,
             truths=self._truth,
         )
         self.look = self.calls.sampler_take_abreast

@@ -14,11 +14,11 @@ from arm_emulator.extension.runs import (
     OfflineRun,
     Pose,
     ServoConfig,
+    ServoDrives,
     ServoStep,
     TableRun,
     TargetTable,
 )
-from arm_emulator.extension.runs import ServoDrives as Drives
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case, drawn_case
 from arm_emulator_campaign.evaluators import Evaluators
@@ -63,7 +63,7 @@ class Simulator:
             return OfflineRun(self._scene, servo, self._campaign.motion)
         names = self._scene.joint_names
         place = [names.index(name) for name in servo.joint_names]
-        self._drives = Drives(servo)
+        self._drives = ServoDrives(servo)
         table = TargetTable(np.zeros(1), self._scene.start[None])
         return TableRun(self._scene, table, ServoStep(self._drives, place))
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator.extension.machine import ALWAYS_OUTPUTS as ALWAYS
-from arm_emulator.extension.machine import ARM_HEADER as ARM
-from arm_emulator.extension.machine import OUTPUT_AXES as AXES
 from arm_emulator.extension.machine import (
+    ALWAYS_OUTPUTS,
+    ARM_HEADER,
+    OUTPUT_AXES,
     DuplicateCommand,
     Joint,
     Output,
@@ -77,7 +77,7 @@ def full_scale(scene: Scene, joint: Joint) -> float:
 
 def measured_outputs(scene: Scene) -> tuple[Output, ...]:
     """Return the measurements in the order of registers, those of every machine first."""
-    return tuple(dict.fromkeys((*ALWAYS, *list_outputs(scene))))
+    return tuple(dict.fromkeys((*ALWAYS_OUTPUTS, *list_outputs(scene))))
 
 
 # Words of a value and its type, by the kind of an output.
@@ -98,7 +98,7 @@ def measured_blocks(scene: Scene) -> list[Block]:
         if output.per_unit:
             for unit_of_scene in scene.imus:
                 name = f"{unit_of_scene.name}: {output.about}, x, y, z"
-                rows.append(Block(0, per * AXES, 0, name, kind, unit))
+                rows.append(Block(0, per * OUTPUT_AXES, 0, name, kind, unit))
         else:
             units = " or ".join(dict.fromkeys(list_units(scene, output))) or unit
             rows.append(Block(0, per * N, per, output.about, kind, units))
@@ -230,7 +230,7 @@ class Converter:
 
     def _description(self, index: int) -> list[int]:
         scene = self.session.scene
-        joint = ARM.new("arm_joint_description")
+        joint = ARM_HEADER.new("arm_joint_description")
         self.session.plant.core.arm_describe_joint(index, joint)
         return [
             joint.kind,

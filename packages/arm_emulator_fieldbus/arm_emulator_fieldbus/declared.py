@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Refusal, escape_c_string
-from arm_emulator.extension.machine import COMMAND_OUTPUT as COMMAND
-from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
 from arm_emulator.extension.machine import (
+    COMMAND_OUTPUT,
+    KNOWN_OUTPUTS,
     PARTS,
     Input,
     Output,
@@ -29,7 +29,7 @@ _IN_C = {"readings": "readings[at.in_rows()]", "further": "further[at.in_rows()]
 
 
 def _numbered() -> dict[str, int]:
-    names = [value.name for value in KNOWN.values() if not value.cia]
+    names = [value.name for value in KNOWN_OUTPUTS.values() if not value.cia]
     names += dict.fromkeys(one.name for kind in PARTS for one in _further(kind))
     found: dict[str, int] = {}
     for name in names:
@@ -48,8 +48,8 @@ def _further(kind: type[Part]) -> tuple[Input, ...]:
 _INDICES = _numbered()
 
 # Names of what has such an object, by index; of other outputs a drive has objects by itself.
-REPORTED = tuple(KNOWN[name] for name in _INDICES if name in KNOWN)
-TAKEN = tuple(name for name in _INDICES if name not in KNOWN)
+REPORTED = tuple(KNOWN_OUTPUTS[name] for name in _INDICES if name in KNOWN_OUTPUTS)
+TAKEN = tuple(name for name in _INDICES if name not in KNOWN_OUTPUTS)
 
 
 def index_of(one: Output | Input) -> int:
@@ -86,7 +86,7 @@ def _row(one: Output) -> str:
     units = _UNITS.get(one.kind, (one.unit, one.unit_of_slides))
     members = (
         f"0x{_INDICES[one.name]:04X}",
-        _texts(one.name, *(unit for unit in units if unit != COMMAND)),
+        _texts(one.name, *(unit for unit in units if unit != COMMAND_OUTPUT)),
         f"Type::{_TYPES[one.kind]}",
         str(one.per_unit).lower(),
         "[](const arm_measurement& all, [[maybe_unused]] Place at) { "

@@ -16,8 +16,7 @@ from arm_emulator.extension.machine import (
     list_modes,
     withheld_modes,
 )
-from arm_emulator.extension.runs import ServoConfig, check_servo, servo_numbers
-from arm_emulator.extension.runs import ServoRows as Rows
+from arm_emulator.extension.runs import ServoConfig, ServoRows, check_servo, servo_numbers
 from arm_emulator_fieldbus import declared
 from arm_emulator_fieldbus.drives_unit import DRIVES, UNITS, drives_library
 from arm_emulator_fieldbus.object_dictionary import (
@@ -269,7 +268,7 @@ def _text(words: str) -> CData:
     return DRIVES.ffi.new("char[]", words.encode())
 
 
-def _joints_of(scene: Scene, servo: ServoConfig) -> Rows:
+def _joints_of(scene: Scene, servo: ServoConfig) -> ServoRows:
     """Return rows of ``drives_joint`` in the scene's order of joints; names are left out."""
     known = {joint.name: joint for joint in servo.joints}
     reported = tuple(known[name] for name in scene.joint_names)

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from arm_emulator.extension.compiler import SERVO_FOLDER as FOLDER
-from arm_emulator.extension.compiler import SHARED_FLAGS as SHARED
-from arm_emulator.extension.compiler import TICK_FOLDERS, Header, Unit, compile_once
+from arm_emulator.extension.compiler import (
+    SERVO_FOLDER,
+    SHARED_FLAGS,
+    TICK_FOLDERS,
+    Header,
+    Unit,
+    compile_once,
+)
 from arm_emulator_fieldbus import declared
 
 DRIVES_CORE = Path(__file__).resolve().parent / "core"
@@ -15,11 +20,11 @@ DRIVES_CORE = Path(__file__).resolve().parent / "core"
 DRIVES_FLAGS = (
     *"-std=c++20 -O2 -fvisibility=hidden -fno-exceptions -ffp-contract=off".split(),
     *"-fno-semantic-interposition -pthread".split(),
-    *SHARED,
+    *SHARED_FLAGS,
 )
 SOURCE = f'#include "tick.c"\n#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
 
-DRIVES = Header(DRIVES_CORE / "drives.h", (*TICK_FOLDERS, FOLDER))
+DRIVES = Header(DRIVES_CORE / "drives.h", (*TICK_FOLDERS, SERVO_FOLDER))
 ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))
 UNITS = DRIVES.constant("DRIVES_UNITS")
 
@@ -42,7 +47,7 @@ def drives_unit(
         name,
         SOURCE + source,
         DRIVES_FLAGS,
-        (DRIVES_CORE, FOLDER, *TICK_FOLDERS),
+        (DRIVES_CORE, SERVO_FOLDER, *TICK_FOLDERS),
         (DRIVES, *headers),
         "fieldbus",
         about,

@@ -6,8 +6,8 @@ import errno
 import os
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator.extension.compiler import SERVO_FOLDER as FOLDER
 from arm_emulator.extension.compiler import (
+    SERVO_FOLDER,
     TICK_FOLDERS,
     CData,
     Header,
@@ -23,7 +23,7 @@ from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
 MEMORY = 0x3000  # bytes of a slave
 LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 
-SEGMENT = Header(DRIVES_CORE / "ethercat.h", (*TICK_FOLDERS, FOLDER))
+SEGMENT = Header(DRIVES_CORE / "ethercat.h", (*TICK_FOLDERS, SERVO_FOLDER))
 
 
 def ethercat_unit() -> Unit:

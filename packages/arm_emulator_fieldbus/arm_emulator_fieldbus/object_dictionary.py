@@ -6,10 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
-from arm_emulator.extension.compiler import Library
-from arm_emulator.extension.compiler import c_text as text
-from arm_emulator.extension.machine import LoopMode as Mode
-from arm_emulator.extension.machine import ServoLoop as Loop
+from arm_emulator.extension.compiler import Library, c_text
+from arm_emulator.extension.machine import LoopMode, ServoLoop
 from arm_emulator_fieldbus.drives_unit import DRIVES, drives_library
 
 ACCESS = ("const", "ro", "wo", "rw")
@@ -86,8 +84,8 @@ def entries_of(calls: Library) -> Iterator[Entry]:
         yield Entry(
             one.index,
             one.sub,
-            text(one.object),
-            text(one.name),
+            c_text(one.object),
+            c_text(one.name),
             one.code,
             one.last_sub,
             TYPES[one.type],
@@ -96,7 +94,7 @@ def entries_of(calls: Library) -> Iterator[Entry]:
             bool(one.pdo & 1),
             bool(one.pdo & 2),
             one.buses,
-            text(one.unit),
+            c_text(one.unit),
             one.standard,
             one.least,
             one.most,
@@ -105,14 +103,14 @@ def entries_of(calls: Library) -> Iterator[Entry]:
 
 
 @cache
-def modes() -> tuple[Mode, ...]:
+def modes() -> tuple[LoopMode, ...]:
     """Return all modes of operation that drives have, see core/modes/modes.hpp."""
     return tuple(_walk_modes(drives_library()))
 
 
-def _walk_modes(calls: Library) -> Iterator[Mode]:
+def _walk_modes(calls: Library) -> Iterator[LoopMode]:
     one, row = DRIVES.new("drives_mode"), 0
     while calls.drives_list_mode(row, one):
-        loops = tuple(loop for bit, loop in enumerate(Loop) if one.loops >> bit & 1)
-        yield Mode(one.number, text(one.name), loops)
+        loops = tuple(loop for bit, loop in enumerate(ServoLoop) if one.loops >> bit & 1)
+        yield LoopMode(one.number, c_text(one.name), loops)
         row += 1

@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from arm_emulator.extension.base import REQUIRED, Number, Refusal, Section, read_yaml
-from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
-from arm_emulator.extension.compiler import CData, Header
-from arm_emulator.extension.machine import VOLTAGE_INPUT as VOLTAGE
-from arm_emulator.extension.machine import Scene
+from arm_emulator.extension.compiler import BOUNDARY_FOLDER, CData, Header
+from arm_emulator.extension.machine import VOLTAGE_INPUT, Scene
 from arm_emulator_firmware import FOLDER
 
 PAGE = 1024  # bytes that regions are multiples of
@@ -25,7 +23,7 @@ MOST_INTERRUPTS = 240
 MOST = 64  # entries of a section
 LARGEST = 1 << 28  # bytes of a region
 
-RUNNER = Header(FOLDER / "runner.h", (BOUNDARY,))
+RUNNER = Header(FOLDER / "runner.h", (BOUNDARY_FOLDER,))
 
 # Numbers of a board file, by their keys, in sections of these kinds.
 BOARD = (
@@ -403,7 +401,7 @@ def _full_scale(pwm: Row, scene: Scene) -> float:
     """
     joint = scene.joints[pwm["joint"]]
     command = joint.inputs[0]
-    if command != VOLTAGE and "full_scale" not in pwm:
+    if command != VOLTAGE_INPUT and "full_scale" not in pwm:
         takes = f"{command.about} [{command.unit}]"
         rule = f"be given: the joint's command is {takes}, and no bridge makes that of a duty"
         raise Refusal("board", f"pwm.{joint.name}.full_scale", rule, "nothing")

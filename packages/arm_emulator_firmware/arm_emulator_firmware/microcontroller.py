@@ -7,11 +7,15 @@ import zlib
 from functools import cache
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
-from arm_emulator.extension.compiler import SHARED_FLAGS as SHARED
-from arm_emulator.extension.compiler import CData, Library, Unit
-from arm_emulator.extension.compiler import c_text as text
-from arm_emulator.extension.compiler import compiled_library as library
+from arm_emulator.extension.compiler import (
+    BOUNDARY_FOLDER,
+    SHARED_FLAGS,
+    CData,
+    Library,
+    Unit,
+    c_text,
+    compiled_library,
+)
 from arm_emulator.extension.machine import ControlCode, Scene
 from arm_emulator_firmware import FOLDER
 from arm_emulator_firmware.board import RUNNER, Board, board_struct
@@ -22,7 +26,7 @@ from arm_emulator_firmware.unicorn_library import (
     unicorn_version,
 )
 
-FLAGS = (*"-std=c++20 -O2 -fvisibility=hidden -ffp-contract=off".split(), *SHARED)
+FLAGS = (*"-std=c++20 -O2 -fvisibility=hidden -ffp-contract=off".split(), *SHARED_FLAGS)
 
 
 class FirmwareEnd(RuntimeError):
@@ -36,7 +40,7 @@ def runner_unit() -> Unit:
         Refusal: Unicorn is not installed.
     """
     source = f'#include "runner.cpp"\n// with Unicorn {unicorn_version()}\n'
-    folders = (FOLDER, BOUNDARY, unicorn_headers())
+    folders = (FOLDER, BOUNDARY_FOLDER, unicorn_headers())
     about, part = "the microcontroller's runner", "runner.cpp"
     headers, where = (RUNNER,), "microcontroller"
     return Unit("microcontroller", source, FLAGS, folders, headers, where, about, part)
@@ -45,7 +49,7 @@ def runner_unit() -> Unit:
 @cache
 def _runner() -> Library:
     load_unicorn()
-    return library(runner_unit())
+    return compiled_library(runner_unit())
 
 
 class Microcontroller(ControlCode):
@@ -81,7 +85,7 @@ class Microcontroller(ControlCode):
         why = RUNNER.ffi.new("char[]", 120)
         self.with_ = self._calls.mcu_new(reported, why)
         if not self.with_:
-            raise Refusal(board.where, "board", "be one that Unicorn runs", text(why))
+            raise Refusal(board.where, "board", "be one that Unicorn runs", c_text(why))
         for at, piece in image.pieces:
             if not self._calls.mcu_load(self.with_, at, piece, len(piece)):
                 known = ", ".join(
@@ -106,7 +110,7 @@ class Microcontroller(ControlCode):
         """
         if got := self._calls.mcu_unkept(self.with_):
             rule, valid = "be one that can be saved: without debugger and wired serial lines", ""
-            raise Refusal(self.name, "the chip", rule, text(got), valid)
+            raise Refusal(self.name, "the chip", rule, c_text(got), valid)
         size = RUNNER.ffi.new("int64_t *")
         saved = self._calls.mcu_save(self.with_, size)
         return zlib.compress(RUNNER.ffi.buffer(saved, size[0]), 1)
@@ -135,11 +139,11 @@ class Microcontroller(ControlCode):
         """The fault that ended the firmware, or the first one it handled itself; "" for none."""
         fault = RUNNER.new("mcu_fault")
         self._calls.mcu_get_fault(self.with_, fault)
-        if not text(fault.what):
+        if not c_text(fault.what):
             return ""
         symbol = self._image.symbol(fault.pc)
         at = f"{fault.pc:#010x}" + (f" in {symbol}" if symbol else "")
-        return f"{text(fault.what)}, pc {at}, at {fault.time:.9g} s"
+        return f"{c_text(fault.what)}, pc {at}, at {fault.time:.9g} s"
 
     @property
     def figures(self) -> CData:

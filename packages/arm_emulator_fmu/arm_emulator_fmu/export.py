@@ -12,9 +12,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from arm_emulator.extension.base import Refusal, find_config_folder
-from arm_emulator.extension.compiler import CORE_FOLDER as CORE
-from arm_emulator.extension.compiler import TICK_FOLDERS as FOLDERS
-from arm_emulator.extension.compiler import compile_bytes, compute_fingerprint
+from arm_emulator.extension.compiler import (
+    CORE_FOLDER,
+    TICK_FOLDERS,
+    compile_bytes,
+    compute_fingerprint,
+)
 from arm_emulator.extension.machine import Scene
 from arm_emulator_fmu.model_description import (
     build_description,
@@ -99,7 +102,7 @@ def _included(*sources: str) -> dict[str, str]:
             if name not in found:
                 file = next(
                     folder / name
-                    for folder in (FOLDER, CORE, *FOLDERS)
+                    for folder in (FOLDER, CORE_FOLDER, *TICK_FOLDERS)
                     if (folder / name).is_file()
                 )
                 found[name] = file.read_text(encoding="utf-8")

@@ -16,12 +16,12 @@ from arm_emulator.extension.machine import (
     Scene,
     build_machine_unit,
     compute_largest_position,
+    cxx_number,
     find_input,
     list_further_inputs,
     list_modes,
     list_readings,
 )
-from arm_emulator.extension.machine import cxx_number as number
 from arm_emulator_fmu.variables import Variable
 
 FOLDER = Path(__file__).resolve().parent
@@ -71,8 +71,8 @@ inline constexpr int kImus = {len(scene.imus)}, kReadings = {len(list_readings(s
 inline constexpr int kInputs = {len(names)};  // of motors beside their command
 inline constexpr bool kHasInput[kInputs * kJoints + 1] = {{{has}}};
 inline constexpr bool kExternalWrench = {"true" if scene.external_wrench else "false"};
-inline constexpr double kPeriod = {number(scene.servo_period)};  // s, of the servo
-inline constexpr double kIntegrationStep = {number(scene.integrator.dt)};  // s
+inline constexpr double kPeriod = {cxx_number(scene.servo_period)};  // s, of the servo
+inline constexpr double kIntegrationStep = {cxx_number(scene.integrator.dt)};  // s
 inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
 inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
 inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
@@ -101,4 +101,4 @@ def _row(one: Variable) -> str:
 
 
 def _numbers(values: ArrayLike) -> str:
-    return ", ".join(map(number, np.atleast_1d(values)))
+    return ", ".join(map(cxx_number, np.atleast_1d(values)))

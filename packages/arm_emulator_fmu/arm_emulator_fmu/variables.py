@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from arm_emulator.extension.machine import OUTPUT_AXES as AXES
 from arm_emulator.extension.machine import (
+    OUTPUT_AXES,
     Output,
     Scene,
     Varied,
@@ -151,10 +151,10 @@ def _inputs(scene: Scene) -> list[Variable]:
             ("point", "m", "where the external force acts, in the frame of each link"),
         ):
             moved = tuple(link.name for link in scene.chain.links)
-            start = (0.0,) * (len(moved) * AXES)
+            start = (0.0,) * (len(moved) * OUTPUT_AXES)
             symbol, units = f"values.now.external_{name}[]", (unit,) * len(moved)
             row = _row(moved, ("external", name), symbol, "Float64", "input", what, units, start)
-            found.append(replace(row, rule="wrench", shape=(len(moved), AXES)))
+            found.append(replace(row, rule="wrench", shape=(len(moved), OUTPUT_AXES)))
         what = "whether external forces and moments are in axes of the world, not of the links"
         name_ = ("external", "world_axes")
         symbol = "values.now.external_world_axes"
@@ -203,7 +203,7 @@ def _measured(scene: Scene) -> list[Variable]:
                 what = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
                 name, symbol = (output.name, imu.name), _in_unit(output, m)
                 one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
-                found.append(replace(one, shape=(AXES,)))
+                found.append(replace(one, shape=(OUTPUT_AXES,)))
     return found
 
 

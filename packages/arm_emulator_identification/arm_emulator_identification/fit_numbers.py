@@ -18,9 +18,14 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from arm_emulator.extension.base import ANY_COMMANDS, ANY_STATE, Array, Refusal, coerce_array
-from arm_emulator.extension.machine import KNOWN_OUTPUTS as KNOWN
-from arm_emulator.extension.machine import STATE_ROWS as ROWS
-from arm_emulator.extension.machine import Scene, coerce_scene, list_outputs, list_variable_numbers
+from arm_emulator.extension.machine import (
+    KNOWN_OUTPUTS,
+    STATE_ROWS,
+    Scene,
+    coerce_scene,
+    list_outputs,
+    list_variable_numbers,
+)
 from arm_emulator_fleet import Fleet
 from arm_emulator_identification.residual_effects import lasting
 
@@ -207,8 +212,8 @@ def _steps(x: Array, width: Array, least: Array, most: Array) -> Array:
 
 def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
     reported = [one.name for one in list_outputs(scene) if not one.per_unit]
-    if name not in (*ROWS, *reported):
-        raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*ROWS, *reported)))
+    if name not in (*STATE_ROWS, *reported):
+        raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*STATE_ROWS, *reported)))
     rows = ANY_STATE.named(name).numbers(WHERE, values)
     ANY_STATE.named(name).check(WHERE, rows)
     if rows.shape != commands.shape:
@@ -238,6 +243,6 @@ def _run(scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[st
     for k, row in enumerate(rows):
         fleet.exchange(row)
         measured, state = fleet.measured, fleet.state
-        of = (getattr(measured if name in KNOWN else state, name) for name in names)
+        of = (getattr(measured if name in KNOWN_OUTPUTS else state, name) for name in names)
         found[:, k] = np.concatenate([*of], axis=1)
     return found

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.extension.base import Array
-from arm_emulator.extension.machine import VARIED_NAMES as NAMES
-from arm_emulator.extension.machine import Body, ChainJoint, Scene
-from arm_emulator.extension.machine import varied_of_child as of_child
+from arm_emulator.extension.machine import VARIED_NAMES, Body, ChainJoint, Scene, varied_of_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.torque_fit import IDENTIFIED, TorqueFit
 
@@ -90,7 +88,7 @@ def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
     after = np.sqrt(np.maximum(np.diag(J @ fit.covariance[here, here] @ J.T), 0.0))
     before = np.sqrt(np.diag(J @ np.diag(widths**2) @ J.T))
     old, new = (turn @ inertia.exponential(row) for row in (start, fit.values[here]))
-    for k, name in enumerate(NAMES):
+    for k, name in enumerate(VARIED_NAMES):
         unit = UNITS[name.split("_")[0]]
         identified = bool(after[k] < IDENTIFIED * before[k])
         yield Found(
@@ -102,4 +100,4 @@ def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
 def _in_child(joint: ChainJoint, numbers: Array) -> list[float]:
     """Return the ten numbers of `inertia.dynamic` in the frame of the joint's child link."""
     body = inertia.body_of(numbers)
-    return list(of_child(joint, body).values())
+    return list(varied_of_child(joint, body).values())

@@ -12,20 +12,14 @@ import numpy as np
 import yaml
 
 from arm_emulator.extension.base import (
-    LARGEST_YAML_FILE as MOST_BYTES,
-)
-from arm_emulator.extension.base import (
+    LARGEST_YAML_FILE,
     Array,
     Refusal,
     check_own,
+    edited_yaml,
     read_text,
     read_yaml,
-)
-from arm_emulator.extension.base import (
-    edited_yaml as edited,
-)
-from arm_emulator.extension.base import (
-    yaml_nodes as nodes_of,
+    yaml_nodes,
 )
 from arm_emulator.extension.machine import (
     Body,
@@ -252,8 +246,8 @@ def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
     If each has a place of its own, the rest of the text is kept. Where joints share a
     section by an alias, or a place is not there yet, the scene is written anew.
     """
-    text = read_text(file, MOST_BYTES)
-    nodes = {place: value for place, (_, value) in nodes_of(text).items()}
+    text = read_text(file, LARGEST_YAML_FILE)
+    nodes = {place: value for place, (_, value) in yaml_nodes(text).items()}
     shared = Counter(id(node) for node in nodes.values())
     wanted = [nodes.get(name) for name in values]
     if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
@@ -266,7 +260,7 @@ def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
         for node, value in zip(wanted, values.values(), strict=True)
         if node is not None
     ]
-    return edited(text, edits)
+    return edited_yaml(text, edits)
 
 
 def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:

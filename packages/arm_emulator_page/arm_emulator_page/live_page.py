@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import Column, Refusal, escape_markdown
-from arm_emulator.extension.base import ColumnRows as Rows
+from arm_emulator.extension.base import Column, ColumnRows, Refusal, escape_markdown
 from arm_emulator.extension.machine import Scene, select_values
 from arm_emulator.extension.page import Controls
 from arm_emulator_page.arm_scene import ArmScene
@@ -124,7 +123,7 @@ class LivePage:
 
     # Rows and pictures
 
-    def take(self, rows: Rows, dropped: int) -> None:
+    def take(self, rows: ColumnRows, dropped: int) -> None:
         """Take rows of the machine, and the number of those that were dropped so far."""
         with self.exclusive:
             self._dropped = dropped
@@ -295,7 +294,7 @@ class LiveHistory:
         self._every = 1  # of the rows of the whole run
         self.count = 0
 
-    def add(self, rows: Rows) -> None:
+    def add(self, rows: ColumnRows) -> None:
         """Add rows (K,) in the order of their ticks."""
         back = np.flatnonzero(np.diff(rows["tick"]) < 0)
         if len(back):
@@ -315,11 +314,11 @@ class LiveHistory:
         self._every, self.count = 1, 0
 
     @property
-    def newest(self) -> Rows:
+    def newest(self) -> ColumnRows:
         """The newest row (1,), or none (0,)."""
         return self._newest[-1:]
 
-    def near(self, tick: int) -> Rows:
+    def near(self, tick: int) -> ColumnRows:
         """Return the row (1,) that is nearest to a tick, or none (0,)."""
         first = self._newest["tick"][:1]
         rows = self._newest if len(first) and tick >= first[0] else self._whole
@@ -328,7 +327,7 @@ class LiveHistory:
         place = int(np.argmin(np.abs(rows["tick"] - tick)))
         return rows[place : place + 1]
 
-    def since(self, seconds: float, most: int) -> Rows:
+    def since(self, seconds: float, most: int) -> ColumnRows:
         """Return at most so many rows of the last seconds; infinity: of the whole run."""
         if not len(self._newest):
             return self._newest

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import Column
-from arm_emulator.extension.base import ColumnRows as Rows
+from arm_emulator.extension.base import Column, ColumnRows
 
 COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")
 FIRST = "q"  # quantity of the first plot
@@ -60,7 +59,7 @@ class SignalPlot:
         data: tuple[Any, ...] = self._chart.data
         return data
 
-    def show(self, rows: Rows) -> None:
+    def show(self, rows: ColumnRows) -> None:
         """Plot the chosen quantity of rows (K,)."""
         group = chosen(self._choice, self._groups)
         columns = self._groups[group]

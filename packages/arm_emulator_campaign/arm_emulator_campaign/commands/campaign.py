@@ -16,8 +16,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Refusal, RunOutputs, check_count, warn
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, RunOutputs, check_count, warn
 from arm_emulator.extension.commands import (
     Keep,
     PageAt,
@@ -73,7 +72,7 @@ def campaign(
     shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     page: PageAt = None,
     bag: Path | None = None,
-    kept: Keep = NOTHING,
+    kept: Keep = KEEP_NOTHING,
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
 
@@ -93,7 +92,7 @@ def campaign(
         bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
     kept.check("campaign")
-    if (kept != NOTHING or page is not None or bag is not None) and replay is None:
+    if (kept != KEEP_NOTHING or page is not None or bag is not None) and replay is None:
         rule = "come with --replay INDEX, which names the run"
         raise Refusal("campaign", "--record, --bag, --rerun and --page", rule, "no --replay")
     if bag is not None:
@@ -257,7 +256,7 @@ def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: 
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
-    recorded = kept != NOTHING or page is not None
+    recorded = kept != KEEP_NOTHING or page is not None
     code = output.judge("campaign", _failures(outcome))
     if bag is None and not recorded:
         return code

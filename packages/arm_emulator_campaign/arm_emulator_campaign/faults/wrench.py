@@ -8,12 +8,8 @@ from typing import Any, ClassVar
 
 from arm_emulator.extension.base import FORCE, MOMENT, POINT, Number, Section, number
 from arm_emulator.extension.machine import (
-    NO_WRENCH as NONE,
-)
-from arm_emulator.extension.machine import (
-    WRENCH_AXES as AXES,
-)
-from arm_emulator.extension.machine import (
+    NO_WRENCH,
+    WRENCH_AXES,
     Change,
     ExternalWrench,
     Scene,
@@ -35,16 +31,17 @@ class OnLink(Fault):
     """
 
     link: str
-    point: tuple[float, ...] = NONE
+    point: tuple[float, ...] = NO_WRENCH
     axes: str = "world"
 
     @classmethod
     def others(cls, section: Section) -> dict[str, Any]:
         """Return link, vectors and axes."""
         vectors = {
-            name: section.vector(bound.named(name)) or NONE for name, bound in cls.vectors.items()
+            name: section.vector(bound.named(name)) or NO_WRENCH
+            for name, bound in cls.vectors.items()
         }
-        axes = section.choice("axes", AXES, default="world")
+        axes = section.choice("axes", WRENCH_AXES, default="world")
         return {"link": section.text("link"), "axes": axes, **vectors}
 
     @classmethod
@@ -82,8 +79,8 @@ class Wrench(OnLink):
     kind: ClassVar[str] = "wrench"
     vectors: ClassVar[Mapping[str, Number]] = {"force": FORCE, "moment": MOMENT, "point": POINT}
 
-    force: tuple[float, ...] = NONE
-    moment: tuple[float, ...] = NONE
+    force: tuple[float, ...] = NO_WRENCH
+    moment: tuple[float, ...] = NO_WRENCH
 
     def wrench(self, period: float) -> ExternalWrench:
         """Return force and moment."""
@@ -111,4 +108,4 @@ class Impulse(OnLink):
         """Return the force."""
         contact = period * max(1, ticks_of(self.lasting, period))
         force = tuple(one / contact for one in self.impulse)
-        return ExternalWrench(force, NONE, self.point, self.axes)
+        return ExternalWrench(force, NO_WRENCH, self.point, self.axes)

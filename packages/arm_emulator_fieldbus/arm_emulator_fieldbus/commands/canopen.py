@@ -10,8 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Refusal, find_scene, parse_address, warn
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, parse_address, warn
 from arm_emulator.extension.commands import Clock, Keep, PageAt, SceneName, command, output, watched
 from arm_emulator.extension.machine import Plant, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
@@ -77,7 +76,7 @@ def canopen(
     sync_period: Annotated[float, Parameter(metavar="SECONDS")] = 0.0,
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    kept: Keep = KEEP_NOTHING,
 ) -> int:
     """Serve CANopen masters until Ctrl-C.
 

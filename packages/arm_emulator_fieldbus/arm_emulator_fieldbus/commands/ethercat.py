@@ -10,8 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Refusal, find_scene, warn
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, warn
 from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, watched
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import Scene, load_scene, withheld_words
@@ -37,7 +36,7 @@ def ethercat(
     lockstep: bool = False,
     realtime: bool = False,
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    kept: Keep = KEEP_NOTHING,
 ) -> int:
     """Serve an EtherCAT master until Ctrl-C.
 

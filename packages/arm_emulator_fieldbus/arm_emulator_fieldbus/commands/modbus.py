@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal
 from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, served_session
 from arm_emulator.extension.machine import load_scene
 from arm_emulator_fieldbus.converter import Converter, blocks
@@ -38,7 +37,7 @@ def modbus(
     link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
     registers: bool = False,
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    kept: Keep = KEEP_NOTHING,
 ) -> int:
     """Serve Modbus RTU masters until Ctrl-C.
 

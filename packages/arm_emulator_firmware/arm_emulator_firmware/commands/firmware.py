@@ -17,8 +17,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.base import KEEP_NOTHING as NOTHING
-from arm_emulator.extension.base import Refusal, find_scene, warn
+from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, warn
 from arm_emulator.extension.commands import (
     Keep,
     PageAt,
@@ -29,13 +28,12 @@ from arm_emulator.extension.commands import (
     command,
     ctrl_c_ends_at_once,
     output,
+    report_run,
     stay,
     ticks_of,
     watched,
 )
-from arm_emulator.extension.commands import report_run as report
-from arm_emulator.extension.machine import Diverged, load_scene
-from arm_emulator.extension.machine import explain_divergence as explain
+from arm_emulator.extension.machine import Diverged, explain_divergence, load_scene
 from arm_emulator.extension.runs import (
     Breakpoint,
     Recorder,
@@ -70,7 +68,7 @@ def firmware(
     stop_when: When = None,
     uart: Annotated[list[str] | None, Parameter(metavar="NAME=WHERE ...")] = None,
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    kept: Keep = KEEP_NOTHING,
 ) -> int:
     """Run unmodified firmware of a microcontroller in the loop with a machine.
 
@@ -113,13 +111,13 @@ def firmware(
             try:
                 desk.drive(one.advance, ticks)
             except (Diverged, FirmwareEnd) as fault:
-                print(explain(fault), file=sys.stderr)
-                output.facts({"scene": machine.name, "failed": explain(fault)})
+                print(explain_divergence(fault), file=sys.stderr)
+                output.facts({"scene": machine.name, "failed": explain_divergence(fault)})
                 return 1
         wall = time.perf_counter() - started
         wanted = None if table is None else find_last_target(machine, table, ticks)
         off = None if wanted is None else compute_tool_error(one.session, wanted)
-        report(one.session, ticks, wall, off)
+        report_run(one.session, ticks, wall, off)
         missed = "" if wanted is None else find_missed_target(one.session, wanted)
         figures = chip.figures
         awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0

@@ -16,11 +16,8 @@ from rich.table import Table
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from arm_emulator.extension.base import Array, find_config_folder
-from arm_emulator.extension.compiler import TICK_FOLDERS as FOLDERS
-from arm_emulator.extension.compiler import Header
-from arm_emulator.extension.compiler import c_pointer as pointer
-from arm_emulator.extension.machine import ARM_OK as OK
-from arm_emulator.extension.machine import SCHEMES, Plant, load_machine_with, load_scene
+from arm_emulator.extension.compiler import TICK_FOLDERS, Header, c_pointer
+from arm_emulator.extension.machine import ARM_OK, SCHEMES, Plant, load_machine_with, load_scene
 
 AXES = 6
 END = 1.8560450019  # s
@@ -90,7 +87,7 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
     """
     integrator = {"scheme": scheme, "dt": period, "events": events}
     scene = load_scene("manutec_r3", {"servo_period": period, "integrator": integrator})
-    header = Header(CONTROLLERS.with_suffix(".h"), FOLDERS)
+    header = Header(CONTROLLERS.with_suffix(".h"), TICK_FOLDERS)
     plant = Plant(
         scene, core=load_machine_with(scene, "controllers", CONTROLLERS.read_text(), header)
     )
@@ -116,10 +113,10 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
     out = np.empty((periods + 1, 5, AXES))
     began = time.perf_counter()
     result = plant.core.manutec_run(
-        plant.ticks, header.pointer("manutec_axis", axes), path, period, periods, pointer(out)
+        plant.ticks, header.pointer("manutec_axis", axes), path, period, periods, c_pointer(out)
     )
     seconds = time.perf_counter() - began
-    if result != OK:
+    if result != ARM_OK:
         raise plant.diverged or RuntimeError("manutec_run: refused")
     i, theta_m, omega_m, q, v = np.moveaxis(out, 1, 0)
     t: Array = period * np.arange(periods + 1.0)

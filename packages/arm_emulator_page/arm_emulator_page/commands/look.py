@@ -8,8 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.extension.bags import EVENT_KINDS as KINDS
-from arm_emulator.extension.bags import RecordedMachine, explain_moment
+from arm_emulator.extension.bags import EVENT_KINDS, RecordedMachine, explain_moment
 from arm_emulator.extension.commands import RunNumber, SceneName, command, output
 from arm_emulator.extension.page import TermsNow, Timeline
 from arm_emulator_page.run_page import RunPage
@@ -60,7 +59,7 @@ def look(
 
 def _subject(machine: RecordedMachine) -> RunView:
     events = tuple(
-        (tick, ", ".join(str(KINDS.get(one.kind, one.kind)) for one in made))
+        (tick, ", ".join(str(EVENT_KINDS.get(one.kind, one.kind)) for one in made))
         for tick, made in sorted(machine.changes.items())
     )
     return RunView.of(Timeline(machine), machine.last, events)
