@@ -97,13 +97,7 @@ class BatchSimulator:
             Refusal: values of this run that are out of range.
         """
         (found,) = self.runs([case])
-        return Outcome(
-            case.index,
-            case.values,
-            dict(zip(self._campaign.requirements, found.robustness[0].tolist(), strict=True)),
-            dict(zip(self._campaign.measures, found.measures[0].tolist(), strict=True)),
-            float(found.diverged[0]),
-        )
+        return Outcome.of(self._campaign, case, found)
 
     def _bind(self, case: Case) -> _Run:
         """Return a run as its arm gets it.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
     with RunBag(
         folder, simulator.session, {"campaign": f"run {case.index} of {campaign.file}"}
     ) as bag:
-        data = _scene_data(campaign, campaign.overrides, folder)
+        data = _scene_data(campaign, folder)
         (folder / BAG_SCENE_FILE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
         try:
             for _ in pieces:
@@ -45,17 +44,11 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
             pass  # `check-bag` reports the same
 
 
-def _scene_data(campaign: Campaign, overrides: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a campaign's scene as it stands in a file.
-
-    Args:
-        campaign: which one.
-        overrides: values in place of those of its scene's file, as `load_scene` takes them.
-        folder: where the file will be, from which others are named.
-    """
+def _scene_data(campaign: Campaign, folder: Path) -> dict[str, Any]:
+    """Return a campaign's scene as it stands in a file of a folder, from which it names others."""
     used = used_files(campaign.data, campaign.file)
     data, file = read_yaml(used["scene"]), used["scene"]
-    for name, value in overrides.items():
+    for name, value in campaign.overrides.items():
         if name == "payload.mass" and not isinstance(data.get("payload"), dict):
             name = "payload"  # a scene's short form
         override_keys(data, name, value, file.name)

@@ -5,102 +5,21 @@ from __future__ import annotations
 import concurrent.futures as cf
 import itertools
 import math
-import multiprocessing as mp
-import os
-import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator_campaign.batch_simulator import WIDTH
 from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.results import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
-from arm_emulator_campaign.worker import Done, end_with, simulate, simulator_of
+from arm_emulator_campaign.worker import Done, simulate, simulator_of
 from arm_emulator_campaign.worker_pool import Pool, Progress, Work, WorkerPool
 
-ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
-
-
-class LocalPool(cf.ProcessPoolExecutor):
-    """Processes on this machine, which end with this one."""
-
-    breaks: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-
-    def __init__(self, workers: int) -> None:
-        self.workers = workers
-        spawned = mp.get_context("spawn")
-        super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
-
-    def end(self) -> None:
-        """Let all workers write finished runs, and end them."""
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
-            processes = list((self._processes or {}).values())
-            for process in processes:
-                process.terminate()
-            self.shutdown(wait=True, cancel_futures=True)
-            for process in processes:
-                process.join(30.0)
-        finally:
-            signal.signal(signal.SIGINT, before)
-
-
-class DaskPool:
-    """The workers of a Dask cluster, which must see the same files.
-
-    Args:
-        address: of the scheduler.
-        patience: for so long it may not answer [s].
-        workers: chunks are for so many; None: for all that the cluster has, come and gone ones too.
-
-    Raises:
-        Refusal: Dask is not installed, or no scheduler answers.
-    """
-
-    def __init__(self, address: str, patience: float, workers: int | None = None) -> None:
-        require_package("campaign", "distributed", "distributed")
-        from distributed import Client
-        from distributed.comm.core import CommClosedError
-        from distributed.scheduler import KilledWorker
-
-        # A scheduler that ends cancels its tasks.
-        self.breaks: tuple[type[BaseException], ...] = (
-            cf.CancelledError, CommClosedError, KilledWorker
-        )  # fmt: skip
-        try:
-            self._client = Client(address, timeout=patience)
-        except (OSError, ValueError) as error:
-            rule = "be the address of a Dask scheduler"
-            raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
-        self._executor = self._client.get_executor(pure=False, retries=3)
-        self._given, self._asked, self._threads = workers, -math.inf, 1
-
-    @property
-    def workers(self) -> int:
-        """Number given, or of the cluster's threads, asked now and then; at least 1."""
-        if self._given is not None:
-            return self._given
-        if time.monotonic() - self._asked >= ASKED_EVERY:
-            threads: dict[str, int] = self._client.nthreads()
-            self._asked, self._threads = time.monotonic(), max(1, sum(threads.values()))
-        return self._threads
-
-    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
-        """Submit a call."""
-        future: cf.Future[Any] = self._executor.submit(function, *arguments)
-        return future
-
-    def end(self) -> None:
-        """Leave the cluster."""
-        self._executor.shutdown(wait=False)
-        self._client.close()
 
 
 def run_campaign(campaign: Campaign, results: Results, crew: WorkerPool) -> None:

@@ -86,11 +86,7 @@ class Fault:
         return replace(self, **changed)
 
     def check(self, scene: Scene, where: str) -> None:
-        """Refuse what this scene cannot have.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse what this scene cannot have."""
 
     def begins(self, scene: Scene) -> Change:
         """Return what is set in the machine when it begins."""

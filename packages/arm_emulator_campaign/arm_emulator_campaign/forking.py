@@ -58,11 +58,7 @@ class ForkingRun(Simulator):
 
     @staticmethod
     def check(campaign: Campaign) -> None:
-        """Refuse what cannot be forked, before anything is compiled.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse what cannot be forked, before anything is compiled."""
         _margin_of(campaign)
 
     def begin(self, index: int, seed: int) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array
+from arm_emulator_campaign.campaign_file import Campaign
+from arm_emulator_campaign.case import Case
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,17 @@ class Outcome:
     robustness: Mapping[str, float]
     measures: Mapping[str, float]
     diverged: float
+
+    @classmethod
+    def of(cls, campaign: Campaign, case: Case, judged: Outcomes) -> Outcome:
+        """Return the outcome of a run that was judged alone."""
+        return cls(
+            case.index,
+            case.values,
+            dict(zip(campaign.requirements, judged.robustness[0].tolist(), strict=True)),
+            dict(zip(campaign.measures, judged.measures[0].tolist(), strict=True)),
+            float(judged.diverged[0]),
+        )
 
     @property
     def failed(self) -> bool:
@@ -53,13 +66,6 @@ class Outcomes:
     robustness: Array
     measures: Array
     diverged: Array
-
-    @classmethod
-    def of(cls, one: Outcome) -> Outcomes:
-        """Return those of one run."""
-        named = one.values, one.robustness, one.measures
-        values, robustness, measures = (np.array([list(of.values())], np.float64) for of in named)
-        return cls(np.array([one.index]), values, robustness, measures, np.array([one.diverged]))
 
     @classmethod
     def joined(cls, several: Sequence[Outcomes]) -> Outcomes:

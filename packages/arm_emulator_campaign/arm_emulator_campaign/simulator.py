@@ -77,6 +77,13 @@ class Simulator:
             Refusal: values of this run that are out of range.
         """
         case = drawn_case(self._campaign.variation, which) if isinstance(which, int) else which
+        return Outcome.of(self._campaign, case, self._judge(case))
+
+    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
+        """Simulate runs one after the other, see `BatchSimulator.runs`."""
+        return map(self._judge, cases)
+
+    def _judge(self, case: Case) -> Outcomes:
         self._begin(case)
         sampler, judges = self._sampler, self._judges
         judges.begin()
@@ -93,19 +100,8 @@ class Simulator:
         finally:
             sampler.end()
         robustness, measures = judges.end(np.isfinite([diverged]))
-        return Outcome(
-            case.index,
-            case.values,
-            dict(zip(self._campaign.requirements, robustness[0].tolist(), strict=True)),
-            dict(zip(self._campaign.measures, measures[0].tolist(), strict=True)),
-            diverged,
-        )
-
-    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
-        """Simulate runs one after the other, see `BatchSimulator.runs`."""
-        for case in cases:
-            one = self.run(case)
-            yield Outcomes.of(one)
+        values = np.array([list(case.values.values())], np.float64)
+        return Outcomes(np.array([case.index]), values, robustness, measures, np.array([diverged]))
 
     def drive(
         self, case: Case, most: int = MOST, changed: Callable[[Change], None] | None = None

@@ -7,9 +7,10 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import Any
 
 from arm_emulator.extension.base import Refusal
+from arm_emulator_fieldbus.can_server import CanServer
 from arm_emulator_fieldbus.canopen_node import Frame
 from arm_emulator_fieldbus.canopen_segment import Segment
 
@@ -20,7 +21,7 @@ MOST_FRAMES = 200  # frames answered between two late servo periods
 
 
 @contextlib.contextmanager
-def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
+def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[PythonCanBus]:
     """Open a bus for a block.
 
     Raises:
@@ -45,24 +46,6 @@ def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Any]:
         yield PythonCanBus(bus)
     finally:
         bus.shutdown()
-
-
-class Bus(Protocol):
-    """Source and destination of frames."""
-
-    @property
-    def ignored(self) -> int:
-        """Number of received items that were not frames."""
-
-    def receive(self, timeout: float) -> Frame | None:
-        """Return the next frame, None if none comes in time [s].
-
-        Raises:
-            Refusal: the bus is gone.
-        """
-
-    def send(self, frame: Frame) -> None:
-        """Send a frame; a frame that the bus refuses is lost, as on a line."""
 
 
 class PythonCanBus:
@@ -108,6 +91,9 @@ class PythonCanBus:
             self._bus.send(message)
         except can.CanError as error:
             _report(f"a frame was not sent: {error}")
+
+
+Bus = PythonCanBus | CanServer
 
 
 def _of_the_system(error: BaseException | None) -> bool:

@@ -34,7 +34,7 @@ from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, case_with, drawn_case
 from arm_emulator_campaign.case_bag import write_case_bag
 from arm_emulator_campaign.evaluators import statements_about_the_start
-from arm_emulator_campaign.executor import DaskPool, LocalPool, run_campaign, seconds_per_run
+from arm_emulator_campaign.executor import run_campaign, seconds_per_run
 from arm_emulator_campaign.forking import forked_case
 from arm_emulator_campaign.outcome import Outcome
 from arm_emulator_campaign.report import write_report
@@ -45,7 +45,7 @@ from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
 from arm_emulator_campaign.splitter import Splitter, failed_forks
 from arm_emulator_campaign.summary import Summary, summary_of
-from arm_emulator_campaign.worker_pool import Pool, Progress, WorkerPool
+from arm_emulator_campaign.worker_pool import DaskPool, LocalPool, Pool, Progress, WorkerPool
 
 PATIENCE = 10.0  # s that a Dask scheduler may take to answer
 BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink

@@ -38,11 +38,7 @@ class NumberOfScene(Fault):
         return (section.text("name"),)
 
     def check(self, scene: Scene, where: str) -> None:
-        """Refuse a pattern of names, or a value out of the number's range.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse a pattern of names, or a value out of the number's range."""
         of = {one.name: one.number for one in scene.varied}
         if self.name not in of:
             raise Refusal(where, "name", "be one number, not a pattern", self.name, ", ".join(of))

@@ -8,10 +8,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.extension.base import number
 from arm_emulator_campaign.intervals import of_repetitions
 from arm_emulator_campaign.search.method import Finding, Method
+
+
+def chosen_places(count: int, of: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return `count` places of a list of `of` entries, each as often as others but for chance."""
+    order: NDArray[np.int64] = rng.permutation(of)
+    return order[((np.arange(count) + rng.random()) * of / count).astype(int)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -74,11 +74,7 @@ class CmaEs(Falsification):
     package: ClassVar[tuple[str, ...]] = ("cma", "cma")
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse fewer than two numbers.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse fewer than two numbers."""
         if len(variation.numbers) < 2:
             rule = "have at least two numbers that vary"
             raise section.refusal("method", rule, len(variation.numbers), "bayes")

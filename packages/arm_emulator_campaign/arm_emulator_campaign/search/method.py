@@ -70,11 +70,7 @@ class Method:
     of: str = ""
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse a campaign that it cannot search.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse a campaign that it cannot search."""
         if not variation.numbers:
             raise section.refusal("method", "have numbers that vary", "none")
 

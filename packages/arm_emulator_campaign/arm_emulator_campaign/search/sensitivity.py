@@ -25,11 +25,7 @@ class Sensitivity(Method):
     every: ClassVar[bool] = True
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse numbers that are not independent.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse numbers that are not independent."""
         super().check(section, variation)
         if variation.correlation is not None:
             rule = "have independent numbers, for which its indices are defined"
@@ -66,11 +62,7 @@ class Sobol(Sensitivity):
     )  # fmt: skip
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse a base for which its sequence is not balanced.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse a base for which its sequence is not balanced."""
         super().check(section, variation)
         if int(self.base) & (int(self.base) - 1):
             raise section.refusal("base", "be a power of two", int(self.base))
@@ -95,9 +87,7 @@ class Sobol(Sensitivity):
             found = analysis.analyze(
                 problem, centred, calc_second_order=False, conf_level=CONFIDENCE, seed=seed
             )
-            order = np.argsort(-found["ST"], kind="stable")
-            keys = ("ST", "ST_conf", "S1", "S1_conf")
-            return [(names[k], *(float(found[key][k]) for key in keys)) for k in order]
+            return _rows(names, found, ("ST", "ST_conf", "S1", "S1_conf"))
 
         about = f"Shares of the variance, {self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         head = ("in all", "+- in all", "alone", "+- alone")
@@ -119,11 +109,7 @@ class Morris(Sensitivity):
     )
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse an odd count of levels.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse an odd count of levels."""
         super().check(section, variation)
         if int(self.levels) % 2:
             raise section.refusal("levels", "be even", int(self.levels))
@@ -151,9 +137,7 @@ class Morris(Sensitivity):
             found = analysis.analyze(
                 problem, u, of, num_levels=levels, conf_level=CONFIDENCE, seed=seed
             )
-            order = np.argsort(-np.asarray(found["mu_star"]), kind="stable")
-            keys = ("mu_star", "mu_star_conf", "mu", "sigma")
-            return [(names[k], *(float(found[key][k]) for key in keys)) for k in order]
+            return _rows(names, found, ("mu_star", "mu_star_conf", "mu", "sigma"))
 
         low, high = 100.0 * TAIL, 100.0 * (TAIL + (1.0 - 2.0 * TAIL) * self._part)
         about = (
@@ -170,6 +154,14 @@ def _problem(names: Sequence[str], tail: float) -> dict[str, Any]:
     return {
         "num_vars": len(names), "names": list(names), "bounds": [[tail, 1.0 - tail]] * len(names),
     }  # fmt: skip
+
+
+def _rows(
+    names: Sequence[str], found: Mapping[str, Array], keys: Sequence[str]
+) -> Sequence[tuple[str | float, ...]]:
+    """Return each number's name and indices, the largest first index on top."""
+    order = np.argsort(-np.asarray(found[keys[0]]), kind="stable")
+    return [(names[k], *(float(found[key][k]) for key in keys)) for k in order]
 
 
 def _scores(u: Array) -> Array:

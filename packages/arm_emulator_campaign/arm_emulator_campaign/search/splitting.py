@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Section, number
-from arm_emulator_campaign.search.by_levels import ByLevels
+from arm_emulator_campaign.search.by_levels import ByLevels, chosen_places
 from arm_emulator_campaign.search.method import Finding
 from arm_emulator_campaign.variation import Variation
 
@@ -103,11 +102,7 @@ class Splitting(ByLevels):
     )
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse a search without one requirement; numbers need not vary, noise suffices.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse a search without one requirement; numbers need not vary, noise suffices."""
         if not self.of:
             raise section.refusal("of", "name the requirement whose margin leads to it", "nothing")
 
@@ -141,7 +136,7 @@ class Splitting(ByLevels):
                     origin = _set(process, starts, k, seeds)
                     process.reach(level)
                     reached.append((process.fork(), origin))
-            starts = _chosen(reached, N, rng)
+            starts = [reached[k] for k in chosen_places(N, len(reached), rng)]
 
     def repetition(
         self, process: Process[Any], levels: Sequence[float], seed: int, number: int
@@ -170,7 +165,7 @@ class Splitting(ByLevels):
             if level == 0.0:
                 failures = [origin for _, origin in reached]
             else:
-                starts = _chosen(reached, N, rng)
+                starts = [reached[k] for k in chosen_places(N, len(reached), rng)]
         return Repetition(math.prod(shares), runs, shares, failures)
 
     def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
@@ -219,10 +214,3 @@ def _set(
     state, before = starts[k]
     process.go_on(state, seeds[k])
     return Origin(before.index, (*before.seeds, (process.now, seeds[k])))
-
-
-def _chosen(states: Sequence[State], count: int, rng: np.random.Generator) -> list[State]:
-    """Return so many of the states, each as often as the others but for chance."""
-    order: NDArray[np.int64] = rng.permutation(len(states))
-    places = ((np.arange(count) + rng.random()) * len(states) / count).astype(int)
-    return [states[order[place]] for place in places.tolist()]

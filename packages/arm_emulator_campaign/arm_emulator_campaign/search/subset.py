@@ -20,10 +20,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Section, number
-from arm_emulator_campaign.search.by_levels import ByLevels
+from arm_emulator_campaign.search.by_levels import ByLevels, chosen_places
 from arm_emulator_campaign.search.method import Course, Finding
 from arm_emulator_campaign.variation import Variation
 
@@ -45,11 +44,7 @@ class Subset(ByLevels):
     )
 
     def check(self, section: Section, variation: Variation) -> None:
-        """Refuse levels without chains.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse levels without chains."""
         super().check(section, variation)
         if self.share * self.per_level < 2.0:
             rule = f"leave two chains a level, {2.0 / self.share:g} runs"
@@ -76,7 +71,8 @@ class Subset(ByLevels):
             going = np.flatnonzero(p > 0.0)
             if not len(going):
                 break
-            starts = [_chosen(np.flatnonzero(below[k]), chains, rng) for k in going]
+            reached = [np.flatnonzero(below[k]) for k in going]
+            starts = [places[chosen_places(chains, len(places), rng)] for places in reached]
             now = np.array([z[k][at] for k, at in zip(going, starts, strict=True)])
             of_now = np.array([margins[k][at] for k, at in zip(going, starts, strict=True)])
             z[going], margins[going], _ = yield from _chains(now, of_now, level, scale, N, rng)
@@ -110,15 +106,6 @@ class Subset(ByLevels):
         about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
         nothing = f"No level reached a failure of {of}: rarer than `least`, or impossible."
         return self._found(of, p.tolist(), runs, about, nothing)
-
-
-def _chosen(places: NDArray[np.int64], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return so many of the places, each as often as the others but for chance."""
-    order = rng.permutation(places)
-    some: NDArray[np.int64] = order[
-        ((np.arange(count) + rng.random()) * len(order) / count).astype(int)
-    ]
-    return some
 
 
 def _chains(

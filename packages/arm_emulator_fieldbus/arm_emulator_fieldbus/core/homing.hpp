@@ -30,7 +30,6 @@ class Homing {
     return phase_ == Phase::to_stop || phase_ == Phase::to_index || phase_ == Phase::slowing;
   }
 
-  void begin() { phase_ = Phase::idle; }
   void start(int one, std::int64_t position, std::int64_t pulses) {
     method_ = one;
     began_ = position;
@@ -46,7 +45,6 @@ class Homing {
   void interrupt() {
     if (moves()) phase_ = Phase::idle;
   }
-  void fail() { phase_ = Phase::failed; }
 
   // Direction: -1, 0 or 1.
   int direction() const {

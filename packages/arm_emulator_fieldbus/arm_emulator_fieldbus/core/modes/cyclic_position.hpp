@@ -31,10 +31,7 @@ class CyclicPosition final : public Mode {
     return {axis.number<0x60B1>(), axis.number<0x60B2>()};
   }
   std::uint16_t status(const Axis&, const Situation& now) const override {
-    std::uint16_t word = 0;
-    if (now.off) word |= status::bit13;
-    if (now.operates && !now.stops && !now.halted) word |= status::bit12;
-    return word;
+    return now.follows() | (now.off ? status::bit13 : 0);
   }
 
  private:

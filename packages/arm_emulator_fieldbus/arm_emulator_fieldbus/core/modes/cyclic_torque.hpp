@@ -19,7 +19,7 @@ class CyclicTorque final : public Mode {
     axis.demand.torque = static_cast<double>(axis.values.get<0x6071>() + axis.values.get<0x60B2>());
   }
   std::uint16_t status(const Axis&, const Situation& now) const override {
-    return now.operates && !now.stops && !now.halted ? status::bit12 : 0;
+    return now.follows();
   }
 };
 

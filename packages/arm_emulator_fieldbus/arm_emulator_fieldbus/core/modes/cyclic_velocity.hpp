@@ -18,7 +18,7 @@ class CyclicVelocity final : public Mode {
   }
   Offsets offsets(const Axis& axis) const override { return {0.0, axis.number<0x60B2>()}; }
   std::uint16_t status(const Axis&, const Situation& now) const override {
-    return now.operates && !now.stops && !now.halted ? status::bit12 : 0;
+    return now.follows();
   }
 };
 

@@ -33,6 +33,9 @@ struct Situation {
   bool stops;     // ... and about to leave it
   bool halted;    // slowed down by a stop or a halt
   bool off;       // the following error is beyond its window
+
+  // Bit 12 of the cyclic modes: the drive follows the targets.
+  std::uint16_t follows() const { return operates && !stops && !halted ? status::bit12 : 0; }
 };
 
 class Mode {
