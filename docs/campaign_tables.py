@@ -8,12 +8,12 @@ from dataclasses import fields
 
 from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator_campaign import campaign_file
-from arm_emulator_campaign.distributions import KINDS
-from arm_emulator_campaign.fault import known_faults
-from arm_emulator_campaign.scenario import AT, SECONDS
+from arm_emulator_campaign.definition import campaign_file
+from arm_emulator_campaign.definition.fault import known_faults
+from arm_emulator_campaign.definition.scenario import AT, SECONDS
+from arm_emulator_campaign.definition.varying_numbers import CORRELATION
+from arm_emulator_campaign.sampling.distributions import KINDS
 from arm_emulator_campaign.search import METHODS
-from arm_emulator_campaign.varying_numbers import CORRELATION
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:

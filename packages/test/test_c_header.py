@@ -27,7 +27,7 @@ from arm_emulator.toolchain.c_header import NULL, Header, Library, pointer, text
 from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator_fieldbus.drives_unit import DRIVES, DRIVES_CORE
 from arm_emulator_fieldbus.ethercat import SEGMENT
-from arm_emulator_firmware import FOLDER as MICROCONTROLLER
+from arm_emulator_firmware import CORE_FOLDER
 from arm_emulator_firmware.board import RUNNER
 from arm_emulator_fleet.unit import FLEET
 
@@ -44,7 +44,7 @@ HEADERS = (
     SEGMENT,
     RUNNER,
 )
-FOLDERS = (BOUNDARY, TICK_FOLDER, SERVO_FOLDER, HERE, DRIVES_CORE, MICROCONTROLLER)
+FOLDERS = (BOUNDARY, TICK_FOLDER, SERVO_FOLDER, HERE, DRIVES_CORE, CORE_FOLDER)
 IMPORT = "import arm_emulator.machine.plant.core_calls as c; print(c.ARM.functions)"
 
 

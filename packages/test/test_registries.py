@@ -15,15 +15,15 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import list_kinds, register_part
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator.machine.schemes.paper import Paper
-from arm_emulator_campaign.fault import known_faults
-from arm_emulator_campaign.faults.payload import Payload
+from arm_emulator_campaign.definition.fault import known_faults
+from arm_emulator_campaign.definition.faults.payload import Payload
 
 # Before anything of the emulator has read a registry, as in the first lines of a user's file.
 HIJACK = """
 import importlib, pkgutil, sys
 from arm_emulator.machine import parts, schemes
 from arm_emulator.machine.parts.part import Part
-from arm_emulator_campaign import fault, faults
+from arm_emulator_campaign.definition import fault, faults
 made = []
 for package in (parts, schemes, faults):
     for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):

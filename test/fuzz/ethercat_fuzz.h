@@ -2,7 +2,7 @@
 #ifndef ETHERCAT_FUZZ_H
 #define ETHERCAT_FUZZ_H
 
-#include "ethercat.h"
+#include "ethercat/ethercat.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -31,7 +31,7 @@ FUZZ = Header(Path(__file__).with_name("ethercat_fuzz.h"), (DRIVES_CORE, BOUNDAR
 
 def library() -> Library:
     """Return drives, segment and what makes the frames, in one library."""
-    source = '#include "ethercat.cpp"\n' + FUZZ.path.read_text() + _SOURCE.read_text()
+    source = '#include "ethercat/ethercat.cpp"\n' + FUZZ.path.read_text() + _SOURCE.read_text()
     about = "the EtherCAT segment and its frames"
     return compiled(drives_unit("ethercat-fuzz", source, (SEGMENT, FUZZ), about))
 

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
-from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.scenario import Scenario
 from arm_emulator_campaign.evaluators import Evaluators
-from arm_emulator_campaign.outcome import Outcome, Outcomes
 from arm_emulator_campaign.program import BLOCK, Targets
-from arm_emulator_campaign.scenario import Scenario
+from arm_emulator_campaign.results.outcome import Outcome, Outcomes
 from arm_emulator_campaign.signals import FleetSampler
 from arm_emulator_campaign.simulator import BoundCase, Simulator, bound
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet

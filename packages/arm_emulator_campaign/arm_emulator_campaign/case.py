@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.machine import LARGEST_SEED
-from arm_emulator_campaign.variation import Variation
+from arm_emulator_campaign.sampling.variation import Variation
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import yaml
 
 from arm_emulator.extension.base import read_yaml
 from arm_emulator.extension.machine import Change, Diverged, override_keys
-from arm_emulator_campaign.campaign_file import Campaign, used_files
 from arm_emulator_campaign.case import Case
+from arm_emulator_campaign.definition.campaign_file import Campaign, used_files
 from arm_emulator_campaign.shrinking import path_from
 from arm_emulator_campaign.simulator import Simulator
 

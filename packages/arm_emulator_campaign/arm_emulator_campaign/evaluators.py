@@ -28,10 +28,10 @@ from arm_emulator.extension.base import (
     parse_formula,
 )
 from arm_emulator.extension.machine import is_at_one_instant
-from arm_emulator_campaign.campaign_file import Campaign
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.scenario import ticks_of
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.scenario import ticks_of
 from arm_emulator_campaign.signals import units_of_signals
 
 Signals = Mapping[str, Array]

@@ -11,10 +11,10 @@ import numpy as np
 from arm_emulator.extension.base import Formula, Refusal, Window, bind_signals, parse_formula
 from arm_emulator.extension.machine import LARGEST_SEED, Change, Diverged, is_at_one_instant
 from arm_emulator.extension.runs import OfflineRun
-from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.scenario import ticks_of
 from arm_emulator_campaign.program import Program, Rows
-from arm_emulator_campaign.scenario import ticks_of
 from arm_emulator_campaign.search.splitting import Origin, Splitting
 from arm_emulator_campaign.signals import Sampler, units_of_signals
 from arm_emulator_campaign.simulator import ROOM, Simulator

@@ -17,9 +17,9 @@ import numpy as np
 import yaml
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case
-from arm_emulator_campaign.scenario import ticks_of
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.scenario import ticks_of
 from arm_emulator_campaign.simulator import Simulator
 
 FAULT = "faults."

@@ -19,13 +19,13 @@ from arm_emulator.extension.runs import (
     TableRun,
     TargetTable,
 )
-from arm_emulator_campaign.campaign_file import Campaign
 from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.definition.fault import changes_of
+from arm_emulator_campaign.definition.scenario import Move, Scenario, ticks_of
 from arm_emulator_campaign.evaluators import Evaluators
-from arm_emulator_campaign.fault import changes_of
-from arm_emulator_campaign.outcome import Outcome, Outcomes
 from arm_emulator_campaign.program import Targets
-from arm_emulator_campaign.scenario import Move, Scenario, ticks_of
+from arm_emulator_campaign.results.outcome import Outcome, Outcomes
 from arm_emulator_campaign.signals import Sampler
 
 ROOM = 4096  # samples in a batch for requirements

@@ -28,10 +28,10 @@ import yaml
 
 from arm_emulator.base.process import is_running, list_descendants
 from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
-from arm_emulator_campaign.outcome import Outcomes
-from arm_emulator_campaign.results import Results, digest_of, write_part
+from arm_emulator_campaign.definition.campaign_file import load_campaign
+from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.results.parts import Results, digest_of, write_part
 
 CAMPAIGN = {
     "scene": "three_axis",

@@ -25,12 +25,12 @@ from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.commands.campaign import campaign
+from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.evaluators import Checked
-from arm_emulator_campaign.outcome import Outcomes
-from arm_emulator_campaign.results import Results, digest_of, schema_of, write_part
+from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.results.parts import Results, digest_of, schema_of, write_part
 from arm_emulator_campaign.simulator import Simulator
 from bench.campaign_kills import Here, one_moment
 
@@ -459,9 +459,9 @@ def test_the_price_is_known_beforehand(tmp_path):
 
 
 def test_the_page_lists_what_a_file_may_have():
-    from arm_emulator_campaign.campaign_file import KEYS
+    from arm_emulator_campaign.definition.campaign_file import KEYS
+    from arm_emulator_campaign.definition.scenario import WAYS
     from arm_emulator_campaign.evaluators import REDUCTIONS
-    from arm_emulator_campaign.scenario import WAYS
     from docs.campaign_tables import TABLES
 
     page = (Path(__file__).parents[1] / "docs/reference/campaign.md").read_text()

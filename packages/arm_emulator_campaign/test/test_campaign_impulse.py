@@ -10,8 +10,8 @@ import yaml
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.tool_chain import ToolChain
-from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.simulator import Simulator
 
 HIT = {"kind": "impulse", "at": 0.005, "link": "tool", "impulse": [0.1, -0.2, 0.3]}

@@ -10,10 +10,14 @@ from draws import FULL
 from numpy.typing import NDArray
 from scipy import stats
 
-from arm_emulator_campaign.campaign_file import Stop
-from arm_emulator_campaign.executor import FIRST_STAGE, GROWTH
-from arm_emulator_campaign.intervals import clopper_pearson, of_repetitions, quantile_places
-from arm_emulator_campaign.summary import QUANTILES, Quantile
+from arm_emulator_campaign.definition.campaign_file import Stop
+from arm_emulator_campaign.execution.executor import FIRST_STAGE, GROWTH
+from arm_emulator_campaign.results.summary import QUANTILES, Quantile
+from arm_emulator_campaign.sampling.intervals import (
+    clopper_pearson,
+    of_repetitions,
+    quantile_places,
+)
 
 CAMPAIGNS = 2000
 COUNTS = (20, 50, 100, 300, 1000, 10_000)

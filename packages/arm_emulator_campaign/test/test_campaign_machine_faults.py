@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.simulator import Simulator
 
 SENT = {

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
 
-from arm_emulator_campaign.pictures import (
+from arm_emulator_campaign.results.pictures import (
     FAILS,
     HOLDS,
     MOST_LINES,

@@ -15,10 +15,10 @@ from arm_emulator.bags.run_bag import RunBag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.ros.recording.bag import Bag
-from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import drawn_case
 from arm_emulator_campaign.case_bag import write_case_bag
-from arm_emulator_campaign.scenario import ticks_of
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.scenario import ticks_of
 from arm_emulator_campaign.simulator import Simulator
 from arm_emulator_msgs.msg import MachineEvent
 

@@ -13,9 +13,9 @@ import yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.session.change import Change, NumberChange, WrenchChange
-from arm_emulator_campaign.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.fault import Fault, changes_of, known_faults
-from arm_emulator_campaign.varying_numbers import leaves
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.definition.fault import Fault, changes_of, known_faults
+from arm_emulator_campaign.definition.varying_numbers import leaves
 
 FAULTS: dict[str, dict[str, Any]] = {
     "push": {"kind": "wrench", "at": 0.1, "lasting": 0.05, "link": "tool", "force": [1, 2, 3],

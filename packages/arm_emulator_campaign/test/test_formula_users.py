@@ -19,10 +19,10 @@ from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_sc
 from arm_emulator.base.expression.formula import bind_signals, parse_formula
 from arm_emulator.machine.session.tool_chain import TOOL
 from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.forking import ForkingRun
-from arm_emulator_campaign.results import of_formula
+from arm_emulator_campaign.results.parts import of_formula
 from arm_emulator_campaign.simulator import Simulator
 
 SCENE = load_scene("three_axis")

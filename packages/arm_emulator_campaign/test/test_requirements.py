@@ -20,7 +20,7 @@ from arm_emulator.base.expression.formula import (
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.results import of_formula
+from arm_emulator_campaign.results.parts import of_formula
 
 PERIOD = 0.01
 NAMES = ("a", "b.c", "d")

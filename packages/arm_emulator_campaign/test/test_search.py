@@ -18,17 +18,17 @@ from scipy import optimize, special, stats
 
 from arm_emulator import Refusal
 from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import case_at, case_with, drawn_case
-from arm_emulator_campaign.intervals import of_repetitions
-from arm_emulator_campaign.results import Results, checksum_of, digest_of
+from arm_emulator_campaign.definition.campaign_file import load_campaign
+from arm_emulator_campaign.execution.searcher import Searcher
+from arm_emulator_campaign.execution.worker_pool import WorkerPool
+from arm_emulator_campaign.results.parts import Results, checksum_of, digest_of
+from arm_emulator_campaign.sampling.intervals import of_repetitions
 from arm_emulator_campaign.search.falsification import Bayes, CmaEs
 from arm_emulator_campaign.search.sensitivity import Morris, Sobol
 from arm_emulator_campaign.search.subset import Subset
-from arm_emulator_campaign.searcher import Searcher
 from arm_emulator_campaign.shrinking import fewest, shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator, bound
-from arm_emulator_campaign.worker_pool import WorkerPool
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PUSHED = {

@@ -12,17 +12,17 @@ from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.commands.campaign import case_of
+from arm_emulator_campaign.definition.campaign_file import load_campaign
+from arm_emulator_campaign.execution.splitter import Splitter, failed_forks
+from arm_emulator_campaign.execution.worker_pool import WorkerPool
 from arm_emulator_campaign.forking import ForkingRun, forked_case
-from arm_emulator_campaign.report import write_report
-from arm_emulator_campaign.results import Results
+from arm_emulator_campaign.results.parts import Results
+from arm_emulator_campaign.results.report import write_report
+from arm_emulator_campaign.results.summary import summary_of
 from arm_emulator_campaign.search.splitting import Origin, Splitting
 from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
-from arm_emulator_campaign.splitter import Splitter, failed_forks
-from arm_emulator_campaign.summary import summary_of
-from arm_emulator_campaign.worker_pool import WorkerPool
 
 DRIFTS = {
     "scene": "three_axis",

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.distributions import parse_distribution
-from arm_emulator_campaign.variation import Variation, Varying, correlation_of
+from arm_emulator_campaign.sampling.distributions import parse_distribution
+from arm_emulator_campaign.sampling.variation import Variation, Varying, correlation_of
 
 DISTRIBUTIONS = [
     ("uniform(-1, 3)", stats.uniform(-1, 4)),

@@ -11,8 +11,8 @@ import pytest
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.batch_simulator import WIDTH
-from arm_emulator_campaign.executor import chunk_of
-from arm_emulator_campaign.worker_pool import MOST_BREAKS, Progress, Work, WorkerPool
+from arm_emulator_campaign.execution.executor import chunk_of
+from arm_emulator_campaign.execution.worker_pool import MOST_BREAKS, Progress, Work, WorkerPool
 
 
 class Killed(Exception):

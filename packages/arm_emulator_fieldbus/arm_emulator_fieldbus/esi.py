@@ -9,7 +9,7 @@ from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
 from arm_emulator_fieldbus.object_dictionary import REALS, Entry
 
-# As in core/ethercat_sii.hpp.
+# As in core/ethercat/sii.hpp.
 MAILBOX = 256
 MAILBOX_OUT, MAILBOX_IN, OUTPUTS, INPUTS = 0x1000, 0x1100, 0x1200, 0x1500
 VENDOR = "arm_emulator"

@@ -1,4 +1,4 @@
-"""A segment of EtherCAT slaves, one CiA 402 drive per joint of a scene: core/ethercat.h."""
+"""A segment of EtherCAT slaves, one CiA 402 drive per joint of a scene: core/ethercat/ethercat.h."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, ETHERCAT, drives_unit
 MEMORY = 0x3000  # bytes of a slave
 LONGEST = 2048  # bytes of a frame that `Segment.frame` takes
 
-SEGMENT = Header(DRIVES_CORE / "ethercat.h", (*TICK_FOLDERS, SERVO_FOLDER))
+SEGMENT = Header(DRIVES_CORE / "ethercat/ethercat.h", (DRIVES_CORE, *TICK_FOLDERS, SERVO_FOLDER))
 
 
 def ethercat_unit() -> Unit:
     """Return drives and segment as a unit to compile."""
-    return drives_unit("ethercat", '#include "ethercat.cpp"\n', (SEGMENT,), "the EtherCAT segment")
+    source = '#include "ethercat/ethercat.cpp"\n'
+    return drives_unit("ethercat", source, (SEGMENT,), "the EtherCAT segment")
 
 
 ethercat_library = compile_once(ethercat_unit)

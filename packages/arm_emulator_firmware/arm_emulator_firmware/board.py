@@ -1,6 +1,6 @@
 """Board files: which registers of a microcontroller are wired to which part of a machine.
 
-docs/how_to/microcontroller.md has their keys. What is read are rows of the structs of runner.h.
+docs/how_to/microcontroller.md has their keys. What is read are rows of the structs of core/runner.h.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from arm_emulator.extension.base import REQUIRED, Number, Refusal, Section, read_yaml
 from arm_emulator.extension.compiler import BOUNDARY_FOLDER, CData, Header
 from arm_emulator.extension.machine import VOLTAGE_INPUT, Scene
-from arm_emulator_firmware import FOLDER
+from arm_emulator_firmware import CORE_FOLDER
 
 PAGE = 1024  # bytes that regions are multiples of
 PRIVATE = 0xE0000000  # where the processor's own registers begin
@@ -23,7 +23,7 @@ MOST_INTERRUPTS = 240
 MOST = 64  # entries of a section
 LARGEST = 1 << 28  # bytes of a region
 
-RUNNER = Header(FOLDER / "runner.h", (BOUNDARY_FOLDER,))
+RUNNER = Header(CORE_FOLDER / "runner.h", (BOUNDARY_FOLDER,))
 
 # Numbers of a board file, by their keys, in sections of these kinds.
 BOARD = (

@@ -1,4 +1,4 @@
-"""A microcontroller with firmware as control code of a `FirmwareLoop`: runner.h."""
+"""A microcontroller with firmware as control code of a `FirmwareLoop`: core/runner.h."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from arm_emulator.extension.compiler import (
     compiled_library,
 )
 from arm_emulator.extension.machine import ControlCode, Scene
-from arm_emulator_firmware import FOLDER
+from arm_emulator_firmware import CORE_FOLDER
 from arm_emulator_firmware.board import RUNNER, Board, board_struct
 from arm_emulator_firmware.elf_image import ElfImage
 from arm_emulator_firmware.unicorn_library import (
@@ -40,7 +40,7 @@ def runner_unit() -> Unit:
         Refusal: Unicorn is not installed.
     """
     source = f'#include "runner.cpp"\n// with Unicorn {unicorn_version()}\n'
-    folders = (FOLDER, BOUNDARY_FOLDER, unicorn_headers())
+    folders = (CORE_FOLDER, BOUNDARY_FOLDER, unicorn_headers())
     about, part = "the microcontroller's runner", "runner.cpp"
     headers, where = (RUNNER,), "microcontroller"
     return Unit("microcontroller", source, FLAGS, folders, headers, where, about, part)

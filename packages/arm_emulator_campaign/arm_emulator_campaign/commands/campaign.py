@@ -30,22 +30,28 @@ from arm_emulator.extension.compiler import ARITHMETIC
 from arm_emulator.extension.machine import Diverged
 from arm_emulator.extension.runs import Recorder
 from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.case import Case, case_with, drawn_case
 from arm_emulator_campaign.case_bag import write_case_bag
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.evaluators import statements_about_the_start
-from arm_emulator_campaign.executor import run_campaign, seconds_per_run
+from arm_emulator_campaign.execution.executor import run_campaign, seconds_per_run
+from arm_emulator_campaign.execution.searcher import Searcher
+from arm_emulator_campaign.execution.splitter import Splitter, failed_forks
+from arm_emulator_campaign.execution.worker_pool import (
+    DaskPool,
+    LocalPool,
+    Pool,
+    Progress,
+    WorkerPool,
+)
 from arm_emulator_campaign.forking import forked_case
-from arm_emulator_campaign.outcome import Outcome
-from arm_emulator_campaign.report import write_report
-from arm_emulator_campaign.results import ABOUT, INDEX, Results, column_units, digest_of
+from arm_emulator_campaign.results.outcome import Outcome
+from arm_emulator_campaign.results.parts import ABOUT, INDEX, Results, column_units, digest_of
+from arm_emulator_campaign.results.report import write_report
+from arm_emulator_campaign.results.summary import Summary, summary_of
 from arm_emulator_campaign.search.method import Finding
-from arm_emulator_campaign.searcher import Searcher
 from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
-from arm_emulator_campaign.splitter import Splitter, failed_forks
-from arm_emulator_campaign.summary import Summary, summary_of
-from arm_emulator_campaign.worker_pool import DaskPool, LocalPool, Pool, Progress, WorkerPool
 
 PATIENCE = 10.0  # s that a Dask scheduler may take to answer
 BYTES_PER_NUMBER = 9.0  # of a part, measured: doubles of random bits hardly shrink

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from arm_emulator.extension.base import Section, require_package
+from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.falsification import Bayes, CmaEs
 from arm_emulator_campaign.search.method import Method
 from arm_emulator_campaign.search.sensitivity import Morris, Sobol
 from arm_emulator_campaign.search.splitting import Splitting
 from arm_emulator_campaign.search.subset import Subset
-from arm_emulator_campaign.variation import Variation
 
 METHODS: dict[str, type[Method]] = {
     one.kind: one for one in (CmaEs, Bayes, Sobol, Morris, Subset, Splitting)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import number
-from arm_emulator_campaign.intervals import of_repetitions
+from arm_emulator_campaign.sampling.intervals import of_repetitions
 from arm_emulator_campaign.search.method import Finding, Method
 
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from arm_emulator.extension.base import Array, Section, number
+from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.method import Course, Finding, Method
-from arm_emulator_campaign.variation import Variation
 
 WORST = -1e9  # margin of a run that diverged
 

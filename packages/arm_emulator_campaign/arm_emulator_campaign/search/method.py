@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from arm_emulator.extension.base import Array, Section
-from arm_emulator_campaign.variation import Variation
+from arm_emulator_campaign.sampling.variation import Variation
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import special
 
 from arm_emulator.extension.base import Array, Section, number
+from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.method import Course, Finding, Method
-from arm_emulator_campaign.variation import Variation
 
 CONFIDENCE = 0.95
 TAIL = 0.01  # on either side of the quantiles that Morris' steps keep within

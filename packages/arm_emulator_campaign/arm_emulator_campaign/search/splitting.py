@@ -20,9 +20,9 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 
 from arm_emulator.extension.base import Section, number
+from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.by_levels import ByLevels, chosen_places
 from arm_emulator_campaign.search.method import Finding
-from arm_emulator_campaign.variation import Variation
 
 SEEDS = 2**32
 

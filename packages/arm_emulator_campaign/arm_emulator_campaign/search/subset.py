@@ -22,9 +22,9 @@ from typing import ClassVar
 import numpy as np
 
 from arm_emulator.extension.base import Array, Section, number
+from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.by_levels import ByLevels, chosen_places
 from arm_emulator_campaign.search.method import Course, Finding
-from arm_emulator_campaign.variation import Variation
 
 ACCEPTED = 0.44  # share of candidates at which chains forget soonest
 

@@ -7,12 +7,12 @@ from pathlib import Path
 from browser import chromium
 
 from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.campaign_file import load_campaign
 from arm_emulator_campaign.case import drawn_case
-from arm_emulator_campaign.outcome import Outcomes
-from arm_emulator_campaign.report import write_report
-from arm_emulator_campaign.results import Results, write_part
-from arm_emulator_campaign.summary import summary_of
+from arm_emulator_campaign.definition.campaign_file import load_campaign
+from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.results.parts import Results, write_part
+from arm_emulator_campaign.results.report import write_report
+from arm_emulator_campaign.results.summary import summary_of
 
 NARROW = 360  # px
 

@@ -49,7 +49,7 @@ def test_without_a_scheduler_the_client_ends_with_a_line(tmp_path, file, cluster
 
 
 def test_a_campaign_takes_all_workers_of_a_cluster(cluster):
-    from arm_emulator_campaign.worker_pool import DaskPool
+    from arm_emulator_campaign.execution.worker_pool import DaskPool
 
     _, address = cluster.options
     given, every = DaskPool(address, 60.0, 7), DaskPool(address, 60.0)

@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "canopen_sdo.hpp"
+#include "canopen/sdo.hpp"
 #include "drive.hpp"
 
 struct drives {

@@ -5,7 +5,7 @@
 #include <bit>
 #include <cstring>
 
-#include "canopen_rules.hpp"
+#include "canopen/rules.hpp"
 #include "object_dictionary.hpp"
 
 namespace fieldbus {

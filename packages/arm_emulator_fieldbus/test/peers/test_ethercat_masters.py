@@ -33,7 +33,7 @@ from arm_emulator_fieldbus.ethercat import Segment
 HERE = Path(__file__).resolve().parent
 SECONDS = 60.0 if FULL else 6.0  # of the motion
 DRIVES, BYTES = 6, 14
-MAILBOX = 256  # bytes, core/ethercat_sii.hpp
+MAILBOX = 256  # bytes, core/ethercat/sii.hpp
 ROW = 1 + 2 * DRIVES * BYTES  # of a log: whether the frame came back in time, outputs, inputs
 
 pytestmark = [

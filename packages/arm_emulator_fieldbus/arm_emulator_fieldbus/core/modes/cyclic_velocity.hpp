@@ -17,9 +17,7 @@ class CyclicVelocity final : public Mode {
     axis.demand.speed = axis.within_speed(asked, axis.motor_speed());
   }
   Offsets offsets(const Axis& axis) const override { return {0.0, axis.number<0x60B2>()}; }
-  std::uint16_t status(const Axis&, const Situation& now) const override {
-    return now.follows();
-  }
+  std::uint16_t status(const Axis&, const Situation& now) const override { return now.follows(); }
 };
 
 }  // namespace fieldbus

@@ -1,0 +1,1 @@
+"""A campaign as its file states it: scenario, faults, numbers that vary."""

@@ -1,0 +1,462 @@
+"""A campaign's file, read once, and what it means for one run after the other."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from arm_emulator.extension.base import (
+    LARGEST_YAML_FILE,
+    VERSION,
+    Number,
+    Refusal,
+    Section,
+    find_beside,
+    find_scene,
+    list_numbers,
+    read_bytes,
+    read_yaml,
+)
+from arm_emulator.extension.machine import LARGEST_SEED, Scene, load_scene
+from arm_emulator.extension.runs import (
+    MotionConfig,
+    ServoConfig,
+    check_fit,
+    check_rates,
+    load_motion_config,
+    load_servo_config,
+)
+from arm_emulator_campaign.definition.fault import Fault, known_faults
+from arm_emulator_campaign.definition.scenario import Scenario, read_scenario
+from arm_emulator_campaign.definition.varying_numbers import DRAWN, correlated, varying_numbers
+from arm_emulator_campaign.sampling.intervals import clopper_pearson
+from arm_emulator_campaign.sampling.variation import SAMPLINGS, Variation, correlation_of
+from arm_emulator_campaign.search import read_method
+from arm_emulator_campaign.search.method import Method
+
+COUNT = Number("count", at_least=1, at_most=10**12, whole=True, text="runs at most")
+SEED = Number("seed", at_least=0, at_most=LARGEST_SEED, whole=True, default=0,
+              text="another one draws other runs")  # fmt: skip
+WIDTH = Number("width", at_least=1e-9, at_most=1.0, default=0.0,
+               text="of the intervals of all shares of failures, at which it may end")  # fmt: skip
+CONFIDENCE = Number("confidence", above=0.5, at_most=0.999999, default=0.95, text="of intervals")
+WALL = Number("seconds", "s", above=0.0, at_most=1e9, default=math.inf, text="of wall time")
+ALL = 1000  # runs of a campaign that states no count
+KEYS = (
+    *("scene", "set", "controller", "scenario", "vary", "correlate", "sampling", "faults"),
+    *("requirements", "measures", "count", "stop", "seed", "search"),
+)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a campaign ends before all of its runs are done.
+
+    Attributes:
+        width: of the intervals of all shares; 0: it is not looked at.
+        confidence: of intervals.
+        seconds: of time; 0: any.
+    """
+
+    width: float
+    confidence: float
+    seconds: float
+
+    def interval(self, hits: int, count: int) -> tuple[float, float]:
+        """Return the interval of a share by the failures among so many runs.
+
+        A campaign that may end by `width` looks at its runs several times, and ends sooner where
+        its failures happen to be few. Half of the risk for each end makes up for it: without, 92.9
+        and 87.5 % were covered for 95 and 90 % stated.
+        """
+        risk = 1.0 - self.confidence
+        return clopper_pearson(hits, count, 1.0 - (0.5 * risk if self.width > 0.0 else risk))
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign as its file has it.
+
+    Attributes:
+        file: that it was read from.
+        scene: with all that varies as data of the machine.
+        overrides: what the scene has in place of its file's values, as `load_scene` takes them.
+        servo, motion: parameters of the controller, before what varies.
+        data: the file's sections that are read anew where numbers in them vary.
+        variation: of the numbers that vary.
+        requirements: by name, as written: a formula, or a section with a function of Python.
+        measures: by name, as written.
+        count: of runs.
+        stop: when it may end before.
+        search: the method that chooses the runs; None: they are sampled.
+        key: of all that decides what a run is, 32 bytes.
+    """
+
+    file: Path
+    scene: Scene
+    overrides: Mapping[str, Any]
+    servo: ServoConfig
+    motion: MotionConfig
+    data: Mapping[str, Any]
+    variation: Variation
+    requirements: Mapping[str, Any]
+    measures: Mapping[str, str]
+    count: int
+    stop: Stop
+    search: Method | None
+    key: bytes
+
+    @property
+    def where(self) -> str:
+        """The file, for refusals."""
+        return self.file.name
+
+    @property
+    def draws_sections(self) -> bool:
+        """Whether numbers of the file itself, or of the controller, vary."""
+        return any(number.name.split(".")[0] in DRAWN for number in self.variation.numbers)
+
+    @cached_property
+    def nominal(self) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
+        """Scenario, faults and servo where nothing varies."""
+        return self.with_values({})
+
+    def with_values(
+        self, values: Mapping[str, float]
+    ) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
+        """Return scenario, faults and servo with values of what varies in them.
+
+        Raises:
+            Refusal: a value that is out of its range.
+        """
+        servo, drawn = self.servo, {name.split(".")[0] for name in values}
+        known = self.nominal if values else None  # what does not vary is not read anew
+        changed = {key for key in DRAWN if key in self.data and (known is None or key in drawn)}
+        set_by_number = self._with_numbers(values) if known and "faults" in changed else None
+        if set_by_number is not None:
+            changed.remove("faults")
+        data = _unshared({key: self.data[key] for key in changed})
+        for name, value in values.items():
+            section = name.split(".")[0]
+            if section == "controller":
+                servo = with_gain(servo, name, value, self.where)
+            elif section in changed:
+                _put(data, name.split("."), value)
+        root = Section(data, self.where)
+        root.has("controller")
+        scenario = known[0] if known else None
+        faults = set_by_number or (known[1] if known else {})
+        if scenario is None or "scenario" in changed:
+            section_of = root.required_section("scenario")
+            scenario = read_scenario(section_of, self.scene, self.file.parent)
+            section_of.finish()
+        if "faults" in changed:
+            faults = _faults(root, self.scene)
+        return scenario, faults, servo
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[str, list[str]]]:
+        """Fault and path in it of each number of faults that varies."""
+        found = {}
+        for number in self.variation.numbers:
+            section, _, rest = number.name.partition(".")
+            of = [name for name in self.nominal[1] if rest.startswith(f"{name}.")]
+            if section == "faults" and of:
+                fault = max(of, key=len)
+                found[number.name] = fault, rest[len(fault) + 1 :].split(".")
+        return found
+
+    def _with_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
+        """Return the faults with other numbers; None: their section must be read."""
+        numbers: dict[str, list[tuple[Sequence[str], float]]] = {}
+        for name, value in values.items():
+            if name.startswith("faults."):
+                fault, path = self._places.get(name, ("", []))
+                numbers.setdefault(fault, []).append((path, value))
+        faults = dict(self.nominal[1])
+        for fault, given in numbers.items():
+            one = faults[fault].with_numbers(given) if fault else None
+            if one is None:
+                return None
+            one.check(self.scene, f"{self.where}: faults.{fault}")
+            faults[fault] = one
+        return faults
+
+
+def load_campaign(file: Path) -> Campaign:
+    """Read a campaign's file.
+
+    Raises:
+        Refusal: a key or value that is not taken, there or in a file that it names.
+    """
+    data = read_yaml(file)
+    root = Section(data, file.name)
+    root.text("scene")
+    controller = root.section("controller") or Section({}, file.name, "controller")
+    files = used_files(data, file)
+    for kind in ("servo", "motion"):
+        controller.has(kind)
+    scene_file = files["scene"]
+    servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
+    servo = with_gains(servo, controller, file.name)
+    patterns = _patterns(root)
+    of_scene = [one for one in patterns if one.split(".")[0] not in DRAWN]
+    scene, overrides = _scene(root, scene_file, of_scene)
+    check_fit(scene, servo, motion)
+    count = root.integer(replace(COUNT, default=0))
+    used = {"scene": read_bytes(scene_file, LARGEST_YAML_FILE), "urdf": scene.urdf.encode()}
+    used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
+    used |= _named_files(data, file.parent)
+    sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
+    numbers = varying_numbers(root, patterns, scene, servo, data)
+    pairs = correlated(root, [number.name for number in numbers])
+    correlation = correlation_of(pairs, numbers, file.name)
+    levels = Variation(numbers, "random", bytes(32), 1).levels
+    count = count or (levels if levels > 1 else ALL)
+    key = _key(data, used, root, count if sampling == "latin" else 0)
+    variation = Variation(numbers, sampling, key, count, correlation, file.name)
+    stop = root.section("stop")
+    campaign = Campaign(
+        file=file,
+        scene=scene,
+        overrides=overrides,
+        servo=servo,
+        motion=motion,
+        data=data,
+        variation=variation,
+        requirements=_texts(root, "requirements", (str, dict)),
+        measures=_texts(root, "measures", (str,)),
+        count=count,
+        stop=_stop(stop or Section({}, file.name, "stop")),
+        search=read_method(root, variation),
+        key=key,
+    )
+    for known in (*DRAWN, "requirements", "measures"):
+        root.has(known)
+    controller.finish()
+    if stop is not None:
+        stop.finish()
+    _check_keys(data, file.name)
+    _check_times(campaign)
+    return campaign
+
+
+def used_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
+    """Return the files of ``scene``, ``servo`` and ``motion`` of a campaign's file.
+
+    Raises:
+        Refusal: one is not there.
+    """
+    root = Section(dict(data), file.name)
+    beside = file.parent / root.text("scene")
+    scene = find_scene(beside if beside.is_file() else root.text("scene"))
+    controller = root.section("controller") or Section({}, file.name, "controller")
+    found = {"scene": scene}
+    for key in ("servo", "motion"):
+        found[key] = _file(controller, key, file) or find_beside(scene, key)
+    return found
+
+
+def _check_keys(data: Mapping[str, Any], where: str) -> None:
+    """Refuse keys of the file that nobody knows; sections are asked on their own."""
+    for key in data:
+        if key not in KEYS:
+            raise Refusal(where, f"key {key}", "be known", repr(key), ", ".join(KEYS))
+
+
+def _check_times(campaign: Campaign) -> None:
+    """Refuse faults of the file that begin when no run lasts so long."""
+    scenario, faults, _ = campaign.nominal
+    drawn = {number.name for number in campaign.variation.numbers}
+    for name, one in faults.items():
+        if {f"faults.{name}.at", "scenario.seconds"} & drawn or one.at < scenario.seconds:
+            continue
+        rule = f"be before the end of a run, {scenario.seconds:g} s"
+        raise Refusal(campaign.where, f"faults.{name}.at", rule, one.at)
+
+
+def _file(section: Section, key: str, campaign: Path) -> Path | None:
+    if not section.has(key):
+        return None
+    path = campaign.parent / section.text(key)
+    if not path.is_file():
+        raise section.refusal(key, "be a file beside the campaign's", section.text(key))
+    return path
+
+
+def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
+    """Return the contents of further files that decide what a run is."""
+    scenario = data.get("scenario")
+    table = scenario.get("table") if isinstance(scenario, dict) else None
+    named = [table] if isinstance(table, str) else []
+    requirements = data.get("requirements")
+    for one in requirements.values() if isinstance(requirements, dict) else ():
+        if isinstance(one, dict) and isinstance(one.get("python"), str):
+            named.append(one["python"].partition(":")[0])
+    return {name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()}
+
+
+def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int) -> bytes:
+    """Return the hash of all that decides what a run with an index is."""
+    deciding = {key: value for key, value in data.items() if key not in ("count", "stop")}
+    digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} {count}\0".encode())
+    digest.update(json.dumps(deciding, sort_keys=True, default=str).encode())
+    for name, content in sorted(used.items()):
+        digest.update(f"\0{name} {len(content)}\0".encode())
+        digest.update(content)
+    return digest.digest()
+
+
+def _stop(section: Section) -> Stop:
+    width, confidence = section.number(WIDTH), section.number(CONFIDENCE)
+    return Stop(width, confidence, section.number(WALL))
+
+
+def _texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
+    section = root.section(key)
+    if section is None:
+        return {}
+    found = {}
+    for name in section.keys():
+        value = section.value(name)
+        if not re.fullmatch(r"[A-Za-z_][\w-]*", name):
+            raise section.refusal(name, "have a name of letters, digits, _ and -", repr(name))
+        if not isinstance(value, kinds):
+            raise section.refusal(name, "be a text", repr(value))
+        found[name] = value
+    return found
+
+
+def _patterns(root: Section) -> list[str]:
+    section = root.section("vary")
+    if section is None:
+        return []
+    for name in section.keys():
+        if section.value(name) is None:  # such as `1)` of {a: uniform(0, 1)}
+            valid = "within braces a text with a comma needs quotes, {name: 'uniform(0, 1)'}"
+            raise section.refusal(name, "have a distribution", "nothing", valid)
+    return section.keys()
+
+
+def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, Mapping[str, Any]]:
+    """Return the scene, with all that varies as data of the machine, and its overrides."""
+    held = read_yaml(file)
+    given = root.section("set")
+    overrides: dict[str, Any] = {} if given is None else {
+        key: given.value(key) for key in given.keys()
+    }  # fmt: skip
+    wanted, of_faults = list(held.get("varied") or []), dict[str, Section]()
+    for kind, section in _kinds(root):
+        overrides = kind.needs({**held, **overrides}) | overrides
+        of_faults |= dict.fromkeys(kind.sets(section), section)
+    wanted += of_faults
+    scene = _set_in(file, overrides, root.where)
+    if scene.sensed:
+        wanted.append("seed")
+        overrides = {"seed": scene.seed} | overrides
+    if not patterns and not wanted:
+        return scene, overrides
+    overrides = overrides | {"varied": [*wanted, *patterns]}
+    try:
+        return load_scene(file, overrides), overrides
+    except Refusal as no:
+        if no.quantity != "varied":
+            raise
+        rule = "name a number that can vary"
+        if no.got in of_faults:
+            raise of_faults[no.got].refusal("name", rule, no.got, no.valid) from None
+        valid = f"{no.valid}, or numbers of {', '.join(f'{one}.' for one in DRAWN)}"
+        raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
+
+
+def _set_in(file: Path, overrides: Mapping[str, Any], where: str) -> Scene:
+    """Return a scene with overrides; a refusal names the file that has what is not taken."""
+    try:
+        return load_scene(file, overrides)
+    except Refusal as no:
+        load_scene(file)  # refuses its own
+        raise Refusal(f"{where}, set", no.quantity, no.rule, no.got, no.valid) from None
+
+
+def _kinds(root: Section) -> list[tuple[type[Fault], Section]]:
+    """Return the kind of each fault, and its section."""
+    faults = root.section("faults")
+    sections = [] if faults is None else [faults.required_section(name) for name in faults.keys()]
+    return [(_kind(section), section) for section in sections]
+
+
+def _kind(section: Section) -> type[Fault]:
+    known = known_faults()
+    kind = section.text("kind")
+    if kind not in known:
+        raise section.refusal("kind", "be a known fault", repr(kind), ", ".join(known))
+    return known[kind]
+
+
+def _faults(root: Section, scene: Scene) -> dict[str, Fault]:
+    section = root.required_section("faults")
+    found = {}
+    for name in section.keys():
+        below = section.required_section(name)
+        found[name] = _kind(below).read(below)
+        found[name].check(scene, f"{root.where}: faults.{name}")
+    section.finish()
+    return found
+
+
+def _unshared(data: Any) -> Any:
+    """Return a copy in which nothing is shared, as anchors of YAML do."""
+    if isinstance(data, dict):
+        return {key: _unshared(one) for key, one in data.items()}
+    return [_unshared(one) for one in data] if isinstance(data, list) else data
+
+
+def _put(data: Any, path: Sequence[str], value: float) -> None:
+    """Put a number in its place, which is there; names of joints may have dots."""
+    key: int | str = ""
+    if isinstance(data, list):
+        key, size = int(path[0]), 1
+    else:
+        sizes = range(len(path), 0, -1)
+        size = next(size for size in sizes if ".".join(path[:size]) in data)
+        key = ".".join(path[:size])
+    if size == len(path):
+        data[key] = value
+    else:
+        _put(data[key], path[size:], value)
+
+
+def with_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
+    """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
+    *path, key = name.split(".")
+    joint = ".".join(path[2:])
+    of_joint = next((one for one in servo.joints if one.name == joint), None)
+    numbers = {} if of_joint is None else list_numbers(type(of_joint))
+    if path[:2] != ["controller", "joints"] or of_joint is None:
+        valid = ", ".join(f"controller.joints.{name}" for name in servo.joint_names)
+        raise Refusal(where, name, "be a number of the servo", name, valid)
+    if key not in numbers:
+        raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
+    changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
+    check_rates(changed, servo.period, f"{where}: controller")
+    return replace(
+        servo, joints=tuple(changed if joint is of_joint else joint for joint in servo.joints)
+    )
+
+
+def with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
+    """Return a servo with all numbers that a section of the controller states."""
+    joints = controller.section("joints")
+    for joint in () if joints is None else joints.keys():
+        section = joints.required_section(joint)  # type: ignore[union-attr]
+        for key in section.keys():
+            name = f"controller.joints.{joint}.{key}"
+            servo = with_gain(servo, name, section.value(key), where)
+    return servo

@@ -1,0 +1,111 @@
+"""Something acts on a link: it pushes, or hits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from arm_emulator.extension.base import FORCE, MOMENT, POINT, Number, Section, number
+from arm_emulator.extension.machine import (
+    NO_WRENCH,
+    WRENCH_AXES,
+    Change,
+    ExternalWrench,
+    Scene,
+    WrenchChange,
+    move_to_moving_link,
+)
+from arm_emulator_campaign.definition.fault import Fault, register_fault
+from arm_emulator_campaign.definition.scenario import ticks_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnLink(Fault):
+    """Base of faults that act on a link.
+
+    Attributes:
+        link: of the URDF, one that moves.
+        point: in the link's frame [m].
+        axes: those of the link's frame, or of the world.
+    """
+
+    link: str
+    point: tuple[float, ...] = NO_WRENCH
+    axes: str = "world"
+
+    @classmethod
+    def others(cls, section: Section) -> dict[str, Any]:
+        """Return link, vectors and axes."""
+        vectors = {
+            name: section.vector(bound.named(name)) or NO_WRENCH
+            for name, bound in cls.vectors.items()
+        }
+        axes = section.choice("axes", WRENCH_AXES, default="world")
+        return {"link": section.text("link"), "axes": axes, **vectors}
+
+    @classmethod
+    def needs(cls, scene: Mapping[str, Any]) -> dict[str, Any]:
+        """Return that wrenches may act."""
+        return {"external_wrench": True}
+
+    def wrench(self, period: float) -> ExternalWrench:
+        """Return what acts, by the servo period [s]."""
+        raise NotImplementedError
+
+    def check(self, scene: Scene, where: str) -> None:
+        """Refuse a link that does not move."""
+        move_to_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
+
+    def begins(self, scene: Scene) -> Change:
+        """Return what acts."""
+        return WrenchChange(self.link, self.wrench(scene.servo_period))
+
+    def ends(self) -> Change:
+        """Return that nothing acts."""
+        return WrenchChange(self.link, ExternalWrench())
+
+
+@register_fault
+@dataclass(frozen=True, kw_only=True)
+class Wrench(OnLink):
+    """A force and a moment act on a link.
+
+    Attributes:
+        force: [N].
+        moment: about the point [N m].
+    """
+
+    kind: ClassVar[str] = "wrench"
+    vectors: ClassVar[Mapping[str, Number]] = {"force": FORCE, "moment": MOMENT, "point": POINT}
+
+    force: tuple[float, ...] = NO_WRENCH
+    moment: tuple[float, ...] = NO_WRENCH
+
+    def wrench(self, period: float) -> ExternalWrench:
+        """Return force and moment."""
+        return ExternalWrench(self.force, self.moment, self.point, self.axes)
+
+
+@register_fault
+@dataclass(frozen=True, kw_only=True)
+class Impulse(OnLink):
+    """Something hits a link: a force acts for the time of contact, whole servo periods.
+
+    Attributes:
+        impulse: force times time [N s].
+    """
+
+    kind: ClassVar[str] = "impulse"
+    vectors: ClassVar[Mapping[str, Number]] = {
+        "impulse": Number("impulse", "N s", at_least=-1e4, at_most=1e4), "point": POINT
+    }  # fmt: skip
+
+    lasting: float = number("s", above=0.0, at_most=1.0, default=1e-9, text="contact")
+    impulse: tuple[float, ...]
+
+    def wrench(self, period: float) -> ExternalWrench:
+        """Return the force."""
+        contact = period * max(1, ticks_of(self.lasting, period))
+        force = tuple(one / contact for one in self.impulse)
+        return ExternalWrench(force, NO_WRENCH, self.point, self.axes)

@@ -1,0 +1,86 @@
+"""Numbers of a campaign that vary, and those that vary together."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from arm_emulator.extension.base import Number, Refusal, Section, list_numbers
+from arm_emulator.extension.machine import Scene
+from arm_emulator.extension.runs import ServoConfig
+from arm_emulator_campaign.definition.fault import known_faults
+from arm_emulator_campaign.sampling.distributions import parse_distribution
+from arm_emulator_campaign.sampling.variation import Varying
+
+DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
+CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
+
+
+def varying_numbers(
+    root: Section,
+    patterns: Sequence[str],
+    scene: Scene,
+    servo: ServoConfig,
+    data: Mapping[str, Any],
+) -> list[Varying]:
+    """Return what varies, in the order of the file."""
+    known = {one.name: (one.number.unit, one.value) for one in scene.varied}
+    for name, value in leaves(data.get("scenario")):
+        known[f"scenario.{name}"] = "", value
+    faults = root.section("faults")
+    for fault in () if faults is None else faults.keys():
+        kind = known_faults()[data["faults"][fault]["kind"]]
+        for name, value in leaves(data["faults"][fault]):
+            known[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
+    for joint in servo.joints:
+        for name, number in list_numbers(type(joint)).items():
+            value = getattr(joint, name)
+            known[f"controller.joints.{joint.name}.{name}"] = number.unit, value
+    section_of_vary = root.section("vary")
+    found: dict[str, Varying] = {}
+    for pattern in patterns:
+        assert section_of_vary is not None
+        quantity = f"vary.{pattern}"
+        given = parse_distribution(section_of_vary.value(pattern), root.where, quantity)
+        names = fnmatch.filter(known, pattern)
+        if not names:
+            prefix = pattern.split(".")[0]
+            valid = ", ".join(name for name in known if name.startswith(prefix)) or "none"
+            raise Refusal(root.where, quantity, "name existing numbers", pattern, valid)
+        for name in names:
+            if name in found:
+                raise Refusal(root.where, quantity, "name each number once", name)
+            unit, value = known[name]
+            found[name] = Varying(name, unit, given, float(value))
+    return list(found.values())
+
+
+def correlated(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
+    """Return groups of these names, and the correlation of each with each."""
+    pairs = []
+    for place, entry in enumerate(root.entries("correlate")):
+        root.put(f"correlate.{place}", entry)
+        one = root.required_section(f"correlate.{place}")
+        patterns = one.entries("between")
+        of = [name for name in names if any(fnmatch.fnmatch(name, str(p)) for p in patterns)]
+        missing = [str(p) for p in patterns if not fnmatch.filter(names, str(p))]
+        if missing or len(of) < 2:
+            got = ", ".join(missing) or ", ".join(of) or "none"
+            raise one.refusal("between", "name two numbers that vary", got, ", ".join(names))
+        pairs.append((of, one.number(CORRELATION)))
+        one.finish()
+    return pairs
+
+
+def leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
+    """Yield all numbers below a section, by their dotted names."""
+    items: Any = ()
+    if isinstance(data, dict):
+        items = data.items()
+    elif isinstance(data, list):
+        items = enumerate(data)
+    elif isinstance(data, int | float) and not isinstance(data, bool):
+        yield path, float(data)
+    for key, value in items:
+        yield from leaves(value, f"{path}.{key}" if path else str(key))

@@ -1,0 +1,1 @@
+"""Runs and searches divided among processes."""

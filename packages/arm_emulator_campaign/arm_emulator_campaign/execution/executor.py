@@ -1,0 +1,127 @@
+"""Runs of a campaign by several processes; finished runs outlive any killed process."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import itertools
+import math
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator_campaign.batch_simulator import WIDTH
+from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.execution.worker import Done, simulate, simulator_of
+from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
+from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
+
+FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
+
+
+def run_campaign(campaign: Campaign, results: Results, crew: WorkerPool) -> None:
+    """Simulate what is missing, to the end or until the campaign may stop.
+
+    Raises:
+        Refusal: a run that is not taken, or workers that end again and again.
+        KeyboardInterrupt: after what was done has been written.
+    """
+    columns = results.columns()
+    failures = failures_in(campaign, columns, campaign.count)
+    progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
+    for count in stages_of(campaign):
+        _complete(campaign, results, crew, progress, count)
+        if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
+            return
+
+
+def _complete(
+    campaign: Campaign, results: Results, crew: WorkerPool, progress: Progress, count: int
+) -> None:
+    """Simulate what is missing among the first `count` runs."""
+
+    def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
+        left = sum(end - first for first, end in missing)
+        size = chunk_of(left, pool.workers, max(1, crew.largest >> killed))
+        _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
+
+    with Work(campaign, crew, progress) as all_of_it:
+        all_of_it.complete(lambda _: results.missing(count), work)
+
+
+def _work(
+    campaign: Campaign,
+    results: Results,
+    crew: WorkerPool,
+    pool: Pool,
+    chunks: Iterable[tuple[int, int]],
+    progress: Progress,
+) -> None:
+    """Work on chunks, two under way for each worker, until all are done or the time is over."""
+    of_all = str(campaign.file.absolute()), campaign.key, str(results.folder.absolute())
+    todo, waiting = iter(chunks), set[cf.Future[Done]]()
+    while True:
+        for first, end in itertools.islice(todo, max(0, 2 * pool.workers - len(waiting))):
+            waiting.add(pool.submit(simulate, *of_all, first, end))
+        if not waiting:
+            return
+        done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
+        for one in done:
+            progress.add(one.result())
+        crew.report(progress)
+        if progress.late(campaign.stop.seconds):
+            return
+
+
+def chunk_of(runs: int, workers: int, largest: int) -> int:
+    """Return the size of chunks that end with all workers busy, at least two for each."""
+    rounds = max(2, math.ceil(runs / (largest * workers)))
+    size = math.ceil(runs / (rounds * workers))
+    return size if size < WIDTH else min(largest, size + -size % WIDTH)  # lanes are full
+
+
+def stages_of(campaign: Campaign) -> Iterator[int]:
+    """Yield the counts of runs after which a campaign may stop: the same however it is divided."""
+    count = FIRST_STAGE
+    while campaign.stop.width > 0.0 and count < campaign.count:
+        yield count
+        count = math.ceil(GROWTH * count)
+    yield campaign.count
+
+
+def failures_in(campaign: Campaign, columns: dict[str, NDArray[Any]], count: int) -> list[int]:
+    """Return how often each requirement, and any of them last, failed in the first runs."""
+    first = columns[INDEX] < count
+    failed = [
+        int(np.count_nonzero(~(columns[f"{ROBUSTNESS}{name}"][first] >= 0.0)))
+        for name in campaign.requirements
+    ]
+    return [*failed, int(np.count_nonzero(columns[FAILED][first]))]
+
+
+def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
+    """Return whether the shares of failures are known well enough from the first runs."""
+    stop = campaign.stop
+    if stop.width <= 0.0:
+        return False
+    found = failures_in(campaign, results.columns(), count)
+    intervals = (stop.interval(failed, count) for failed in found)
+    return all(high - low <= stop.width for low, high in intervals)
+
+
+def seconds_per_run(campaign: Campaign) -> tuple[float, float]:
+    """Return the processor time of a run and that of a start [s], measured."""
+    began = time.process_time()
+    _, simulator = simulator_of(str(campaign.file.absolute()), campaign.key)
+    some = [drawn_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
+    list(simulator.runs(some[:1]))
+    ready, runs = time.process_time(), 0
+    while runs < 3 or time.process_time() - ready < 0.2:
+        runs += len(some)
+        list(simulator.runs(some))
+        if time.process_time() - ready > 5.0:
+            break
+    return (time.process_time() - ready) / runs, ready - began

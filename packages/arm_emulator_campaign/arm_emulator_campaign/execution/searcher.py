@@ -1,0 +1,151 @@
+"""A search by several processes: batches of runs, each chosen from the margins of those before."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Array, Refusal, write_atomically
+from arm_emulator_campaign.case import case_at
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.execution.executor import failures_in
+from arm_emulator_campaign.execution.worker import Done, simulate
+from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
+from arm_emulator_campaign.results.parts import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
+from arm_emulator_campaign.search.method import Finding
+
+FOUND = "search.json"
+LEAST = "any requirement"
+
+
+def write_findings(results: Results, found: Sequence[Finding]) -> None:
+    """Write what a search has found beside the results."""
+    write_atomically(results.folder / FOUND, json.dumps([asdict(one) for one in found], indent=1))
+
+
+class Searcher:
+    """Takes a campaign's search through its course.
+
+    Its batches depend on nothing but the campaign. What is among the results already is not
+    simulated again, so that a search that was interrupted goes on where it was.
+
+    Args:
+        campaign: with a search.
+        results: where to.
+        crew: simulates; the workers of its pool share a batch.
+    """
+
+    def __init__(self, campaign: Campaign, results: Results, crew: WorkerPool) -> None:
+        assert campaign.search is not None
+        self._campaign, self._results, self._method = campaign, results, campaign.search
+        self._crew = crew
+        self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
+        self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
+        self._varying = [number.name for number in campaign.variation.numbers]
+        self._next = 0
+        columns = self._read()
+        failures = failures_in(campaign, columns, 2**62)
+        count = self._method.runs(len(self._varying))
+        self._progress = Progress(count, len(self._known), failures=failures)
+        self._work = Work(campaign, crew, self._progress)
+
+    def run(self) -> list[Finding]:
+        """Search to the end; return what was found, which is written beside the results, too.
+
+        Raises:
+            Refusal: a run that is not taken, or workers that end again and again.
+            KeyboardInterrupt: after what was done has been written.
+        """
+        requirements, seed = self._campaign.requirements, int.from_bytes(self._campaign.key[16:24])
+        names = self._outputs if self._method.every else [self._method.of or LEAST]
+        names = [name.removeprefix(ROBUSTNESS) for name in names]
+        course = self._method.sampler(self._varying, names, seed)
+        try:
+            points = next(course)
+            while True:
+                outputs = self._batch(points)
+                if not self._method.every:
+                    of = [*requirements].index(self._method.of) if self._method.of else None
+                    margins = outputs[:, : len(requirements)]
+                    outputs = (margins.min(axis=1) if of is None else margins[:, of])[:, None]
+                points = course.send(outputs)
+        except StopIteration as end:
+            found: list[Finding] = end.value
+        finally:
+            self._work.end()
+        write_findings(self._results, found)
+        return found
+
+    def _read(self) -> dict[str, NDArray[Any]]:
+        """Take the runs that are done from the results, and return their columns."""
+        columns = self._results.columns()
+        self._known = {int(index): place for place, index in enumerate(columns[INDEX])}
+        self._values = np.column_stack([columns[name] for name in self._varying])
+        self._of_known = np.column_stack([columns[name] for name in self._outputs])
+        return columns
+
+    def _batch(self, points: Array) -> Array:
+        """Return the outputs of the runs at some points (K, M)."""
+        first, self._next = self._next, self._next + len(points)
+        outputs = np.full((len(points), len(self._outputs)), math.nan)
+
+        def missing(killed: int) -> list[tuple[int, int]]:
+            if killed:
+                self._read()
+            return self._fill(first, points, outputs)
+
+        def work(pool: Pool, left: Sequence[tuple[int, int]], _: int) -> None:
+            self._simulate(pool, first, points, left, outputs)
+
+        self._work.complete(missing, work)
+        return outputs
+
+    def _fill(self, first: int, points: Array, outputs: Array) -> list[tuple[int, int]]:
+        """Fill in outputs that are known; return the runs that are missing, as ranges."""
+        gaps: list[tuple[int, int]] = []
+        for k, point in enumerate(points):
+            index = first + k
+            place = self._known.get(index)
+            if place is None:
+                begin = gaps.pop()[0] if gaps and gaps[-1][1] == index else index
+                gaps.append((begin, index + 1))
+                continue
+            values = case_at(self._campaign.variation, index, point).values
+            if not np.array_equal(self._values[place], list(values.values())):
+                rule = "have runs of this search, by the same versions of its packages"
+                folder = f"folder {self._results.folder}"
+                raise Refusal("campaign", folder, rule, f"another run {index}", "--into FOLDER")
+            outputs[k] = self._of_known[place]
+        return gaps
+
+    def _simulate(
+        self,
+        pool: Pool,
+        first: int,
+        points: Array,
+        missing: Sequence[tuple[int, int]],
+        outputs: Array,
+    ) -> None:
+        """Simulate what is missing of a batch."""
+        campaign, folder = self._campaign, str(self._results.folder.absolute())
+        left = sum(end - begin for begin, end in missing)
+        size = max(1, min(self._crew.largest, math.ceil(left / pool.workers)))
+        waiting: dict[cf.Future[Done], int] = {}
+        for begin, end in chunks_of(missing, size):
+            rows = points[begin - first : end - first]
+            chunk = str(campaign.file.absolute()), campaign.key, folder, begin, end, rows
+            waiting[pool.submit(simulate, *chunk)] = begin
+        for one in cf.as_completed(waiting):
+            done = one.result()
+            at = waiting[one] - first
+            assert done.outputs is not None
+            outputs[at : at + done.runs] = done.outputs
+            self._progress.add(done)
+            self._crew.report(self._progress)

@@ -1,0 +1,174 @@
+"""A search by splitting, its repetitions shared by several processes."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import json
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from arm_emulator.extension.base import write_atomically
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.execution.searcher import write_findings
+from arm_emulator_campaign.execution.worker import Done, campaign_of
+from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
+from arm_emulator_campaign.forking import ForkingRun
+from arm_emulator_campaign.results.parts import Results, checksum_of
+from arm_emulator_campaign.search.method import Finding
+from arm_emulator_campaign.search.splitting import Origin, Repetition, Splitting
+
+FOLDER = "splitting"
+PILOT = 0
+LISTED = 10  # failures
+
+
+class Splitter:
+    """Takes a search by splitting to its end.
+
+    A repetition is a function of the campaign and its number. Each is a file in the results, so
+    that a search that was interrupted continues with those that are missing.
+
+    Args:
+        campaign: with a search by `Splitting`.
+        results: where to.
+        crew: does it; its report is called after each repetition.
+    """
+
+    def __init__(self, campaign: Campaign, results: Results, crew: WorkerPool) -> None:
+        assert isinstance(campaign.search, Splitting)
+        self._campaign, self._method, self._results = campaign, campaign.search, results
+        self._crew = crew
+        self._folder = results.folder / FOLDER
+        self._folder.mkdir(exist_ok=True)
+        count = self._method.runs(len(campaign.variation.numbers))
+        self._progress = Progress(count, 0, failures=[0] * (len(campaign.requirements) + 1))
+
+    def run(self) -> list[Finding]:
+        """Search to the end; return what was found, which is written beside the results, too.
+
+        Raises:
+            Refusal: a run that is not taken, or workers that end again and again.
+            KeyboardInterrupt: after what was done has been written.
+        """
+        ForkingRun.check(self._campaign)
+        self._complete([PILOT])
+        key = self._campaign.key
+        pilot = _content(_file(self._folder, PILOT), key)
+        found: list[Repetition] = []
+        if pilot["leads"]:
+            numbers = range(1, 1 + int(self._method.repetitions))
+            self._complete(list(numbers))
+            found = [_read(_file(self._folder, number), key) for number in numbers]
+        findings = [self._method.finding(self._method.of, pilot["levels"], found)]
+        if found:
+            findings.append(self._method.of_levels(pilot["levels"], found))
+            findings.append(self._of_failures(_failures(found)))
+        write_findings(self._results, findings)
+        return findings
+
+    def _of_failures(self, failures: Sequence[Origin]) -> Finding:
+        """Return the first failures, by the numbers that the command line takes."""
+        period = self._campaign.scene.servo_period
+        rows = []
+        for k, one in enumerate(failures[:LISTED]):
+            forks = [tick * period for tick, _ in one.seeds[1:]]
+            rows.append((k, one.index, len(forks), max(forks, default=0.0)))
+        about = (
+            f"{len(failures)} runs failed, numbers 0 to {len(failures) - 1} of `--replay` and "
+            "`--shrink`. The first ones:"
+            if failures
+            else "No run failed."
+        )
+        head = "failure", "values of run", "forks", "last fork [s]"
+        return Finding("Failures", about, head, tuple(rows))
+
+    def _is_done(self, number: int) -> bool:
+        """Return whether a repetition is there as it was written; a damaged file is set aside."""
+        file = _file(self._folder, number)
+        if not file.exists():
+            return False
+        try:
+            _content(file, self._campaign.key)
+        except ValueError as error:
+            return self._results.set_aside(file, str(error))
+        return True
+
+    def _complete(self, numbers: list[int]) -> None:
+        """Have the repetitions done that are not."""
+        of_all = str(self._campaign.file.absolute()), self._campaign.key, str(self._folder)
+
+        def missing(_: int) -> list[int]:
+            return [number for number in numbers if not self._is_done(number)]
+
+        def work(pool: Pool, left: Sequence[int], _: int) -> None:
+            for one in cf.as_completed([pool.submit(split, *of_all, k) for k in left]):
+                self._progress.add(one.result())
+                self._crew.report(self._progress)
+
+        with Work(self._campaign, self._crew, self._progress) as repetitions:
+            repetitions.complete(missing, work)
+
+
+def failed_forks(results: Results) -> list[Origin]:
+    """Return the failures of all repetitions that are done, in their order."""
+    files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
+    found = []
+    for file in files:
+        try:
+            found.append(_read(file, results.campaign.key))
+        except ValueError as error:
+            results.set_aside(file, str(error))
+    return _failures(found)
+
+
+def _failures(repetitions: Iterable[Repetition]) -> list[Origin]:
+    return [failure for repetition in repetitions for failure in repetition.failures]
+
+
+def split(file: str, key: bytes, folder: str, number: int) -> Done:
+    """Do a repetition, or the pilot, and write its file."""
+    campaign, began = campaign_of(file, key), time.process_time()
+    method, seed = campaign.search, int.from_bytes(campaign.key[16:24])
+    assert isinstance(method, Splitting)
+    run = ForkingRun(campaign)
+    if number == PILOT:
+        levels, leads = method.pilot(run, seed)
+        content: dict[str, object] = {"levels": levels, "leads": leads}
+        runs = int(method.per_level) * (len(levels) + 1)
+    else:
+        levels = _content(_file(Path(folder), PILOT), key)["levels"]
+        found = method.repetition(run, levels, seed, number)
+        content, runs = asdict(found), found.runs
+    text = json.dumps(content)
+    head = {"key": key.hex(), "checksum": checksum_of(text.encode()), "content": text}
+    write_atomically(_file(Path(folder), number), json.dumps(head))
+    nothing = (0,) * (len(campaign.requirements) + 1)
+    return Done(runs, nothing, time.process_time() - began, True)
+
+
+def _content(file: Path, key: bytes) -> dict[str, Any]:
+    """Return what a file of a repetition, or of the pilot, has.
+
+    Raises:
+        ValueError: it is damaged, or of another campaign.
+    """
+    head = json.loads(file.read_text(encoding="utf-8"))
+    text = head.get("content") if isinstance(head, dict) else None
+    if not isinstance(text, str) or head.get("checksum") != checksum_of(text.encode()):
+        raise ValueError("its bytes are not those that were written")
+    if head.get("key") != key.hex():
+        raise ValueError("it is of another campaign")
+    content: dict[str, Any] = json.loads(text)
+    return content
+
+
+def _read(file: Path, key: bytes) -> Repetition:
+    data = _content(file, key)
+    return Repetition(**data | {"failures": [Origin(**one) for one in data["failures"]]})
+
+
+def _file(folder: Path, number: int) -> Path:
+    return folder / ("pilot.json" if number == PILOT else f"{number:04d}.json")

@@ -1,0 +1,141 @@
+"""A worker: simulates chunks of runs and writes each as a part of the results."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from arm_emulator.extension.base import Array, Refusal
+from arm_emulator_campaign.batch_simulator import BatchSimulator, runs_of
+from arm_emulator_campaign.case import Case, case_at, drawn_case
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.results.parts import write_part
+from arm_emulator_campaign.simulator import Simulator
+
+_PR_SET_PDEATHSIG = 1
+_asked = {"end": False, "busy": False}
+
+
+class Done(NamedTuple):
+    """Result of a chunk.
+
+    Attributes:
+        runs: that were simulated.
+        failures: of each requirement, and of any of them last (R + 1,).
+        seconds: of this process that they took.
+        whole: whether all runs of the chunk are done.
+        outputs: robustness and measures of each run, if it is one of a search (K, M).
+    """
+
+    runs: int
+    failures: tuple[int, ...]
+    seconds: float
+    whole: bool
+    outputs: Array | None = None
+
+
+def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | BatchSimulator]:
+    """Return a campaign and this thread's machines for it.
+
+    Raises:
+        Refusal: the campaign is not the same here.
+    """
+    return _simulator(file, key, threading.get_ident())
+
+
+@cache
+def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator | BatchSimulator]:
+    campaign = campaign_of(file, key)
+    return campaign, runs_of(campaign)
+
+
+def campaign_of(file: str, key: bytes) -> Campaign:
+    """Return a campaign.
+
+    Raises:
+        Refusal: it is not the same here.
+    """
+    campaign = load_campaign(Path(file))
+    if campaign.key != key:
+        rule = "be the same for all workers"
+        raise Refusal(campaign.where, "the campaign", rule, "another one, or other files")
+    return campaign
+
+
+def simulate(
+    file: str, key: bytes, folder: str, first: int, end: int, points: Array | None = None
+) -> Done:
+    """Simulate the runs [first, end) and write those that are done as a part.
+
+    Args:
+        file: of the campaign.
+        key: of the campaign.
+        folder: of the results.
+        first: index of a run.
+        end: index after the last one.
+        points: of these runs, in normal scores (K, D); None: they are sampled.
+
+    Raises:
+        Refusal: values of a run that are out of range; the runs before it are written.
+    """
+    campaign, simulator = simulator_of(file, key)
+    outcomes: list[Outcomes] = []
+    began = time.process_time()
+    _asked["busy"] = True
+    try:
+        for start in range(first, end, simulator.width):
+            if _asked["end"]:
+                break
+            some = range(start, min(start + simulator.width, end))
+            for run in simulator.runs([_case(campaign, k, first, points) for k in some]):
+                outcomes.append(run)  # those before a run that is refused, too
+    finally:
+        done = Outcomes.joined(outcomes) if outcomes else None
+        if done is not None:
+            write_part(Path(folder), campaign, done)
+        _asked["busy"] = False
+    if _asked["end"]:
+        os._exit(0)
+    failures: tuple[int, ...] = (0,) * (len(campaign.requirements) + 1)
+    runs, found = 0, None
+    if done is not None:
+        broken = np.count_nonzero(~(done.robustness >= 0.0), axis=0)
+        failures, runs = (*broken.tolist(), int(np.count_nonzero(done.failed))), len(done)
+        found = np.hstack([done.robustness, done.measures])
+    spent = time.process_time() - began
+    return Done(runs, failures, spent, runs == end - first, None if points is None else found)
+
+
+def _case(campaign: Campaign, index: int, first: int, points: Array | None) -> Case:
+    """Return a run of a chunk that begins at `first`."""
+    if points is None:
+        return drawn_case(campaign.variation, index)
+    return case_at(campaign.variation, index, points[index - first])
+
+
+def end_with(parent: int) -> None:
+    """End this process, with its results written, when its parent ends or requests it.
+
+    Ctrl-C in a terminal reaches all processes of a group: the parent decides.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        sys.exit(0)
+
+
+def _end(signal_number: int, frame: object) -> None:
+    _asked["end"] = True
+    if not _asked["busy"]:
+        os._exit(0)

@@ -1,0 +1,214 @@
+"""Processes that simulate runs of a campaign together, and how far they are."""
+
+from __future__ import annotations
+
+import concurrent.futures as cf
+import math
+import multiprocessing as mp
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from typing import Any, Self, TypeVar
+
+from arm_emulator.extension.base import Refusal, require_package
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.execution.worker import Done, end_with
+
+ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
+CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
+LARGEST_CHUNK = 100_000  # runs
+MOST_BREAKS = 3  # of pools that end without a finished chunk
+Left = TypeVar("Left")
+
+
+class LocalPool(cf.ProcessPoolExecutor):
+    """Processes on this machine, which end with this one."""
+
+    breaks: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        spawned = mp.get_context("spawn")
+        super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
+
+    def end(self) -> None:
+        """Let all workers write finished runs, and end them."""
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            processes = list((self._processes or {}).values())
+            for process in processes:
+                process.terminate()
+            self.shutdown(wait=True, cancel_futures=True)
+            for process in processes:
+                process.join(30.0)
+        finally:
+            signal.signal(signal.SIGINT, before)
+
+
+class DaskPool:
+    """The workers of a Dask cluster, which must see the same files.
+
+    Args:
+        address: of the scheduler.
+        patience: for so long it may not answer [s].
+        workers: chunks are for so many; None: for all that the cluster has, come and gone ones too.
+
+    Raises:
+        Refusal: Dask is not installed, or no scheduler answers.
+    """
+
+    def __init__(self, address: str, patience: float, workers: int | None = None) -> None:
+        require_package("campaign", "distributed", "distributed")
+        from distributed import Client
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+
+        # A scheduler that ends cancels its tasks.
+        self.breaks: tuple[type[BaseException], ...] = (
+            cf.CancelledError, CommClosedError, KilledWorker
+        )  # fmt: skip
+        try:
+            self._client = Client(address, timeout=patience)
+        except (OSError, ValueError) as error:
+            rule = "be the address of a Dask scheduler"
+            raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
+        self._executor = self._client.get_executor(pure=False, retries=3)
+        self._given, self._asked, self._threads = workers, -math.inf, 1
+
+    @property
+    def workers(self) -> int:
+        """Number given, or of the cluster's threads, asked now and then; at least 1."""
+        if self._given is not None:
+            return self._given
+        if time.monotonic() - self._asked >= ASKED_EVERY:
+            threads: dict[str, int] = self._client.nthreads()
+            self._asked, self._threads = time.monotonic(), max(1, sum(threads.values()))
+        return self._threads
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
+        """Submit a call."""
+        future: cf.Future[Any] = self._executor.submit(function, *arguments)
+        return future
+
+    def end(self) -> None:
+        """Leave the cluster."""
+        self._executor.shutdown(wait=False)
+        self._client.close()
+
+
+Pool = LocalPool | DaskPool
+
+
+@dataclass
+class Progress:
+    """Progress of a campaign.
+
+    Attributes:
+        count: of runs in all.
+        before: runs that were done when it began.
+        done: runs since then.
+        failures: of each requirement, and of any last, in all of these.
+        began: when it began, by `time.monotonic`.
+    """
+
+    count: int
+    before: int
+    done: int = 0
+    failures: list[int] = field(default_factory=list)
+    began: float = field(default_factory=time.monotonic)
+
+    def add(self, found: Done) -> None:
+        """Count the result of a chunk."""
+        self.done += found.runs
+        pairs = zip(self.failures, found.failures, strict=True)
+        self.failures = [before + more for before, more in pairs]
+
+    def late(self, seconds: float) -> bool:
+        """Whether so much wall time has passed."""
+        return time.monotonic() - self.began >= seconds
+
+    @property
+    def rate(self) -> float:
+        """Runs per second of wall time."""
+        return self.done / max(1e-9, time.monotonic() - self.began)
+
+    @property
+    def left(self) -> float:
+        """Seconds that the rest will take; NaN: not known yet."""
+        rest = self.count - self.before - self.done
+        return rest / self.rate if self.done else math.nan
+
+
+@dataclass(frozen=True)
+class WorkerPool:
+    """Processes that simulate, and who is informed of it.
+
+    Attributes:
+        make_pool: makes processes; called again after one of them was killed.
+        seconds: of a run, measured beforehand.
+        report: is called after each chunk.
+    """
+
+    make_pool: Callable[[], Pool]
+    seconds: float
+    report: Callable[[Progress], None]
+
+    @property
+    def largest(self) -> int:
+        """Runs of a chunk, at most."""
+        return max(1, min(LARGEST_CHUNK, round(CHUNK / self.seconds)))
+
+
+class Work:
+    """Work of a pool: where one of its processes is killed, others do what is left.
+
+    Use it as a context, at whose end the processes end.
+
+    Args:
+        campaign: whose runs these are.
+        crew: does it.
+        progress: of this work; a chunk that is done counts there.
+    """
+
+    def __init__(self, campaign: Campaign, crew: WorkerPool, progress: Progress) -> None:
+        self._campaign, self._crew, self._progress = campaign, crew, progress
+        self._pool: Pool | None = None
+
+    def complete(
+        self,
+        missing: Callable[[int], Sequence[Left]],
+        work: Callable[[Pool, Sequence[Left], int], None],
+    ) -> None:
+        """Call work(pool, missing(killed), killed), again for each pool that is killed.
+
+        Raises:
+            Refusal: pools end again and again without a finished chunk.
+        """
+        breaks = killed = 0
+        while left := missing(killed):
+            before = self._progress.done
+            pool = self._pool = self._pool or self._crew.make_pool()
+            try:
+                return work(pool, left, killed)
+            except pool.breaks:
+                killed += 1
+                breaks = breaks + 1 if self._progress.done == before else 0
+                self.end()
+            if breaks >= MOST_BREAKS:
+                where, ended = self._campaign.where, f"ended {breaks} times"
+                raise Refusal(where, "workers", "not end by themselves", ended)
+
+    def end(self) -> None:
+        """End the processes."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.end()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()

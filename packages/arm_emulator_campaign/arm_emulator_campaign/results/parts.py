@@ -1,0 +1,266 @@
+"""Results of a campaign: parts in a folder, each whole or absent.
+
+A part holds a row per run, its indices ascending. The parts list the runs that are done; their
+division into parts has no meaning and does not affect the digest.
+
+The name of a part ends with the checksum of its bytes, and its metadata have the campaign's key. A
+file that has other bytes, or is of another campaign, is moved into a folder of its own: its runs
+are missing, and are simulated again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import (
+    Constant,
+    Expression,
+    Formula,
+    Margin,
+    Refusal,
+    Signal,
+    bind_signals,
+    fold,
+    name_hidden_file,
+    parse_formula,
+    require_package,
+    warn,
+    write_atomically,
+)
+from arm_emulator_campaign.definition.campaign_file import Campaign
+from arm_emulator_campaign.evaluators import Measure
+from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_campaign.signals import units_of_signals
+
+PARTS, ABOUT, ASIDE = "parts", "campaign.json", "set_aside"
+INDEX, FAILED, DIVERGED = "index", "failed", "diverged"
+ROBUSTNESS, MEASURE = "robustness.", "measure."
+
+
+_units: dict[bytes, dict[str, str]] = {}  # by the keys of campaigns
+
+
+def column_units(campaign: Campaign) -> dict[str, str]:
+    """Return the columns of results with their units, in their order."""
+    if campaign.key not in _units:
+        units = {INDEX: "", FAILED: "", DIVERGED: "s"}
+        units |= {number.name: number.unit for number in campaign.variation.numbers}
+        robustness, measures = judged_units(campaign)
+        units |= {f"{ROBUSTNESS}{name}": unit for name, unit in robustness.items()}
+        _units[campaign.key] = units | {f"{MEASURE}{name}": u for name, u in measures.items()}
+    return _units[campaign.key]
+
+
+def schema_of(campaign: Campaign) -> Any:
+    """Return the columns with types and units, as Arrow has them."""
+    require_package("campaign", "pyarrow", "pyarrow")
+    import pyarrow as pa
+
+    kinds = {INDEX: pa.int64(), FAILED: pa.bool_()}
+    return pa.schema(
+        [
+            pa.field(name, kinds.get(name, pa.float64()), False, {"unit": unit} if unit else None)
+            for name, unit in column_units(campaign).items()
+        ],
+        {"campaign": campaign.key.hex()},
+    )
+
+
+def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
+    """Write the rows of some runs, one at least, as a part."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = schema_of(campaign)
+    columns = [done.indices, done.failed, done.diverged]
+    for rows in (done.values, done.robustness, done.measures):
+        columns += [np.ascontiguousarray(column) for column in rows.T]
+    first, last = done.indices[0], done.indices[-1]
+    hidden = name_hidden_file(folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}.parquet")
+    pq.write_table(pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema), hidden)
+    with hidden.open("rb") as written:
+        os.fsync(written.fileno())
+    checksum = checksum_of(hidden.read_bytes())
+    part = folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}-{checksum}.parquet"
+    hidden.replace(part)
+    return part
+
+
+def checksum_of(content: bytes) -> str:
+    """Return a checksum of bytes, 16 digits."""
+    return hashlib.blake2b(content, digest_size=8).hexdigest()
+
+
+class Results:
+    """The folder of a campaign's results.
+
+    Args:
+        folder: of this campaign alone; made if it is not there.
+        campaign: which one.
+
+    Raises:
+        Refusal: it cannot be written, or has results of another campaign.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign) -> None:
+        self.folder, self.campaign = folder, campaign
+        self._sound: set[str] = set()
+        about = folder / ABOUT
+        try:
+            (folder / PARTS).mkdir(parents=True, exist_ok=True)
+            if about.exists():
+                facts = json.loads(about.read_text(encoding="utf-8"))
+                known = facts.get("key") if isinstance(facts, dict) else None
+                if known != campaign.key.hex():
+                    rule = "be new, or have results of this campaign as it is written now"
+                    got = f"results of {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
+                    raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
+            else:
+                facts = {"key": campaign.key.hex(), "file": str(campaign.file.absolute())}
+                write_atomically(about, json.dumps(facts))
+        except (OSError, ValueError) as error:
+            if isinstance(error, Refusal):
+                raise
+            raise Refusal("campaign", f"folder {folder}", "be writable", error) from None
+
+    @property
+    def parts(self) -> list[Path]:
+        """All sound parts; others are set aside."""
+        found = sorted((self.folder / PARTS).glob("*.parquet"))
+        return [part for part in found if self._is_sound(part)]
+
+    def _is_sound(self, part: Path) -> bool:
+        """Return whether a part is what was written for this campaign; each is read once for it."""
+        if part.name in self._sound:
+            return True
+        import pyarrow.parquet as pq
+
+        # Its bytes first, so that nothing reads the structures of a damaged file.
+        if part.stem.rpartition("-")[2] != checksum_of(part.read_bytes()):
+            return self.set_aside(part, "its bytes are not those that were written")
+        try:
+            metadata = pq.read_schema(part).metadata or {}
+        except (OSError, ValueError) as error:
+            return self.set_aside(part, f"it is no Parquet file: {error}")
+        if metadata.get(b"campaign") != self.campaign.key.hex().encode():
+            return self.set_aside(part, "it is of another campaign")
+        self._sound.add(part.name)
+        return True
+
+    def set_aside(self, file: Path, reason: str) -> bool:
+        """Move a file that cannot be counted into a folder of its own, and warn; return False."""
+        aside = self.folder / ASIDE
+        aside.mkdir(exist_ok=True)
+        file.replace(aside / file.name)
+        warn(f"{file.name} is set aside, its runs are simulated again: {reason}")
+        return False
+
+    def done(self) -> NDArray[np.int64]:
+        """Return the indices of the runs that are done, ascending."""
+        import pyarrow.parquet as pq
+
+        indices = [pq.read_table(part, columns=[INDEX])[INDEX].to_numpy() for part in self.parts]
+        return np.unique(np.concatenate(indices)) if indices else np.zeros(0, np.int64)
+
+    def missing(self, count: int) -> list[tuple[int, int]]:
+        """Return the runs of the first `count` that are not done, as ranges [first, end)."""
+        done = self.done()
+        ends = np.concatenate([[-1], done[done < count], [count]])
+        gaps = np.flatnonzero(np.diff(ends) > 1)
+        return [(int(ends[gap]) + 1, int(ends[gap + 1])) for gap in gaps]
+
+    def table(self) -> Any:
+        """Return all rows as a table of Arrow, by index."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        schema = schema_of(self.campaign)
+        tables = [pq.read_table(part) for part in self.parts]
+        whole = pa.concat_tables(tables) if tables else schema.empty_table()
+        _, places = np.unique(whole[INDEX].to_numpy(), return_index=True)
+        return whole.take(places)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return all columns by name (K,), by index."""
+        table = self.table()
+        return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def digest_of(columns: dict[str, NDArray[Any]]) -> str:
+    """Return a hash of all rows, independent of their division into parts."""
+    digest = hashlib.sha256()
+    for name, values in columns.items():
+        digest.update(f"{name}\0{len(values)}\0".encode())
+        kind = np.int64 if values.dtype.kind in "ib" else np.float64
+        digest.update(np.ascontiguousarray(values.astype(kind)).tobytes())
+    return digest.hexdigest()
+
+
+def chunks_of(ranges: Iterable[tuple[int, int]], size: int) -> Iterable[tuple[int, int]]:
+    """Yield ranges [first, end) of at most so many runs."""
+    for first, end in ranges:
+        for start in range(first, end, size):
+            yield start, min(start + size, end)
+
+
+_KEEPS = ("+", "-", "abs", "min", "max")  # operations whose result has the unit of their operands
+
+
+def judged_units(campaign: Campaign) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the units of robustness and of measures, by name.
+
+    "": a number, several units, or a function of Python.
+    """
+    units, where = units_of_signals(campaign.scene), campaign.where
+    robustness = {}
+    for name, text in campaign.requirements.items():
+        found = None
+        if isinstance(text, str):
+            formula = parse_formula(text, where, name)
+            found = of_formula(bind_signals(formula, list(units), where, name), units)
+        robustness[name] = found or ""
+    measures = {}
+    for name, text in campaign.measures.items():
+        one = Measure(text, list(units), where, name)
+        measures[name] = _common(of_expression(each, units) for each in one.of) or ""
+    return robustness, measures
+
+
+def of_formula(what: Formula, units: Mapping[str, str]) -> str | None:
+    """Return the unit of a formula's robustness; None: it has constants alone."""
+    if isinstance(what, Margin):
+        return _common(of_expression(side, units) for side in what.sides)
+    return _common(of_formula(one, units) for one in what.of)
+
+
+def of_expression(what: Expression, units: Mapping[str, str]) -> str | None:
+    """Return the unit of arithmetic; None: of a constant, which has any."""
+
+    def unit(part: Expression, of: Sequence[str | None]) -> str | None:
+        if isinstance(part, Constant):
+            return None
+        if isinstance(part, Signal):
+            return units[part.name]
+        if part.sign in _KEEPS:
+            return _common(of)
+        if part.sign == "*":
+            return of[0] if of[1] is None else of[1] if of[0] is None else ""
+        if part.sign == "/" and of[1] is None:
+            return of[0]
+        return None if all(one is None for one in of) else ""
+
+    return fold(what, unit)
+
+
+def _common(several: Iterable[str | None]) -> str | None:
+    """Return the unit that all have which have one; "": they differ."""
+    known = {one for one in several if one is not None}
+    return None if not known else known.pop() if len(known) == 1 else ""

@@ -1,0 +1,1 @@
+"""Numbers that vary: distributions, samples, and confidence of what follows."""
