@@ -1,4 +1,4 @@
-"""A segment of EtherCAT slaves, one CiA 402 drive per joint of a scene: core/ethercat/ethercat.h."""
+"""A segment of EtherCAT slaves, a CiA 402 drive per joint of a scene: core/ethercat/ethercat.h."""
 
 from __future__ import annotations
 

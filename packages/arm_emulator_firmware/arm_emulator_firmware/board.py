@@ -1,6 +1,6 @@
 """Board files: which registers of a microcontroller are wired to which part of a machine.
 
-docs/how_to/microcontroller.md has their keys. What is read are rows of the structs of core/runner.h.
+docs/how_to/microcontroller.md has their keys. It is read into the structs of core/runner.h.
 """
 
 from __future__ import annotations

@@ -97,9 +97,7 @@ class Fault:
         raise NotImplementedError
 
 
-_KINDS = Registry[Fault](
-    "fault", "arm_emulator_campaign.definition.faults", lambda kind: str(kind.kind)
-)
+_KINDS = Registry[Fault]("fault", f"{__package__}.faults", lambda kind: str(kind.kind))
 register_fault = _KINDS.register
 
 
