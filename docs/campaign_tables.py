@@ -9,7 +9,7 @@ from dataclasses import fields
 from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_campaign.definition import campaign_file
-from arm_emulator_campaign.definition.fault import known_faults
+from arm_emulator_campaign.definition.fault import list_faults
 from arm_emulator_campaign.definition.scenario import AT, SECONDS
 from arm_emulator_campaign.definition.varying_numbers import CORRELATION
 from arm_emulator_campaign.sampling.distributions import KINDS
@@ -34,7 +34,7 @@ def _distributions() -> str:
 
 def _faults() -> str:
     rows = []
-    for kind, fault in known_faults().items():
+    for kind, fault in list_faults().items():
         numbers = [f"`{name}`: {one.described}" for name, one in list_numbers(fault).items()]
         others = [
             f"`{field.name}`" for field in fields(fault) if field.name not in list_numbers(fault)
@@ -68,11 +68,11 @@ def _numbers() -> str:
 
 
 def _signals() -> str:
-    from arm_emulator_campaign.signals import units_of_signals
+    from arm_emulator_campaign.signals import list_signal_units
 
     scene = load_scene("three_axis")
     known: dict[str, str] = {}
-    for name, unit in units_of_signals(scene).items():
+    for name, unit in list_signal_units(scene).items():
         head, _, tail = name.rpartition(".")
         known[f"{head}.*" if tail in scene.joint_names else name] = unit
     return _table(("signal", "unit"), ((f"`{name}`", unit) for name, unit in known.items()))

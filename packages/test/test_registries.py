@@ -15,7 +15,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import list_kinds, register_part
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator.machine.schemes.paper import Paper
-from arm_emulator_campaign.definition.fault import known_faults
+from arm_emulator_campaign.definition.fault import list_faults
 from arm_emulator_campaign.definition.faults.payload import Payload
 
 # Before anything of the emulator has read a registry, as in the first lines of a user's file.
@@ -82,4 +82,4 @@ def test_a_registry_has_each_class_by_its_name() -> None:
 
 
 def test_the_registries_have_their_own_names() -> None:
-    assert KNOWN["paper"] is Paper and known_faults()["payload"] is Payload
+    assert KNOWN["paper"] is Paper and list_faults()["payload"] is Payload

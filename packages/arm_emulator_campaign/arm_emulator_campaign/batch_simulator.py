@@ -20,7 +20,7 @@ from arm_emulator_campaign.evaluators import Evaluators
 from arm_emulator_campaign.program import BLOCK, Targets
 from arm_emulator_campaign.results.outcome import Outcome, Outcomes
 from arm_emulator_campaign.signals import FleetSampler
-from arm_emulator_campaign.simulator import BoundCase, Simulator, bound
+from arm_emulator_campaign.simulator import BoundCase, Simulator, bind_case
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 WIDTH = 64  # runs at a time
@@ -105,7 +105,7 @@ class BatchSimulator:
         Raises:
             Refusal: a value that is out of range.
         """
-        found, numbers = bound(self._campaign, case), self._own.copy()
+        found, numbers = bind_case(self._campaign, case), self._own.copy()
         for name, value in case.values.items():
             if name in self._numbers:
                 place, number = self._numbers[name]
@@ -173,7 +173,7 @@ class BatchSimulator:
         self._aimed = every
 
 
-def runs_of(campaign: Campaign) -> Simulator | BatchSimulator:
+def make_simulator(campaign: Campaign) -> Simulator | BatchSimulator:
     """Return what simulates a campaign's runs.
 
     In lanes, but for moves of the tool: the motion controller that leads them is Python.

@@ -36,18 +36,18 @@ class Case:
     reseeds: tuple[tuple[int, float], ...] = ()
 
 
-def drawn_case(variation: Variation, index: int) -> Case:
+def draw_case(variation: Variation, index: int) -> Case:
     """Return the run that sampling draws at an index."""
-    seed = float(math.floor(variation.uniforms(index)[-1] * LARGEST_SEED))
+    seed = float(math.floor(variation.draw_uniforms(index)[-1] * LARGEST_SEED))
     return Case(index, variation.values(index), seed)
 
 
-def case_at(variation: Variation, index: int, z: Sequence[float] | NDArray[np.float64]) -> Case:
+def place_case(variation: Variation, index: int, z: Sequence[float] | NDArray[np.float64]) -> Case:
     """Return the run at a point of independent standard normal numbers (D,)."""
-    return case_with(variation, index, variation.values_at(z))
+    return make_case(variation, index, variation.place_values(z))
 
 
-def case_with(variation: Variation, index: int, values: Mapping[str, float]) -> Case:
+def make_case(variation: Variation, index: int, values: Mapping[str, float]) -> Case:
     """Return the run with some values; its noise follows from these, too."""
     row = np.array([values[number.name] for number in variation.numbers], np.float64)
     digest = hashlib.sha256(variation.key + row.tobytes()).digest()

@@ -10,8 +10,8 @@ import yaml
 from arm_emulator.extension.base import read_yaml
 from arm_emulator.extension.machine import Change, Diverged, override_keys
 from arm_emulator_campaign.case import Case
-from arm_emulator_campaign.definition.campaign_file import Campaign, used_files
-from arm_emulator_campaign.shrinking import path_from
+from arm_emulator_campaign.definition.campaign_file import Campaign, find_files
+from arm_emulator_campaign.shrinking import make_path
 from arm_emulator_campaign.simulator import Simulator
 
 
@@ -35,7 +35,7 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
     with RunBag(
         folder, simulator.session, {"campaign": f"run {case.index} of {campaign.file}"}
     ) as bag:
-        data = _scene_data(campaign, folder)
+        data = _make_scene_data(campaign, folder)
         (folder / BAG_SCENE_FILE).write_text(yaml.safe_dump(data, sort_keys=False, width=100))
         try:
             for _ in pieces:
@@ -44,14 +44,14 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
             pass  # `check-bag` reports the same
 
 
-def _scene_data(campaign: Campaign, folder: Path) -> dict[str, Any]:
+def _make_scene_data(campaign: Campaign, folder: Path) -> dict[str, Any]:
     """Return a campaign's scene as it stands in a file of a folder, from which it names others."""
-    used = used_files(campaign.data, campaign.file)
+    used = find_files(campaign.data, campaign.file)
     data, file = read_yaml(used["scene"]), used["scene"]
     for name, value in campaign.overrides.items():
         if name == "payload.mass" and not isinstance(data.get("payload"), dict):
             name = "payload"  # a scene's short form
         override_keys(data, name, value, file.name)
     if (file.parent / data["urdf"]).is_file():
-        data["urdf"] = path_from(folder, file.parent / data["urdf"])
-    return data | {key: path_from(folder, used[key]) for key in ("servo", "motion")}
+        data["urdf"] = make_path(folder, file.parent / data["urdf"])
+    return data | {key: make_path(folder, used[key]) for key in ("servo", "motion")}

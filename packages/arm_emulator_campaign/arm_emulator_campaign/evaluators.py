@@ -29,10 +29,10 @@ from arm_emulator.extension.base import (
 )
 from arm_emulator.extension.machine import is_at_one_instant
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.definition.scenario import ticks_of
+from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.signals import units_of_signals
+from arm_emulator_campaign.signals import list_signal_units
 
 Signals = Mapping[str, Array]
 REDUCTIONS = ("max", "min", "mean", "rms", "last")
@@ -99,7 +99,7 @@ class Checked:
         if not name or not code.is_file() or not code.is_relative_to(folder.resolve()):
             rule = "be FILE:FUNCTION, a file beside the campaign's or below its folder"
             raise section.refusal("python", rule, section.text("python"))
-        self._function, self._section = _function(code, name, section), section
+        self._function, self._section = _load_function(code, name, section), section
 
     def judge(self, trace: Sequence[Array]) -> float:
         """Return the function's result for pieces (names, n) of a run.
@@ -120,7 +120,7 @@ class Checked:
         return float(number)
 
 
-def _function(file: Path, name: str, section: Section) -> Callable[[Signals], Any]:
+def _load_function(file: Path, name: str, section: Section) -> Callable[[Signals], Any]:
     spec = importlib.util.spec_from_file_location(f"campaign_{file.stem}", file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -136,7 +136,7 @@ def _function(file: Path, name: str, section: Section) -> Callable[[Signals], An
     return function  # type: ignore[no-any-return]
 
 
-def statements_about_the_start(campaign: Campaign) -> Iterator[str]:
+def find_start_requirements(campaign: Campaign) -> Iterator[str]:
     """Yield a line for each requirement that judges only the first sample of a run, in all or part.
 
     It is a part that the whole needs: of an `implies` or `or` it may be meant so.
@@ -171,7 +171,7 @@ class Evaluators:
 
     def __init__(self, campaign: Campaign, room: int, runs: int = 1) -> None:
         scene, where = campaign.scene, campaign.where
-        known = list(units_of_signals(scene))
+        known = list(list_signal_units(scene))
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
         section = Section({"requirements": dict(campaign.requirements)}, where)
         given = section.required_section("requirements")
@@ -192,7 +192,7 @@ class Evaluators:
         names = list(campaign.requirements)
         self._of_formulas = [names.index(name) for name in formulas]
         self._of_checked = [names.index(name) for name in self._checked]
-        longest = 1 + max(1, ticks_of(campaign.nominal[0].seconds, scene.servo_period))
+        longest = 1 + max(1, count_ticks(campaign.nominal[0].seconds, scene.servo_period))
         if any(number.name == "scenario.seconds" for number in campaign.variation.numbers):
             longest = 2**40
         period = scene.servo_period

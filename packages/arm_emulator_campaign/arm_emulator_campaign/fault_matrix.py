@@ -51,24 +51,24 @@ class _Seen:
     apart: float  # of the encoders of a joint, at most [rad or m]
 
 
-def fault_matrix(scene_name: str) -> list[Row]:
+def try_faults(scene_name: str) -> list[Row]:
     """Return a row per fault that the scene can have.
 
     Raises:
         Refusal: a scene that is not taken, or gains that do not fit.
     """
     file = find_scene(scene_name)
-    scene, gains = _with_all(str(file)), load_gains(file)
+    scene, gains = _load_with_faults(str(file)), load_gains(file)
     run = OfflineRun(scene, gains.servo, gains.motion)
     fresh = run.session.plant.save()
-    sound = _run(run, fresh, None, math.inf)
+    sound = _simulate_fault(run, fresh, None, math.inf)
     return [
-        _row(run, fault, sound, _run(run, fresh, fault, 4.0 * sound.apart))
+        _make_row(run, fault, sound, _simulate_fault(run, fresh, fault, 4.0 * sound.apart))
         for fault in scene.faults
     ]
 
 
-def _with_all(file: str) -> Scene:
+def _load_with_faults(file: str) -> Scene:
     """Return the scene with all faults that it can have together."""
     names = [fault.name for fault in load_scene(file, {"faults": []}).possible_faults]
     try:
@@ -77,7 +77,7 @@ def _with_all(file: str) -> Scene:
         return load_scene(file, {"faults": [n for n in names if not n.endswith("mass_at_joint")]})
 
 
-def _run(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float) -> _Seen:
+def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float) -> _Seen:
     """Move away and back, with the fault from `BEGINS` on."""
     run.restart(fresh)
     session, period = run.session, run.session.scene.servo_period
@@ -96,7 +96,7 @@ def _run(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float) 
         except Diverged:
             return _Seen(tool, "drive", k + 1 - begins, largest)
         tool.append(run.controller.kinematics.forward(session.state.q)[1])
-        largest = max(largest, _apart(run))
+        largest = max(largest, _compare_encoders(run))
         unable = k > begins and able and not run.drives.movable(session.powered).all()
         states = [one.state for one in run.instructor.reports.waiting]
         run.instructor.reports.waiting.clear()
@@ -111,7 +111,7 @@ def _run(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float) 
     return _Seen(tool, by, at, largest)
 
 
-def _apart(run: OfflineRun) -> float:
+def _compare_encoders(run: OfflineRun) -> float:
     """Return by how much encoders at motors and at links differ at most, in the links' unit."""
     session = run.session
     scene, measured = session.scene, session.measured
@@ -124,7 +124,7 @@ def _apart(run: OfflineRun) -> float:
     return float(max(apart))
 
 
-def _row(run: OfflineRun, fault: SceneFault, sound: _Seen, seen: _Seen) -> Row:
+def _make_row(run: OfflineRun, fault: SceneFault, sound: _Seen, seen: _Seen) -> Row:
     number, period = fault.varied.number, run.motion_ticks * run.session.scene.servo_period
     begins = math.ceil(BEGINS / period)
     end = len(seen.tool) if seen.by == NOBODY else min(len(seen.tool), begins + seen.at)
@@ -135,7 +135,7 @@ def _row(run: OfflineRun, fault: SceneFault, sound: _Seen, seen: _Seen) -> Row:
     return Row(fault.name, fault.kind.name, magnitude, number.unit, seen.by, after, travel)
 
 
-def worst_by_kind(rows: Iterable[Row]) -> list[Row]:
+def find_worst(rows: Iterable[Row]) -> list[Row]:
     """Return of each kind the row with the largest travel, the largest first."""
     worst: dict[str, Row] = {}
     for row in rows:
@@ -152,13 +152,13 @@ def write_csv(rows: Sequence[Row], file: Path) -> None:
         writer.writerows(map(asdict, rows))
 
 
-def draw(rows: Sequence[Row], title: str, file: Path) -> None:
+def draw_matrix(rows: Sequence[Row], title: str, file: Path) -> None:
     """Write a picture: of each kind the largest travel, in the colour of who detects it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
-    worst = worst_by_kind(rows)[::-1]
+    worst = find_worst(rows)[::-1]
     figure = Figure(figsize=(8.0, 0.9 + 0.2 * len(worst)), layout="constrained")
     axes = figure.subplots()
     travel = [max(1e-3, 1e3 * row.travel) for row in worst]

@@ -11,12 +11,12 @@ import numpy as np
 from arm_emulator.extension.base import Formula, Refusal, Window, bind_signals, parse_formula
 from arm_emulator.extension.machine import LARGEST_SEED, Change, Diverged, is_at_one_instant
 from arm_emulator.extension.runs import OfflineRun
-from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.case import Case, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.definition.scenario import ticks_of
+from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.program import Program, Rows
 from arm_emulator_campaign.search.splitting import Origin, Splitting
-from arm_emulator_campaign.signals import Sampler, units_of_signals
+from arm_emulator_campaign.signals import Sampler, list_signal_units
 from arm_emulator_campaign.simulator import ROOM, Simulator
 
 
@@ -44,7 +44,7 @@ class ForkingRun(Simulator):
     """
 
     def __init__(self, campaign: Campaign) -> None:
-        formula, of = _margin_of(campaign)
+        formula, of = _find_margin(campaign)
         super().__init__(campaign)
         assert isinstance(campaign.search, Splitting)
         scene = campaign.scene
@@ -54,24 +54,24 @@ class ForkingRun(Simulator):
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
         self._margin = Program(rows, [()], (), [rows.of_formula(of)], ROOM)
         self._sampler = Sampler(self.session.plant, rows.samples, ROOM)
-        self._look = self._at_most = max(1, ticks_of(campaign.search.look, period))
+        self._look = self._at_most = max(1, count_ticks(campaign.search.look, period))
 
     @staticmethod
     def check(campaign: Campaign) -> None:
         """Refuse what cannot be forked, before anything is compiled."""
-        _margin_of(campaign)
+        _find_margin(campaign)
 
     def begin(self, index: int, seed: int) -> None:
         """Begin a run with the values of an index, and noise of a seed."""
-        self._begin(drawn_case(self._campaign.variation, index))
-        self._reseed(seed)
+        self._begin(draw_case(self._campaign.variation, index))
+        self._set_seed(seed)
         self.session.plant.reset(self._scenario.start)
         self._least = math.inf
 
     def go_on(self, state: Fork, seed: int) -> None:
         """Continue from a fork with other noise."""
         self._return_to(state)
-        self._reseed(seed)
+        self._set_seed(seed)
 
     def _return_to(self, state: Fork) -> None:
         run = self._run
@@ -92,8 +92,8 @@ class ForkingRun(Simulator):
         """The present tick."""
         return self.session.tick
 
-    def _reseed(self, seed: int) -> None:
-        self.session.set_varied("seed", _taken(seed))
+    def _set_seed(self, seed: int) -> None:
+        self.session.set_varied("seed", _fold_seed(seed))
 
     def fork(self) -> Fork:
         """Return the run as it is now."""
@@ -169,20 +169,20 @@ class ForkingRun(Simulator):
         return min(super()._longest, self._at_most)
 
 
-def forked_case(campaign: Campaign, origin: Origin) -> Case:
+def make_forked_case(campaign: Campaign, origin: Origin) -> Case:
     """Return a run that was forked as one that needs no fork: its noise changes on the way."""
-    case = drawn_case(campaign.variation, origin.index)
-    first, *later = ((tick, _taken(seed)) for tick, seed in origin.seeds)
+    case = draw_case(campaign.variation, origin.index)
+    first, *later = ((tick, _fold_seed(seed)) for tick, seed in origin.seeds)
     own = {"seed": first[1]} if "seed" in case.values else {}
     return replace(case, values={**case.values, **own}, seed=first[1], reseeds=tuple(later))
 
 
-def _taken(seed: int) -> float:
+def _fold_seed(seed: int) -> float:
     """Return a seed as machines take it."""
     return float(seed % LARGEST_SEED)
 
 
-def _margin_of(campaign: Campaign) -> tuple[Window, Formula]:
+def _find_margin(campaign: Campaign) -> tuple[Window, Formula]:
     """Return the requirement of the search, and what shall always hold."""
     assert campaign.search is not None
     name, where = campaign.search.of, campaign.where
@@ -193,7 +193,7 @@ def _margin_of(campaign: Campaign) -> tuple[Window, Formula]:
     rule = "be `always` of comparisons: splitting must know its margin during the run"
     if not isinstance(text, str):
         raise Refusal(where, quantity, rule, "a function of Python")
-    known = list(units_of_signals(campaign.scene))
+    known = list(list_signal_units(campaign.scene))
     formula = bind_signals(parse_formula(text, where, quantity), known, where, quantity)
     if isinstance(formula, Window) and formula.sign == "always":
         (of,) = formula.of

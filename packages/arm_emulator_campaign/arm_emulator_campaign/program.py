@@ -55,7 +55,7 @@ class Rows(FormulaRows):
     """
 
     def __init__(self, joints: Sequence[str], step: float, steps: int = 1) -> None:
-        super().__init__(self._row_of_name)
+        super().__init__(self._find_row)
         self.samples: list[str] = []
         self._joints = list(joints)
         # Time as the machine computes it, which rounds the product of all steps and their size.
@@ -70,21 +70,21 @@ class Rows(FormulaRows):
             row["kind"], row["place"] = JUDGES.constant(f"JUDGES_{kind}"), place
         return inputs
 
-    def _row_of_name(self, name: str) -> int:
+    def _find_row(self, name: str) -> int:
         head, _, joint = name.partition(".")
         if name == "tick":
-            return self._row_of_input("TICK")
+            return self._add_input("TICK")
         if name == "t":
             return self.of(self._time)
         if head == "target":
-            return self._row_of_input("TARGET", self._joints.index(joint))
+            return self._add_input("TARGET", self._joints.index(joint))
         if head == "error":
             return self.of(Operation("-", (Signal(f"q.{joint}"), Signal(f"target.{joint}"))))
         if name not in self.samples:
             self.samples.append(name)
-        return self._row_of_input("SAMPLE", self.samples.index(name))
+        return self._add_input("SAMPLE", self.samples.index(name))
 
-    def _row_of_input(self, kind: str, place: int = 0) -> int:
+    def _add_input(self, kind: str, place: int = 0) -> int:
         if (kind, place) not in self._inputs:
             self._inputs.append((kind, place))
         return self.input(self._inputs.index((kind, place)))
@@ -185,11 +185,11 @@ class Program:
         """Go on with samples (runs, S, room), of which there are so many (runs,)."""
         pieces, runs = self._pieces, len(counts)
         pieces["count"][:runs], pieces["stride"] = counts, samples.shape[2]
-        pieces["rows"][:runs] = _places(samples, np.arange(runs))
+        pieces["rows"][:runs] = _get_addresses(samples, np.arange(runs))
         if targets is not None:
             first = targets.first[: runs + 1]
-            pieces["since"][:runs] = _places(targets.since, first[:-1])
-            pieces["targets"][:runs] = _places(targets.q, first[:-1])
+            pieces["since"][:runs] = _get_addresses(targets.since, first[:-1])
+            pieces["targets"][:runs] = _get_addresses(targets.q, first[:-1])
             pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
         given = JUDGES.pointer("judges_samples", pieces)
         if self._calls.judges_take(self._structs, runs, given):
@@ -202,7 +202,7 @@ class Program:
         return self._robustness.copy(), self._found.copy()
 
 
-def _places(rows: NDArray[Any], which: NDArray[np.int64]) -> NDArray[np.int64]:
+def _get_addresses(rows: NDArray[Any], which: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the addresses of some rows of a contiguous array."""
     assert rows.flags.c_contiguous
     address: int = rows.__array_interface__["data"][0]

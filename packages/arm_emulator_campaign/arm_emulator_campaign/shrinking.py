@@ -19,7 +19,7 @@ import yaml
 from arm_emulator.extension.base import Refusal
 from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.definition.scenario import ticks_of
+from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.simulator import Simulator
 
 FAULT = "faults."
@@ -64,12 +64,12 @@ def shrink(campaign: Campaign, case: Case) -> Shrunk:
     changes = tries.changes()
 
     def fails(some: Sequence[str]) -> bool:
-        return not tries.margins(tries.with_only(some))[requirement] >= 0.0
+        return not tries.margins(tries.keep_only(some))[requirement] >= 0.0
 
-    changes = [] if fails([]) else fewest(changes, fails)
-    found = tries.with_only(changes)
+    changes = [] if fails([]) else find_fewest(changes, fails)
+    found = tries.keep_only(changes)
     if changes:
-        found = tries.shortest(found, requirement)
+        found = tries.find_shortest(found, requirement)
     kept = {name: found.values[name] for name in changes if name in found.values}
     faults = tuple(name.removeprefix(FAULT) for name in changes if name not in found.values)
     margin = tries.margins(found)[requirement]
@@ -77,7 +77,7 @@ def shrink(campaign: Campaign, case: Case) -> Shrunk:
     return Shrunk(requirement, before[requirement], margin, kept, faults, seconds, runs, found)
 
 
-def fewest(changes: Sequence[str], fails: Callable[[Sequence[str]], bool]) -> list[str]:
+def find_fewest(changes: Sequence[str], fails: Callable[[Sequence[str]], bool]) -> list[str]:
     """Return some of the changes with which it fails, and without any of which it does not."""
     left, parts = list(changes), 2
     while len(left) > 1:
@@ -114,7 +114,7 @@ class _Tries:
         moved = [name for name, value in values.items() if value != self._nominal[name]]
         return [*(f"{FAULT}{name}" for name in self._faults), *moved]
 
-    def with_only(self, changes: Sequence[str]) -> Case:
+    def keep_only(self, changes: Sequence[str]) -> Case:
         """Return the run with some of the changes, and its noise."""
         values = {
             name: value if name in changes else self._nominal[name]
@@ -131,15 +131,15 @@ class _Tries:
             self._found[key] = dict(self._simulator.run(case).robustness)
         return self._found[key]
 
-    def shortest(self, case: Case, requirement: str) -> Case:
+    def find_shortest(self, case: Case, requirement: str) -> Case:
         """Return the run, ended as soon as it has failed.
 
         A requirement that is not decided yet may fail because time is short; so an end counts only
         if the run without changes holds there.
         """
         period = self._campaign.scene.servo_period
-        plain = self.with_only([])
-        least, most = 0, max(1, ticks_of(self._campaign.nominal[0].seconds, period))
+        plain = self.keep_only([])
+        least, most = 0, max(1, count_ticks(self._campaign.nominal[0].seconds, period))
         while most - least > 1:
             middle = (least + most) // 2
             ended = replace(case, seconds=middle * period)
@@ -157,7 +157,7 @@ def write_shrunk(campaign: Campaign, found: Shrunk, folder: Path) -> Path:
     Raises:
         Refusal: it cannot be written.
     """
-    file, data = folder / "campaign.yaml", _campaign(campaign, found, folder)
+    file, data = folder / "campaign.yaml", _make_campaign(campaign, found, folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
@@ -167,7 +167,7 @@ def write_shrunk(campaign: Campaign, found: Shrunk, folder: Path) -> Path:
     return file
 
 
-def _campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]:
+def _make_campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]:
     """Return the campaign of one run, whose files are named from the new folder."""
     data = {
         key: value
@@ -177,7 +177,7 @@ def _campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]
     beside, period = campaign.file.parent, campaign.scene.servo_period
 
     def seen(name: str) -> str:
-        return path_from(folder, beside / name) if (beside / name).is_file() else name
+        return make_path(folder, beside / name) if (beside / name).is_file() else name
 
     data["scene"] = seen(data["scene"])
     data["scenario"] = dict(data["scenario"]) | {"seconds": found.seconds}
@@ -205,6 +205,6 @@ def _campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]
     return {key: value for key, value in data.items() if value not in ({}, None)}
 
 
-def path_from(folder: Path, file: Path) -> str:
+def make_path(folder: Path, file: Path) -> str:
     """Return how a file is named in files of a folder."""
     return os.path.relpath(file.absolute(), folder.absolute())

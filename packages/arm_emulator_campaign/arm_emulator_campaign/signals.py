@@ -52,7 +52,7 @@ def sampler_unit() -> Unit:
 _sampler = compile_once(sampler_unit)
 
 
-def units_of_signals(scene: Scene) -> dict[str, str]:
+def list_signal_units(scene: Scene) -> dict[str, str]:
     """Return the names of all signals of a scene, with their units."""
     columns = {one.name: one.unit for one in list_columns(scene)}
     units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}

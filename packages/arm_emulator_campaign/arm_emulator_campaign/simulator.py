@@ -19,10 +19,10 @@ from arm_emulator.extension.runs import (
     TableRun,
     TargetTable,
 )
-from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.case import Case, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.definition.fault import changes_of
-from arm_emulator_campaign.definition.scenario import Move, Scenario, ticks_of
+from arm_emulator_campaign.definition.fault import schedule_changes
+from arm_emulator_campaign.definition.scenario import Move, Scenario, count_ticks
 from arm_emulator_campaign.evaluators import Evaluators
 from arm_emulator_campaign.program import Targets
 from arm_emulator_campaign.results.outcome import Outcome, Outcomes
@@ -76,7 +76,7 @@ class Simulator:
         Raises:
             Refusal: values of this run that are out of range.
         """
-        case = drawn_case(self._campaign.variation, which) if isinstance(which, int) else which
+        case = draw_case(self._campaign.variation, which) if isinstance(which, int) else which
         return Outcome.of(self._campaign, case, self._judge(case))
 
     def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
@@ -126,7 +126,7 @@ class Simulator:
         """Set machine and controller to the start of a run."""
         campaign, session, values = self._campaign, self.session, case.values
         try:
-            self._scenario, servo, self._events, self._last = bound(campaign, case)
+            self._scenario, servo, self._events, self._last = bind_case(campaign, case)
             self._restart(servo)
             for name, value in values.items():
                 if name in self._parameters:
@@ -157,7 +157,7 @@ class Simulator:
         """Give the motion controller all moves of the tool, each at its time."""
         R_WT, p_WT = run.controller.kinematics.forward(self._scenario.start)
         for move in self._scenario.moves:
-            points = _points(move, p_WT)
+            points = _place_points(move, p_WT)
             at = round(move.at * 1e9)
             if move.way == "along":
                 run.instructor.add_path(run.controller, [Pose(p, R_WT) for p in points], at)
@@ -181,7 +181,7 @@ class Simulator:
             began = session.tick
             run.advance(ticks)
             if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
-                self._aimed.append((began + 1, self._of_arm(run.aimed)))
+                self._aimed.append((began + 1, self._order_joints(run.aimed)))
             yield session.tick
 
     @property
@@ -192,7 +192,7 @@ class Simulator:
             return MOST
         return run.motion_ticks - self.session.tick % run.motion_ticks
 
-    def _of_arm(self, q: Array) -> Array:
+    def _order_joints(self, q: Array) -> Array:
         """Return joint targets of the servo in the scene's order of joints."""
         names = self._campaign.servo.joint_names
         return q[[names.index(name) for name in self._scene.joint_names]]
@@ -206,7 +206,7 @@ class Simulator:
         return Targets.of([(self._table.ticks(self._scene.servo_period), self._table.q)])
 
 
-def _points(move: Move, p_WT: Array) -> Array:
+def _place_points(move: Move, p_WT: Array) -> Array:
     return move.points if move.way == "to" else p_WT + move.points
 
 
@@ -225,20 +225,20 @@ class BoundCase(NamedTuple):
     last: int
 
 
-def bound(campaign: Campaign, case: Case) -> BoundCase:
+def bind_case(campaign: Campaign, case: Case) -> BoundCase:
     """Return a run of a campaign as a machine gets it.
 
     Raises:
         Refusal: a drawn value that is out of range.
     """
-    drawn = campaign.draws_sections
-    given = campaign.with_values(case.values) if drawn else campaign.nominal
+    drawn = campaign.has_drawn_sections
+    given = campaign.bind_values(case.values) if drawn else campaign.nominal
     scenario, faults, servo = given
     there = [fault for name, fault in faults.items() if name not in case.without]
-    changes = changes_of(there, campaign.scene, case.values) if there else []
+    changes = schedule_changes(there, campaign.scene, case.values) if there else []
     noise: list[tuple[int, Change]]
     noise = [(tick, NumberChange("seed", seed)) for tick, seed in case.reseeds]
     changes = sorted(noise + changes, key=lambda one: one[0])
     seconds = min(case.seconds, scenario.seconds)
-    last = max(1, ticks_of(seconds, campaign.scene.servo_period))
+    last = max(1, count_ticks(seconds, campaign.scene.servo_period))
     return BoundCase(scenario, servo, changes, last)

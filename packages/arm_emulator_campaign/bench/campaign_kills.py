@@ -27,11 +27,11 @@ import numpy as np
 import yaml
 
 from arm_emulator.base.process import is_running, list_descendants
-from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
-from arm_emulator_campaign.results.parts import Results, digest_of, write_part
+from arm_emulator_campaign.results.parts import Results, compute_digest, write_part
 
 CAMPAIGN = {
     "scene": "three_axis",
@@ -185,10 +185,10 @@ class Moment:
 def digest_alone(file: Path, folder: Path) -> str:
     """Return the digest of all runs, one after the other in this process."""
     campaign = load_campaign(file)
-    simulator, results = runs_of(campaign), Results(folder, campaign)
-    cases = [drawn_case(campaign.variation, index) for index in range(campaign.count)]
-    write_part(folder, campaign, Outcomes.joined(list(simulator.runs(cases))))
-    return digest_of(results.columns())
+    simulator, results = make_simulator(campaign), Results(folder, campaign)
+    cases = [draw_case(campaign.variation, index) for index in range(campaign.count)]
+    write_part(folder, campaign, Outcomes.join(list(simulator.runs(cases))))
+    return compute_digest(results.columns())
 
 
 def begun(file: Path, into: Path, place: Place) -> Process:

@@ -5,19 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator_campaign import fault_matrix as matrix
-from arm_emulator_campaign.fault_matrix import NOBODY, Row, fault_matrix, worst_by_kind
+from arm_emulator_campaign.fault_matrix import NOBODY, Row, find_worst, try_faults
 from bench.tables import table
 
 
 def run(quick: bool) -> list[Row]:
     """Try all faults."""
-    return fault_matrix("three_axis")
+    return try_faults("three_axis")
 
 
 def report(rows_of: list[Row]) -> str:
     """Return the table of the worst joint of each kind."""
     rows = []
-    for one in worst_by_kind(rows_of):
+    for one in find_worst(rows_of):
         after = "" if one.detected_by == NOBODY else f"{1e3 * one.after:.0f} ms"
         rows.append((f"`{one.fault}`", one.detected_by, after, f"{1e3 * one.travel:.2g} mm"))
     return table(("fault", "detected by", "after", "tool off its way"), rows)
@@ -26,5 +26,5 @@ def report(rows_of: list[Row]) -> str:
 def draw(rows: list[Row], folder: Path) -> Path:
     """Draw the tool's travel until a fault is detected; return the picture's file."""
     picture = folder / "faults.png"
-    matrix.draw(rows, "Faults of three_axis in a move of 71 mm and back", picture)
+    matrix.draw_matrix(rows, "Faults of three_axis in a move of 71 mm and back", picture)
     return picture

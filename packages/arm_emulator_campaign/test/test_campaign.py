@@ -24,13 +24,13 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.servo_arm import ServoArm
-from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.commands.campaign import campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.evaluators import Checked
 from arm_emulator_campaign.results.outcome import Outcomes
-from arm_emulator_campaign.results.parts import Results, digest_of, schema_of, write_part
+from arm_emulator_campaign.results.parts import Results, compute_digest, make_schema, write_part
 from arm_emulator_campaign.simulator import Simulator
 from bench.campaign_kills import Here, one_moment
 
@@ -287,18 +287,20 @@ def finished(file, into, *more):
 def digest_alone(file, count=None):
     """The digest of all runs, or the first ones, in random parts in this process."""
     one = load_campaign(file)
-    runs, results = runs_of(one), Results(file.parent / "alone", one)
+    runs, results = make_simulator(one), Results(file.parent / "alone", one)
     order = np.random.default_rng(3).permutation(count or one.count)
     for part in np.array_split(order, 7):
-        cases = [drawn_case(one.variation, index) for index in sorted(part.tolist())]
-        write_part(results.folder, one, Outcomes.joined(list(runs.runs(cases))))
-    return digest_of(results.columns()), results.columns()
+        cases = [draw_case(one.variation, index) for index in sorted(part.tolist())]
+        write_part(results.folder, one, Outcomes.join(list(runs.runs(cases))))
+    return compute_digest(results.columns()), results.columns()
 
 
 def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     file = written(tmp_path, TABLE)
     digest, columns = digest_alone(file)
-    units = {one.name: (one.metadata or {}).get(b"unit") for one in schema_of(load_campaign(file))}
+    units = {
+        one.name: (one.metadata or {}).get(b"unit") for one in make_schema(load_campaign(file))
+    }
     assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
     assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
     facts = finished(file, tmp_path / "two", "--workers", "2")
@@ -326,10 +328,10 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
         load_campaign(file),
         load_campaign(written(tmp_path, {**data, "seed": 7}, "o.yaml")),
     )
-    results, runs = Results(tmp_path / "alone", one), runs_of(one)
+    results, runs = Results(tmp_path / "alone", one), make_simulator(one)
     foreign = write_part(
         Results(tmp_path / "other", other).folder, other,
-        Outcomes.joined(list(runs_of(other).runs([drawn_case(other.variation, 3)]))),
+        Outcomes.join(list(make_simulator(other).runs([draw_case(other.variation, 3)]))),
     )  # fmt: skip
     for round_ in range(60 if FULL else 12):
         some = results.parts[int(rng.integers(len(results.parts)))]
@@ -352,9 +354,9 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
             some.parent / foreign.name
         ).exists()
         for first, end in missing:
-            cases = [drawn_case(one.variation, k) for k in range(first, end)]
-            write_part(results.folder, one, Outcomes.joined(list(runs.runs(cases))))
-        assert not results.missing(70) and digest_of(results.columns()) == digest
+            cases = [draw_case(one.variation, k) for k in range(first, end)]
+            write_part(results.folder, one, Outcomes.join(list(runs.runs(cases))))
+        assert not results.missing(70) and compute_digest(results.columns()) == digest
     aside = list((tmp_path / "alone" / "set_aside").iterdir())
     assert aside, "they are kept"
 
@@ -416,8 +418,8 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
 
     file, record = written(tmp_path, TABLE), tmp_path / "r.parquet"
     one = load_campaign(file)
-    beside = [drawn_case(one.variation, index) for index in range(20)]
-    rows = Outcomes.joined(list(runs_of(one).runs(beside)))
+    beside = [draw_case(one.variation, index) for index in range(20)]
+    rows = Outcomes.join(list(make_simulator(one).runs(beside)))
     kept = RunOutputs(record=record)
     code = campaign(file, replay=17, kept=kept)
     facts = json.loads(json.dumps(plain(output.collected)))

@@ -10,7 +10,7 @@ import yaml
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.tool_chain import ToolChain
-from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.case import Case, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.simulator import Simulator
 
@@ -32,7 +32,7 @@ def loaded(folder: Path, **hit: object) -> Campaign:
 def changed_speed(campaign: Campaign) -> tuple[np.ndarray, Simulator]:
     """Return by how much the blow has changed the speeds of the links when contact ends."""
     simulator = Simulator(campaign)
-    session, case = simulator.session, drawn_case(campaign.variation, 0)
+    session, case = simulator.session, draw_case(campaign.variation, 0)
     shown = [(session.tick, session.state.v.copy()) for _ in simulator.drive(case)]
     ends, v = shown[2]  # after start and begin of the contact
     sound = Simulator(campaign)

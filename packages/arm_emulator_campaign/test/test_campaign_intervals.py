@@ -14,9 +14,9 @@ from arm_emulator_campaign.definition.campaign_file import Stop
 from arm_emulator_campaign.execution.executor import FIRST_STAGE, GROWTH
 from arm_emulator_campaign.results.summary import QUANTILES, Quantile
 from arm_emulator_campaign.sampling.intervals import (
-    clopper_pearson,
-    of_repetitions,
-    quantile_places,
+    bound_mean,
+    bound_quantile,
+    bound_share,
 )
 
 CAMPAIGNS = 2000
@@ -32,7 +32,7 @@ def test_intervals_of_shares_hold_what_they_state() -> None:
     # Coverage summed over all outcomes.
     for share in (0.02, 0.2, 0.5):
         chance = stats.binom.pmf(range(41), 40, share)
-        ends = [clopper_pearson(k, 40, 0.9) for k in range(41)]
+        ends = [bound_share(k, 40, 0.9) for k in range(41)]
         holds = sum(p for p, (a, b) in zip(chance, ends, strict=True) if a <= share <= b)
         assert holds >= 0.9
 
@@ -42,7 +42,7 @@ def test_intervals_of_quantiles_hold_what_they_state(count: int) -> None:
     """The k-th smallest of uniform numbers has a beta distribution: coverage in closed form."""
     for q in QUANTILES:
         for confidence in (0.9, 0.95, 0.99):
-            low, high = quantile_places(q, count, confidence)
+            low, high = bound_quantile(q, count, confidence)
             above = 0.0 if low is None else stats.beta.sf(q, low + 1, count - low)
             below = 0.0 if high is None else stats.beta.cdf(q, high + 1, count - high)
             assert above + below <= 1.0 - confidence + 1e-12, (q, confidence)
@@ -56,10 +56,10 @@ def test_intervals_of_quantiles_hold_what_they_state(count: int) -> None:
 
 def test_places_are_those_of_tables() -> None:
     # Tables of the sign test name the 40th and the 61st of 100 numbers.
-    assert quantile_places(0.5, 100, 0.95) == (39, 60)
-    assert quantile_places(0.99, 100, 0.95)[1] is None
-    assert quantile_places(0.01, 100, 0.95)[0] is None
-    assert quantile_places(0.5, 1, 0.95) == (None, None)
+    assert bound_quantile(0.5, 100, 0.95) == (39, 60)
+    assert bound_quantile(0.99, 100, 0.95)[1] is None
+    assert bound_quantile(0.01, 100, 0.95)[0] is None
+    assert bound_quantile(0.5, 1, 0.95) == (None, None)
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -68,7 +68,7 @@ def test_quantiles_of_simulated_campaigns(count: int) -> None:
     campaigns = CAMPAIGNS if FULL or count < 1000 else 400
     values = np.sort(rng.exponential(size=(campaigns, count)), axis=1)
     for q in QUANTILES:
-        low, high = quantile_places(q, count, 0.95)
+        low, high = bound_quantile(q, count, 0.95)
         truth = -math.log1p(-q)
         above = np.zeros(campaigns) if low is None else values[:, low] > truth
         below = np.zeros(campaigns) if high is None else values[:, high] < truth
@@ -81,7 +81,7 @@ def test_shares_of_simulated_campaigns(count: int) -> None:
     rng = np.random.default_rng(count)
     for share in (1e-3, 0.01, 0.1, 0.5):
         hits = rng.binomial(count, share, CAMPAIGNS)
-        ends = {k: clopper_pearson(int(k), count, 0.95) for k in np.unique(hits)}
+        ends = {k: bound_share(int(k), count, 0.95) for k in np.unique(hits)}
         holds = np.mean([ends[k][0] <= share <= ends[k][1] for k in hits])
         assert holds >= 0.95 - error_of(0.05, CAMPAIGNS)
 
@@ -125,7 +125,7 @@ def test_intervals_of_repetitions_hold_what_they_state(deviation: float, zeros: 
     rng, cases = np.random.default_rng(1), CAMPAIGNS if FULL else 150
     held = []
     for _ in range(cases):
-        low, high = of_repetitions(lognormal(rng, deviation, zeros), 0.95)
+        low, high = bound_mean(lognormal(rng, deviation, zeros), 0.95)
         held.append(low <= 1e-6 <= high)
     # Above, too, or intervals without ends would pass; zeros alone are known less well.
     assert 0.95 - error_of(0.95, cases) <= np.mean(held) <= 0.99

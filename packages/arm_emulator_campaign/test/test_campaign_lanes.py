@@ -12,8 +12,8 @@ from test_campaign import MOVES, TABLE, changed, written
 
 from arm_emulator import ExternalWrench, Refusal, load_gains
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
-from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, runs_of
-from arm_emulator_campaign.case import Case, drawn_case
+from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, make_simulator
+from arm_emulator_campaign.case import Case, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.simulator import Simulator
@@ -90,7 +90,7 @@ def campaign_of(folder: Path, change: dict[str, Any]) -> Campaign:
 
 
 def cases_of(campaign: Campaign, indices: Any) -> list[Case]:
-    return [drawn_case(campaign.variation, int(index)) for index in indices]
+    return [draw_case(campaign.variation, int(index)) for index in indices]
 
 
 def rows_of(outcomes: Outcomes) -> np.ndarray:
@@ -100,17 +100,17 @@ def rows_of(outcomes: Outcomes) -> np.ndarray:
 @pytest.mark.parametrize("name", some(DRAWN, 2))
 def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, name: str) -> None:
     campaign = campaign_of(tmp_path, DRAWN[name])
-    runs, alone = runs_of(campaign), Simulator(campaign)
+    runs, alone = make_simulator(campaign), Simulator(campaign)
     assert isinstance(runs, BatchSimulator)
     count = WIDTH + 5
-    whole = rows_of(Outcomes.joined(list(runs.runs(cases_of(campaign, range(count))))))
+    whole = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, range(count))))))
     assert len(np.unique(whole, axis=0)) == count
     for index in some(range(count), 6):
         one = alone.run(index)
         single = [*one.robustness.values(), *one.measures.values(), one.diverged]
         np.testing.assert_array_equal(whole[index], single, err_msg=f"run {index}")
     order = np.random.default_rng(1).permutation(count)
-    again = rows_of(Outcomes.joined(list(runs.runs(cases_of(campaign, order)))))
+    again = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, order)))))
     assert np.array_equal(again, whole[order], equal_nan=True)
     few = rows_of(next(runs.runs(cases_of(campaign, order[:3]))))
     assert np.array_equal(few, whole[order[:3]], equal_nan=True)
@@ -126,7 +126,7 @@ def test_arms_that_stick_and_drawn_gains_alike(tmp_path: Path) -> None:
     (tmp_path / "checks.py").write_text(CHECKS)
     data["vary"] |= {"joints.*.friction.coulomb": "uniform(0.5, 4)"}
     campaign = load_campaign(written(tmp_path, data))
-    runs, alone = runs_of(campaign), Simulator(campaign)
+    runs, alone = make_simulator(campaign), Simulator(campaign)
     whole = rows_of(next(runs.runs(cases_of(campaign, range(12)))))
     for index in (0, 5, 11):
         one = alone.run(index)
@@ -139,7 +139,7 @@ def test_a_run_that_diverges_does_not_disturb_the_others(tmp_path: Path) -> None
     data = changed(TABLE, "vary", {"joints.elbow.gear.stiffness": "choice(1e4, 1e9)"})
     data = changed(changed(data, "faults", None), "set", {"integrator.scheme": "paper"})
     campaign = load_campaign(written(tmp_path, data))
-    (found,) = runs_of(campaign).runs(cases_of(campaign, range(12)))
+    (found,) = make_simulator(campaign).runs(cases_of(campaign, range(12)))
     alone = Simulator(campaign)
     for index, diverged in enumerate(found.diverged):
         one = alone.run(index)
@@ -156,15 +156,15 @@ def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
     found: list[Outcomes] = []
     reason = r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"
     with pytest.raises(Refusal, match=reason) as no:
-        for run in runs_of(campaign).runs(cases_of(campaign, range(200))):
+        for run in make_simulator(campaign).runs(cases_of(campaign, range(200))):
             found.append(run)
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])
-    assert [*Outcomes.joined(found).indices] == list(range(refused)) and refused > 0
+    assert [*Outcomes.join(found).indices] == list(range(refused)) and refused > 0
 
 
 def test_the_motion_controller_leads_runs_one_by_one(tmp_path: Path) -> None:
     campaign = load_campaign(written(tmp_path, MOVES))
-    runs = runs_of(campaign)
+    runs = make_simulator(campaign)
     assert isinstance(runs, Simulator)
     (found,) = runs.runs(cases_of(campaign, [3]))
     assert found.robustness[0, 0] == runs.run(3).robustness["near"]

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.simulator import Simulator
 
@@ -41,7 +41,7 @@ def test_a_fault_of_the_machine_begins_ends_and_varies(tmp_path: Path) -> None:
     session, j = simulator.session, 2
     per_rad = 1.0 / session.plant.link_angle_per_count[j] * session.scene.gear_ratios[j]
     for index in (3, 4):
-        case = drawn_case(campaign.variation, index)
+        case = draw_case(campaign.variation, index)
         shown = [session.tick for _ in simulator.drive(case)]
         assert shown[-1] == round(0.2 / session.scene.servo_period)
         assert session.plant.parameters["faults.elbow.encoder_slips"] == 0.0

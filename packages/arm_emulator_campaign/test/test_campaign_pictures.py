@@ -12,12 +12,12 @@ from arm_emulator_campaign.results.pictures import (
     HOLDS,
     MOST_LINES,
     NO_BREAK,
-    _in,
-    coordinates,
-    influences,
-    margins,
-    png,
-    wrapped,
+    _add_unit,
+    draw_coordinates,
+    draw_influences,
+    draw_margins,
+    encode_png,
+    wrap_text,
 )
 
 
@@ -27,10 +27,10 @@ def test_no_kind_of_run_hides_the_other(share: float) -> None:
     count, rng = 20_000, np.random.default_rng(3)
     columns = {name: rng.uniform(size=count) for name in "abc"}
     failed = rng.uniform(size=count) < share
-    figure = coordinates(columns, list(columns), failed, np.where(failed, -1.0, 1.0))
+    figure = draw_coordinates(columns, list(columns), failed, np.where(failed, -1.0, 1.0))
     (lines,) = (one for one in figure.axes[0].collections if isinstance(one, LineCollection))
     colors = [to_hex(one) for one in lines.get_color()]
-    png(figure)  # closes it
+    encode_png(figure)  # closes it
     assert colors.count(FAILS) == colors.count(HOLDS) == MOST_LINES
     # Of 150 in turns, 50 of one kind in a row are drawn once in 1e15.
     for last in (colors[-50:], colors[:50]):
@@ -54,9 +54,9 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
         columns[of] = columns[LONG[k]] + 0.1 * columns[LONG[2]]
     units = dict.fromkeys(LONG, "N m s/rad") | dict.fromkeys(titles, "N m/rad3")
     figure = {
-        "influences": lambda: influences(columns, LONG, titles, units),
-        "margins": lambda: margins(columns, titles, units),
-        "coordinates": lambda: coordinates(
+        "influences": lambda: draw_influences(columns, LONG, titles, units),
+        "margins": lambda: draw_margins(columns, titles, units),
+        "coordinates": lambda: draw_coordinates(
             columns, LONG, columns["robustness.near"] < 0.0, np.arange(300)
         ),
     }[kind]()
@@ -69,7 +69,7 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
         for label in (axis.xaxis.label, axis.yaxis.label, axis.title, *axis.get_yticklabels())
         if label.get_text()
     ]
-    png(figure)  # closes it
+    encode_png(figure)  # closes it
     assert all(seen.x0 <= box.x0 and box.x1 <= seen.x1 for box in labels)
     assert all(seen.y0 <= box.y0 and box.y1 <= seen.y1 for box in labels)
     assert not any(one.overlaps(other) for k, one in enumerate(labels) for other in labels[k + 1 :])
@@ -77,13 +77,13 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
 
 def test_a_text_is_broken_after_dots_and_kept_to_the_letter() -> None:
     text = LONG[0]
-    lines = wrapped(text, 20).split("\n")
+    lines = wrap_text(text, 20).split("\n")
     assert "".join(lines) == text
     assert max(map(len, lines)) <= 20
     assert all(line[-1] in "._" for line in lines[:-1])
-    assert "".join(wrapped("a" * 50, 20).split("\n")) == "a" * 50
+    assert "".join(wrap_text("a" * 50, 20).split("\n")) == "a" * 50
 
 
 def test_a_unit_stays_on_one_line() -> None:
-    label = wrapped(_in("joints.shoulder.gear.stiffness", "N m/rad"))
+    label = wrap_text(_add_unit("joints.shoulder.gear.stiffness", "N m/rad"))
     assert [line.replace(NO_BREAK, " ") for line in label.split("\n")][-1].endswith("[N m/rad]")

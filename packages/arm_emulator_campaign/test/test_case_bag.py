@@ -15,10 +15,10 @@ from arm_emulator.bags.run_bag import RunBag
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.ros.recording.bag import Bag
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.case_bag import write_case_bag
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.definition.scenario import ticks_of
+from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.simulator import Simulator
 from arm_emulator_msgs.msg import MachineEvent
 
@@ -36,13 +36,13 @@ def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None
     one = campaign(tmp_path, name)
     simulator = Simulator(one)
     for index in some(range(12), 2):
-        case = drawn_case(one.variation, int(index))
+        case = draw_case(one.variation, int(index))
         bag = tmp_path / f"bag_{index}"
         write_case_bag(one, simulator, case, bag)
         found = compare(bag)
         assert found.difference is None, found.difference
         seconds = min(case.seconds, simulator._scenario.seconds)
-        assert found.tally.states == 1 + ticks_of(seconds, one.scene.servo_period)
+        assert found.tally.states == 1 + count_ticks(seconds, one.scene.servo_period)
         assert found.tally.changes >= len(simulator._campaign.nominal[1]), "the faults are in it"
         simulator.run(case)  # as in the campaign: many ticks at a time
         *_, (_, last) = RecordedTopics(Bag(bag)).read("emulator/joint_states")
@@ -60,7 +60,7 @@ def test_a_fault_that_is_left_out_is_found(tmp_path: Path, monkeypatch: pytest.M
             plain(bag, kind)
 
     monkeypatch.setattr(RunBag, "changed", all_but_the_push)
-    write_case_bag(one, Simulator(one), drawn_case(one.variation, 0), tmp_path / "bag")
+    write_case_bag(one, Simulator(one), draw_case(one.variation, 0), tmp_path / "bag")
     assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == 2
     found = compare(tmp_path / "bag")
     assert found.difference is not None and "tick 51" in found.difference, "from 0.05 s on"

@@ -14,8 +14,8 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
 from arm_emulator.machine.session.change import Change, NumberChange, WrenchChange
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.definition.fault import Fault, changes_of, known_faults
-from arm_emulator_campaign.definition.varying_numbers import leaves
+from arm_emulator_campaign.definition.fault import Fault, list_faults, schedule_changes
+from arm_emulator_campaign.definition.varying_numbers import list_leaves
 
 FAULTS: dict[str, dict[str, Any]] = {
     "push": {"kind": "wrench", "at": 0.1, "lasting": 0.05, "link": "tool", "force": [1, 2, 3],
@@ -32,7 +32,7 @@ SENT = {
     "set": {"faults": ["elbow.encoder_slips"], "payload": 1.0},
     "scenario": {"seconds": 0.2, "targets": [{"at": 0.0, "elbow": 1.0}]},
     "faults": FAULTS,
-    "vary": {f"faults.{name}": "uniform(0, 1)" for name, _ in leaves(FAULTS)},
+    "vary": {f"faults.{name}": "uniform(0, 1)" for name, _ in list_leaves(FAULTS)},
     "count": 20,
 }
 
@@ -62,7 +62,7 @@ def written(values: dict[str, float]) -> dict[str, Any]:
 
 
 def test_every_kind_is_drawn_here() -> None:
-    assert {value["kind"] for value in FAULTS.values()} == set(known_faults())
+    assert {value["kind"] for value in FAULTS.values()} == set(list_faults())
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -73,8 +73,8 @@ def test_drawn_faults_are_those_of_a_file_with_their_numbers(
     names = [number.name for number in campaign.variation.numbers]
     some = rng.permutation(names)[: 1 + seed * len(names) // 7].tolist()
     values = {name: float(rng.uniform(0.02, 0.9)) for name in some}
-    assert campaign._with_numbers(values) is not None, "no section is read"
-    assert campaign.with_values(values)[1] == loaded(tmp_path, written(values)).nominal[1]
+    assert campaign._bind_numbers(values) is not None, "no section is read"
+    assert campaign.bind_values(values)[1] == loaded(tmp_path, written(values)).nominal[1]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_a_draw_is_refused_as_a_file_is(
     campaign: Campaign, tmp_path: Path, name: str, value: float
 ) -> None:
     with pytest.raises(Refusal) as drawn:
-        campaign.with_values({name: value})
+        campaign.bind_values({name: value})
     with pytest.raises(Refusal) as read:
         loaded(tmp_path, written({name: value}))
     assert str(drawn.value) == str(read.value)
@@ -133,7 +133,7 @@ def test_the_newest_fault_that_lasts_holds(campaign: Campaign, seed: int) -> Non
         drawn = one.with_numbers([((key,), value) for key, value in {**times, **more}.items()])
         assert drawn is not None
         faults.append((drawn, begins, begins + ticks))
-    found = changes_of([one for one, *_ in faults], campaign.scene, {"payload.mass": 1.5})
+    found = schedule_changes([one for one, *_ in faults], campaign.scene, {"payload.mass": 1.5})
     assert [tick for tick, _ in found] == sorted(tick for tick, _ in found)
     sound: dict[str, Any] = {one.name: one.value for one in campaign.scene.varied}
     sound |= {"payload.mass": 1.5, "power": True}

@@ -19,10 +19,10 @@ from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_sc
 from arm_emulator.base.expression.formula import bind_signals, parse_formula
 from arm_emulator.machine.session.tool_chain import TOOL
 from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.forking import ForkingRun
-from arm_emulator_campaign.results.parts import of_formula
+from arm_emulator_campaign.results.parts import find_formula_unit
 from arm_emulator_campaign.simulator import Simulator
 
 SCENE = load_scene("three_axis")
@@ -130,7 +130,7 @@ def by_breakpoint(texts: Sequence[str], folder: Path) -> list[bool]:
 
 def by_lanes(texts: Sequence[str], folder: Path) -> Answers:
     campaign = campaign_of(texts, folder, SAMPLED)
-    case = drawn_case(campaign.variation, 0)
+    case = draw_case(campaign.variation, 0)
     return list(BatchSimulator(campaign).run(case).robustness.values())
 
 
@@ -277,7 +277,7 @@ def test_walks_of_long_formulas_need_no_recursion() -> None:
     text = "+".join(["v.*"] * 990) + " > 1"
     known = [f"v.{joint}" for joint in SCENE.joint_names]
     bound = bind_signals(parse_formula(text, "c", "r"), known, "c", "r")
-    assert of_formula(bound, dict.fromkeys(known, "rad/s")) == "rad/s"
+    assert find_formula_unit(bound, dict.fromkeys(known, "rad/s")) == "rad/s"
     assert not Breakpoint(Plant(SCENE), text).struct.held
 
 

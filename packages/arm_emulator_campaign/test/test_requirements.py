@@ -20,7 +20,7 @@ from arm_emulator.base.expression.formula import (
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.results.parts import of_formula
+from arm_emulator_campaign.results.parts import find_formula_unit
 
 PERIOD = 0.01
 NAMES = ("a", "b.c", "d")
@@ -334,4 +334,4 @@ def test_arithmetic_of_signals_equals_numpy(seed):
 )
 def test_robustness_has_the_unit_of_what_is_compared(text, unit):
     units = {"q.a": "rad", "current.a": "A"}
-    assert of_formula(parse_formula(text, "c", "r"), units) == unit
+    assert find_formula_unit(parse_formula(text, "c", "r"), units) == unit

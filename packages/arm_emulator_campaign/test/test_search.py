@@ -17,18 +17,18 @@ from draws import FULL
 from scipy import optimize, special, stats
 
 from arm_emulator import Refusal
-from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.case import case_at, case_with, drawn_case
+from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.case import draw_case, make_case, place_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.searcher import Searcher
 from arm_emulator_campaign.execution.worker_pool import WorkerPool
-from arm_emulator_campaign.results.parts import Results, checksum_of, digest_of
-from arm_emulator_campaign.sampling.intervals import of_repetitions
+from arm_emulator_campaign.results.parts import Results, compute_checksum, compute_digest
+from arm_emulator_campaign.sampling.intervals import bound_mean
 from arm_emulator_campaign.search.falsification import Bayes, CmaEs
 from arm_emulator_campaign.search.sensitivity import Morris, Sobol
 from arm_emulator_campaign.search.subset import Subset
-from arm_emulator_campaign.shrinking import fewest, shrink, write_shrunk
-from arm_emulator_campaign.simulator import Simulator, bound
+from arm_emulator_campaign.shrinking import find_fewest, shrink, write_shrunk
+from arm_emulator_campaign.simulator import Simulator, bind_case
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PUSHED = {
@@ -126,9 +126,9 @@ def test_subset_simulation_of_a_frequent_failure_is_plain_sampling():
 
 
 def test_an_estimate_of_zero_lowers_the_interval():
-    low, high = of_repetitions(np.array([0.0, 1e-6, 3e-6, 2e-6]), 0.9)
-    assert low < of_repetitions(np.array([1e-6, 3e-6, 2e-6]), 0.9)[0] and 3e-6 < high < 1e-3
-    assert of_repetitions(np.zeros(4), 0.9) == (0.0, 1.0)
+    low, high = bound_mean(np.array([0.0, 1e-6, 3e-6, 2e-6]), 0.9)
+    assert low < bound_mean(np.array([1e-6, 3e-6, 2e-6]), 0.9)[0] and 3e-6 < high < 1e-3
+    assert bound_mean(np.zeros(4), 0.9) == (0.0, 1.0)
 
 
 # ------------------------------------------------------------------ falsification and sensitivity
@@ -226,7 +226,7 @@ def probability(one):
     simulator = Simulator(one)
 
     def margin(*z):
-        return simulator.run(case_at(one.variation, 0, z)).robustness["near"]
+        return simulator.run(place_case(one.variation, 0, z)).robustness["near"]
 
     def above(payload, sign):
         return stats.norm.sf(
@@ -250,8 +250,8 @@ def test_rare_failures_of_a_machine(tmp_path):
     cases, places = [], rng.integers(0, runs, 20)
     for at in places:
         values = {number.name: columns[number.name][at] for number in one.variation.numbers}
-        cases.append(case_with(one.variation, int(at), values))
-    (again,) = runs_of(one).runs(cases)
+        cases.append(make_case(one.variation, int(at), values))
+    (again,) = make_simulator(one).runs(cases)
     assert np.array_equal(again.robustness[:, 0], columns["robustness.near"][places])
 
 
@@ -269,7 +269,7 @@ def test_the_example_agrees_with_bisection_along_lines(tmp_path):
 
     def holds(z, size):
         z[force] = size
-        return simulator.run(case_at(one.variation, 0, z)).robustness["stays_near"] >= 0.0
+        return simulator.run(place_case(one.variation, 0, z)).robustness["stays_near"] >= 0.0
 
     p = np.zeros(100)
     for k in range(len(p)):
@@ -296,14 +296,14 @@ def test_a_search_does_not_depend_on_how_it_was_divided(tmp_path):
             searched(one, into, Here(chunks), workers, seconds=0.1)
     assert len(list((into / "parts").iterdir())) == 15
     again, pieces = searched(one, into, Here(), 7, seconds=0.05)
-    assert again == found and digest_of(pieces) == digest_of(whole)
+    assert again == found and compute_digest(pieces) == compute_digest(whole)
     done, _ = searched(one, into, Here(0), 1)  # nothing is simulated once more
     assert done == found and json.loads((into / "search.json").read_text())[0]["title"]
     # Runs that other versions of a package asked for are not taken for ours.
     part = sorted((into / "parts").iterdir())[0]
     other = _with_other_values(part)
     part.unlink()
-    part.with_name(f"{part.stem.rpartition('-')[0]}-{checksum_of(other)}.parquet").write_bytes(
+    part.with_name(f"{part.stem.rpartition('-')[0]}-{compute_checksum(other)}.parquet").write_bytes(
         other
     )
     with pytest.raises(Refusal, match="have runs of this search"):
@@ -389,7 +389,7 @@ def test_the_fewest_changes_are_found():
         def fails(some, causes=causes):
             return any(cause <= set(some) for cause in causes)
 
-        left = fewest(names, fails)
+        left = find_fewest(names, fails)
         assert fails(left) and set(left) in causes
         assert not any(fails([one for one in left if one != name]) for name in left)
 
@@ -403,8 +403,8 @@ def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
         "scenario.targets.0.elbow": "uniform(0.79, 0.81)",
     }
     one = load_campaign(written(tmp_path, data))
-    values = dict(drawn_case(one.variation, 3).values) | {"faults.push.force.2": 900.0}
-    case = replace(drawn_case(one.variation, 3), values=values)
+    values = dict(draw_case(one.variation, 3).values) | {"faults.push.force.2": 900.0}
+    case = replace(draw_case(one.variation, 3), values=values)
     found = shrink(one, case)
     assert found.changes == {"faults.push.force.2": 900.0} and found.faults == ("push",)
     # A period less does not fail: the machine alone, tick by tick.
@@ -416,7 +416,7 @@ def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
         found.margin, abs=1e-9
     )
     with pytest.raises(Refusal, match="must fail"):
-        shrink(one, drawn_case(one.variation, 3))
+        shrink(one, draw_case(one.variation, 3))
 
 
 def test_numbers_of_scene_and_servo_are_written(tmp_path):
@@ -427,13 +427,13 @@ def test_numbers_of_scene_and_servo_are_written(tmp_path):
     }
     data["requirements"] = {"short": "always error.elbow < -1"}
     one = load_campaign(written(tmp_path, data))
-    found = shrink(one, drawn_case(one.variation, 0))
+    found = shrink(one, draw_case(one.variation, 0))
     assert found.changes == {} and found.faults == ()  # it fails without any change
     changes = {"payload.mass": 2.5, "controller.joints.elbow.velocity_gain": 133.0}
     again = load_campaign(write_shrunk(one, replace(found, changes=changes), tmp_path / "shrunk"))
-    case = drawn_case(again.variation, 0)
+    case = draw_case(again.variation, 0)
     assert case.values == changes
-    gains = {joint.name: joint.velocity_gain for joint in bound(again, case).servo.joints}
+    gains = {joint.name: joint.velocity_gain for joint in bind_case(again, case).servo.joints}
     assert gains["elbow"] == 133.0 and gains["waist"] == 150.0
 
 

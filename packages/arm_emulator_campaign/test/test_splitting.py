@@ -11,15 +11,15 @@ import yaml
 from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.commands.campaign import case_of
+from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.commands.campaign import find_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.execution.splitter import Splitter, failed_forks
+from arm_emulator_campaign.execution.splitter import Splitter, read_failures
 from arm_emulator_campaign.execution.worker_pool import WorkerPool
-from arm_emulator_campaign.forking import ForkingRun, forked_case
+from arm_emulator_campaign.forking import ForkingRun, make_forked_case
 from arm_emulator_campaign.results.parts import Results
 from arm_emulator_campaign.results.report import write_report
-from arm_emulator_campaign.results.summary import summary_of
+from arm_emulator_campaign.results.summary import summarize
 from arm_emulator_campaign.search.splitting import Origin, Splitting
 from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
@@ -105,8 +105,8 @@ def of_walk(bound):
 
 def test_repetitions_have_the_true_probability_in_their_mean():
     method, process = Splitting(of="g", per_level=60, repetitions=40), Walk(9.0)
-    levels, leads = method.pilot(process, 1)
-    found = [method.repetition(process, levels, 1, k) for k in range(1, 41)]
+    levels, leads = method.run_pilot(process, 1)
+    found = [method.run_repetition(process, levels, 1, k) for k in range(1, 41)]
     p = np.array([one.probability for one in found])
     truth = of_walk(9.0)
     assert leads and truth == pytest.approx(9.9e-4, rel=0.01)
@@ -119,7 +119,7 @@ def test_repetitions_have_the_true_probability_in_their_mean():
 
 def test_a_failure_that_no_level_leads_to_is_reported():
     method = Splitting(of="g", per_level=20, least=1e-2)
-    levels, leads = method.pilot(Walk(100.0), 1)
+    levels, leads = method.run_pilot(Walk(100.0), 1)
     assert not leads and "No level led" in method.finding("g", levels, []).about
 
 
@@ -179,13 +179,13 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, ch
         forks.go_on(forks.fork(), seed)
         origin = Origin(3, (*origin.seeds, (forks.now, seed)))
     assert forks.reach(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
-    alone, case = Simulator(one), forked_case(one, origin)
+    alone, case = Simulator(one), make_forked_case(one, origin)
     for done in alone.drive(case, 1):
         if done == forks.now:
             assert bits(alone) == bits(forks)
     whole = forks.reach(-math.inf)[1]
     assert alone.run(case).robustness["counts"] == pytest.approx(whole, abs=1e-15)
-    (found,) = runs_of(one).runs([case])
+    (found,) = make_simulator(one).runs([case])
     assert found.robustness[0, 0] == pytest.approx(whole, abs=1e-12)
 
 
@@ -194,16 +194,16 @@ def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
     results = Results(into, one)
     found = Splitter(one, results, WorkerPool(Here, 1.0, lambda _: None)).run()
     assert found[2].title == "Failures" and len(found[2].rows) == 10
-    first, *_ = failed_forks(results)
+    first, *_ = read_failures(results)
     assert found[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
-    count = len(failed_forks(results))
+    count = len(read_failures(results))
     simulator = Simulator(one)
     for k in range(0, count, max(1, count // 5)):
-        assert simulator.run(case_of(one, into, k, "--replay")).robustness["counts"] < 0.0
+        assert simulator.run(find_case(one, into, k, "--replay")).robustness["counts"] < 0.0
     with pytest.raises(Refusal, match=f"be a failure of the search, got {count}"):
-        case_of(one, into, count, "--replay")
-    k = next(k for k, one in enumerate(failed_forks(results)) if len(one.seeds) > 1)
-    shrunk = shrink(one, case_of(one, into, k, "--shrink"))
+        find_case(one, into, count, "--replay")
+    k = next(k for k, one in enumerate(read_failures(results)) if len(one.seeds) > 1)
+    shrunk = shrink(one, find_case(one, into, k, "--shrink"))
     file = write_shrunk(one, shrunk, tmp_path / "shrunk")
     again = Simulator(load_campaign(file)).run(0)
     assert again.robustness == {"counts": pytest.approx(shrunk.margin, abs=1e-15)}
@@ -248,7 +248,7 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     margins = [row[1] for row in rows]
     assert margins == sorted(margins, reverse=True) and margins[-1] == 0.0 and len(rows) > 1
     columns = results.columns()
-    report = write_report(one, results, columns, summary_of(one, columns), first).read_text()
+    report = write_report(one, results, columns, summarize(one, columns), first).read_text()
     for row in rows:
         assert f"<td>{row[0]}<td class=n>{row[1]:.4g}<td class=n>{row[2]:.4g}" in report
 

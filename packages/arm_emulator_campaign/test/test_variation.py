@@ -8,7 +8,7 @@ from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.sampling.distributions import parse_distribution
-from arm_emulator_campaign.sampling.variation import Variation, Varying, correlation_of
+from arm_emulator_campaign.sampling.variation import Variation, Varying, make_correlation
 
 DISTRIBUTIONS = [
     ("uniform(-1, 3)", stats.uniform(-1, 4)),
@@ -61,7 +61,7 @@ def test_choices_and_mixtures_have_their_shares():
 
 def variation(sampling, count, numbers=3, pairs=(), text="uniform(0, 1)"):
     of = [Varying(f"x{k}", "", parse_distribution(text, "c", "x"), 1.0) for k in range(numbers)]
-    return Variation(of, sampling, bytes(range(32)), count, correlation_of(pairs, of, "c"), "c")
+    return Variation(of, sampling, bytes(range(32)), count, make_correlation(pairs, of, "c"), "c")
 
 
 def cube(of, count):

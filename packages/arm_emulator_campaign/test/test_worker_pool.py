@@ -11,7 +11,7 @@ import pytest
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.batch_simulator import WIDTH
-from arm_emulator_campaign.execution.executor import chunk_of
+from arm_emulator_campaign.execution.executor import size_chunk
 from arm_emulator_campaign.execution.worker_pool import MOST_BREAKS, Progress, Work, WorkerPool
 
 
@@ -79,7 +79,7 @@ def test_workers_that_are_equally_quick_end_together():
     for _ in range(300):
         runs, largest = (int(10 ** rng.uniform(0, ends)) for ends in (7, 4))
         workers = int(rng.integers(1, 50))
-        size = chunk_of(runs, workers, largest)
+        size = size_chunk(runs, workers, largest)
         rounds = math.ceil(math.ceil(runs / size) / workers)  # each takes the next when it is free
         assert 1 <= size <= largest
         # No later than if all were divided evenly, but for a group of lanes in each chunk.

@@ -29,14 +29,14 @@ from arm_emulator.extension.commands import (
 from arm_emulator.extension.compiler import ARITHMETIC
 from arm_emulator.extension.machine import Diverged
 from arm_emulator.extension.runs import Recorder
-from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.case import Case, case_with, drawn_case
+from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.case import Case, draw_case, make_case
 from arm_emulator_campaign.case_bag import write_case_bag
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
-from arm_emulator_campaign.evaluators import statements_about_the_start
-from arm_emulator_campaign.execution.executor import run_campaign, seconds_per_run
+from arm_emulator_campaign.evaluators import find_start_requirements
+from arm_emulator_campaign.execution.executor import measure_run, run_campaign
 from arm_emulator_campaign.execution.searcher import Searcher
-from arm_emulator_campaign.execution.splitter import Splitter, failed_forks
+from arm_emulator_campaign.execution.splitter import Splitter, read_failures
 from arm_emulator_campaign.execution.worker_pool import (
     DaskPool,
     LocalPool,
@@ -44,11 +44,17 @@ from arm_emulator_campaign.execution.worker_pool import (
     Progress,
     WorkerPool,
 )
-from arm_emulator_campaign.forking import forked_case
+from arm_emulator_campaign.forking import make_forked_case
 from arm_emulator_campaign.results.outcome import Outcome
-from arm_emulator_campaign.results.parts import ABOUT, INDEX, Results, column_units, digest_of
+from arm_emulator_campaign.results.parts import (
+    ABOUT,
+    INDEX,
+    Results,
+    compute_digest,
+    list_column_units,
+)
 from arm_emulator_campaign.results.report import write_report
-from arm_emulator_campaign.results.summary import Summary, summary_of
+from arm_emulator_campaign.results.summary import Summary, summarize
 from arm_emulator_campaign.search.method import Finding
 from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
@@ -114,23 +120,23 @@ def campaign(
         check_count("campaign", "--workers", workers, 1, 100_000 if dask else 4096)
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
-        return _replay(one, case_of(one, into, replay, "--replay"), kept, page, bag)
+        return _replay(one, find_case(one, into, replay, "--replay"), kept, page, bag)
     if shrink is not None:
-        return print_shrunk(one, case_of(one, into, shrink, "--shrink"), into)
-    for text in statements_about_the_start(one):
+        return print_shrunk(one, find_case(one, into, shrink, "--shrink"), into)
+    for text in find_start_requirements(one):
         warn(text)
-    seconds, ready = seconds_per_run(one)
-    _preview(one, seconds, ready, workers or _all_of(dask))
+    seconds, ready = measure_run(one)
+    _print_cost(one, seconds, ready, workers or _count_workers(dask))
     if dry:
         return 0
     results = Results(into, one)
     interrupted, findings = _simulate(one, results, dask, workers, seconds)
     columns = results.columns()
-    summary = summary_of(one, columns)
+    summary = summarize(one, columns)
     if one.search is None:
-        _print(summary, digest_of(columns), results.folder)
+        _print(summary, compute_digest(columns), results.folder)
     else:
-        print_findings(findings, digest_of(columns), summary.count, results.folder)
+        print_findings(findings, compute_digest(columns), summary.count, results.folder)
     if summary.count or findings:
         output.line(f"report  {write_report(one, results, columns, summary, findings)}")
     if interrupted:
@@ -143,7 +149,7 @@ def campaign(
     return output.judge("campaign", missed)
 
 
-def _all_of(dask: str | None) -> int:
+def _count_workers(dask: str | None) -> int:
     """Return the number of workers that are at hand."""
     if dask is None:
         return len(os.sched_getaffinity(0))
@@ -154,11 +160,11 @@ def _all_of(dask: str | None) -> int:
         cluster.end()
 
 
-def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
+def _print_cost(one: Campaign, seconds: float, ready: float, workers: int) -> None:
     scenario = one.nominal[0]
     most = "" if one.search is None else "at most "
     count = one.count if one.search is None else one.search.runs(len(one.variation.numbers))
-    size = count * len(column_units(one)) * BYTES_PER_NUMBER
+    size = count * len(list_column_units(one)) * BYTES_PER_NUMBER
     wall = count * seconds / workers + ready
     output.facts({"count": count, "per_run": seconds, "estimate": wall, "bytes": size})
     output.line(
@@ -167,8 +173,8 @@ def _preview(one: Campaign, seconds: float, ready: float, workers: int) -> None:
         f"{len(one.requirements)} requirements"
     )
     output.line(
-        f"a run takes {_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "
-        f"all with {workers} workers {most}{_time(wall)}, {_bytes(size)}"
+        f"a run takes {_format_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "
+        f"all with {workers} workers {most}{_format_time(wall)}, {_format_bytes(size)}"
     )
 
 
@@ -181,10 +187,10 @@ def _simulate(
 
     def pool() -> Pool:
         if dask is None:
-            return LocalPool(workers or _all_of(dask))
+            return LocalPool(workers or _count_workers(dask))
         return DaskPool(dask, next(patience), workers)
 
-    with _shown() as report:
+    with _show_progress() as report:
         crew = WorkerPool(pool, seconds, report)
         try:
             if one.search is not None and one.search.forks:
@@ -198,11 +204,11 @@ def _simulate(
 
 
 @contextmanager
-def _shown() -> Iterator[Callable[[Progress], None]]:
+def _show_progress() -> Iterator[Callable[[Progress], None]]:
     """Within, the progress is shown: a bar in a terminal, else a line now and then."""
     console = output.console()
     if not console.is_terminal:
-        yield _lines()
+        yield _print_progress()
         return
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
@@ -213,24 +219,24 @@ def _shown() -> Iterator[Callable[[Progress], None]]:
 
         def show(now: Progress) -> None:
             done = now.before + now.done
-            bar.update(task, total=now.count, completed=done, facts=_facts(now))
+            bar.update(task, total=now.count, completed=done, facts=_format_progress(now))
 
         yield show
 
 
-def _lines() -> Callable[[Progress], None]:
+def _print_progress() -> Callable[[Progress], None]:
     last = [time.monotonic()]
 
     def show(now: Progress) -> None:
         if time.monotonic() - last[0] >= 10.0:
             last[0] = time.monotonic()
-            output.line(f"{now.before + now.done} of {now.count} runs, {_facts(now)}")
+            output.line(f"{now.before + now.done} of {now.count} runs, {_format_progress(now)}")
 
     return show
 
 
-def _facts(now: Progress) -> str:
-    left = f"{_time(now.left)} left" if math.isfinite(now.left) else "time left unknown"
+def _format_progress(now: Progress) -> str:
+    left = f"{_format_time(now.left)} left" if math.isfinite(now.left) else "time left unknown"
     return f"{now.rate:.0f} runs/s, {now.failures[-1]} failed, {left}"
 
 
@@ -251,7 +257,7 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
 
 def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: Path | None) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
-    outcome = runs_of(one).run(case)
+    outcome = make_simulator(one).run(case)
     for name, value in outcome.values.items():
         output.line(f"{name:<44} {value!r}")
     for name, value in outcome.robustness.items():
@@ -263,7 +269,7 @@ def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: 
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
     recorded = kept != KEEP_NOTHING or page is not None
-    code = output.judge("campaign", _failures(outcome))
+    code = output.judge("campaign", _describe_failures(outcome))
     if bag is None and not recorded:
         return code
     simulator = Simulator(one)
@@ -275,7 +281,7 @@ def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: 
     return code
 
 
-def _failures(outcome: Outcome) -> str:
+def _describe_failures(outcome: Outcome) -> str:
     """Return as text what failed in a run; empty: nothing."""
     if math.isfinite(outcome.diverged):
         return f"run {outcome.index} diverged at {outcome.diverged:g} s"
@@ -283,7 +289,7 @@ def _failures(outcome: Outcome) -> str:
     return f"run {outcome.index} fails {', '.join(names)}" if names else ""
 
 
-def _time(seconds: float) -> str:
+def _format_time(seconds: float) -> str:
     if seconds < 1.0:
         return f"{1e3 * seconds:.3g} ms"
     if seconds < 120.0:
@@ -291,7 +297,7 @@ def _time(seconds: float) -> str:
     return f"{seconds / 60:.3g} min" if seconds < 7200.0 else f"{seconds / 3600:.3g} h"
 
 
-def _bytes(size: float) -> str:
+def _format_bytes(size: float) -> str:
     for unit in ("B", "kB", "MB", "GB"):
         if size < 1000.0:
             return f"{size:.3g} {unit}"
@@ -299,7 +305,7 @@ def _bytes(size: float) -> str:
     return f"{size:.3g} TB"
 
 
-def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
+def find_case(one: Campaign, into: Path, index: int, option: str) -> Case:
     """Return a run by its index: drawn again, or of a search, from its results.
 
     Raises:
@@ -307,24 +313,24 @@ def case_of(one: Campaign, into: Path, index: int, option: str) -> Case:
     """
     check_count("campaign", option, index, 0, 10**12)
     if one.search is None:
-        return drawn_case(one.variation, index)
+        return draw_case(one.variation, index)
     if not (into / ABOUT).is_file():
         rule = "have the search's runs, from which one is taken"
         raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
     results = Results(into, one)
     if one.search.forks:
-        failures = failed_forks(results)
+        failures = read_failures(results)
         if index >= len(failures):
             valid = f"0 to {len(failures) - 1}" if failures else None
             raise Refusal("campaign", option, "be a failure of the search", index, valid)
-        return replace(forked_case(one, failures[index]), index=index)
+        return replace(make_forked_case(one, failures[index]), index=index)
     columns = results.columns()
     places = np.flatnonzero(columns[INDEX] == index)
     if not len(places):
         count = len(columns[INDEX])
         raise Refusal("campaign", option, "be a run of the search", index, f"0 to {count - 1}")
     values = {name.name: float(columns[name.name][places[0]]) for name in one.variation.numbers}
-    return case_with(one.variation, index, values)
+    return make_case(one.variation, index, values)
 
 
 def record_case(
@@ -354,7 +360,7 @@ def print_findings(findings: Sequence[Finding], digest: str, count: int, folder:
     for one in findings:
         output.line(one.about)
         if one.rows:
-            output.table(one.head, one.texts(), left=len(one.head))
+            output.table(one.head, one.format_rows(), left=len(one.head))
     output.line(f"digest  {digest}")
     output.facts({
         "findings": [asdict(one) for one in findings], "count": count, "digest": digest,

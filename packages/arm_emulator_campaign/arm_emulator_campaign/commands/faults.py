@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from arm_emulator.extension.commands import SceneName, command, output
 from arm_emulator.extension.machine import load_scene
-from arm_emulator_campaign.fault_matrix import draw, fault_matrix, worst_by_kind, write_csv
+from arm_emulator_campaign.fault_matrix import draw_matrix, find_worst, try_faults, write_csv
 
 
 @command(keys="`scene`, `faults`; with the option matrix `matrix`")
@@ -63,11 +63,11 @@ def faults(
 
 def _try_faults(scene: str, folder: Path) -> int:
     """Try each fault, write the matrix, and print the worst joint of each kind."""
-    rows = fault_matrix(scene)
+    rows = try_faults(scene)
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(rows, folder / "faults.csv")
-    draw(rows, f"Faults of {Path(scene).stem} in a move of 71 mm", folder / "faults.png")
-    for one in worst_by_kind(rows):
+    draw_matrix(rows, f"Faults of {Path(scene).stem} in a move of 71 mm", folder / "faults.png")
+    for one in find_worst(rows):
         after = "" if one.after != one.after else f" after {1e3 * one.after:.0f} ms"
         found = f"{one.detected_by}{after}"
         output.line(f"{one.fault:<40} {found:<32} tool {1e3 * one.travel:.3g} mm off its way")

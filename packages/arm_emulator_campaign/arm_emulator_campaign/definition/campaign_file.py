@@ -33,11 +33,11 @@ from arm_emulator.extension.runs import (
     load_motion_config,
     load_servo_config,
 )
-from arm_emulator_campaign.definition.fault import Fault, known_faults
+from arm_emulator_campaign.definition.fault import Fault, list_faults
 from arm_emulator_campaign.definition.scenario import Scenario, read_scenario
-from arm_emulator_campaign.definition.varying_numbers import DRAWN, correlated, varying_numbers
-from arm_emulator_campaign.sampling.intervals import clopper_pearson
-from arm_emulator_campaign.sampling.variation import SAMPLINGS, Variation, correlation_of
+from arm_emulator_campaign.definition.varying_numbers import DRAWN, read_correlations, read_varying
+from arm_emulator_campaign.sampling.intervals import bound_share
+from arm_emulator_campaign.sampling.variation import SAMPLINGS, Variation, make_correlation
 from arm_emulator_campaign.search import read_method
 from arm_emulator_campaign.search.method import Method
 
@@ -77,7 +77,7 @@ class Stop:
         and 87.5 % were covered for 95 and 90 % stated.
         """
         risk = 1.0 - self.confidence
-        return clopper_pearson(hits, count, 1.0 - (0.5 * risk if self.width > 0.0 else risk))
+        return bound_share(hits, count, 1.0 - (0.5 * risk if self.width > 0.0 else risk))
 
 
 @dataclass(frozen=True)
@@ -119,16 +119,16 @@ class Campaign:
         return self.file.name
 
     @property
-    def draws_sections(self) -> bool:
+    def has_drawn_sections(self) -> bool:
         """Whether numbers of the file itself, or of the controller, vary."""
         return any(number.name.split(".")[0] in DRAWN for number in self.variation.numbers)
 
     @cached_property
     def nominal(self) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
         """Scenario, faults and servo where nothing varies."""
-        return self.with_values({})
+        return self.bind_values({})
 
-    def with_values(
+    def bind_values(
         self, values: Mapping[str, float]
     ) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
         """Return scenario, faults and servo with values of what varies in them.
@@ -139,16 +139,16 @@ class Campaign:
         servo, drawn = self.servo, {name.split(".")[0] for name in values}
         known = self.nominal if values else None  # what does not vary is not read anew
         changed = {key for key in DRAWN if key in self.data and (known is None or key in drawn)}
-        set_by_number = self._with_numbers(values) if known and "faults" in changed else None
+        set_by_number = self._bind_numbers(values) if known and "faults" in changed else None
         if set_by_number is not None:
             changed.remove("faults")
-        data = _unshared({key: self.data[key] for key in changed})
+        data = _copy_unshared({key: self.data[key] for key in changed})
         for name, value in values.items():
             section = name.split(".")[0]
             if section == "controller":
-                servo = with_gain(servo, name, value, self.where)
+                servo = change_gain(servo, name, value, self.where)
             elif section in changed:
-                _put(data, name.split("."), value)
+                _put_number(data, name.split("."), value)
         root = Section(data, self.where)
         root.has("controller")
         scenario = known[0] if known else None
@@ -158,7 +158,7 @@ class Campaign:
             scenario = read_scenario(section_of, self.scene, self.file.parent)
             section_of.finish()
         if "faults" in changed:
-            faults = _faults(root, self.scene)
+            faults = _read_faults(root, self.scene)
         return scenario, faults, servo
 
     @cached_property
@@ -173,7 +173,7 @@ class Campaign:
                 found[number.name] = fault, rest[len(fault) + 1 :].split(".")
         return found
 
-    def _with_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
+    def _bind_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
         """Return the faults with other numbers; None: their section must be read."""
         numbers: dict[str, list[tuple[Sequence[str], float]]] = {}
         for name, value in values.items():
@@ -200,27 +200,27 @@ def load_campaign(file: Path) -> Campaign:
     root = Section(data, file.name)
     root.text("scene")
     controller = root.section("controller") or Section({}, file.name, "controller")
-    files = used_files(data, file)
+    files = find_files(data, file)
     for kind in ("servo", "motion"):
         controller.has(kind)
     scene_file = files["scene"]
     servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
-    servo = with_gains(servo, controller, file.name)
-    patterns = _patterns(root)
+    servo = change_gains(servo, controller, file.name)
+    patterns = _read_patterns(root)
     of_scene = [one for one in patterns if one.split(".")[0] not in DRAWN]
-    scene, overrides = _scene(root, scene_file, of_scene)
+    scene, overrides = _load_varied_scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
     used = {"scene": read_bytes(scene_file, LARGEST_YAML_FILE), "urdf": scene.urdf.encode()}
     used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
-    used |= _named_files(data, file.parent)
+    used |= _read_named_files(data, file.parent)
     sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])
-    numbers = varying_numbers(root, patterns, scene, servo, data)
-    pairs = correlated(root, [number.name for number in numbers])
-    correlation = correlation_of(pairs, numbers, file.name)
+    numbers = read_varying(root, patterns, scene, servo, data)
+    pairs = read_correlations(root, [number.name for number in numbers])
+    correlation = make_correlation(pairs, numbers, file.name)
     levels = Variation(numbers, "random", bytes(32), 1).levels
     count = count or (levels if levels > 1 else ALL)
-    key = _key(data, used, root, count if sampling == "latin" else 0)
+    key = _hash_definition(data, used, root, count if sampling == "latin" else 0)
     variation = Variation(numbers, sampling, key, count, correlation, file.name)
     stop = root.section("stop")
     campaign = Campaign(
@@ -231,10 +231,10 @@ def load_campaign(file: Path) -> Campaign:
         motion=motion,
         data=data,
         variation=variation,
-        requirements=_texts(root, "requirements", (str, dict)),
-        measures=_texts(root, "measures", (str,)),
+        requirements=_read_texts(root, "requirements", (str, dict)),
+        measures=_read_texts(root, "measures", (str,)),
         count=count,
-        stop=_stop(stop or Section({}, file.name, "stop")),
+        stop=_read_stop(stop or Section({}, file.name, "stop")),
         search=read_method(root, variation),
         key=key,
     )
@@ -248,7 +248,7 @@ def load_campaign(file: Path) -> Campaign:
     return campaign
 
 
-def used_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
+def find_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
     """Return the files of ``scene``, ``servo`` and ``motion`` of a campaign's file.
 
     Raises:
@@ -260,7 +260,7 @@ def used_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
     controller = root.section("controller") or Section({}, file.name, "controller")
     found = {"scene": scene}
     for key in ("servo", "motion"):
-        found[key] = _file(controller, key, file) or find_beside(scene, key)
+        found[key] = _find_file(controller, key, file) or find_beside(scene, key)
     return found
 
 
@@ -282,7 +282,7 @@ def _check_times(campaign: Campaign) -> None:
         raise Refusal(campaign.where, f"faults.{name}.at", rule, one.at)
 
 
-def _file(section: Section, key: str, campaign: Path) -> Path | None:
+def _find_file(section: Section, key: str, campaign: Path) -> Path | None:
     if not section.has(key):
         return None
     path = campaign.parent / section.text(key)
@@ -291,7 +291,7 @@ def _file(section: Section, key: str, campaign: Path) -> Path | None:
     return path
 
 
-def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
+def _read_named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
     """Return the contents of further files that decide what a run is."""
     scenario = data.get("scenario")
     table = scenario.get("table") if isinstance(scenario, dict) else None
@@ -303,7 +303,9 @@ def _named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
     return {name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()}
 
 
-def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int) -> bytes:
+def _hash_definition(
+    data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, count: int
+) -> bytes:
     """Return the hash of all that decides what a run with an index is."""
     deciding = {key: value for key, value in data.items() if key not in ("count", "stop")}
     digest = hashlib.sha256(f"{VERSION} {root.integer(SEED)} {count}\0".encode())
@@ -314,12 +316,12 @@ def _key(data: Mapping[str, Any], used: Mapping[str, bytes], root: Section, coun
     return digest.digest()
 
 
-def _stop(section: Section) -> Stop:
+def _read_stop(section: Section) -> Stop:
     width, confidence = section.number(WIDTH), section.number(CONFIDENCE)
     return Stop(width, confidence, section.number(WALL))
 
 
-def _texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
+def _read_texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
     section = root.section(key)
     if section is None:
         return {}
@@ -334,7 +336,7 @@ def _texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, Any]:
     return found
 
 
-def _patterns(root: Section) -> list[str]:
+def _read_patterns(root: Section) -> list[str]:
     section = root.section("vary")
     if section is None:
         return []
@@ -345,7 +347,9 @@ def _patterns(root: Section) -> list[str]:
     return section.keys()
 
 
-def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, Mapping[str, Any]]:
+def _load_varied_scene(
+    root: Section, file: Path, patterns: Sequence[str]
+) -> tuple[Scene, Mapping[str, Any]]:
     """Return the scene, with all that varies as data of the machine, and its overrides."""
     held = read_yaml(file)
     given = root.section("set")
@@ -353,11 +357,11 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, M
         key: given.value(key) for key in given.keys()
     }  # fmt: skip
     wanted, of_faults = list(held.get("varied") or []), dict[str, Section]()
-    for kind, section in _kinds(root):
+    for kind, section in _read_kinds(root):
         overrides = kind.needs({**held, **overrides}) | overrides
         of_faults |= dict.fromkeys(kind.sets(section), section)
     wanted += of_faults
-    scene = _set_in(file, overrides, root.where)
+    scene = _load_changed_scene(file, overrides, root.where)
     if scene.sensed:
         wanted.append("seed")
         overrides = {"seed": scene.seed} | overrides
@@ -376,7 +380,7 @@ def _scene(root: Section, file: Path, patterns: Sequence[str]) -> tuple[Scene, M
         raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
 
 
-def _set_in(file: Path, overrides: Mapping[str, Any], where: str) -> Scene:
+def _load_changed_scene(file: Path, overrides: Mapping[str, Any], where: str) -> Scene:
     """Return a scene with overrides; a refusal names the file that has what is not taken."""
     try:
         return load_scene(file, overrides)
@@ -385,40 +389,40 @@ def _set_in(file: Path, overrides: Mapping[str, Any], where: str) -> Scene:
         raise Refusal(f"{where}, set", no.quantity, no.rule, no.got, no.valid) from None
 
 
-def _kinds(root: Section) -> list[tuple[type[Fault], Section]]:
+def _read_kinds(root: Section) -> list[tuple[type[Fault], Section]]:
     """Return the kind of each fault, and its section."""
     faults = root.section("faults")
     sections = [] if faults is None else [faults.required_section(name) for name in faults.keys()]
-    return [(_kind(section), section) for section in sections]
+    return [(_read_kind(section), section) for section in sections]
 
 
-def _kind(section: Section) -> type[Fault]:
-    known = known_faults()
+def _read_kind(section: Section) -> type[Fault]:
+    known = list_faults()
     kind = section.text("kind")
     if kind not in known:
         raise section.refusal("kind", "be a known fault", repr(kind), ", ".join(known))
     return known[kind]
 
 
-def _faults(root: Section, scene: Scene) -> dict[str, Fault]:
+def _read_faults(root: Section, scene: Scene) -> dict[str, Fault]:
     section = root.required_section("faults")
     found = {}
     for name in section.keys():
         below = section.required_section(name)
-        found[name] = _kind(below).read(below)
+        found[name] = _read_kind(below).read(below)
         found[name].check(scene, f"{root.where}: faults.{name}")
     section.finish()
     return found
 
 
-def _unshared(data: Any) -> Any:
+def _copy_unshared(data: Any) -> Any:
     """Return a copy in which nothing is shared, as anchors of YAML do."""
     if isinstance(data, dict):
-        return {key: _unshared(one) for key, one in data.items()}
-    return [_unshared(one) for one in data] if isinstance(data, list) else data
+        return {key: _copy_unshared(one) for key, one in data.items()}
+    return [_copy_unshared(one) for one in data] if isinstance(data, list) else data
 
 
-def _put(data: Any, path: Sequence[str], value: float) -> None:
+def _put_number(data: Any, path: Sequence[str], value: float) -> None:
     """Put a number in its place, which is there; names of joints may have dots."""
     key: int | str = ""
     if isinstance(data, list):
@@ -430,10 +434,10 @@ def _put(data: Any, path: Sequence[str], value: float) -> None:
     if size == len(path):
         data[key] = value
     else:
-        _put(data[key], path[size:], value)
+        _put_number(data[key], path[size:], value)
 
 
-def with_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
+def change_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
     """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
     *path, key = name.split(".")
     joint = ".".join(path[2:])
@@ -451,12 +455,12 @@ def with_gain(servo: ServoConfig, name: str, value: object, where: str) -> Servo
     )
 
 
-def with_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
+def change_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
     """Return a servo with all numbers that a section of the controller states."""
     joints = controller.section("joints")
     for joint in () if joints is None else joints.keys():
         section = joints.required_section(joint)  # type: ignore[union-attr]
         for key in section.keys():
             name = f"controller.joints.{joint}.{key}"
-            servo = with_gain(servo, name, section.value(key), where)
+            servo = change_gain(servo, name, section.value(key), where)
     return servo

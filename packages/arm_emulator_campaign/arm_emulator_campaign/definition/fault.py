@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 
 from arm_emulator.extension.base import Number, Registry, Section, list_numbers, number
 from arm_emulator.extension.machine import Change, NumberChange, Scene
-from arm_emulator_campaign.definition.scenario import ticks_of
+from arm_emulator_campaign.definition.scenario import count_ticks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +101,12 @@ _KINDS = Registry[Fault]("fault", f"{__package__}.faults", lambda kind: str(kind
 register_fault = _KINDS.register
 
 
-def known_faults() -> dict[str, type[Fault]]:
+def list_faults() -> dict[str, type[Fault]]:
     """Return all kinds by name."""
     return dict(sorted(_KINDS.kinds().items()))
 
 
-def changes_of(
+def schedule_changes(
     faults: Iterable[Fault], scene: Scene, values: Mapping[str, float]
 ) -> list[tuple[int, Change]]:
     """Return what faults set in a machine, with the ticks before which that happens, ascending.
@@ -124,9 +124,9 @@ def changes_of(
     begun: list[tuple[int, Fault, bool]] = []
     ended: list[tuple[int, Fault, bool]] = []
     for fault in faults:
-        begins = ticks_of(fault.at, period)
+        begins = count_ticks(fault.at, period)
         begun.append((begins, fault, True))
-        ended.append((begins + max(1, ticks_of(fault.lasting, period)), fault, False))
+        ended.append((begins + max(1, count_ticks(fault.lasting, period)), fault, False))
     lasting: dict[str, list[tuple[Fault, Change]]] = {}
     found: list[tuple[int, Change]] = []
     for tick, fault, begins_now in sorted(ended + begun, key=lambda one: one[0]):

@@ -80,7 +80,7 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
     seconds = section.number(SECONDS)
     start = scene.start
     if (given := section.section("start")) is not None:
-        start = _joints(given, names, start)
+        start = _read_joints(given, names, start)
     targets, moves = section.entries("targets"), section.entries("moves")
     table = section.text("table") if section.has("table") else ""
     if (len(targets) > 0) + bool(table) + (len(moves) > 0) > 1:
@@ -90,13 +90,13 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
     if table:
         found = load_target_table(folder / table, names, partial(check_targets, scene))
     elif targets:
-        found = _targets(section, targets, names, start)
+        found = _read_targets(section, targets, names, start)
         where = f"{section.where}: scenario"
         check_targets(scene, where, [f"targets.{k}" for k in range(len(targets))], found.t, found.q)
-    return Scenario(seconds, start, found, _moves(section, moves))
+    return Scenario(seconds, start, found, _read_moves(section, moves))
 
 
-def _joints(section: Section, names: Sequence[str], q: Array) -> Array:
+def _read_joints(section: Section, names: Sequence[str], q: Array) -> Array:
     """Return joint positions, some of which a section gives."""
     q = q.copy()
     for place, name in enumerate(names):
@@ -105,43 +105,43 @@ def _joints(section: Section, names: Sequence[str], q: Array) -> Array:
     return q
 
 
-def _entry(section: Section, key: str, place: int, entry: object) -> Section:
+def _read_entry(section: Section, key: str, place: int, entry: object) -> Section:
     """Return an entry of a list as a section, named after its place."""
     name = f"{key}.{place}"
     section.put(name, entry)
     return section.required_section(name)
 
 
-def _targets(
+def _read_targets(
     section: Section, entries: list[object], names: Sequence[str], start: Array
 ) -> TargetTable:
     t: list[float] = []
     rows: list[Array] = []
     for place, entry in enumerate(entries):
-        one = _entry(section, "targets", place, entry)
+        one = _read_entry(section, "targets", place, entry)
         t.append(one.number(AT))
         if place and not t[-1] > t[-2]:
             raise one.refusal("at", f"be later than that before, {t[-2]:g} s", t[-1])
-        rows.append(_joints(one, names, rows[-1] if rows else start))
+        rows.append(_read_joints(one, names, rows[-1] if rows else start))
     return TargetTable(np.array(t), np.array(rows))
 
 
-def _moves(section: Section, entries: list[object]) -> tuple[Move, ...]:
+def _read_moves(section: Section, entries: list[object]) -> tuple[Move, ...]:
     moves: list[Move] = []
     for place, entry in enumerate(entries):
-        one = _entry(section, "moves", place, entry)
+        one = _read_entry(section, "moves", place, entry)
         at = one.number(AT)
         ways = [way for way in WAYS if one.has(way)]
         if len(ways) != 1:
             raise one.refusal("by", f"be one of {', '.join(WAYS)}", ", ".join(ways) or "none")
-        moves.append(Move(at, ways[0], _points(one, ways[0])))
+        moves.append(Move(at, ways[0], _read_points(one, ways[0])))
     if any(later.at <= one.at for one, later in itertools.pairwise(moves)):
         got = ", ".join(f"{one.at:g}" for one in moves)
         raise section.refusal("moves", "have ascending times", got)
     return tuple(moves)
 
 
-def _points(section: Section, way: str) -> Array:
+def _read_points(section: Section, way: str) -> Array:
     bound = TOOL_POSITION.named(way)
     if way != "along":
         return np.array([section.vector(bound)])
@@ -156,6 +156,6 @@ def _points(section: Section, way: str) -> Array:
     return np.array(points, np.float64)
 
 
-def ticks_of(seconds: float, period: float) -> int:
+def count_ticks(seconds: float, period: float) -> int:
     """Return the first tick that is not before a time; those of the end of a run at least 1."""
     return math.ceil(seconds / period - 1e-6) if math.isfinite(seconds) else 2**62

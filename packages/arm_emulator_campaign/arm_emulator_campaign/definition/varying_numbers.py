@@ -9,7 +9,7 @@ from typing import Any
 from arm_emulator.extension.base import Number, Refusal, Section, list_numbers
 from arm_emulator.extension.machine import Scene
 from arm_emulator.extension.runs import ServoConfig
-from arm_emulator_campaign.definition.fault import known_faults
+from arm_emulator_campaign.definition.fault import list_faults
 from arm_emulator_campaign.sampling.distributions import parse_distribution
 from arm_emulator_campaign.sampling.variation import Varying
 
@@ -17,7 +17,7 @@ DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
 CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
 
 
-def varying_numbers(
+def read_varying(
     root: Section,
     patterns: Sequence[str],
     scene: Scene,
@@ -26,12 +26,12 @@ def varying_numbers(
 ) -> list[Varying]:
     """Return what varies, in the order of the file."""
     known = {one.name: (one.number.unit, one.value) for one in scene.varied}
-    for name, value in leaves(data.get("scenario")):
+    for name, value in list_leaves(data.get("scenario")):
         known[f"scenario.{name}"] = "", value
     faults = root.section("faults")
     for fault in () if faults is None else faults.keys():
-        kind = known_faults()[data["faults"][fault]["kind"]]
-        for name, value in leaves(data["faults"][fault]):
+        kind = list_faults()[data["faults"][fault]["kind"]]
+        for name, value in list_leaves(data["faults"][fault]):
             known[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
     for joint in servo.joints:
         for name, number in list_numbers(type(joint)).items():
@@ -56,7 +56,7 @@ def varying_numbers(
     return list(found.values())
 
 
-def correlated(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
+def read_correlations(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
     """Return groups of these names, and the correlation of each with each."""
     pairs = []
     for place, entry in enumerate(root.entries("correlate")):
@@ -73,7 +73,7 @@ def correlated(root: Section, names: Sequence[str]) -> list[tuple[list[str], flo
     return pairs
 
 
-def leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
+def list_leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
     """Yield all numbers below a section, by their dotted names."""
     items: Any = ()
     if isinstance(data, dict):
@@ -83,4 +83,4 @@ def leaves(data: object, path: str = "") -> Iterator[tuple[str, float]]:
     elif isinstance(data, int | float) and not isinstance(data, bool):
         yield path, float(data)
     for key, value in items:
-        yield from leaves(value, f"{path}.{key}" if path else str(key))
+        yield from list_leaves(value, f"{path}.{key}" if path else str(key))

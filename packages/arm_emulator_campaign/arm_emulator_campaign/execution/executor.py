@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator_campaign.batch_simulator import WIDTH
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.execution.worker import Done, simulate, simulator_of
+from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
 from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
-from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Results, chunks_of
+from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Results, divide_ranges
 
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
 
@@ -30,29 +30,29 @@ def run_campaign(campaign: Campaign, results: Results, crew: WorkerPool) -> None
         KeyboardInterrupt: after what was done has been written.
     """
     columns = results.columns()
-    failures = failures_in(campaign, columns, campaign.count)
+    failures = count_failures(campaign, columns, campaign.count)
     progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
-    for count in stages_of(campaign):
-        _complete(campaign, results, crew, progress, count)
+    for count in list_stages(campaign):
+        _complete_runs(campaign, results, crew, progress, count)
         if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
             return
 
 
-def _complete(
+def _complete_runs(
     campaign: Campaign, results: Results, crew: WorkerPool, progress: Progress, count: int
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
 
     def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
         left = sum(end - first for first, end in missing)
-        size = chunk_of(left, pool.workers, max(1, crew.largest >> killed))
-        _work(campaign, results, crew, pool, chunks_of(missing, size), progress)
+        size = size_chunk(left, pool.workers, max(1, crew.largest >> killed))
+        _simulate_chunks(campaign, results, crew, pool, divide_ranges(missing, size), progress)
 
     with Work(campaign, crew, progress) as all_of_it:
         all_of_it.complete(lambda _: results.missing(count), work)
 
 
-def _work(
+def _simulate_chunks(
     campaign: Campaign,
     results: Results,
     crew: WorkerPool,
@@ -65,7 +65,7 @@ def _work(
     todo, waiting = iter(chunks), set[cf.Future[Done]]()
     while True:
         for first, end in itertools.islice(todo, max(0, 2 * pool.workers - len(waiting))):
-            waiting.add(pool.submit(simulate, *of_all, first, end))
+            waiting.add(pool.submit(simulate_chunk, *of_all, first, end))
         if not waiting:
             return
         done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
@@ -76,14 +76,14 @@ def _work(
             return
 
 
-def chunk_of(runs: int, workers: int, largest: int) -> int:
+def size_chunk(runs: int, workers: int, largest: int) -> int:
     """Return the size of chunks that end with all workers busy, at least two for each."""
     rounds = max(2, math.ceil(runs / (largest * workers)))
     size = math.ceil(runs / (rounds * workers))
     return size if size < WIDTH else min(largest, size + -size % WIDTH)  # lanes are full
 
 
-def stages_of(campaign: Campaign) -> Iterator[int]:
+def list_stages(campaign: Campaign) -> Iterator[int]:
     """Yield the counts of runs after which a campaign may stop: the same however it is divided."""
     count = FIRST_STAGE
     while campaign.stop.width > 0.0 and count < campaign.count:
@@ -92,7 +92,7 @@ def stages_of(campaign: Campaign) -> Iterator[int]:
     yield campaign.count
 
 
-def failures_in(campaign: Campaign, columns: dict[str, NDArray[Any]], count: int) -> list[int]:
+def count_failures(campaign: Campaign, columns: dict[str, NDArray[Any]], count: int) -> list[int]:
     """Return how often each requirement, and any of them last, failed in the first runs."""
     first = columns[INDEX] < count
     failed = [
@@ -107,16 +107,16 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
     stop = campaign.stop
     if stop.width <= 0.0:
         return False
-    found = failures_in(campaign, results.columns(), count)
+    found = count_failures(campaign, results.columns(), count)
     intervals = (stop.interval(failed, count) for failed in found)
     return all(high - low <= stop.width for low, high in intervals)
 
 
-def seconds_per_run(campaign: Campaign) -> tuple[float, float]:
+def measure_run(campaign: Campaign) -> tuple[float, float]:
     """Return the processor time of a run and that of a start [s], measured."""
     began = time.process_time()
-    _, simulator = simulator_of(str(campaign.file.absolute()), campaign.key)
-    some = [drawn_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
+    _, simulator = get_simulator(str(campaign.file.absolute()), campaign.key)
+    some = [draw_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
     list(simulator.runs(some[:1]))
     ready, runs = time.process_time(), 0
     while runs < 3 or time.process_time() - ready < 0.2:

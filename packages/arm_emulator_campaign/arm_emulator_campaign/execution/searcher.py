@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Refusal, write_atomically
-from arm_emulator_campaign.case import case_at
+from arm_emulator_campaign.case import place_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.execution.executor import failures_in
-from arm_emulator_campaign.execution.worker import Done, simulate
+from arm_emulator_campaign.execution.executor import count_failures
+from arm_emulator_campaign.execution.worker import Done, simulate_chunk
 from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
-from arm_emulator_campaign.results.parts import INDEX, MEASURE, ROBUSTNESS, Results, chunks_of
+from arm_emulator_campaign.results.parts import INDEX, MEASURE, ROBUSTNESS, Results, divide_ranges
 from arm_emulator_campaign.search.method import Finding
 
 FOUND = "search.json"
@@ -51,7 +51,7 @@ class Searcher:
         self._varying = [number.name for number in campaign.variation.numbers]
         self._next = 0
         columns = self._read()
-        failures = failures_in(campaign, columns, 2**62)
+        failures = count_failures(campaign, columns, 2**62)
         count = self._method.runs(len(self._varying))
         self._progress = Progress(count, len(self._known), failures=failures)
         self._work = Work(campaign, crew, self._progress)
@@ -70,7 +70,7 @@ class Searcher:
         try:
             points = next(course)
             while True:
-                outputs = self._batch(points)
+                outputs = self._run_batch(points)
                 if not self._method.every:
                     of = [*requirements].index(self._method.of) if self._method.of else None
                     margins = outputs[:, : len(requirements)]
@@ -91,7 +91,7 @@ class Searcher:
         self._of_known = np.column_stack([columns[name] for name in self._outputs])
         return columns
 
-    def _batch(self, points: Array) -> Array:
+    def _run_batch(self, points: Array) -> Array:
         """Return the outputs of the runs at some points (K, M)."""
         first, self._next = self._next, self._next + len(points)
         outputs = np.full((len(points), len(self._outputs)), math.nan)
@@ -117,7 +117,7 @@ class Searcher:
                 begin = gaps.pop()[0] if gaps and gaps[-1][1] == index else index
                 gaps.append((begin, index + 1))
                 continue
-            values = case_at(self._campaign.variation, index, point).values
+            values = place_case(self._campaign.variation, index, point).values
             if not np.array_equal(self._values[place], list(values.values())):
                 rule = "have runs of this search, by the same versions of its packages"
                 folder = f"folder {self._results.folder}"
@@ -138,10 +138,10 @@ class Searcher:
         left = sum(end - begin for begin, end in missing)
         size = max(1, min(self._crew.largest, math.ceil(left / pool.workers)))
         waiting: dict[cf.Future[Done], int] = {}
-        for begin, end in chunks_of(missing, size):
+        for begin, end in divide_ranges(missing, size):
             rows = points[begin - first : end - first]
             chunk = str(campaign.file.absolute()), campaign.key, folder, begin, end, rows
-            waiting[pool.submit(simulate, *chunk)] = begin
+            waiting[pool.submit(simulate_chunk, *chunk)] = begin
         for one in cf.as_completed(waiting):
             done = one.result()
             at = waiting[one] - first

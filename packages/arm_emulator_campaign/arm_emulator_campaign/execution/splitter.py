@@ -13,10 +13,10 @@ from typing import Any
 from arm_emulator.extension.base import write_atomically
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.searcher import write_findings
-from arm_emulator_campaign.execution.worker import Done, campaign_of
+from arm_emulator_campaign.execution.worker import Done, load_same_campaign
 from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
 from arm_emulator_campaign.forking import ForkingRun
-from arm_emulator_campaign.results.parts import Results, checksum_of
+from arm_emulator_campaign.results.parts import Results, compute_checksum
 from arm_emulator_campaign.search.method import Finding
 from arm_emulator_campaign.search.splitting import Origin, Repetition, Splitting
 
@@ -56,20 +56,20 @@ class Splitter:
         ForkingRun.check(self._campaign)
         self._complete([PILOT])
         key = self._campaign.key
-        pilot = _content(_file(self._folder, PILOT), key)
+        pilot = _read_content(_name_file(self._folder, PILOT), key)
         found: list[Repetition] = []
         if pilot["leads"]:
             numbers = range(1, 1 + int(self._method.repetitions))
             self._complete(list(numbers))
-            found = [_read(_file(self._folder, number), key) for number in numbers]
+            found = [_read_repetition(_name_file(self._folder, number), key) for number in numbers]
         findings = [self._method.finding(self._method.of, pilot["levels"], found)]
         if found:
-            findings.append(self._method.of_levels(pilot["levels"], found))
-            findings.append(self._of_failures(_failures(found)))
+            findings.append(self._method.list_levels(pilot["levels"], found))
+            findings.append(self._list_first_failures(_list_failures(found)))
         write_findings(self._results, findings)
         return findings
 
-    def _of_failures(self, failures: Sequence[Origin]) -> Finding:
+    def _list_first_failures(self, failures: Sequence[Origin]) -> Finding:
         """Return the first failures, by the numbers that the command line takes."""
         period = self._campaign.scene.servo_period
         rows = []
@@ -87,11 +87,11 @@ class Splitter:
 
     def _is_done(self, number: int) -> bool:
         """Return whether a repetition is there as it was written; a damaged file is set aside."""
-        file = _file(self._folder, number)
+        file = _name_file(self._folder, number)
         if not file.exists():
             return False
         try:
-            _content(file, self._campaign.key)
+            _read_content(file, self._campaign.key)
         except ValueError as error:
             return self._results.set_aside(file, str(error))
         return True
@@ -104,7 +104,7 @@ class Splitter:
             return [number for number in numbers if not self._is_done(number)]
 
         def work(pool: Pool, left: Sequence[int], _: int) -> None:
-            for one in cf.as_completed([pool.submit(split, *of_all, k) for k in left]):
+            for one in cf.as_completed([pool.submit(run_repetition, *of_all, k) for k in left]):
                 self._progress.add(one.result())
                 self._crew.report(self._progress)
 
@@ -112,44 +112,44 @@ class Splitter:
             repetitions.complete(missing, work)
 
 
-def failed_forks(results: Results) -> list[Origin]:
+def read_failures(results: Results) -> list[Origin]:
     """Return the failures of all repetitions that are done, in their order."""
     files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
     found = []
     for file in files:
         try:
-            found.append(_read(file, results.campaign.key))
+            found.append(_read_repetition(file, results.campaign.key))
         except ValueError as error:
             results.set_aside(file, str(error))
-    return _failures(found)
+    return _list_failures(found)
 
 
-def _failures(repetitions: Iterable[Repetition]) -> list[Origin]:
+def _list_failures(repetitions: Iterable[Repetition]) -> list[Origin]:
     return [failure for repetition in repetitions for failure in repetition.failures]
 
 
-def split(file: str, key: bytes, folder: str, number: int) -> Done:
+def run_repetition(file: str, key: bytes, folder: str, number: int) -> Done:
     """Do a repetition, or the pilot, and write its file."""
-    campaign, began = campaign_of(file, key), time.process_time()
+    campaign, began = load_same_campaign(file, key), time.process_time()
     method, seed = campaign.search, int.from_bytes(campaign.key[16:24])
     assert isinstance(method, Splitting)
     run = ForkingRun(campaign)
     if number == PILOT:
-        levels, leads = method.pilot(run, seed)
+        levels, leads = method.run_pilot(run, seed)
         content: dict[str, object] = {"levels": levels, "leads": leads}
         runs = int(method.per_level) * (len(levels) + 1)
     else:
-        levels = _content(_file(Path(folder), PILOT), key)["levels"]
-        found = method.repetition(run, levels, seed, number)
+        levels = _read_content(_name_file(Path(folder), PILOT), key)["levels"]
+        found = method.run_repetition(run, levels, seed, number)
         content, runs = asdict(found), found.runs
     text = json.dumps(content)
-    head = {"key": key.hex(), "checksum": checksum_of(text.encode()), "content": text}
-    write_atomically(_file(Path(folder), number), json.dumps(head))
+    head = {"key": key.hex(), "checksum": compute_checksum(text.encode()), "content": text}
+    write_atomically(_name_file(Path(folder), number), json.dumps(head))
     nothing = (0,) * (len(campaign.requirements) + 1)
     return Done(runs, nothing, time.process_time() - began, True)
 
 
-def _content(file: Path, key: bytes) -> dict[str, Any]:
+def _read_content(file: Path, key: bytes) -> dict[str, Any]:
     """Return what a file of a repetition, or of the pilot, has.
 
     Raises:
@@ -157,7 +157,7 @@ def _content(file: Path, key: bytes) -> dict[str, Any]:
     """
     head = json.loads(file.read_text(encoding="utf-8"))
     text = head.get("content") if isinstance(head, dict) else None
-    if not isinstance(text, str) or head.get("checksum") != checksum_of(text.encode()):
+    if not isinstance(text, str) or head.get("checksum") != compute_checksum(text.encode()):
         raise ValueError("its bytes are not those that were written")
     if head.get("key") != key.hex():
         raise ValueError("it is of another campaign")
@@ -165,10 +165,10 @@ def _content(file: Path, key: bytes) -> dict[str, Any]:
     return content
 
 
-def _read(file: Path, key: bytes) -> Repetition:
-    data = _content(file, key)
+def _read_repetition(file: Path, key: bytes) -> Repetition:
+    data = _read_content(file, key)
     return Repetition(**data | {"failures": [Origin(**one) for one in data["failures"]]})
 
 
-def _file(folder: Path, number: int) -> Path:
+def _name_file(folder: Path, number: int) -> Path:
     return folder / ("pilot.json" if number == PILOT else f"{number:04d}.json")

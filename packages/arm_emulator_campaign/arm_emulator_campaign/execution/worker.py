@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
-from arm_emulator_campaign.batch_simulator import BatchSimulator, runs_of
-from arm_emulator_campaign.case import Case, case_at, drawn_case
+from arm_emulator_campaign.batch_simulator import BatchSimulator, make_simulator
+from arm_emulator_campaign.case import Case, draw_case, place_case
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import write_part
@@ -44,22 +44,24 @@ class Done(NamedTuple):
     outputs: Array | None = None
 
 
-def simulator_of(file: str, key: bytes) -> tuple[Campaign, Simulator | BatchSimulator]:
+def get_simulator(file: str, key: bytes) -> tuple[Campaign, Simulator | BatchSimulator]:
     """Return a campaign and this thread's machines for it.
 
     Raises:
         Refusal: the campaign is not the same here.
     """
-    return _simulator(file, key, threading.get_ident())
+    return _make_simulator(file, key, threading.get_ident())
 
 
 @cache
-def _simulator(file: str, key: bytes, thread: int) -> tuple[Campaign, Simulator | BatchSimulator]:
-    campaign = campaign_of(file, key)
-    return campaign, runs_of(campaign)
+def _make_simulator(
+    file: str, key: bytes, thread: int
+) -> tuple[Campaign, Simulator | BatchSimulator]:
+    campaign = load_same_campaign(file, key)
+    return campaign, make_simulator(campaign)
 
 
-def campaign_of(file: str, key: bytes) -> Campaign:
+def load_same_campaign(file: str, key: bytes) -> Campaign:
     """Return a campaign.
 
     Raises:
@@ -72,7 +74,7 @@ def campaign_of(file: str, key: bytes) -> Campaign:
     return campaign
 
 
-def simulate(
+def simulate_chunk(
     file: str, key: bytes, folder: str, first: int, end: int, points: Array | None = None
 ) -> Done:
     """Simulate the runs [first, end) and write those that are done as a part.
@@ -88,7 +90,7 @@ def simulate(
     Raises:
         Refusal: values of a run that are out of range; the runs before it are written.
     """
-    campaign, simulator = simulator_of(file, key)
+    campaign, simulator = get_simulator(file, key)
     outcomes: list[Outcomes] = []
     began = time.process_time()
     _asked["busy"] = True
@@ -97,10 +99,10 @@ def simulate(
             if _asked["end"]:
                 break
             some = range(start, min(start + simulator.width, end))
-            for run in simulator.runs([_case(campaign, k, first, points) for k in some]):
+            for run in simulator.runs([_make_case(campaign, k, first, points) for k in some]):
                 outcomes.append(run)  # those before a run that is refused, too
     finally:
-        done = Outcomes.joined(outcomes) if outcomes else None
+        done = Outcomes.join(outcomes) if outcomes else None
         if done is not None:
             write_part(Path(folder), campaign, done)
         _asked["busy"] = False
@@ -116,14 +118,14 @@ def simulate(
     return Done(runs, failures, spent, runs == end - first, None if points is None else found)
 
 
-def _case(campaign: Campaign, index: int, first: int, points: Array | None) -> Case:
+def _make_case(campaign: Campaign, index: int, first: int, points: Array | None) -> Case:
     """Return a run of a chunk that begins at `first`."""
     if points is None:
-        return drawn_case(campaign.variation, index)
-    return case_at(campaign.variation, index, points[index - first])
+        return draw_case(campaign.variation, index)
+    return place_case(campaign.variation, index, points[index - first])
 
 
-def end_with(parent: int) -> None:
+def follow_parent(parent: int) -> None:
     """End this process, with its results written, when its parent ends or requests it.
 
     Ctrl-C in a terminal reaches all processes of a group: the parent decides.

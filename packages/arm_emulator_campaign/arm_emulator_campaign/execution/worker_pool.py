@@ -15,7 +15,7 @@ from typing import Any, Self, TypeVar
 
 from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.execution.worker import Done, end_with
+from arm_emulator_campaign.execution.worker import Done, follow_parent
 
 ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
 CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
@@ -32,7 +32,7 @@ class LocalPool(cf.ProcessPoolExecutor):
     def __init__(self, workers: int) -> None:
         self.workers = workers
         spawned = mp.get_context("spawn")
-        super().__init__(workers, spawned, initializer=end_with, initargs=(os.getpid(),))
+        super().__init__(workers, spawned, initializer=follow_parent, initargs=(os.getpid(),))
 
     def end(self) -> None:
         """Let all workers write finished runs, and end them."""

@@ -68,7 +68,7 @@ class Outcomes:
     diverged: Array
 
     @classmethod
-    def joined(cls, several: Sequence[Outcomes]) -> Outcomes:
+    def join(cls, several: Sequence[Outcomes]) -> Outcomes:
         """Return the runs of several, one after the other; of one at least."""
         names = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in names))

@@ -38,7 +38,7 @@ from arm_emulator.extension.base import (
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.evaluators import Measure
 from arm_emulator_campaign.results.outcome import Outcomes
-from arm_emulator_campaign.signals import units_of_signals
+from arm_emulator_campaign.signals import list_signal_units
 
 PARTS, ABOUT, ASIDE = "parts", "campaign.json", "set_aside"
 INDEX, FAILED, DIVERGED = "index", "failed", "diverged"
@@ -48,18 +48,18 @@ ROBUSTNESS, MEASURE = "robustness.", "measure."
 _units: dict[bytes, dict[str, str]] = {}  # by the keys of campaigns
 
 
-def column_units(campaign: Campaign) -> dict[str, str]:
+def list_column_units(campaign: Campaign) -> dict[str, str]:
     """Return the columns of results with their units, in their order."""
     if campaign.key not in _units:
         units = {INDEX: "", FAILED: "", DIVERGED: "s"}
         units |= {number.name: number.unit for number in campaign.variation.numbers}
-        robustness, measures = judged_units(campaign)
+        robustness, measures = find_judged_units(campaign)
         units |= {f"{ROBUSTNESS}{name}": unit for name, unit in robustness.items()}
         _units[campaign.key] = units | {f"{MEASURE}{name}": u for name, u in measures.items()}
     return _units[campaign.key]
 
 
-def schema_of(campaign: Campaign) -> Any:
+def make_schema(campaign: Campaign) -> Any:
     """Return the columns with types and units, as Arrow has them."""
     require_package("campaign", "pyarrow", "pyarrow")
     import pyarrow as pa
@@ -68,7 +68,7 @@ def schema_of(campaign: Campaign) -> Any:
     return pa.schema(
         [
             pa.field(name, kinds.get(name, pa.float64()), False, {"unit": unit} if unit else None)
-            for name, unit in column_units(campaign).items()
+            for name, unit in list_column_units(campaign).items()
         ],
         {"campaign": campaign.key.hex()},
     )
@@ -79,7 +79,7 @@ def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = schema_of(campaign)
+    schema = make_schema(campaign)
     columns = [done.indices, done.failed, done.diverged]
     for rows in (done.values, done.robustness, done.measures):
         columns += [np.ascontiguousarray(column) for column in rows.T]
@@ -88,13 +88,13 @@ def write_part(folder: Path, campaign: Campaign, done: Outcomes) -> Path:
     pq.write_table(pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema), hidden)
     with hidden.open("rb") as written:
         os.fsync(written.fileno())
-    checksum = checksum_of(hidden.read_bytes())
+    checksum = compute_checksum(hidden.read_bytes())
     part = folder / PARTS / f"{first:012d}-{last:012d}-{len(done)}-{checksum}.parquet"
     hidden.replace(part)
     return part
 
 
-def checksum_of(content: bytes) -> str:
+def compute_checksum(content: bytes) -> str:
     """Return a checksum of bytes, 16 digits."""
     return hashlib.blake2b(content, digest_size=8).hexdigest()
 
@@ -144,7 +144,7 @@ class Results:
         import pyarrow.parquet as pq
 
         # Its bytes first, so that nothing reads the structures of a damaged file.
-        if part.stem.rpartition("-")[2] != checksum_of(part.read_bytes()):
+        if part.stem.rpartition("-")[2] != compute_checksum(part.read_bytes()):
             return self.set_aside(part, "its bytes are not those that were written")
         try:
             metadata = pq.read_schema(part).metadata or {}
@@ -182,7 +182,7 @@ class Results:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        schema = schema_of(self.campaign)
+        schema = make_schema(self.campaign)
         tables = [pq.read_table(part) for part in self.parts]
         whole = pa.concat_tables(tables) if tables else schema.empty_table()
         _, places = np.unique(whole[INDEX].to_numpy(), return_index=True)
@@ -194,7 +194,7 @@ class Results:
         return {name: table[name].to_numpy() for name in table.column_names}
 
 
-def digest_of(columns: dict[str, NDArray[Any]]) -> str:
+def compute_digest(columns: dict[str, NDArray[Any]]) -> str:
     """Return a hash of all rows, independent of their division into parts."""
     digest = hashlib.sha256()
     for name, values in columns.items():
@@ -204,7 +204,7 @@ def digest_of(columns: dict[str, NDArray[Any]]) -> str:
     return digest.hexdigest()
 
 
-def chunks_of(ranges: Iterable[tuple[int, int]], size: int) -> Iterable[tuple[int, int]]:
+def divide_ranges(ranges: Iterable[tuple[int, int]], size: int) -> Iterable[tuple[int, int]]:
     """Yield ranges [first, end) of at most so many runs."""
     for first, end in ranges:
         for start in range(first, end, size):
@@ -214,34 +214,36 @@ def chunks_of(ranges: Iterable[tuple[int, int]], size: int) -> Iterable[tuple[in
 _KEEPS = ("+", "-", "abs", "min", "max")  # operations whose result has the unit of their operands
 
 
-def judged_units(campaign: Campaign) -> tuple[dict[str, str], dict[str, str]]:
+def find_judged_units(campaign: Campaign) -> tuple[dict[str, str], dict[str, str]]:
     """Return the units of robustness and of measures, by name.
 
     "": a number, several units, or a function of Python.
     """
-    units, where = units_of_signals(campaign.scene), campaign.where
+    units, where = list_signal_units(campaign.scene), campaign.where
     robustness = {}
     for name, text in campaign.requirements.items():
         found = None
         if isinstance(text, str):
             formula = parse_formula(text, where, name)
-            found = of_formula(bind_signals(formula, list(units), where, name), units)
+            found = find_formula_unit(bind_signals(formula, list(units), where, name), units)
         robustness[name] = found or ""
     measures = {}
     for name, text in campaign.measures.items():
         one = Measure(text, list(units), where, name)
-        measures[name] = _common(of_expression(each, units) for each in one.of) or ""
+        measures[name] = (
+            _find_common_unit(find_expression_unit(each, units) for each in one.of) or ""
+        )
     return robustness, measures
 
 
-def of_formula(what: Formula, units: Mapping[str, str]) -> str | None:
+def find_formula_unit(what: Formula, units: Mapping[str, str]) -> str | None:
     """Return the unit of a formula's robustness; None: it has constants alone."""
     if isinstance(what, Margin):
-        return _common(of_expression(side, units) for side in what.sides)
-    return _common(of_formula(one, units) for one in what.of)
+        return _find_common_unit(find_expression_unit(side, units) for side in what.sides)
+    return _find_common_unit(find_formula_unit(one, units) for one in what.of)
 
 
-def of_expression(what: Expression, units: Mapping[str, str]) -> str | None:
+def find_expression_unit(what: Expression, units: Mapping[str, str]) -> str | None:
     """Return the unit of arithmetic; None: of a constant, which has any."""
 
     def unit(part: Expression, of: Sequence[str | None]) -> str | None:
@@ -250,7 +252,7 @@ def of_expression(what: Expression, units: Mapping[str, str]) -> str | None:
         if isinstance(part, Signal):
             return units[part.name]
         if part.sign in _KEEPS:
-            return _common(of)
+            return _find_common_unit(of)
         if part.sign == "*":
             return of[0] if of[1] is None else of[1] if of[0] is None else ""
         if part.sign == "/" and of[1] is None:
@@ -260,7 +262,7 @@ def of_expression(what: Expression, units: Mapping[str, str]) -> str | None:
     return fold(what, unit)
 
 
-def _common(several: Iterable[str | None]) -> str | None:
+def _find_common_unit(several: Iterable[str | None]) -> str | None:
     """Return the unit that all have which have one; "": they differ."""
     known = {one for one in several if one is not None}
     return None if not known else known.pop() if len(known) == 1 else ""

@@ -44,7 +44,7 @@ _STYLE = {
 NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
-def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
+def _make_figure(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
     import matplotlib as mpl
 
     mpl.use("Agg", force=False)
@@ -57,7 +57,7 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Figur
     return figure, list(axes.flat)
 
 
-def png(figure: Figure) -> bytes:
+def encode_png(figure: Figure) -> bytes:
     """Return a figure as a PNG, and close it."""
     from matplotlib import pyplot as plt
 
@@ -67,7 +67,7 @@ def png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, float]:
+def compute_influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, float]:
     """Return the share of a column's variance that each varied number explains alone.
 
     It is the correlation ratio of ranks over slices of equally many runs, less the share of chance:
@@ -90,7 +90,9 @@ def influence(columns: Columns, varying: Sequence[str], of: str) -> dict[str, fl
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[str, str]) -> Figure:
+def draw_margins(
+    columns: Columns, requirements: Mapping[str, str], units: Mapping[str, str]
+) -> Figure:
     """Draw a histogram of each requirement's margin.
 
     Args:
@@ -101,10 +103,10 @@ def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[st
     count = len(requirements)
     across = 2 if count == 4 else min(3, count)
     down = -(-count // across)
-    figure, axes = _figure(WIDTH, 2.3 * down, down, across)
+    figure, axes = _make_figure(WIDTH, 2.3 * down, down, across)
     for axis, (name, title) in zip(axes, requirements.items(), strict=False):
         values = columns[name][np.isfinite(columns[name])]
-        axis.set_title(wrapped(title, 24), loc="left")
+        axis.set_title(wrap_text(title, 24), loc="left")
         if len(values):
             alike = np.ptp(values) <= 1e-9 * np.abs(values).max()  # no 60 bars are between them
             edges = np.histogram_bin_edges(values, bins=1 if alike else 60)
@@ -117,7 +119,7 @@ def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[st
         failed = int(np.count_nonzero(~(columns[name] >= 0.0)))
         word = f"{failed} of {len(columns[name])} fail" if failed else "no run fails"
         axis.set_title(word, loc="right", color=FAILS if failed else HOLDS, fontweight="normal")
-        axis.set_xlabel(f"{_in('margin', units.get(name))}: < 0 fails")
+        axis.set_xlabel(f"{_add_unit('margin', units.get(name))}: < 0 fails")
         axis.set_yticks([])
         axis.spines["left"].set_visible(False)
     for axis in axes[count:]:
@@ -125,7 +127,7 @@ def margins(columns: Columns, requirements: Mapping[str, str], units: Mapping[st
     return figure
 
 
-def influences(
+def draw_influences(
     columns: Columns,
     varying: Sequence[str],
     requirements: Mapping[str, str],
@@ -133,58 +135,60 @@ def influences(
 ) -> Figure:
     """Draw the influences on each requirement's margin, and the margin over the two strongest."""
     count = len(requirements)
-    figure, axes = _figure(WIDTH, 2.7 * count, count, 3)
+    figure, axes = _make_figure(WIDTH, 2.7 * count, count, 3)
     rng = np.random.default_rng(0)
     some = np.sort(rng.permutation(len(next(iter(columns.values()))))[:MOST_POINTS])
     for row, (name, title) in enumerate(requirements.items()):
         bars, *scatters = axes[3 * row : 3 * row + 3]
-        strongest = influence(columns, varying, name)
-        _bars(bars, dict(list(strongest.items())[:7]), title)
+        strongest = compute_influence(columns, varying, name)
+        _draw_bars(bars, dict(list(strongest.items())[:7]), title)
         values = columns[name]
         for axis, of in zip(scatters, [*strongest, *[None] * 2], strict=False):
             if of is None:
                 axis.set_visible(False)
                 continue
-            _cloud(axis, columns[of][some], values[some])
-            axis.set_xlabel(wrapped(_in(short(of), units.get(of))))
-        scatters[0].set_ylabel(_in("margin", units.get(name)))
+            _draw_cloud(axis, columns[of][some], values[some])
+            axis.set_xlabel(wrap_text(_add_unit(shorten_name(of), units.get(of))))
+        scatters[0].set_ylabel(_add_unit("margin", units.get(name)))
     return figure
 
 
-def bars_of(found: Finding) -> Figure:
+def draw_finding(found: Finding) -> Figure:
     """Draw a column of a finding as bars, a panel for each output."""
     at = found.head.index(found.bars)
     outputs = list(dict.fromkeys(row[0] for row in found.rows))
     across = min(3, len(outputs))
     down = -(-len(outputs) // across)
-    figure, axes = _figure(WIDTH, 2.6 * down, down, across)
+    figure, axes = _make_figure(WIDTH, 2.6 * down, down, across)
     for axis, output in zip(axes, outputs, strict=False):
         rows = [row for row in found.rows if row[0] == output][:7][::-1]
         sizes, errors = [[float(row[k]) for row in rows] for k in (at, at + 1)]
         axis.barh(range(len(rows)), sizes, xerr=errors, color=HOLDS, height=0.62,
                   error_kw={"ecolor": INK, "elinewidth": 1.0})  # fmt: skip
-        names = [wrapped(short(str(row[1])), 34) for row in rows]
+        names = [wrap_text(shorten_name(str(row[1])), 34) for row in rows]
         axis.set_yticks(range(len(rows)), names, fontsize=8.5)
         axis.set_xlim(0.0, None)
         axis.tick_params(axis="y", length=0)
-        axis.set_title(wrapped(str(output)))
+        axis.set_title(wrap_text(str(output)))
         axis.set_xlabel(found.bars)
     for axis in axes[len(outputs) :]:
         axis.set_visible(False)
     return figure
 
 
-def _bars(axis: Axes, strongest: Mapping[str, float], title: str) -> None:
+def _draw_bars(axis: Axes, strongest: Mapping[str, float], title: str) -> None:
     names = list(strongest)[::-1]
     axis.barh(range(len(names)), [strongest[name] for name in names], color=HOLDS, height=0.62)
-    axis.set_yticks(range(len(names)), [wrapped(short(name), 34) for name in names], fontsize=8.5)
+    axis.set_yticks(
+        range(len(names)), [wrap_text(shorten_name(name), 34) for name in names], fontsize=8.5
+    )
     axis.set_xlim(0.0, 1.0)
     axis.tick_params(axis="y", length=0)
-    axis.set_title(wrapped(title, 34))
+    axis.set_title(wrap_text(title, 34))
     axis.set_xlabel("share of the margin's spread")
 
 
-def _cloud(axis: Axes, x: Array, y: Array) -> None:
+def _draw_cloud(axis: Axes, x: Array, y: Array) -> None:
     sound = np.isfinite(y)
     for kind, color, size in ((y >= 0.0, HOLDS, 5.0), (y < 0.0, FAILS, 8.0)):
         at = sound & kind
@@ -196,7 +200,7 @@ def _cloud(axis: Axes, x: Array, y: Array) -> None:
         axis.axhline(0.0, color=INK, linewidth=0.8)  # farther away it would squeeze the cloud
 
 
-def coordinates(
+def draw_coordinates(
     columns: Columns, varying: Sequence[str], failed: Array, ranks: NDArray[np.int64]
 ) -> Figure:
     """Draw runs as lines over all varied numbers, failed and others in turns.
@@ -212,12 +216,12 @@ def coordinates(
     from matplotlib.collections import LineCollection
 
     names = [*varying[:MOST_AXES]]
-    figure, (axis,) = _figure(WIDTH, 3.6, 1, 1)
+    figure, (axis,) = _make_figure(WIDTH, 3.6, 1, 1)
     order = np.argsort(-ranks, kind="stable")
     bad = order[failed[order]][-MOST_LINES:]
     good = order[~failed[order]]
     good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES)).astype(int)]
-    heights = np.array([_scaled(columns[name]) for name in names])
+    heights = np.array([_scale_values(columns[name]) for name in names])
     drawn = np.random.default_rng(0).permutation(np.concatenate([bad, good]))
     lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in drawn]
     colors = [FAILS if failed[run] else HOLDS for run in drawn]
@@ -231,7 +235,7 @@ def coordinates(
         axis.text(place, -0.03, f"{low:.3g}", ha="center", va="top", fontsize=8)
     axis.set_xlim(-0.4, len(names) - 0.6)
     axis.set_ylim(-0.12, 1.12)
-    axis.set_xticks(range(len(names)), [wrapped(short(name), 12) for name in names])
+    axis.set_xticks(range(len(names)), [wrap_text(shorten_name(name), 12) for name in names])
     axis.tick_params(length=0)
     axis.set_yticks([])
     for side in ("left", "bottom"):
@@ -239,18 +243,18 @@ def coordinates(
     return figure
 
 
-def _scaled(values: Array) -> Array:
+def _scale_values(values: Array) -> Array:
     low, high = float(np.min(values)), float(np.max(values))
     scaled: Array = (values - low) / (high - low) if high > low else np.full(len(values), 0.5)
     return scaled
 
 
-def _in(name: str, unit: str | None) -> str:
+def _add_unit(name: str, unit: str | None) -> str:
     """Return a name with its unit, which stays on one line: N m/rad is not m/rad."""
     return f"{name} [{unit.replace(' ', NO_BREAK)}]" if unit else name
 
 
-def wrapped(text: str, width: int = 26) -> str:
+def wrap_text(text: str, width: int = 26) -> str:
     """Return a text in lines of at most `width` letters, broken after dots, underscores, blanks.
 
     A label that is longer than its panel is cut off, or covers that of the next panel.
@@ -263,6 +267,6 @@ def wrapped(text: str, width: int = 26) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def short(name: str) -> str:
+def shorten_name(name: str) -> str:
     """Return a name without its common prefix."""
     return name.removeprefix("joints.").replace("controller.joints.", "").removeprefix("scenario.")

@@ -19,8 +19,8 @@ from arm_emulator_campaign.results.parts import (
     INDEX,
     ROBUSTNESS,
     Results,
-    column_units,
-    digest_of,
+    compute_digest,
+    list_column_units,
 )
 from arm_emulator_campaign.results.summary import FailureRate, Summary
 from arm_emulator_campaign.search.method import Finding
@@ -69,29 +69,31 @@ def write_report(
     """
     varying = [number.name for number in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
-    ranks = _ranks(columns, list(names))
+    ranks = _rank_runs(columns, list(names))
     drawn: dict[str, bytes] = {}
-    units = column_units(campaign)
+    units = list_column_units(campaign)
     if names and summary.count:
-        drawn["margins"] = pictures.png(pictures.margins(columns, names, units))
+        drawn["margins"] = pictures.encode_png(pictures.draw_margins(columns, names, units))
     if names and varying and summary.count:
-        drawn["influences"] = pictures.png(pictures.influences(columns, varying, names, units))
+        drawn["influences"] = pictures.encode_png(
+            pictures.draw_influences(columns, varying, names, units)
+        )
     if len(varying) > 1 and summary.count:
-        order = _by_influence(columns, varying, list(names))
-        lines = pictures.coordinates(columns, order, columns[FAILED], ranks)
-        drawn["coordinates"] = pictures.png(lines)
+        order = _sort_by_influence(columns, varying, list(names))
+        lines = pictures.draw_coordinates(columns, order, columns[FAILED], ranks)
+        drawn["coordinates"] = pictures.encode_png(lines)
     for one in findings:
         if one.bars and one.rows:
-            drawn[one.title.lower()] = pictures.png(pictures.bars_of(one))
+            drawn[one.title.lower()] = pictures.encode_png(pictures.draw_finding(one))
     for name, content in drawn.items():
         write_atomically(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
-    text = "\n".join(_page(campaign, results, summary, columns, ranks, drawn, findings))
+    text = "\n".join(_write_page(campaign, results, summary, columns, ranks, drawn, findings))
     write_atomically(file, text)
     return file
 
 
-def _ranks(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.int64]:
+def _rank_runs(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.int64]:
     """Return the place of each run among the worst, by the requirement that it meets worst.
 
     Margins of different requirements have different units, so that only places compare.
@@ -102,18 +104,18 @@ def _ranks(columns: pictures.Columns, names: Sequence[str]) -> NDArray[np.int64]
     return np.asarray(np.min([np.argsort(order) for order in orders], axis=0))
 
 
-def _by_influence(
+def _sort_by_influence(
     columns: pictures.Columns, varying: Sequence[str], names: Sequence[str]
 ) -> list[str]:
     """Return the varied numbers, the strongest influence first."""
     strongest = dict.fromkeys(varying, 0.0)
     for of in names:
-        for name, by in pictures.influence(columns, varying, of).items():
+        for name, by in pictures.compute_influence(columns, varying, of).items():
             strongest[name] = max(strongest[name], abs(by))
     return sorted(varying, key=lambda name: -strongest[name])
 
 
-def _page(
+def _write_page(
     campaign: Campaign,
     results: Results,
     summary: Summary,
@@ -133,32 +135,32 @@ def _page(
     how = f"searched by {method.kind}" if method else campaign.variation.sampling
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
     if summary.count:
-        yield from _cards(campaign, summary, columns)
+        yield from _write_cards(campaign, summary, columns)
     for one in findings:
-        yield from _finding(one)
+        yield from _write_finding(one)
     if summary.count:
-        yield from _of_runs(campaign, results, summary, columns, ranks, drawn)
+        yield from _write_runs(campaign, results, summary, columns, ranks, drawn)
     yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
-    yield f"<code>{digest_of(dict(columns))[:16]}</code></footer></html>"
+    yield f"<code>{compute_digest(dict(columns))[:16]}</code></footer></html>"
 
 
-def _cards(campaign: Campaign, summary: Summary, columns: pictures.Columns) -> Iterable[str]:
+def _write_cards(campaign: Campaign, summary: Summary, columns: pictures.Columns) -> Iterable[str]:
     method, scenario = campaign.search, campaign.nominal[0]
     yield "<div class=cards>"
     share = summary.shares[-1]
     kind = "bad" if share.hits else "good"
     if method:
-        yield _card(str(share.hits), "runs fail", kind)
+        yield _write_card(str(share.hits), "runs fail", kind)
     else:
-        yield _card(f"{100 * share.share:.3g} %", "of all runs fail", kind)
+        yield _write_card(f"{100 * share.share:.3g} %", "of all runs fail", kind)
         percent = f"{100 * summary.confidence:g} % confidence"
-        yield _card(f"{100 * share.low:.2g} to {100 * share.high:.2g} %", percent)
-    yield _card(str(int(np.count_nonzero(np.isfinite(columns[DIVERGED])))), "diverged")
-    yield _card(f"{summary.count * scenario.seconds:g} s", "simulated")
+        yield _write_card(f"{100 * share.low:.2g} to {100 * share.high:.2g} %", percent)
+    yield _write_card(str(int(np.count_nonzero(np.isfinite(columns[DIVERGED])))), "diverged")
+    yield _write_card(f"{summary.count * scenario.seconds:g} s", "simulated")
     yield "</div>"
 
 
-def _of_runs(
+def _write_runs(
     campaign: Campaign,
     results: Results,
     summary: Summary,
@@ -166,7 +168,7 @@ def _of_runs(
     ranks: NDArray[np.int64],
     drawn: dict[str, bytes],
 ) -> Iterable[str]:
-    yield from _requirements(campaign, summary)
+    yield from _write_requirements(campaign, summary)
     titles = {
         "sensitivity": "Sensitivity, drawn",
         "margins": "Margins",
@@ -177,12 +179,12 @@ def _of_runs(
         data = base64.b64encode(content).decode()
         yield f"<h2>{titles[picture]}</h2><div class=scroll><img alt='{titles[picture]}' "
         yield f"src='data:image/png;base64,{data}'></div>"
-    yield from _worst(campaign, columns, ranks)
+    yield from _write_worst(campaign, columns, ranks)
     if campaign.search is None:
-        yield from _quantiles(summary)
+        yield from _write_quantiles(summary)
 
 
-def _finding(one: Finding) -> Iterable[str]:
+def _write_finding(one: Finding) -> Iterable[str]:
     yield f"<h2>{escape_html(one.title)}</h2><p>{escape_html(one.about)}</p>"
     if not one.rows:
         return
@@ -193,23 +195,23 @@ def _finding(one: Finding) -> Iterable[str]:
         f"<th{kind}>{escape_html(head)}" for kind, head in zip(kinds, one.head, strict=True)
     )
     yield "</tr>"
-    for row in one.texts():
+    for row in one.format_rows():
         cells = zip(kinds, row, strict=True)
         yield "<tr>" + "".join(f"<td{kind}>{escape_html(entry)}" for kind, entry in cells) + "</tr>"
     yield "</table></div>"
 
 
-def _card(value: str, text: str, kind: str = "") -> str:
+def _write_card(value: str, text: str, kind: str = "") -> str:
     return f"<div class='card {kind}'><b>{escape_html(value)}</b><span>{text}</span></div>"
 
 
-def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
+def _write_requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     yield "<h2>Requirements</h2><div class=scroll><table><tr><th>must hold<th class=n>fails"
     sampled = campaign.search is None  # the share of runs that a search chose means nothing
     yield "<th class=n>share<th>confidence interval" if sampled else ""
     yield "<th class=n>least margin<th class=n>in run</tr>"
     scale = max([one.high for one in summary.shares] or [1.0])
-    units = column_units(campaign)
+    units = list_column_units(campaign)
     for one in summary.shares:
         given = campaign.requirements.get(one.name, "")
         text = given if isinstance(given, str) else str(given.get("python", ""))
@@ -217,7 +219,7 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
         yield f"<tr><td class=formula><b>{escape_html(one.name)}</b>"
         yield f"<br><code>{escape_html(text)}</code>" if text else ""
         yield f"<td class='n{bad}'>{one.hits}"
-        yield f"<td class=n>{100 * one.share:.3g} %<td>{_bar(one, scale)}" if sampled else ""
+        yield f"<td class=n>{100 * one.share:.3g} %<td>{_write_bar(one, scale)}" if sampled else ""
         known = one.worst >= 0
         unit = escape_html(units.get(f"{ROBUSTNESS}{one.name}", ""))
         yield f"<td class='n{bad}'>{one.least:.4g} {unit}" if known else "<td>"
@@ -225,7 +227,7 @@ def _requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     yield "</table></div>"
 
 
-def _bar(one: FailureRate, scale: float) -> str:
+def _write_bar(one: FailureRate, scale: float) -> str:
     left, width = 100 * one.low / scale, 100 * (one.high - one.low) / scale
     return (
         f"<div class=bar title='{100 * one.low:.4g} to {100 * one.high:.4g} %'>"
@@ -235,20 +237,20 @@ def _bar(one: FailureRate, scale: float) -> str:
     )
 
 
-def _worst(
+def _write_worst(
     campaign: Campaign, columns: pictures.Columns, ranks: NDArray[np.int64]
 ) -> Iterable[str]:
     varying = [number.name for number in campaign.variation.numbers]
     margins = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
-    shown = _by_influence(columns, varying, list(margins))[:5]
-    units = column_units(campaign)
+    shown = _sort_by_influence(columns, varying, list(margins))[:5]
+    units = list_column_units(campaign)
     command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
     yield "<h2>Worst runs</h2><p>The least margins of each requirement, in turns. This line prints "
     yield "the row of any run and records its motion:"
     yield f"<br><code>{escape_html(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
     heads = {name: f"margin of {short}" for name, short in margins.items()}
-    for name, head in (heads | {name: pictures.short(name) for name in shown}).items():
+    for name, head in (heads | {name: pictures.shorten_name(name) for name in shown}).items():
         unit = f" [{units[name]}]" if units[name] else ""
         yield f"<th class=n>{escape_html(head + unit)}"
     yield "<th>drive it again</tr>"
@@ -264,7 +266,7 @@ def _worst(
     yield "</table></div>"
 
 
-def _quantiles(summary: Summary) -> Iterable[str]:
+def _write_quantiles(summary: Summary) -> Iterable[str]:
     if not summary.quantiles:
         return
     heads = sorted({one.q for one in summary.quantiles})

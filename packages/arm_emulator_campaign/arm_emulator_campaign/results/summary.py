@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.results.parts import FAILED, INDEX, MEASURE, ROBUSTNESS
-from arm_emulator_campaign.sampling.intervals import quantile_places
+from arm_emulator_campaign.sampling.intervals import bound_quantile
 
 QUANTILES = (0.01, 0.05, 0.5, 0.95, 0.99)
 ANY = "any requirement"
@@ -44,7 +44,7 @@ class FailureRate:
 class Quantile:
     """A quantile of a column, with its confidence interval.
 
-    An end that so few runs do not have is -inf or inf, see `quantile_places`.
+    An end that so few runs do not have is -inf or inf, see `bound_quantile`.
     """
 
     column: str
@@ -82,7 +82,7 @@ class Summary:
     quantiles: tuple[Quantile, ...]
 
 
-def summary_of(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summary:
+def summarize(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summary:
     """Return the summary of a campaign's rows."""
     count, confidence = len(columns[INDEX]), campaign.stop.confidence
     shares = []
@@ -98,18 +98,18 @@ def summary_of(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summa
         shares.append(FailureRate(name, hits, share, low, high, worst, least))
     names = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
     names += [f"{MEASURE}{name}" for name in campaign.measures]
-    quantiles = [one for name in names for one in _quantiles(name, columns[name], confidence)]
+    quantiles = [one for name in names for one in _find_quantiles(name, columns[name], confidence)]
     return Summary(count, confidence, tuple(shares), tuple(quantiles))
 
 
-def _quantiles(name: str, values: NDArray[Any], confidence: float) -> list[Quantile]:
+def _find_quantiles(name: str, values: NDArray[Any], confidence: float) -> list[Quantile]:
     known = np.sort(values[~np.isnan(values)])
     if not len(known):
         return []
     found = []
     for q in QUANTILES:
         at = min(len(known) - 1, int(q * len(known)))
-        low, high = quantile_places(q, len(known), confidence)
+        low, high = bound_quantile(q, len(known), confidence)
         ends = -math.inf if low is None else known[low], math.inf if high is None else known[high]
         found.append(Quantile(name, q, *map(float, (known[at], *ends))))
     return found

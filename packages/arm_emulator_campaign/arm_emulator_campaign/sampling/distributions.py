@@ -53,74 +53,74 @@ class _Bad(Exception):
         self.rule, self.got, self.valid = rule, got, valid
 
 
-def _inverse_of_normal(u: float) -> float:
+def _invert_normal(u: float) -> float:
     return float(special.ndtri(u))
 
 
-def _below_of_normal(x: float) -> float:
+def _integrate_normal(x: float) -> float:
     return float(special.ndtr(x))
 
 
-def _within(share: float) -> float:
+def _clip_share(share: float) -> float:
     """Return a share of the values, which is from 0 to 1 beyond their ends, too."""
     return min(1.0, max(0.0, share))
 
 
-def _above(name: str, value: float, least: float = 0.0) -> float:
+def _check_above(name: str, value: float, least: float = 0.0) -> float:
     if not value > least:
         raise _Bad(f"have {name} > {least:g}", value)
     return value
 
 
-def _ordered(low: float, high: float) -> None:
+def _check_order(low: float, high: float) -> None:
     if not low < high:
         raise _Bad("have its low end below its high end", f"{low:g}, {high:g}")
 
 
 def uniform(low: float, high: float) -> Distribution:
     """Evenly between two ends."""
-    _ordered(low, high)
+    _check_order(low, high)
     width = high - low
-    return Distribution("", lambda u: low + width * u, lambda x: _within((x - low) / width))
+    return Distribution("", lambda u: low + width * u, lambda x: _clip_share((x - low) / width))
 
 
 def loguniform(low: float, high: float) -> Distribution:
     """The logarithm evenly between those of two ends."""
-    _above("low", low)
-    _ordered(low, high)
+    _check_above("low", low)
+    _check_order(low, high)
     a, width = math.log(low), math.log(high / low)
     return Distribution(
         "",
         lambda u: math.exp(a + width * u),
-        lambda x: _within((math.log(x) - a) / width) if x > 0.0 else 0.0,
+        lambda x: _clip_share((math.log(x) - a) / width) if x > 0.0 else 0.0,
     )
 
 
 def normal(mean: float, sigma: float) -> Distribution:
     """Mean and standard deviation."""
-    _above("sigma", sigma)
+    _check_above("sigma", sigma)
     return Distribution(
         "",
-        lambda u: mean + sigma * _inverse_of_normal(u),
-        lambda x: _below_of_normal((x - mean) / sigma),
+        lambda u: mean + sigma * _invert_normal(u),
+        lambda x: _integrate_normal((x - mean) / sigma),
     )
 
 
 def lognormal(mean: float, sigma: float) -> Distribution:
     """Mean of the values, and standard deviation of their logarithms."""
-    _above("mean", mean)
-    _above("sigma", sigma)
+    _check_above("mean", mean)
+    _check_above("sigma", sigma)
     mu = math.log(mean) - 0.5 * sigma * sigma
     return Distribution(
         "",
-        lambda u: math.exp(mu + sigma * _inverse_of_normal(u)),
-        lambda x: _below_of_normal((math.log(x) - mu) / sigma) if x > 0.0 else 0.0,
+        lambda u: math.exp(mu + sigma * _invert_normal(u)),
+        lambda x: _integrate_normal((math.log(x) - mu) / sigma) if x > 0.0 else 0.0,
     )
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
     """Density of a triangle."""
-    _ordered(low, high)
+    _check_order(low, high)
     if not low <= mode <= high:
         raise _Bad("have its mode between its ends", mode)
     width, left, right = high - low, mode - low, high - mode
@@ -140,7 +140,7 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
 
 def exponential(mean: float) -> Distribution:
     """Mean of the values, which begin at 0."""
-    _above("mean", mean)
+    _check_above("mean", mean)
     return Distribution(
         "", lambda u: -mean * math.log1p(-u), lambda x: -math.expm1(-max(0.0, x) / mean)
     )
@@ -148,8 +148,8 @@ def exponential(mean: float) -> Distribution:
 
 def weibull(shape: float, scale: float) -> Distribution:
     """Shape and scale."""
-    _above("shape", shape)
-    _above("scale", scale)
+    _check_above("shape", shape)
+    _check_above("scale", scale)
     return Distribution(
         "",
         lambda u: scale * (-math.log1p(-u)) ** (1.0 / shape),
@@ -159,20 +159,20 @@ def weibull(shape: float, scale: float) -> Distribution:
 
 def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distribution:
     """Beta distribution between two ends."""
-    _above("a", a)
-    _above("b", b)
-    _ordered(low, high)
+    _check_above("a", a)
+    _check_above("b", b)
+    _check_order(low, high)
     width = high - low
     return Distribution(
         "",
         lambda u: low + width * float(special.betaincinv(a, b, u)),
-        lambda x: float(special.betainc(a, b, _within((x - low) / width))),
+        lambda x: float(special.betainc(a, b, _clip_share((x - low) / width))),
     )
 
 
 def truncated(of: Distribution, low: float, high: float) -> Distribution:
     """Part of a distribution between two ends."""
-    _ordered(low, high)
+    _check_order(low, high)
     if of.share is None:
         raise _Bad("truncate a distribution with a density", of.text)
     first, last = of.share(low), of.share(high)
@@ -184,7 +184,7 @@ def truncated(of: Distribution, low: float, high: float) -> Distribution:
     def quantile(u: float) -> float:
         return min(high, max(low, of.quantile(first + width * u)))
 
-    return Distribution("", quantile, lambda x: _within((share(x) - first) / width))
+    return Distribution("", quantile, lambda x: _clip_share((share(x) - first) / width))
 
 
 def choice(*values: float) -> Distribution:
@@ -199,7 +199,7 @@ def mixture(*pairs: float | Distribution) -> Distribution:
     weights, parts = pairs[::2], pairs[1::2]
     if not len(weights) == len(parts) > 0:
         raise _Bad("be weights, each followed by a distribution", f"{len(pairs)} arguments")
-    sizes = [_above("weights", one) for one in weights if isinstance(one, float)]
+    sizes = [_check_above("weights", one) for one in weights if isinstance(one, float)]
     shares = [one / math.fsum(sizes) for one in sizes]
 
     def quantile(u: float) -> float:
@@ -218,7 +218,7 @@ def grid(low: float, high: float, count: float) -> Distribution:
     """Evenly spaced values from end to end, each combined with those of all other grids."""
     if not (count >= 2 and count == int(count) and count <= 10**6):
         raise _Bad("have a whole number of values from 2 to 1e6", count)
-    _ordered(low, high)
+    _check_order(low, high)
     levels = int(count)
     width = high - low
     return Distribution(
@@ -257,7 +257,7 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
                 raise _Bad("begin with nominal * or nominal +", text)
             relative = "*" if isinstance(tree.op, ast.Mult) else "+"
             tree = tree.right
-        found = _read(tree)
+        found = _read_expression(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise Refusal(where, quantity, "be a distribution", text, valid) from None
     except _Bad as no:
@@ -267,27 +267,27 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
     return replace(found, text=text, relative=relative)
 
 
-def _read(tree: ast.expr) -> float | Distribution:
+def _read_expression(tree: ast.expr) -> float | Distribution:
     if isinstance(tree, ast.Constant) and type(tree.value) in (int, float):
         if not abs(tree.value) <= LARGEST_NUMBER:  # type: ignore[arg-type]
             raise _Bad(f"have numbers within +-{LARGEST_NUMBER:g}", tree.value)
         return float(tree.value)  # type: ignore[arg-type]
     if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
-        inner = _read(tree.operand)
+        inner = _read_expression(tree.operand)
         if isinstance(inner, float):
             return -inner
     if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name):
-        return _called(tree.func.id, tree)
+        return _read_call(tree.func.id, tree)
     raise _Bad("be a distribution", ast.unparse(tree), ", ".join(KINDS))
 
 
-def _called(name: str, tree: ast.Call) -> Distribution:
+def _read_call(name: str, tree: ast.Call) -> Distribution:
     if name not in KINDS:
         raise _Bad("be a known distribution", name, ", ".join(KINDS))
     if any(one.arg is None for one in tree.keywords):
         raise _Bad("have the arguments of its kind", ast.unparse(tree))
-    of: Sequence[Any] = [_read(one) for one in tree.args]
-    named = {str(one.arg): _read(one.value) for one in tree.keywords}
+    of: Sequence[Any] = [_read_expression(one) for one in tree.args]
+    named = {str(one.arg): _read_expression(one.value) for one in tree.keywords}
     expects = {"truncated": (0,), "mixture": tuple(range(1, len(of), 2))}.get(name, ())
     for place, one in enumerate(of):
         if isinstance(one, Distribution) != (place in expects):

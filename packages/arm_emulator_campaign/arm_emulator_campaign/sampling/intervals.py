@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 
-def clopper_pearson(hits: int, count: int, confidence: float) -> tuple[float, float]:
+def bound_share(hits: int, count: int, confidence: float) -> tuple[float, float]:
     """Return the interval that holds the true share at least that often, whatever it is."""
     if count == 0:
         return 0.0, 1.0
@@ -20,7 +20,7 @@ def clopper_pearson(hits: int, count: int, confidence: float) -> tuple[float, fl
     return low, high
 
 
-def quantile_places(q: float, count: int, confidence: float) -> tuple[int | None, int | None]:
+def bound_quantile(q: float, count: int, confidence: float) -> tuple[int | None, int | None]:
     """Return the places in a sorted sample between which a quantile lies at least that often.
 
     The interval is that of order statistics, whatever the distribution (David and Nagaraja, Order
@@ -30,27 +30,27 @@ def quantile_places(q: float, count: int, confidence: float) -> tuple[int | None
     """
     below = special.bdtr(np.arange(count + 1), count, q)  # of at most so many smaller ones
     alpha = 1.0 - confidence
-    low, high = _low(below, 0.5 * alpha), _high(below, 0.5 * alpha)
+    low, high = _find_low_place(below, 0.5 * alpha), _find_high_place(below, 0.5 * alpha)
     if high is None and low is not None:
-        low = _low(below, alpha)
+        low = _find_low_place(below, alpha)
     if low is None and high is not None:
-        high = _high(below, alpha)
+        high = _find_high_place(below, alpha)
     return low, high
 
 
-def _low(below: NDArray[np.float64], tail: float) -> int | None:
+def _find_low_place(below: NDArray[np.float64], tail: float) -> int | None:
     """Return the last place whose value is above the quantile at most so often."""
     place = int(np.searchsorted(below, tail, "right")) - 1
     return place if place >= 0 else None
 
 
-def _high(below: NDArray[np.float64], tail: float) -> int | None:
+def _find_high_place(below: NDArray[np.float64], tail: float) -> int | None:
     """Return the first place whose value is below the quantile at most so often."""
     place = int(np.searchsorted(below, 1.0 - tail))
     return place if place < len(below) - 1 else None
 
 
-def of_repetitions(p: NDArray[np.float64], confidence: float) -> tuple[float, float]:
+def bound_mean(p: NDArray[np.float64], confidence: float) -> tuple[float, float]:
     """Return the interval of the mean of independent estimates of a probability (K,).
 
     Those that are not 0 are taken to be lognormal, as products of many shares are. The interval is
@@ -78,10 +78,10 @@ def of_repetitions(p: NDArray[np.float64], confidence: float) -> tuple[float, fl
         return float(inner @ weights) if zeros else float(inner[0])
 
     tail = 0.5 * (1.0 - confidence)
-    return _exp_where(below, tail), _exp_where(below, 1.0 - tail)
+    return _invert_pivot(below, tail), _invert_pivot(below, 1.0 - tail)
 
 
-def _exp_where(below: Callable[[float], float], share: float) -> float:
+def _invert_pivot(below: Callable[[float], float], share: float) -> float:
     """Return exp(x) where a distribution function reaches a share; 1 where x is above 0."""
     low, high = -745.0, 0.0  # between the least double and 1
     if below(high) <= share:

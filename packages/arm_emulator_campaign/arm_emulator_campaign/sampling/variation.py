@@ -69,7 +69,9 @@ class Variation:
         if self.sampling == "latin" and D * self.count > LARGEST_LATIN:
             rule = f"be random or sobol with more than {LARGEST_LATIN:g} numbers in all"
             raise Refusal(self.where, "sampling", rule, f"latin, {D * self.count}")
-        self._mixed = None if self.correlation is None else self._root(self.correlation)
+        self._mixed = (
+            None if self.correlation is None else self._factor_correlation(self.correlation)
+        )
         self._key = int.from_bytes(self.key[:16], "little")
         alone = np.eye(len(self.numbers))
         mixed = alone if self._mixed is None else self._mixed
@@ -79,11 +81,11 @@ class Variation:
         self._fresh = self._bits.state
         self._stream = np.random.Generator(self._bits)
 
-    def _root(self, correlation: Array) -> Array:
+    def _factor_correlation(self, correlation: Array) -> Array:
         try:
             return np.asarray(np.linalg.cholesky(correlation), np.float64)
         except np.linalg.LinAlgError:
-            root = _root_of_dependent(correlation)
+            root = _factor_dependent(correlation)
         if np.max(np.abs(root @ root.T - correlation)) > 1e-9:
             least = float(np.linalg.eigvalsh(correlation)[0])
             rule = "have correlations that can hold together, all eigenvalues >= 0"
@@ -95,7 +97,7 @@ class Variation:
         """Combinations of all grids; 1 without any."""
         return math.prod(self.numbers[place].distribution.levels for place in self._grids)
 
-    def uniforms(self, index: int) -> list[float]:
+    def draw_uniforms(self, index: int) -> list[float]:
         """Return the random numbers of a run from 0 to 1: for each that varies, and one more."""
         if self._newest[0] != index:
             self._fresh["state"]["counter"][3] = index
@@ -105,13 +107,13 @@ class Variation:
 
     def values(self, index: int) -> dict[str, float]:
         """Return the values of a run by name."""
-        u = self._point(index)
+        u = self._draw_point(index)
         return {
             one.name: one.distribution.at(at, one.nominal)
             for one, at in zip(self.numbers, u, strict=True)
         }
 
-    def values_at(self, z: Sequence[float] | Array) -> dict[str, float]:
+    def place_values(self, z: Sequence[float] | Array) -> dict[str, float]:
         """Return the values at a point of independent standard normal numbers (D,), by name."""
         shares = self._shares(np.asarray(z, np.float64))
         return {
@@ -128,10 +130,10 @@ class Variation:
         shares: list[float] = np.clip(special.ndtr(scores), _FIRST, _LAST).tolist()
         return shares
 
-    def _point(self, index: int) -> list[float]:
+    def _draw_point(self, index: int) -> list[float]:
         """Return a point of the unit cube, a number for each that varies."""
         u = [0.5] * len(self.numbers)
-        for place, at in zip(self._free, self._free_point(index), strict=True):
+        for place, at in zip(self._free, self._draw_free_point(index), strict=True):
             u[place] = min(max(at, _FIRST), _LAST)
         if self._mixed is not None:
             shares = self._shares(special.ndtri(u))
@@ -144,40 +146,40 @@ class Variation:
             u[place] = (level + 0.5) / levels
         return u
 
-    def _free_point(self, index: int) -> list[float]:
+    def _draw_free_point(self, index: int) -> list[float]:
         D = len(self._free)
         if D == 0:
             return []
         if self.sampling == "sobol":
-            return self._sobol_point(index, D)
+            return self._draw_sobol_point(index, D)
         if self.sampling == "latin" and index < self.count:
             if self._cube is None:
                 from scipy.stats import qmc  # takes long to import
 
-                cube = qmc.LatinHypercube(D, seed=self._of_all())
+                cube = qmc.LatinHypercube(D, seed=self._make_common_stream())
                 self._cube = cube.random(self.count)
             row: list[float] = self._cube[index].tolist()
             return row
-        return self.uniforms(index)[:D]
+        return self.draw_uniforms(index)[:D]
 
-    def _sobol_point(self, index: int, D: int) -> list[float]:
+    def _draw_sobol_point(self, index: int, D: int) -> list[float]:
         at, sequence = self._sobol or (0, None)
         if sequence is None or at > index:
             from scipy.stats import qmc  # takes long to import
 
-            at, sequence = 0, qmc.Sobol(D, scramble=True, seed=self._of_all())
+            at, sequence = 0, qmc.Sobol(D, scramble=True, seed=self._make_common_stream())
         if index > at:
             sequence.fast_forward(index - at)
         point: list[float] = sequence.random(1)[0].tolist()
         self._sobol = index + 1, sequence
         return point
 
-    def _of_all(self) -> np.random.Generator:
+    def _make_common_stream(self) -> np.random.Generator:
         """Return the random numbers that all runs share."""
         return np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
 
 
-def _root_of_dependent(matrix: Array) -> Array:
+def _factor_dependent(matrix: Array) -> Array:
     """Return the lower root of a matrix whose numbers may follow from those before, as with +-1.
 
     Of a matrix that has none it is any other's: the caller compares.
@@ -190,7 +192,7 @@ def _root_of_dependent(matrix: Array) -> Array:
     return root
 
 
-def correlation_of(
+def make_correlation(
     pairs: Sequence[tuple[Sequence[str], float]], numbers: Sequence[Varying], where: str
 ) -> Array | None:
     """Return the correlation matrix of the varied numbers; None: all are independent.

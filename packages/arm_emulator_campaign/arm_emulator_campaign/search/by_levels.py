@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import number
-from arm_emulator_campaign.sampling.intervals import of_repetitions
+from arm_emulator_campaign.sampling.intervals import bound_mean
 from arm_emulator_campaign.search.method import Finding, Method
 
 
-def chosen_places(count: int, of: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def choose_places(count: int, of: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Return `count` places of a list of `of` entries, each as often as others but for chance."""
     order: NDArray[np.int64] = rng.permutation(of)
     return order[((np.arange(count) + rng.random()) * of / count).astype(int)]
@@ -56,7 +56,7 @@ class ByLevels(Method):
         if len(p):
             mean, (low, high), words = (
                 float(np.mean(p)),
-                of_repetitions(np.asarray(p), self.confidence),
+                bound_mean(np.asarray(p), self.confidence),
                 about,
             )
             if lost := int(np.count_nonzero(np.equal(p, 0.0))):

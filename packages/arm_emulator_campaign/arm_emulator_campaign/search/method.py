@@ -1,7 +1,7 @@
 """A method of search: it asks for runs, gets their margins, and ends with findings.
 
 Its course is a generator: it yields points of independent standard normal numbers, from which all
-that varies follows (`Variation.values_at`), is sent the outputs of the runs there, and returns
+that varies follows (`Variation.place_values`), is sent the outputs of the runs there, and returns
 findings.
 It has no other input than its numbers and a seed, so that a search that was interrupted takes the
 same course again, with what is done taken from its results.
@@ -36,7 +36,7 @@ class Finding:
     rows: tuple[tuple[str | float, ...], ...]
     bars: str = ""
 
-    def texts(self) -> list[tuple[str, ...]]:
+    def format_rows(self) -> list[tuple[str, ...]]:
         """Return the rows as texts; a name that stands in the row before is left out."""
         found, before = [], ""
         for name, *rest in self.rows:

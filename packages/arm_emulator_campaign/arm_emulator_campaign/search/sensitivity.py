@@ -31,7 +31,7 @@ class Sensitivity(Method):
             rule = "have independent numbers, for which its indices are defined"
             raise section.refusal("method", rule, "correlate", "a file without correlate")
 
-    def _findings(
+    def _make_findings(
         self,
         rows: Callable[[Array], Sequence[tuple[str | float, ...]]],
         outputs: Mapping[str, Array],
@@ -76,10 +76,10 @@ class Sobol(Sensitivity):
         from SALib.analyze import sobol as analysis
         from SALib.sample import sobol as sampling
 
-        problem = _problem(names, 0.0)
+        problem = _make_problem(names, 0.0)
         seed %= 2**31
         u = sampling.sample(problem, int(self.base), calc_second_order=False, seed=seed)
-        values = yield _scores(u)
+        values = yield _compute_scores(u)
 
         def rows(of: Array) -> Sequence[tuple[str | float, ...]]:
             # Of a large mean SALib's estimate keeps few digits.
@@ -87,11 +87,11 @@ class Sobol(Sensitivity):
             found = analysis.analyze(
                 problem, centred, calc_second_order=False, conf_level=CONFIDENCE, seed=seed
             )
-            return _rows(names, found, ("ST", "ST_conf", "S1", "S1_conf"))
+            return _make_rows(names, found, ("ST", "ST_conf", "S1", "S1_conf"))
 
         about = f"Shares of the variance, {self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         head = ("in all", "+- in all", "alone", "+- alone")
-        return self._findings(rows, dict(zip(outputs, values.T, strict=True)), about, head)
+        return self._make_findings(rows, dict(zip(outputs, values.T, strict=True)), about, head)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +128,16 @@ class Morris(Sensitivity):
         from SALib.analyze import morris as analysis
         from SALib.sample import morris as sampling
 
-        problem = _problem(names, TAIL)  # the ends of a normal distribution are at infinity
+        problem = _make_problem(names, TAIL)  # the ends of a normal distribution are at infinity
         levels, seed = int(self.levels), seed % 2**31
         u = sampling.sample(problem, int(self.trajectories), num_levels=levels, seed=seed)
-        values = yield _scores(u)
+        values = yield _compute_scores(u)
 
         def rows(of: Array) -> Sequence[tuple[str | float, ...]]:
             found = analysis.analyze(
                 problem, u, of, num_levels=levels, conf_level=CONFIDENCE, seed=seed
             )
-            return _rows(names, found, ("mu_star", "mu_star_conf", "mu", "sigma"))
+            return _make_rows(names, found, ("mu_star", "mu_star_conf", "mu", "sigma"))
 
         low, high = 100.0 * TAIL, 100.0 * (TAIL + (1.0 - 2.0 * TAIL) * self._part)
         about = (
@@ -147,16 +147,16 @@ class Morris(Sensitivity):
             f"{self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         )
         head = ("size", "+- size", "mean", "spread")
-        return self._findings(rows, dict(zip(outputs, values.T, strict=True)), about, head)
+        return self._make_findings(rows, dict(zip(outputs, values.T, strict=True)), about, head)
 
 
-def _problem(names: Sequence[str], tail: float) -> dict[str, Any]:
+def _make_problem(names: Sequence[str], tail: float) -> dict[str, Any]:
     return {
         "num_vars": len(names), "names": list(names), "bounds": [[tail, 1.0 - tail]] * len(names),
     }  # fmt: skip
 
 
-def _rows(
+def _make_rows(
     names: Sequence[str], found: Mapping[str, Array], keys: Sequence[str]
 ) -> Sequence[tuple[str | float, ...]]:
     """Return each number's name and indices, the largest first index on top."""
@@ -164,6 +164,6 @@ def _rows(
     return [(names[k], *(float(found[key][k]) for key in keys)) for k in order]
 
 
-def _scores(u: Array) -> Array:
+def _compute_scores(u: Array) -> Array:
     """Return the normal scores of points of the unit cube, whose faces are at 8.2 deviations."""
     return np.asarray(special.ndtri(np.clip(u, 2.0**-53, 1.0 - 2.0**-53)))

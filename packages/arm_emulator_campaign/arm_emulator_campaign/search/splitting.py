@@ -21,7 +21,7 @@ import numpy as np
 
 from arm_emulator.extension.base import Section, number
 from arm_emulator_campaign.sampling.variation import Variation
-from arm_emulator_campaign.search.by_levels import ByLevels, chosen_places
+from arm_emulator_campaign.search.by_levels import ByLevels, choose_places
 from arm_emulator_campaign.search.method import Finding
 
 SEEDS = 2**32
@@ -110,16 +110,16 @@ class Splitting(ByLevels):
         """Return how many runs, or parts of runs, it takes at most."""
         return int((self.repetitions + 1) * self.per_level) * (self._levels + 1)
 
-    def pilot(self, process: Process[Any], seed: int) -> tuple[list[float], bool]:
+    def run_pilot(self, process: Process[Any], seed: int) -> tuple[list[float], bool]:
         """Return the levels, and whether they lead to failures."""
         rng, N = np.random.default_rng([seed, 0]), int(self.per_level)
         wanted, levels, starts = round(self.share * N), list[float](), list[Any]()
         while True:
             # The whole way of each run, to know how far it comes.
-            seeds = _seeds(rng, N)
+            seeds = _draw_seeds(rng, N)
             lowest = np.empty(N)
             for k in range(N):
-                _set(process, starts, k, seeds)
+                _set_run(process, starts, k, seeds)
                 lowest[k] = process.reach(-math.inf)[1]
             if np.count_nonzero(lowest < 0.0) >= wanted:
                 return levels, True
@@ -133,12 +133,12 @@ class Splitting(ByLevels):
             reached = []
             for k in range(N):  # the same runs once more, to the level
                 if lowest[k] <= level:
-                    origin = _set(process, starts, k, seeds)
+                    origin = _set_run(process, starts, k, seeds)
                     process.reach(level)
                     reached.append((process.fork(), origin))
-            starts = [reached[k] for k in chosen_places(N, len(reached), rng)]
+            starts = [reached[k] for k in choose_places(N, len(reached), rng)]
 
-    def repetition(
+    def run_repetition(
         self, process: Process[Any], levels: Sequence[float], seed: int, number: int
     ) -> Repetition:
         """Return an estimate, a function of the seed and its number.
@@ -153,9 +153,9 @@ class Splitting(ByLevels):
         first, shares, runs, starts = number * N, list[float](), 0, list[Any]()
         failures: list[Origin] = []
         for level in (*levels, 0.0):
-            seeds, reached = _seeds(rng, N), list[Any]()
+            seeds, reached = _draw_seeds(rng, N), list[Any]()
             for k in range(N):
-                origin = _set(process, starts, k, seeds, first)
+                origin = _set_run(process, starts, k, seeds, first)
                 runs += 1
                 if process.reach(level)[0]:
                     reached.append((None if level == 0.0 else process.fork(), origin))
@@ -165,7 +165,7 @@ class Splitting(ByLevels):
             if level == 0.0:
                 failures = [origin for _, origin in reached]
             else:
-                starts = [reached[k] for k in chosen_places(N, len(reached), rng)]
+                starts = [reached[k] for k in choose_places(N, len(reached), rng)]
         return Repetition(math.prod(shares), runs, shares, failures)
 
     def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
@@ -178,7 +178,7 @@ class Splitting(ByLevels):
         nothing = f"No level led to a failure of {of}: rarer than `least`, or impossible."
         return self._found(of, [one.probability for one in found], runs, about, nothing)
 
-    def of_levels(self, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+    def list_levels(self, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
         """Return the levels, with the shares of runs that reached each from the one before."""
         rows = []
         for k, level in enumerate((*levels, 0.0)):
@@ -195,12 +195,12 @@ class Splitting(ByLevels):
         return Finding("Levels", about, head, tuple(rows))
 
 
-def _seeds(rng: np.random.Generator, count: int) -> list[int]:
+def _draw_seeds(rng: np.random.Generator, count: int) -> list[int]:
     seeds: list[int] = rng.integers(0, SEEDS, count).tolist()
     return seeds
 
 
-def _set(
+def _set_run(
     process: Process[Any],
     starts: Sequence[tuple[Any, Origin]],
     k: int,

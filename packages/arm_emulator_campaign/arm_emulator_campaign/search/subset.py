@@ -23,7 +23,7 @@ import numpy as np
 
 from arm_emulator.extension.base import Array, Section, number
 from arm_emulator_campaign.sampling.variation import Variation
-from arm_emulator_campaign.search.by_levels import ByLevels, chosen_places
+from arm_emulator_campaign.search.by_levels import ByLevels, choose_places
 from arm_emulator_campaign.search.method import Course, Finding
 
 ACCEPTED = 0.44  # share of candidates at which chains forget soonest
@@ -58,9 +58,9 @@ class Subset(ByLevels):
         """Return its course."""
         rng, D, N = np.random.default_rng(seed), len(names), int(self.per_level)
         chains = round(self.share * N)
-        levels, found, runs = yield from self._pilot(rng, D, N, chains)
+        levels, found, runs = yield from self._run_pilot(rng, D, N, chains)
         if not found:
-            return [self._finding(outputs[0], np.zeros(0), runs)]
+            return [self._list_findings(outputs[0], np.zeros(0), runs)]
         K = int(self.repetitions)
         z = rng.standard_normal((K, N, D))
         margins = (yield z.reshape(-1, D))[:, 0].reshape(K, N)
@@ -72,15 +72,15 @@ class Subset(ByLevels):
             if not len(going):
                 break
             reached = [np.flatnonzero(below[k]) for k in going]
-            starts = [places[chosen_places(chains, len(places), rng)] for places in reached]
+            starts = [places[choose_places(chains, len(places), rng)] for places in reached]
             now = np.array([z[k][at] for k, at in zip(going, starts, strict=True)])
             of_now = np.array([margins[k][at] for k, at in zip(going, starts, strict=True)])
-            z[going], margins[going], _ = yield from _chains(now, of_now, level, scale, N, rng)
+            z[going], margins[going], _ = yield from _run_chains(now, of_now, level, scale, N, rng)
             runs += len(going) * (N - chains)
         p *= np.mean(margins < 0.0, axis=1)
-        return [self._finding(outputs[0], p, runs)]
+        return [self._list_findings(outputs[0], p, runs)]
 
-    def _pilot(
+    def _run_pilot(
         self, rng: np.random.Generator, D: int, N: int, chains: int
     ) -> Generator[Array, Array, tuple[list[tuple[float, float]], bool, int]]:
         """Return levels with scales of their chains, whether they reach failures, and the runs."""
@@ -93,7 +93,7 @@ class Subset(ByLevels):
             if len(levels) == self._levels or level == np.max(margins):  # too rare, or a plateau
                 return levels, False, runs
             for _ in range(2):  # a level that is tried with the scale of the one before, and anew
-                found = yield from _chains(z[:, order], margins[:, order], level, scale, N, rng)
+                found = yield from _run_chains(z[:, order], margins[:, order], level, scale, N, rng)
                 runs += N - chains
                 if abs(found[2] - ACCEPTED) < 0.15:
                     break
@@ -102,13 +102,13 @@ class Subset(ByLevels):
             z, margins, _ = found
         return levels, True, runs
 
-    def _finding(self, of: str, p: Array, runs: int) -> Finding:
+    def _list_findings(self, of: str, p: Array, runs: int) -> Finding:
         about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
         nothing = f"No level reached a failure of {of}: rarer than `least`, or impossible."
         return self._found(of, p.tolist(), runs, about, nothing)
 
 
-def _chains(
+def _run_chains(
     now: Array, of_now: Array, level: float, scale: float, N: int, rng: np.random.Generator
 ) -> Generator[Array, Array, tuple[Array, Array, float]]:
     """Run chains below a level from states (K, n, D) with their margins (K, n).

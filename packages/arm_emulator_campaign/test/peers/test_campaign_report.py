@@ -6,13 +6,13 @@ from pathlib import Path
 
 from browser import chromium
 
-from arm_emulator_campaign.batch_simulator import runs_of
-from arm_emulator_campaign.case import drawn_case
+from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, write_part
 from arm_emulator_campaign.results.report import write_report
-from arm_emulator_campaign.results.summary import summary_of
+from arm_emulator_campaign.results.summary import summarize
 
 NARROW = 360  # px
 
@@ -20,10 +20,10 @@ NARROW = 360  # px
 def test_the_report_is_as_wide_as_a_phone(tmp_path):
     one = load_campaign(Path(__file__).parents[4] / "examples/campaign.yaml")
     results = Results(tmp_path, one)
-    cases = [drawn_case(one.variation, index) for index in range(80)]
-    write_part(results.folder, one, Outcomes.joined(list(runs_of(one).runs(cases))))
+    cases = [draw_case(one.variation, index) for index in range(80)]
+    write_part(results.folder, one, Outcomes.join(list(make_simulator(one).runs(cases))))
     columns = results.columns()
-    file = write_report(one, results, columns, summary_of(one, columns))
+    file = write_report(one, results, columns, summarize(one, columns))
     with chromium() as browser:
         page = browser.new_page(viewport={"width": NARROW, "height": 740})
         page.goto(file.as_uri())

@@ -17,7 +17,7 @@ from arm_emulator.extension.machine import (
     move_to_moving_link,
 )
 from arm_emulator_campaign.definition.fault import Fault, register_fault
-from arm_emulator_campaign.definition.scenario import ticks_of
+from arm_emulator_campaign.definition.scenario import count_ticks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +106,6 @@ class Impulse(OnLink):
 
     def wrench(self, period: float) -> ExternalWrench:
         """Return the force."""
-        contact = period * max(1, ticks_of(self.lasting, period))
+        contact = period * max(1, count_ticks(self.lasting, period))
         force = tuple(one / contact for one in self.impulse)
         return ExternalWrench(force, NO_WRENCH, self.point, self.axes)
