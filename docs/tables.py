@@ -23,7 +23,7 @@ from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
-from arm_emulator_fieldbus.declared import index_of
+from arm_emulator_fieldbus.declared import find_index
 from docs import scene_keys as scene_keys_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -262,7 +262,7 @@ def _in_c(one: Input) -> str:
 
 
 def _object(one: Input) -> str:
-    return "" if one.mode else f"0x{index_of(one):04X}"
+    return "" if one.mode else f"0x{find_index(one):04X}"
 
 
 def _output(one: Output) -> list[str]:
@@ -280,7 +280,7 @@ def _output(one: Output) -> list[str]:
         IN_C.get(one.symbol, _code(one.symbol)),
         _code(one.name) if one.name in FIELDS else "`readings`",
         _code(f"{one.name}.UNIT" if one.per_unit else one.name),
-        f"0x{index_of(one):04X}",
+        f"0x{find_index(one):04X}",
     ]
 
 

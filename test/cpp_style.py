@@ -23,8 +23,8 @@ from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
 from arm_emulator_firmware.microcontroller import runner_unit
 from arm_emulator_fleet.unit import build_fleet_unit
-from arm_emulator_fmu.unit import VERSIONS, unit_of
-from arm_emulator_fmu.variables import variables
+from arm_emulator_fmu.unit import VERSIONS, make_unit
+from arm_emulator_fmu.variables import list_variables
 
 ROOT = Path(__file__).resolve().parents[1]
 LANGUAGE = "-std=c++20"
@@ -47,7 +47,7 @@ def units() -> Iterator[Unit]:
     yield ethercat_unit()
     yield runner_unit()
     for version in VERSIONS:
-        fmu, _ = unit_of(scene, variables(scene), version)
+        fmu, _ = make_unit(scene, list_variables(scene), version)
         yield replace(fmu, source=fmu.beside)
 
 

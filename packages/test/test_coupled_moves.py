@@ -41,7 +41,7 @@ from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fmu.export import export
-from arm_emulator_identification.link_regressor import torques_of_links
+from arm_emulator_identification.link_regressor import compute_link_torques
 from oracles.coupled_arms import ARMS, GRAVITY, Lagrange, described, matrix, mimicking
 from oracles.own_robots import Part, serial
 
@@ -249,7 +249,7 @@ def test_numbers_of_its_links_explain_the_torques_that_its_gears_carry(machine: 
     q = machine.scene.start + draw.uniform(-0.05, 0.05, v.shape)  # off the stops
     scene = dataclasses.replace(machine.scene, gravity=GRAVITY)
     viscous = [getattr(joint.friction, "viscous", 0.0) for joint in scene.joints]
-    got = torques_of_links(scene, np.arange(20.0), q, v, a) - v * viscous
+    got = compute_link_torques(scene, np.arange(20.0), q, v, a) - v * viscous
     for k in range(20):
         asked = machine.truth.accelerations(q[k], v[k], got[k])
         np.testing.assert_allclose(asked, a[k], rtol=1e-9, atol=1e-9)

@@ -32,11 +32,11 @@ from arm_emulator.toolchain.compiler_command import find_compiler
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.eds import eds
-from arm_emulator_fmu.model_description import model_description
-from arm_emulator_fmu.page import page
-from arm_emulator_fmu.variables import variables
-from arm_emulator_page.number_table import number_table
+from arm_emulator_fieldbus.eds import make_eds
+from arm_emulator_fmu.model_description import describe_model
+from arm_emulator_fmu.page import write_page
+from arm_emulator_fmu.variables import list_variables
+from arm_emulator_page.number_table import format_numbers
 
 NAMES = hostile_names(200)
 SCENE = load_scene("three_axis")
@@ -95,7 +95,7 @@ def test_markdown_shows_a_name_as_it_is() -> None:
         if shown:
             first, *more = parser.parse(text)
             assert first.type == "paragraph_open" and len(more) == 2, name
-        table = parser.parse(number_table([name], {"q": [1.0], "v": [2.0]}))
+        table = parser.parse(format_numbers([name], {"q": [1.0], "v": [2.0]}))
         cells = [one for one in table if one.type == "inline"]
         assert len(cells) == 6 and "".join(x.content for x in cells[3].children or ()) == shown
 
@@ -147,21 +147,21 @@ def test_headers_of_c_compile_with_any_name(name: str, tmp_path: Path) -> None:
 
 
 def test_pages_and_descriptions_of_units_keep_their_marks() -> None:
-    plain = Tags(page(renamed("x"), variables(renamed("x")), "c++").decode())
+    plain = Tags(write_page(renamed("x"), list_variables(renamed("x")), "c++").decode())
     for name in some(NAMES, 40):
         scene = renamed(name, (name + "1", name + "2", name + "3"))
-        listed = variables(scene)
-        assert Tags(page(scene, listed, "c++").decode()).marks == plain.marks, name
-        root = ET.fromstring(model_description(scene, listed, "{t}"))
+        listed = list_variables(scene)
+        assert Tags(write_page(scene, listed, "c++").decode()).marks == plain.marks, name
+        root = ET.fromstring(describe_model(scene, listed, "{t}"))
         assert root.get("modelName") == (visible(name) or "arm")
 
 
 def test_data_sheets_keep_their_sections() -> None:
     drives = Drives(Plant(SCENE), load_gains(CONFIG / "three_axis.yaml").servo, CANOPEN)
     node = Segment(drives, 1, lockstep=True).nodes[0]
-    plain = sections(eds(node, "a.eds", "x"))
+    plain = sections(make_eds(node, "a.eds", "x"))
     for name in some(NAMES, 40):
-        found = sections(eds(node, name, name))
+        found = sections(make_eds(node, name, name))
         assert found.keys() == plain.keys(), name
         assert all(found[key].keys() == plain[key].keys() for key in plain), name
         assert found["DeviceInfo"]["ProductName"] == visible(name).strip(), name

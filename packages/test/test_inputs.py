@@ -24,9 +24,9 @@ from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_un
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.toolchain.c_header import text
-from arm_emulator_fieldbus.converter import COMMANDED, Converter, blocks
+from arm_emulator_fieldbus.converter import COMMANDED, Converter, list_blocks
 from arm_emulator_fleet import Fleet
-from arm_emulator_fmu.variables import variables
+from arm_emulator_fmu.variables import list_variables
 from arm_emulator_msgs.msg import MotorCommand, MotorState
 
 ROTOR = {"rotor_inertia": 1.0e-4}
@@ -260,7 +260,7 @@ def test_a_plant_refuses_alike(scene: Scene) -> None:
 def test_registers_have_them_behind_the_commands(scene: Scene) -> None:
     session = Session(scene, "lockstep", "first_answer")
     converter, N = Converter(session, 0), len(scene.joints)
-    rows = {one.name: one for one in blocks(scene) if one.writable}
+    rows = {one.name: one for one in list_blocks(scene) if one.writable}
     assert (rows["command_d"].address, rows["command_d"].count) == (COMMANDED + 1 + N, N)
     words = [8192, -4096, 16384, -8192, 0, 0]
     raw = [struct.unpack(">H", struct.pack(">h", word))[0] for word in words]
@@ -276,7 +276,7 @@ def test_registers_have_them_behind_the_commands(scene: Scene) -> None:
 
 def test_units_of_fmus_have_them(scene: Scene) -> None:
     """`test_fmu.py` sets them and compares the motion bit by bit."""
-    by_name = {variable.name: variable for variable in variables(scene)}
+    by_name = {variable.name: variable for variable in list_variables(scene)}
     command, further = by_name[("command",)], by_name[("command_d",)]
     assert command.units == ("V", "A", "N m") and further.units == ("V", "V", "V")
     assert further.role == "input" and "along each rotor's flux" in further.description

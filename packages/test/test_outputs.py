@@ -37,13 +37,13 @@ from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import NULL, text
-from arm_emulator_fieldbus.converter import Converter, blocks
-from arm_emulator_fieldbus.declared import index_of, places
+from arm_emulator_fieldbus.converter import Converter, list_blocks
+from arm_emulator_fieldbus.declared import find_index, find_places
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fieldbus.modbus_rtu import ModbusException
 from arm_emulator_fieldbus.object_dictionary import Aborted
-from arm_emulator_fmu.variables import variables
+from arm_emulator_fmu.variables import list_variables
 from arm_emulator_msgs.msg import MotorState
 from docs import tables
 
@@ -203,7 +203,7 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
 
 
 def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
-    shown = {variable.name[0] for variable in variables(scene) if variable.role == "output"}
+    shown = {variable.name[0] for variable in list_variables(scene) if variable.role == "output"}
     assert set(HERE) | {"powered", "truth"} == shown
 
 
@@ -238,7 +238,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
     converter = Converter(session, 0)
     for _ in range(20):
         session.advance_under(np.array([30.0, -20.0]))
-    rows = [one for one in blocks(scene) if 1003 <= one.address < 2000]
+    rows = [one for one in list_blocks(scene) if 1003 <= one.address < 2000]
     units = len(scene.imus)
     names = [
         (one.name, unit)
@@ -307,7 +307,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
     plant.reset([2.0 * np.pi - 1e-3, 2.001])  # before a turn of the link, and 2 m
     drives = Drives(plant, servo, CANOPEN)
     entries = {(entry.index, entry.sub): entry for entry in drives.entries}
-    assert len({index_of(value) for value in KNOWN.values()}) == len(KNOWN), "an object each"
+    assert len({find_index(value) for value in KNOWN.values()}) == len(KNOWN), "an object each"
     changed = dict.fromkeys(HERE, 0)
     further = [joint.inputs[1:] for joint in scene.joints]
     for tick in range(160):
@@ -317,7 +317,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
             drives.write(j, 0x6060, 10)
             drives.write(j, 0x6071, sign * 1000)
             for one in further[j]:
-                drives.give(j, index_of(one), 0.5 * sign)
+                drives.give(j, find_index(one), 0.5 * sign)
             drives.write(j, 0x6040, (6, 7, 15)[min(tick, 2)])
         if tick == 140:
             drives.write(1, 0x60FE, 1, 2)
@@ -330,7 +330,7 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
                 assert getattr(drives.plant.measured, one.applied).tolist() == [0.5, -0.5]
         for name, output in HERE.items():
             measured = np.asarray(getattr(drives.plant.measured, name), float)
-            index = index_of(output)
+            index = find_index(output)
             if output.per_unit:
                 shown = [drives.reading(1, index, sub) for sub in range(1, 7)]
                 assert shown == measured.astype(np.float32).ravel().tolist(), name
@@ -352,14 +352,14 @@ def test_drives_refuse_values_that_no_object_can_carry(scene: Scene) -> None:
     """Units beyond those of a link, numbers that are not finite, inputs that a motor has not."""
     rule = "imus must be at most 1 on the link of slide, for drives on a field bus, got 2"
     with pytest.raises(Refusal, match=rule):
-        places(scene, 1)
+        find_places(scene, 1)
     file = find_scene("three_axis")
     drives = Drives(Plant(load_scene(file)), load_gains(file).servo, CANOPEN)
     for input in scene.joints[0].inputs[1:]:
-        drives.give(0, index_of(input), 0.0)
+        drives.give(0, find_index(input), 0.0)
         for value in (1.0, np.nan, np.inf):
             with pytest.raises(Aborted, match="06090030"):
-                drives.give(0, index_of(input), value)
+                drives.give(0, find_index(input), value)
 
 
 def test_tables_of_the_site_have_all_of_them() -> None:

@@ -21,7 +21,7 @@ MOST_FRAMES = 200  # frames answered between two late servo periods
 
 
 @contextlib.contextmanager
-def can_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[PythonCanBus]:
+def open_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[PythonCanBus]:
     """Open a bus for a block.
 
     Raises:
@@ -75,7 +75,7 @@ class PythonCanBus:
                     return Frame(number, data, bool(message.is_remote_frame))
         # python-can may raise any exception on the data of others.
         except Exception as error:
-            if _of_the_system(error):
+            if _is_system_error(error):
                 raise Refusal("canopen", "bus", "stay open", error) from None
         self.ignored += 1
         return None
@@ -96,7 +96,7 @@ class PythonCanBus:
 Bus = PythonCanBus | CanServer
 
 
-def _of_the_system(error: BaseException | None) -> bool:
+def _is_system_error(error: BaseException | None) -> bool:
     """Whether the operating system is the cause, and not the received data."""
     while error is not None:
         if isinstance(error, OSError):

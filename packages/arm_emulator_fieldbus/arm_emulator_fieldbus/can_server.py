@@ -71,23 +71,23 @@ class CanServer:
         until = time.monotonic() + timeout
         while not self._came:
             left = until - time.monotonic()
-            self._attend(min([max(left, 0.0), *self._settling()]))
+            self._wait_events(min([max(left, 0.0), *self._list_settling()]))
             if left <= 0.0:
                 break
         return self._came.popleft() if self._came else None
 
     def send(self, frame: Frame) -> None:
         """Send a frame to all members."""
-        self._spread(_line(frame.id, frame.data), None)
+        self._spread(_format_frame(frame.id, frame.data), None)
 
     # ---------------------------------------------------------------------------------- members
 
-    def _settling(self) -> list[float]:
+    def _list_settling(self) -> list[float]:
         """Return how long new clients must still wait for frames [s]."""
         now = time.monotonic()
         return [max(value.settled - now, 0.0) for value in self._members.values() if value.held]
 
-    def _attend(self, timeout: float) -> None:
+    def _wait_events(self, timeout: float) -> None:
         for key, events in self._selector.select(timeout):
             if key.fileobj is self._listening:
                 self._accept()
@@ -179,7 +179,7 @@ class CanServer:
             return
         if short:
             self._came.append(Frame(number, bytes_))
-        self._spread(_line(number, bytes_, 3 if short else 8), member)
+        self._spread(_format_frame(number, bytes_, 3 if short else 8), member)
 
     def _hang_up(self, member: _Member) -> None:
         """Drop a client of another protocol, such as a browser."""
@@ -233,5 +233,5 @@ class _Member:
         self.settled = 0.0  # monotonic time [s], until which frames are held
 
 
-def _line(number: int, data: bytes, digits: int = 3) -> bytes:
+def _format_frame(number: int, data: bytes, digits: int = 3) -> bytes:
     return f"< frame {number:0{digits}X} {time.time():.6f} {data.hex().upper()} >".encode()

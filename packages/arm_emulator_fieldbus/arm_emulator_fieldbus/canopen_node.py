@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.object_dictionary import Aborted, dictionary
+from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries
 
 LARGEST_NODE = 127
 PDOS = 4  # of each way
@@ -109,7 +109,7 @@ class Node:
         # Values after a reset of the communication.
         self._defaults = {
             (one.index, one.sub): drives.read(drive, one.index, one.sub)
-            for one in dictionary()
+            for one in list_entries()
             if one.buses & CANOPEN and 0x1005 <= one.index < 0x2000 and one.access == "rw"
             if one.index not in (0x1010, 0x1011)
         }
@@ -168,13 +168,13 @@ class Node:
         if self._watched != before:
             self._heard_at = None
         for kept, first in ((self._receives, 0x1400), (self._sends, 0x1800)):
-            new = [self._pdo(first + k, first + 0x200 + k) for k in range(PDOS)]
+            new = [self._read_pdo(first + k, first + 0x200 + k) for k in range(PDOS)]
             # A PDO with unchanged settings keeps its waiting data.
             kept[:] = [
                 old if old == one else one for old, one in zip(kept or new, new, strict=True)
             ]
 
-    def _pdo(self, communication: int, mapping: int) -> _Pdo:
+    def _read_pdo(self, communication: int, mapping: int) -> _Pdo:
         cob = self._number(communication, 1)
         words = (self._number(mapping, k + 1) for k in range(self._number(mapping, 0)))
         places = [(word >> 16, word >> 8 & 0xFF, (word & 0xFF) // 8) for word in words]
@@ -208,7 +208,7 @@ class Node:
         """
         id_ = frame.id
         if frame.remote:
-            return self._requested(id_, now)
+            return self._answer_request(id_, now)
         if id_ == 0:
             return self._command(frame.data, now)
         if id_ == 0x600 + self.number:
@@ -252,7 +252,7 @@ class Node:
         code = self._number(0x603F, 0)
         if code != self._error:
             self._error = code
-            frames += self._emergency(code)
+            frames += self._report_emergency(code)
         if self.state is State.OPERATIONAL:
             frames += self._events(now)
         return frames
@@ -319,7 +319,7 @@ class Node:
         for (index, sub), value in self._defaults.items():
             self._drives.set(self._drive, index, value, sub)
 
-    def _requested(self, id_: int, now: int) -> list[Frame]:
+    def _answer_request(self, id_: int, now: int) -> list[Frame]:
         """Remote frames: node guarding, and PDOs."""
         if id_ == 0x700 + self.number and not self.beat and self.state is not State.BOOT:
             self._guarded_at = now
@@ -340,7 +340,7 @@ class Node:
             if pdo.id != frame.id or (pdo.type not in ASYNCHRONOUS and self._is_late(now)):
                 continue
             if len(frame.data) < pdo.length:
-                frames += self._emergency(TOO_SHORT)
+                frames += self._report_emergency(TOO_SHORT)
                 continue
             pdo.received_at = now
             if pdo.type in ASYNCHRONOUS:
@@ -358,7 +358,7 @@ class Node:
                 except Aborted:
                     bad = True
             at += size
-        reported = self._emergency(NOT_TAKEN) if bad and not self._bad_pdo else []
+        reported = self._report_emergency(NOT_TAKEN) if bad and not self._bad_pdo else []
         self._bad_pdo = bad
         return reported
 
@@ -388,24 +388,24 @@ class Node:
 
     def _is_late(self, now: int) -> bool:
         """Return whether the window for synchronous data after SYNC (0x1007) has passed."""
-        return not self._lockstep and _expired(self._synced_at, self._window, now)
+        return not self._lockstep and _has_expired(self._synced_at, self._window, now)
 
     def _watch(self, now: int) -> list[Frame]:
         """Check what comes periodically; each loss is reported once, until the next message."""
         frames: list[Frame] = []
-        if _expired(self._heard_at, self._watched[1], now):
+        if _has_expired(self._heard_at, self._watched[1], now):
             self._heard_at = None
             frames += self._lose_master()
-        if _expired(self._guarded_at, self._life, now):
+        if _has_expired(self._guarded_at, self._life, now):
             self._guarded_at = None
             frames += self._lose_master()
         if self.state is not State.OPERATIONAL:
             return frames
-        if _expired(self._synced_at, int(SYNC_TOLERANCE * self.sync_period), now):
+        if _has_expired(self._synced_at, int(SYNC_TOLERANCE * self.sync_period), now):
             self._synced_at = None
             frames += self._lose(NO_SYNC)
         for pdo in self._receives:
-            if _expired(pdo.received_at, pdo.timer, now):
+            if _has_expired(pdo.received_at, pdo.timer, now):
                 pdo.received_at = None
                 frames += self._lose(NO_DATA)
         return frames
@@ -425,17 +425,17 @@ class Node:
     def _lose(self, code: int) -> list[Frame]:
         """Report a loss to the drive, which reacts as 0x6007 selects, and by EMCY."""
         self._drives.lost(self._drive, code)
-        reported = self._emergency(code)
+        reported = self._report_emergency(code)
         self._error = self._number(0x603F, 0)
         return reported
 
-    def _emergency(self, code: int) -> list[Frame]:
+    def _report_emergency(self, code: int) -> list[Frame]:
         if self._emergency_id is None or self.state in (State.STOPPED, State.BOOT):
             return []
         register = self._number(0x1001, 0)
         return [Frame(self._emergency_id, struct.pack("<HB5x", code, register))]
 
 
-def _expired(since: int | None, time: int, now: int) -> bool:
+def _has_expired(since: int | None, time: int, now: int) -> bool:
     """Return whether more than a time [ns] has passed since a message; 0: it is not monitored."""
     return since is not None and 0 < time < now - since

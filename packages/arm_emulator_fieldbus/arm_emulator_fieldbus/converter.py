@@ -61,7 +61,7 @@ class Block:
     writable: bool = False
 
 
-def full_scale(scene: Scene, joint: Joint) -> float:
+def find_full_scale(scene: Scene, joint: Joint) -> float:
     """Return the full scale of commands, 32768 [V, N m or A, as the joint's motor takes it].
 
     Raises:
@@ -75,7 +75,7 @@ def full_scale(scene: Scene, joint: Joint) -> float:
     return limit
 
 
-def measured_outputs(scene: Scene) -> tuple[Output, ...]:
+def list_measurements(scene: Scene) -> tuple[Output, ...]:
     """Return the measurements in the order of registers, those of every machine first."""
     return tuple(dict.fromkeys((*ALWAYS_OUTPUTS, *list_outputs(scene))))
 
@@ -89,10 +89,10 @@ _WORDS = {
 }
 
 
-def measured_blocks(scene: Scene) -> list[Block]:
+def list_measured_blocks(scene: Scene) -> list[Block]:
     """Return the registers of measurements, in their order, without addresses."""
     rows, N = [], len(scene.joints)
-    for output in measured_outputs(scene):
+    for output in list_measurements(scene):
         per, kind = _WORDS[output.kind]
         unit = "counts, modulo 2^32" if output.kind == "count" else output.unit
         if output.per_unit:
@@ -105,7 +105,7 @@ def measured_blocks(scene: Scene) -> list[Block]:
     return rows
 
 
-def blocks(scene: Scene) -> tuple[Block, ...]:
+def list_blocks(scene: Scene) -> tuple[Block, ...]:
     """Return the table of registers of a scene, by address."""
     N = len(scene.joints)
     rows = [
@@ -116,7 +116,7 @@ def blocks(scene: Scene) -> tuple[Block, ...]:
         Block(MEASURED + 1, 2, 0, "tick, modulo 2^32", "uint32", "servo periods"),
     ]
     at = MEASURED + 3
-    for one in measured_blocks(scene):
+    for one in list_measured_blocks(scene):
         rows.append(replace(one, address=at))
         at += one.count
     rows += [
@@ -186,31 +186,31 @@ class Converter:
         largest = SETTINGS - COMMANDED - 1
         if inputs > largest:
             raise Refusal(scene.where, "inputs of motors", f"be at most {largest}", inputs)
-        measured = 3 + sum(one.count for one in measured_blocks(scene))
+        measured = 3 + sum(one.count for one in list_measured_blocks(scene))
         if measured > COMMANDED - MEASURED:
             rule = f"fill at most {COMMANDED - MEASURED} registers with measurements"
             raise Refusal(scene.where, "joints and their sensors", rule, measured)
         largest = min((JOINTS - FAULTS - 1) // 4, (0x10000 - FAULT_NAMES) // PER_FAULT)
         if len(scene.faults) > largest:
             raise Refusal(scene.where, "faults", f"be at most {largest}", len(scene.faults))
-        self._outputs = measured_outputs(scene)
+        self._outputs = list_measurements(scene)
         self.session = session
         self._faults = [fault.varied for fault in scene.faults]
-        self._full_scale = np.array([full_scale(scene, joint) for joint in scene.joints])
+        self._full_scale = np.array([find_full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
         self._N = N
         self._fixed = {
-            MACHINE: [MAP_VERSION, N, *_words(">I", session.period_ns)],
-            JOINTS: [word for joint in range(N) for word in self._description(joint)],
+            MACHINE: [MAP_VERSION, N, *_pack_words(">I", session.period_ns)],
+            JOINTS: [word for joint in range(N) for word in self._describe_joint(joint)],
             FAULT_NAMES: [
                 word
                 for fault in self._faults
-                for word in _words(f">{2 * PER_FAULT}s", fault.name.encode()[: 2 * PER_FAULT])
+                for word in _pack_words(f">{2 * PER_FAULT}s", fault.name.encode()[: 2 * PER_FAULT])
             ],
         }
         starts = (MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS, FAULT_NAMES)
         self._sizes: dict[int, int] = {}  # of the blocks, by their first addresses
-        for one in blocks(scene):
+        for one in list_blocks(scene):
             start = max(base for base in starts if base <= one.address)
             self._sizes[start] = one.address + one.count - start
         self.on_commands: Callable[[], object] = lambda: None
@@ -228,21 +228,21 @@ class Converter:
         self._command = [0] * self._N * (1 + len(self._inputs))
         self.wanted = np.zeros((1 + len(self._inputs), self._N))
 
-    def _description(self, index: int) -> list[int]:
+    def _describe_joint(self, index: int) -> list[int]:
         scene = self.session.scene
         joint = ARM_HEADER.new("arm_joint_description")
         self.session.plant.core.arm_describe_joint(index, joint)
         return [
             joint.kind,
             joint.modes & 0xFFFF,
-            *_words(">d", full_scale(scene, scene.joints[index])),
-            *_words(">d", joint.counts_per_rad),
-            *_words(">q", joint.encoder_wrap),
-            *_words(">d", joint.gear_ratio),
-            *_words(">d", joint.link_counts_per_rad),
-            *_words(">q", joint.link_encoder_wrap),
+            *_pack_words(">d", find_full_scale(scene, scene.joints[index])),
+            *_pack_words(">d", joint.counts_per_rad),
+            *_pack_words(">q", joint.encoder_wrap),
+            *_pack_words(">d", joint.gear_ratio),
+            *_pack_words(">d", joint.link_counts_per_rad),
+            *_pack_words(">q", joint.link_encoder_wrap),
             *[0] * (PER_JOINT - 42),
-            *_words(">32s", scene.joint_names[index].encode()[:32]),
+            *_pack_words(">32s", scene.joint_names[index].encode()[:32]),
         ]
 
     def _block(self, address: int, count: int) -> tuple[int, int]:
@@ -262,7 +262,7 @@ class Converter:
             words = [self._watchdog]
         elif base == FAULTS:
             present = self.session.plant.parameters
-            magnitudes = (_words(">d", present[fault.name]) for fault in self._faults)
+            magnitudes = (_pack_words(">d", present[fault.name]) for fault in self._faults)
             words = [len(self._faults), *itertools.chain.from_iterable(magnitudes)]
         else:
             words = self._fixed[base]
@@ -291,7 +291,7 @@ class Converter:
             values = getattr(measured, output.name).ravel()
             if output.kind == "number":
                 values = values.astype(">f4").view(">u4").astype(np.int64)
-            words += _pairs(values) if _WORDS[output.kind][0] == 2 else values.tolist()
+            words += _split_words(values) if _WORDS[output.kind][0] == 2 else values.tolist()
         return words
 
     def write(self, address: int, words: Sequence[int]) -> None:
@@ -393,12 +393,12 @@ class Converter:
         return True
 
 
-def _words(layout: str, value: object) -> tuple[int, ...]:
+def _pack_words(layout: str, value: object) -> tuple[int, ...]:
     data = struct.pack(layout, value)
     return struct.unpack(f">{len(data) // 2}H", data)
 
 
-def _pairs(values: NDArray[np.int64]) -> list[int]:
+def _split_words(values: NDArray[np.int64]) -> list[int]:
     """Return the two words of each number modulo 2^32, the high one first."""
     words: list[int] = (np.stack((values >> 16, values), axis=1) & 0xFFFF).ravel().tolist()
     return words

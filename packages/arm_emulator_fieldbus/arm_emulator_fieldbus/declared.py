@@ -28,9 +28,9 @@ _UNITS = {"count": ("counts",)}
 _IN_C = {"readings": "readings[at.in_rows()]", "further": "further[at.in_rows()]"}
 
 
-def _numbered() -> dict[str, int]:
+def _number_objects() -> dict[str, int]:
     names = [value.name for value in KNOWN_OUTPUTS.values() if not value.cia]
-    names += dict.fromkeys(one.name for kind in PARTS for one in _further(kind))
+    names += dict.fromkeys(one.name for kind in PARTS for one in _list_inputs(kind))
     found: dict[str, int] = {}
     for name in names:
         # By its name, so that other parts in a later version change nothing.
@@ -41,26 +41,26 @@ def _numbered() -> dict[str, int]:
     return dict(sorted(found.items(), key=lambda one: one[1]))
 
 
-def _further(kind: type[Part]) -> tuple[Input, ...]:
+def _list_inputs(kind: type[Part]) -> tuple[Input, ...]:
     return tuple(getattr(kind, "inputs", ())[1:])
 
 
-_INDICES = _numbered()
+_INDICES = _number_objects()
 
 # Names of what has such an object, by index; of other outputs a drive has objects by itself.
 REPORTED = tuple(KNOWN_OUTPUTS[name] for name in _INDICES if name in KNOWN_OUTPUTS)
 TAKEN = tuple(name for name in _INDICES if name not in KNOWN_OUTPUTS)
 
 
-def index_of(one: Output | Input) -> int:
+def find_index(one: Output | Input) -> int:
     """Return the object of an output, or of a further input."""
     return one.cia if isinstance(one, Output) and one.cia else _INDICES[one.name]
 
 
-def source() -> str:
+def write_source() -> str:
     """Return the lists in C++."""
-    reported = "".join(f"{{{_row(one)}}},\n" for one in REPORTED)
-    taken = "".join(f"{{{_input(name)}}},\n" for name in TAKEN)
+    reported = "".join(f"{{{_format_output(one)}}},\n" for one in REPORTED)
+    taken = "".join(f"{{{_format_input(name)}}},\n" for name in TAKEN)
     return (
         '#include "declared.hpp"\nnamespace fieldbus {\n'
         f"inline constexpr std::array<Reported, {len(REPORTED)}> kReported{{{{\n{reported}}}}};\n"
@@ -68,17 +68,17 @@ def source() -> str:
     )
 
 
-def _texts(name: str, *units: str) -> str:
+def _format_texts(name: str, *units: str) -> str:
     unit = " or ".join(dict.fromkeys(filter(None, units)))
     return ", ".join(map(escape_c_string, (name.replace("_", " ").capitalize(), unit)))
 
 
-def _input(name: str) -> str:
-    units = [one.unit for kind in PARTS for one in _further(kind) if one.name == name]
-    return f"0x{_INDICES[name]:04X}, {_texts(name, *units)}"
+def _format_input(name: str) -> str:
+    units = [one.unit for kind in PARTS for one in _list_inputs(kind) if one.name == name]
+    return f"0x{_INDICES[name]:04X}, {_format_texts(name, *units)}"
 
 
-def _row(one: Output) -> str:
+def _format_output(one: Output) -> str:
     array, _, field = one.symbol.partition(".")
     place = _IN_C.get(array, f"{array}[at.joint]")
     if one.per_unit:
@@ -86,7 +86,7 @@ def _row(one: Output) -> str:
     units = _UNITS.get(one.kind, (one.unit, one.unit_of_slides))
     members = (
         f"0x{_INDICES[one.name]:04X}",
-        _texts(one.name, *(unit for unit in units if unit != COMMAND_OUTPUT)),
+        _format_texts(one.name, *(unit for unit in units if unit != COMMAND_OUTPUT)),
         f"Type::{_TYPES[one.kind]}",
         str(one.per_unit).lower(),
         "[](const arm_measurement& all, [[maybe_unused]] Place at) { "
@@ -95,7 +95,7 @@ def _row(one: Output) -> str:
     return ", ".join(members)
 
 
-def places(scene: Scene, units: int) -> NDArray[np.int32]:
+def find_places(scene: Scene, units: int) -> NDArray[np.int32]:
     """Return where each of `REPORTED` is at each joint, by joint, output and unit on its link.
 
     Args:
@@ -128,7 +128,7 @@ def places(scene: Scene, units: int) -> NDArray[np.int32]:
     return found
 
 
-def input_rows(scene: Scene) -> NDArray[np.int32]:
+def find_input_rows(scene: Scene) -> NDArray[np.int32]:
     """Return the row in C of each of `TAKEN` at each joint; -1: its motor has no such input."""
     names = list_further_inputs(scene)
     return np.array(

@@ -24,8 +24,8 @@ from arm_emulator_fieldbus.object_dictionary import (
     SIGNED,
     Aborted,
     Entry,
-    entries_of,
     modes,
+    read_entries,
 )
 
 _HOME_OFFSETS = {
@@ -75,14 +75,14 @@ class Drives:
         self.calls = calls or drives_library()
         scene = plant.scene
         check_servo(scene, servo)
-        self._joints = _joints_of(scene, servo)
+        self._joints = _make_joints(scene, servo)
         self.withheld = withheld_modes(scene, servo, modes())
         for one in self.withheld:
             self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode.number - 1
-        names = [_text(name) for name in (*scene.joint_names, scene.name)]
+        names = [_make_text(name) for name in (*scene.joint_names, scene.name)]
         self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
-        places, inputs = declared.places(scene, UNITS), declared.input_rows(scene)
-        faults = [_text(fault.varied.name) for fault in scene.faults]
+        places, inputs = declared.find_places(scene, UNITS), declared.find_input_rows(scene)
+        faults = [_make_text(fault.varied.name) for fault in scene.faults]
         fault = DRIVES.ffi.new("char *[]", faults)
         self._kept = names, places, inputs, faults, fault  # they must outlive the drives
         self._machine = DRIVES.new(
@@ -107,7 +107,7 @@ class Drives:
         self._room = DRIVES.ffi.new("uint8_t[]", 256)
         self._replies = DRIVES.ffi.new("uint8_t[]", 8 * _SDO_REPLIES)
         self._size = DRIVES.ffi.new("uint32_t *")
-        self._entries = {(one.index, one.sub): one for one in entries_of(self.calls)}
+        self._entries = {(one.index, one.sub): one for one in read_entries(self.calls)}
 
     def __del__(self) -> None:
         pointer, self.pointer = getattr(self, "pointer", None), None
@@ -264,11 +264,11 @@ class Drives:
         self.calls.drives_restart(self.pointer, drive)
 
 
-def _text(words: str) -> CData:
+def _make_text(words: str) -> CData:
     return DRIVES.ffi.new("char[]", words.encode())
 
 
-def _joints_of(scene: Scene, servo: ServoConfig) -> ServoRows:
+def _make_joints(scene: Scene, servo: ServoConfig) -> ServoRows:
     """Return rows of ``drives_joint`` in the scene's order of joints; names are left out."""
     known = {joint.name: joint for joint in servo.joints}
     reported = tuple(known[name] for name in scene.joint_names)
@@ -281,7 +281,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> ServoRows:
             rule = "be given: the rated torque of its drive (0x6076) follows from it"
             raise Refusal(scene.where, where, rule, "nothing")
         row["counts_per_turn"] = joint.counts_per_turn
-        row["lower"], row["upper"] = _limits(joint, limits.get(joint.name))
+        row["lower"], row["upper"] = _count_limits(joint, limits.get(joint.name))
         row["brake"] = joint.brake is not None
         row["index"] = joint.encoder is not None and joint.encoder.index != "none"
         row["stops"] = joint.stops is not None
@@ -294,7 +294,7 @@ def _joints_of(scene: Scene, servo: ServoConfig) -> ServoRows:
 _FARTHEST = 2**31 - 1  # counts
 
 
-def _limits(joint: Joint, limits: tuple[float, float] | None) -> tuple[int, int]:
+def _count_limits(joint: Joint, limits: tuple[float, float] | None) -> tuple[int, int]:
     """Return the counts between which a joint is within its limits [rad or m]."""
     if limits is None:
         return -_FARTHEST - 1, _FARTHEST

@@ -22,7 +22,7 @@ DRIVES_FLAGS = (
     *"-fno-semantic-interposition -pthread".split(),
     *SHARED_FLAGS,
 )
-SOURCE = f'#include "tick.c"\n#include "servo.c"\n{declared.source()}#include "drives.hpp"\n'
+SOURCE = f'#include "tick.c"\n#include "servo.c"\n{declared.write_source()}#include "drives.hpp"\n'
 
 DRIVES = Header(DRIVES_CORE / "drives.h", (*TICK_FOLDERS, SERVO_FOLDER))
 ETHERCAT, CANOPEN = map(DRIVES.constant, ("DRIVES_ETHERCAT", "DRIVES_CANOPEN"))

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
-from arm_emulator.extension.base import escape_to_line
 from arm_emulator_fieldbus.canopen_node import Node
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.object_dictionary import REALS, TYPES, Entry, dictionary
+from arm_emulator_fieldbus.object_dictionary import REALS, TYPES, Entry, list_entries
 
 _CODES = {name: code for code, name in TYPES.items()}
 _MANDATORY = (0x1000, 0x1001, 0x1018)
 _BAUD_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)
 
 
-def eds(node: Node, file_name: str, product: str) -> str:
+def make_eds(node: Node, file_name: str, product: str) -> str:
     """Return the data sheet of a node that was just made, with its values as defaults.
 
     Args:
@@ -23,8 +22,8 @@ def eds(node: Node, file_name: str, product: str) -> str:
         file_name: under which it will be kept.
         product: name of the device.
     """
-    file_name, product = escape_to_line(file_name), escape_to_line(product)
-    entries = [one for one in dictionary() if one.buses & CANOPEN]
+    file_name, product = one_line(file_name), one_line(product)
+    entries = [one for one in list_entries() if one.buses & CANOPEN]
     objects = [list(group) for _, group in groupby(entries, key=lambda one: one.index)]
     indices = [group[0].index for group in objects]
     own = [index for index in indices if 0x2000 <= index < 0x6000]
@@ -57,15 +56,15 @@ def eds(node: Node, file_name: str, product: str) -> str:
         "[DummyUsage]",
         *(f"Dummy{index:04d}={int(index > 1)}" for index in range(1, 8)),
         "",
-        *_list("MandatoryObjects", _MANDATORY),
-        *_list("OptionalObjects", rest),
-        *_list("ManufacturerObjects", own),
+        *_write_list("MandatoryObjects", _MANDATORY),
+        *_write_list("OptionalObjects", rest),
+        *_write_list("ManufacturerObjects", own),
     ]
     for group in objects:
         first = group[0]
         section = f"{first.index:04X}"
         if first.code == 7:
-            lines += _variable(node, section, first, first.object)
+            lines += _write_variable(node, section, first, first.object)
             continue
         lines += [
             f"[{section}]",
@@ -75,11 +74,11 @@ def eds(node: Node, file_name: str, product: str) -> str:
             "",
         ]
         for one in group:
-            lines += _variable(node, f"{section}sub{one.sub:X}", one, one.name)
+            lines += _write_variable(node, f"{section}sub{one.sub:X}", one, one.name)
     return "\n".join(lines)
 
 
-def _list(name: str, indices: Sequence[int]) -> Iterable[str]:
+def _write_list(name: str, indices: Sequence[int]) -> Iterable[str]:
     yield f"[{name}]"
     yield f"SupportedObjects={len(indices)}"
     for number, index in enumerate(indices, 1):
@@ -87,31 +86,31 @@ def _list(name: str, indices: Sequence[int]) -> Iterable[str]:
     yield ""
 
 
-def _variable(node: Node, section: str, one: Entry, name: str) -> Iterable[str]:
+def _write_variable(node: Node, section: str, one: Entry, name: str) -> Iterable[str]:
     yield f"[{section}]"
     yield f"ParameterName={name}"
     yield "ObjectType=0x7"
     yield f"DataType=0x{_CODES[one.type]:04X}"
     yield f"AccessType={one.access}"
-    if one.access in ("const", "rw") and (default := _default(node, one)) is not None:
+    if one.access in ("const", "rw") and (default := _find_default(node, one)) is not None:
         yield f"DefaultValue={default}"
     yield f"PDOMapping={int(one.rx or one.tx)}"
     signed = one.type.startswith("INTEGER")
     half = 1 << max(one.bits - 1, 0)
     whole = one.bits and one.type not in REALS
     if whole and (one.least, one.most) != ((-half, half - 1) if signed else (0, 2 * half - 1)):
-        yield f"LowLimit={_number(one.least, signed)}"
-        yield f"HighLimit={_number(one.most, signed)}"
+        yield f"LowLimit={_format_number(one.least, signed)}"
+        yield f"HighLimit={_format_number(one.most, signed)}"
     if one.unit:
         yield f"; unit: {one.unit}"  # the standard has no key for it
     yield ""
 
 
-def _number(value: int, signed: bool) -> str:
+def _format_number(value: int, signed: bool) -> str:
     return str(value) if signed else f"0x{value:X}"
 
 
-def _default(node: Node, one: Entry) -> str | None:
+def _find_default(node: Node, one: Entry) -> str | None:
     """Return the text of an entry's value, or None if tools of masters read no common one."""
     raw = node.upload(one.index, one.sub)
     if not one.bits:
@@ -123,4 +122,4 @@ def _default(node: Node, one: Entry) -> str | None:
     if one.type in REALS:  # Lely's tools read the bits as a whole number, others the number itself
         return None if any(raw) else "0"
     signed = one.type.startswith("INTEGER")
-    return _number(int.from_bytes(raw, "little", signed=signed), signed)
+    return _format_number(int.from_bytes(raw, "little", signed=signed), signed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from arm_emulator_fieldbus.converter import Converter
 from arm_emulator_fieldbus.modbus_rtu import Receiver, Station
-from arm_emulator_fieldbus.serial_line import BITS_PER_BYTE, LineErrors, silence_time
+from arm_emulator_fieldbus.serial_line import BITS_PER_BYTE, LineErrors, compute_silence
 
 
 class ModbusLine:
@@ -34,7 +34,7 @@ class ModbusLine:
         self._converter = converter
         self._errors = errors
         self._baud = baud
-        self._silence = silence_time(baud)
+        self._silence = compute_silence(baud)
         self._bytes = self._silences = 0  # on the line since the machine's tick 0
         self._by_line = clock == "line"
         if not self._by_line:

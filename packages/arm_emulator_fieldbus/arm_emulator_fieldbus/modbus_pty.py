@@ -15,7 +15,7 @@ from arm_emulator.extension.base import Refusal
 from arm_emulator_fieldbus.converter import Converter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
 from arm_emulator_fieldbus.modbus_rtu import Receiver, Station
-from arm_emulator_fieldbus.serial_line import LineErrors, bytes_time, silence_time
+from arm_emulator_fieldbus.serial_line import LineErrors, compute_bytes_time, compute_silence
 
 # Bytes from another process arrive later than on a line. Only an incomplete
 # request waits so long.
@@ -82,14 +82,14 @@ class SerialPort:
             data = os.read(self._end, 4096)
         except OSError:
             return b""
-        return data if self._same_speed() else b""
+        return data if self._has_same_speed() else b""
 
     def give(self, data: bytes) -> None:
         """Send bytes; bytes that are not read are lost, as on a line."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._end, data)
 
-    def _same_speed(self) -> bool:
+    def _has_same_speed(self) -> bool:
         """Whether the master has set the speed of this end; else nothing can be understood."""
         speed = termios.tcgetattr(self._port)[5]
         if self._speed is None or speed == self._speed:
@@ -98,15 +98,15 @@ class SerialPort:
         if not self._reported:
             self._reported = True
             theirs = _SPEEDS.get(speed, "another speed in")
-            _report(
+            _print_report(
                 f"the master has set {theirs} baud, this end has {self._baud}: nothing gets through"
             )
         return False
 
 
-def serve(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -> None:
+def serve_port(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -> None:
     """Serve masters in logical time, indefinitely."""
-    gap = max(silence_time(baud), LONGEST_GAP) / 1e9
+    gap = max(compute_silence(baud), LONGEST_GAP) / 1e9
     silent = False
     while True:
         waiting = line.receiver.waiting
@@ -118,7 +118,7 @@ def serve(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -
             port.give(line.silence())
         elif not silent:
             silent = True
-            _report(
+            _print_report(
                 f"the master is silent, logical time stands still at tick {converter.session.tick}"
             )
 
@@ -145,7 +145,7 @@ class RealTimeService:
 
     def serve(self) -> None:
         """Serve masters, indefinitely."""
-        gap = max(silence_time(self._baud), LONGEST_GAP)
+        gap = max(compute_silence(self._baud), LONGEST_GAP)
         last = began = time.monotonic_ns()
         while True:
             data = self._port.take(LOOK)
@@ -164,12 +164,12 @@ class RealTimeService:
             else:
                 continue
             for request in requests:
-                heard = began + bytes_time(count, self._baud) + silence_time(self._baud)
+                heard = began + compute_bytes_time(count, self._baud) + compute_silence(self._baud)
                 self._wait_until(heard)
                 reply = self._station.answer(request)
                 if reply:
                     self._wait_until(
-                        max(heard, time.monotonic_ns()) + bytes_time(len(reply), self._baud)
+                        max(heard, time.monotonic_ns()) + compute_bytes_time(len(reply), self._baud)
                     )
                     self._port.give(self._errors.damage(reply))
 
@@ -186,5 +186,5 @@ class RealTimeService:
             self._converter.offer()
 
 
-def _report(words: str) -> None:
+def _print_report(words: str) -> None:
     print(f"modbus: {words}", file=sys.stderr, flush=True)

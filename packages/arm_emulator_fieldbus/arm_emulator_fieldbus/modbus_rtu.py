@@ -62,7 +62,7 @@ class Registers(Protocol):
         """
 
 
-def _crc_table() -> tuple[int, ...]:
+def _make_crc_table() -> tuple[int, ...]:
     table = []
     for byte in range(256):
         for _ in range(8):
@@ -71,10 +71,10 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(table)
 
 
-_CRC = _crc_table()
+_CRC = _make_crc_table()
 
 
-def crc(data: bytes) -> int:
+def compute_crc(data: bytes) -> int:
     """Return the checksum of a frame: x^16 + x^15 + x^2 + 1, bits reversed, begun with ones.
 
     It detects every odd number of flipped bits, every two of them and every burst of up to 16 bits.
@@ -86,15 +86,15 @@ def crc(data: bytes) -> int:
     return value
 
 
-def frame(station: int, body: bytes) -> bytes:
+def make_frame(station: int, body: bytes) -> bytes:
     """Return the bytes of a frame: station, function and data, checksum (low byte first)."""
     data = bytes((station,)) + body
-    return data + struct.pack("<H", crc(data))
+    return data + struct.pack("<H", compute_crc(data))
 
 
 def is_sound(data: bytes) -> bool:
     """Return whether a frame has a permitted length and the right checksum."""
-    return 4 <= len(data) <= LARGEST_FRAME and crc(data[:-2]) == data[-2] | data[-1] << 8
+    return 4 <= len(data) <= LARGEST_FRAME and compute_crc(data[:-2]) == data[-2] | data[-1] << 8
 
 
 # Bytes of a request with its checksum, by its function; and the place of a byte that counts more.
@@ -102,7 +102,7 @@ _LENGTHS = {1: 8, 2: 8, 3: 8, 4: 8, 5: 8, 6: 8, 7: 4, 8: 8, 11: 4, 12: 4, 17: 4,
 _COUNTED = {15: (9, 6), 16: (9, 6), 20: (5, 2), 21: (5, 2), 23: (13, 10)}
 
 
-def request_length(data: bytes | bytearray) -> int | None:
+def measure_request(data: bytes | bytearray) -> int | None:
     """Return the length of a request by its first bytes; None: not known (yet)."""
     if len(data) < 2:
         return None
@@ -139,7 +139,7 @@ class Receiver:
         held = self._bytes
         held += data
         found = []
-        while (length := request_length(held)) and len(held) >= length:
+        while (length := measure_request(held)) and len(held) >= length:
             one = bytes(held[:length])
             if not is_sound(one):
                 break
@@ -156,7 +156,7 @@ class Receiver:
         if not data:
             return []
         # A request whose length does not fit its function was damaged, whatever its checksum.
-        if is_sound(data) and request_length(data) in (None, len(data)):
+        if is_sound(data) and measure_request(data) in (None, len(data)):
             return [data]
         self.damaged += 1
         return []
@@ -222,42 +222,42 @@ class Station:
         if station == BROADCAST:
             counters.unanswered += 1
             return b""
-        return frame(self.number, bytes((function,)) + body)
+        return make_frame(self.number, bytes((function,)) + body)
 
     def _read(self, data: bytes) -> bytes:
-        address, count = _words(data, 2)
+        address, count = _unpack_words(data, 2)
         return self._read_from(address, count)
 
     def _read_from(self, address: int, count: int) -> bytes:
-        _check(1 <= count <= 125)
+        _check_fit(1 <= count <= 125)
         words = self._registers.read(address, count)
         return struct.pack(f">B{count}H", 2 * count, *words)
 
     def _write_one(self, data: bytes) -> bytes:
-        address, word = _words(data, 2)
+        address, word = _unpack_words(data, 2)
         self._registers.write(address, (word,))
         return data
 
     def _write(self, data: bytes) -> bytes:
-        _check(len(data) >= 5)
-        address, count = _words(data[:4], 2)
-        _check(1 <= count <= 123 and data[4] == 2 * count)
-        self._registers.write(address, _words(data[5:], count))
+        _check_fit(len(data) >= 5)
+        address, count = _unpack_words(data[:4], 2)
+        _check_fit(1 <= count <= 123 and data[4] == 2 * count)
+        self._registers.write(address, _unpack_words(data[5:], count))
         return data[:4]
 
     def _read_write(self, data: bytes) -> bytes:
         """Write first, then read, as the standard demands; nothing is written if reading fails."""
-        _check(len(data) >= 9)
-        address, count, to, written = _words(data[:8], 4)
-        _check(1 <= count <= 125 and 1 <= written <= 121 and data[8] == 2 * written)
-        words = _words(data[9:], written)
+        _check_fit(len(data) >= 9)
+        address, count, to, written = _unpack_words(data[:8], 4)
+        _check_fit(1 <= count <= 125 and 1 <= written <= 121 and data[8] == 2 * written)
+        words = _unpack_words(data[9:], written)
         self._registers.read(address, count)
         self._registers.write(to, words)
         return self._read_from(address, count)
 
     def _diagnostics(self, data: bytes) -> bytes:
-        _check(len(data) >= 2)
-        (sub,), rest = _words(data[:2], 1), data[2:]
+        _check_fit(len(data) >= 2)
+        (sub,), rest = _unpack_words(data[:2], 1), data[2:]
         if sub == 0:  # return what was sent
             return data
         counters = self.counters
@@ -271,7 +271,7 @@ class Station:
         }
         if sub != 10 and sub not in reported:
             raise ModbusException(Code.FUNCTION)
-        _check(rest == b"\0\0")
+        _check_fit(rest == b"\0\0")
         if sub == 10:  # clear
             self.counters = Counters()
             self._damaged_before = self._damaged()
@@ -279,11 +279,11 @@ class Station:
         return data[:2] + struct.pack(">H", reported[sub] & 0xFFFF)
 
 
-def _words(data: bytes, count: int) -> tuple[int, ...]:
-    _check(len(data) == 2 * count)
+def _unpack_words(data: bytes, count: int) -> tuple[int, ...]:
+    _check_fit(len(data) == 2 * count)
     return struct.unpack(f">{count}H", data)
 
 
-def _check(fits: bool) -> None:
+def _check_fit(fits: bool) -> None:
     if not fits:
         raise ModbusException(Code.VALUE)

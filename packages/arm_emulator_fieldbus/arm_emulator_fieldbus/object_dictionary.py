@@ -72,12 +72,12 @@ class Aborted(Exception):
 
 
 @cache
-def dictionary() -> tuple[Entry, ...]:
+def list_entries() -> tuple[Entry, ...]:
     """Return all entries, in ascending order."""
-    return tuple(entries_of(drives_library()))
+    return tuple(read_entries(drives_library()))
 
 
-def entries_of(calls: Library) -> Iterator[Entry]:
+def read_entries(calls: Library) -> Iterator[Entry]:
     """Yield the entries that a library with drives has, in ascending order."""
     one, slot = DRIVES.new("drives_entry"), 0
     while calls.drives_list(slot, one):
@@ -105,10 +105,10 @@ def entries_of(calls: Library) -> Iterator[Entry]:
 @cache
 def modes() -> tuple[LoopMode, ...]:
     """Return all modes of operation that drives have, see core/modes/modes.hpp."""
-    return tuple(_walk_modes(drives_library()))
+    return tuple(_read_modes(drives_library()))
 
 
-def _walk_modes(calls: Library) -> Iterator[LoopMode]:
+def _read_modes(calls: Library) -> Iterator[LoopMode]:
     one, row = DRIVES.new("drives_mode"), 0
     while calls.drives_list_mode(row, one):
         loops = tuple(loop for bit, loop in enumerate(ServoLoop) if one.loops >> bit & 1)

@@ -12,12 +12,12 @@ LARGEST_BAUD = 100_000_000
 SMALLEST_RATE = 1e-12  # of damaged bytes, other than none
 
 
-def bytes_time(count: int, baud: int) -> int:
+def compute_bytes_time(count: int, baud: int) -> int:
     """Return the time of transmission of bytes [ns]."""
     return -(-count * BITS_PER_BYTE * 10**9 // baud)
 
 
-def silence_time(baud: int) -> int:
+def compute_silence(baud: int) -> int:
     """Return the silence between Modbus frames [ns]: 3.5 bytes, beyond 19200 bit/s 1.75 ms."""
     return 1_750_000 if baud > 19_200 else -(-7 * BITS_PER_BYTE * 10**9 // (2 * baud))
 

@@ -13,10 +13,10 @@ from arm_emulator_fieldbus.canopen_node import Frame
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.object_dictionary import dictionary
+from arm_emulator_fieldbus.object_dictionary import list_entries
 
 SYNC = Frame(0x80)
-ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]
+ENTRIES = [one for one in list_entries() if one.buses & CANOPEN]
 
 
 def drives_of(scene: Scene) -> Drives:

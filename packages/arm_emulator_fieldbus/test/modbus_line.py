@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from arm_emulator import Scene, Session
 from arm_emulator_fieldbus.converter import Converter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
-from arm_emulator_fieldbus.modbus_rtu import crc, is_sound
+from arm_emulator_fieldbus.modbus_rtu import compute_crc, is_sound
 from arm_emulator_fieldbus.serial_line import LineErrors
 
 NO_ERRORS = LineErrors(0.0, 0)
@@ -48,7 +48,7 @@ def read_write(address: int, count: int, to: int, words: Sequence[int]) -> bytes
 
 
 def sound(data: bytes) -> bytes:
-    return data + struct.pack("<H", crc(data))
+    return data + struct.pack("<H", compute_crc(data))
 
 
 def line_of(

@@ -19,7 +19,7 @@ from arm_emulator_fieldbus import can_server
 from arm_emulator_fieldbus.can_bus import BusService, PythonCanBus
 from arm_emulator_fieldbus.can_server import LONGEST_LINE, MOST_CLIENTS, CanServer
 from arm_emulator_fieldbus.canopen_node import Frame
-from arm_emulator_fieldbus.commands.canopen import load_segment, opened
+from arm_emulator_fieldbus.commands.canopen import load_segment, open_requested_bus
 
 DEVICE_TYPE = 0x00020192
 
@@ -126,24 +126,24 @@ def test_frames_that_come_early_wait_until_the_handshake_is_read(
 
 
 def test_it_listens_on_this_machine_only_unless_asked() -> None:
-    with opened("0", None, None, None) as (bus, name):
+    with open_requested_bus("0", None, None, None) as (bus, name):
         assert isinstance(bus, CanServer)
         assert bus.address[0] == "127.0.0.1" and name.startswith("socketcand on 127.0.0.1:")
         taken = str(bus.address[1])
         with pytest.raises(Refusal, match=f"address 127.0.0.1:{taken} must be free, got Address"):
-            with opened(taken, None, None, None):
+            with open_requested_bus(taken, None, None, None):
                 pass
-    with opened("0.0.0.0:0", None, None, None) as (bus, _):
+    with open_requested_bus("0.0.0.0:0", None, None, None) as (bus, _):
         assert isinstance(bus, CanServer) and bus.address[0] == "0.0.0.0"
     for listen in ("", "here", "127.0.0.1:", "1:99999", "127.0.0.1:-1", "no such host:1"):
         with pytest.raises(
             Refusal,
             match=r"canopen: (--listen must be \[HOST:\]PORT|--listen, port|address .* must be fr)",
         ):
-            with opened(listen, None, None, None):
+            with open_requested_bus(listen, None, None, None):
                 pass
     with pytest.raises(Refusal, match="canopen: channel must come with --bus, got can0"):
-        with opened("0", None, "can0", None):
+        with open_requested_bus("0", None, "can0", None):
             pass
 
 

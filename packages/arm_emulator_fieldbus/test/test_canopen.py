@@ -26,7 +26,7 @@ from canopen_master import (
 from draws import FULL
 
 from arm_emulator import Diverged, Refusal, Scene, load_scene
-from arm_emulator_fieldbus.can_bus import can_bus
+from arm_emulator_fieldbus.can_bus import open_bus
 from arm_emulator_fieldbus.canopen_node import Frame, State
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.commands.canopen import write_eds
@@ -352,7 +352,7 @@ def whole(segment: Segment) -> tuple[object, ...]:
 def test_a_bus_that_cannot_be_opened_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "can", None)
     with pytest.raises(Refusal, match=r"canopen: package python-can must be installed \(pip"):
-        with can_bus("virtual", "0", None):
+        with open_bus("virtual", "0", None):
             pass
     monkeypatch.undo()
     pytest.importorskip("can", reason="python-can is not installed, see requirements-peers.txt")
@@ -365,7 +365,7 @@ def test_a_bus_that_cannot_be_opened_is_refused(monkeypatch: pytest.MonkeyPatch)
         ("socketcan", "no_such_line", r"bus socketcan, channel no_such_line must open, got "),
     ):
         with pytest.raises(Refusal, match=words):
-            with can_bus(bus, channel, None):
+            with open_bus(bus, channel, None):
                 pass
 
 

@@ -12,7 +12,7 @@ from canopen_master import ENTRIES, dumped, put, refused, sdo, segment_of, sent,
 
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator_fieldbus.canopen_node import Frame
-from arm_emulator_fieldbus.eds import eds
+from arm_emulator_fieldbus.eds import make_eds
 from arm_emulator_fieldbus.object_dictionary import REALS
 
 
@@ -185,7 +185,7 @@ def test_data_sheet_reports_every_entry(scene: Scene) -> None:
     node = segment_of(scene, 7).nodes[0]
     sheet = configparser.RawConfigParser()
     sheet.optionxform = str  # type: ignore[assignment,method-assign]
-    sheet.read_string(eds(node, "a.eds", "a"))
+    sheet.read_string(make_eds(node, "a.eds", "a"))
     listed = [
         int(value, 16)
         for part in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
@@ -239,7 +239,7 @@ _RANGES = {
 def test_data_sheet_holds_what_the_standard_names(scene: Scene) -> None:
     sheet = configparser.RawConfigParser(strict=True)
     sheet.optionxform = str  # type: ignore[assignment,method-assign]
-    sheet.read_string(eds(segment_of(scene, 7).nodes[0], "a.eds", "a"))
+    sheet.read_string(make_eds(segment_of(scene, 7).nodes[0], "a.eds", "a"))
     for name in sheet.sections():
         numbered = re.fullmatch(r"(Mandatory|Optional|Manufacturer)Objects|DummyUsage", name)
         known = _KEYS.get(name) or (_KEYS["object"] if re.match(r"[0-9A-F]{4}", name) else "")

@@ -41,13 +41,13 @@ from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.declared import COUNT, FIRST
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
-from arm_emulator_fieldbus.object_dictionary import REALS, Aborted, Entry, dictionary
+from arm_emulator_fieldbus.object_dictionary import REALS, Aborted, Entry, list_entries
 
 
 def test_every_entry_can_be_read_and_begins_within_its_range() -> None:
     for bus in (ETHERCAT, CANOPEN):
         drives = make(bus=bus)
-        for one in dictionary():
+        for one in list_entries():
             if not one.buses & bus:
                 with pytest.raises(Aborted, match="06020000"):
                     drives.upload(0, one.index, one.sub)
@@ -115,7 +115,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
     """
     rng = random.Random(402)
     drives = make()
-    known = {(one.index, one.sub): one for one in dictionary() if one.buses & ETHERCAT}
+    known = {(one.index, one.sub): one for one in list_entries() if one.buses & ETHERCAT}
     objects = {index for index, _ in known}
     model = {key: drives.upload(0, *key) for key in known}
     writable = [key for key, one in known.items() if one.access == "rw"]
@@ -393,7 +393,7 @@ def dictionary_rows() -> list[str]:
     """
     drives = make()
     rows = ["| index | object | sub-indices | on |", "|---|---|---|---|"]
-    for one in dictionary():
+    for one in list_entries():
         if one.index < 0x2000 and one.sub == 0:
             on = {1: "EtherCAT", 2: "CANopen", 3: "both"}[one.buses]
             rows.append(f"| 0x{one.index:04X} | {one.object} | {one.last_sub or ''} | {on} |")
@@ -402,7 +402,7 @@ def dictionary_rows() -> list[str]:
         "| index | entry | type | access | PDO | unit | at first | range |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for one in dictionary():
+    for one in list_entries():
         if one.index < 0x2000 or one.index in OF_PARTS:
             continue
         where = f"0x{one.index:04X}" + (f":{one.sub}" if one.last_sub else "")

@@ -48,7 +48,7 @@ from cia402 import (
 )
 
 from arm_emulator.machine.plant.diverged import Diverged
-from arm_emulator_fieldbus.object_dictionary import Aborted, dictionary
+from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries
 
 # -------------------------------------------------------------------------- limits, stops, faults
 
@@ -389,7 +389,7 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
     """Any value in any entry of the drive in motion: one state, no voltage unless it controls."""
     rng = random.Random(seed)
     drives = make(RICH if seed % 2 else PLAIN)
-    entries = [one for one in dictionary() if one.index >= 0x2000 and one.access == "rw"]
+    entries = [one for one in list_entries() if one.index >= 0x2000 and one.access == "rw"]
     lively = [entry for entry in entries if entry.rx and entry.index != CONTROL]
     likely = [
         SHUTDOWN,

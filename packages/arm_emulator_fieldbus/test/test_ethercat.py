@@ -43,7 +43,7 @@ from ethercat_master import (
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_fieldbus.commands.ethercat import write_esi
-from arm_emulator_fieldbus.esi import esi
+from arm_emulator_fieldbus.esi import make_esi
 
 __all__ = ["master"]  # a fixture
 
@@ -346,7 +346,7 @@ def test_interfaces_and_files_that_cannot_be_opened_are_refused(
 def test_the_description_agrees_with_what_the_slaves_report(master: Master, tmp_path: Path) -> None:
     import xml.etree.ElementTree as ET
 
-    root = ET.fromstring(esi(master.segment.drives).partition("\n")[2])
+    root = ET.fromstring(make_esi(master.segment.drives).partition("\n")[2])
     device = root.find(".//Device")
     assert device is not None
     master.preop(0)

@@ -17,7 +17,7 @@ from arm_emulator_fieldbus import object_dictionary as dictionaries
 from arm_emulator_fieldbus.canopen_node import Frame
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator_fieldbus.ethercat import Segment
-from arm_emulator_fieldbus.object_dictionary import dictionary
+from arm_emulator_fieldbus.object_dictionary import list_entries
 
 SCENE = load_scene("three_axis")
 SERVO = load_gains(find_scene("three_axis")).servo
@@ -106,7 +106,7 @@ REQUESTS = 1000
 # those of more than four bytes.
 BOTH = [
     one
-    for one in dictionary()
+    for one in list_entries()
     if one.buses == ETHERCAT | CANOPEN and 0 < one.bits <= 32 and not 0x1003 <= one.index < 0x2000
 ]
 ABORT = 0x80
@@ -122,7 +122,7 @@ def bus(request: pytest.FixtureRequest) -> Bus:
 
 def test_every_entry_is_read_and_written_as_the_drive_has_it(bus: Bus) -> None:
     draw, count = random.Random(2), 0
-    for one in dictionary():
+    for one in list_entries():
         if not one.buses & bus.kind:
             continue
         at = one.index, one.sub
@@ -165,7 +165,7 @@ ABORTS = [
 def test_an_sdo_that_cannot_be_changes_nothing(
     bus: Bus, what: str, requests: list[str], code: int
 ) -> None:
-    entries = [one for one in dictionary() if one.buses & bus.kind]
+    entries = [one for one in list_entries() if one.buses & bus.kind]
     before = [bus.drives.upload(1, entry.index, entry.sub) for entry in entries]
     for text in requests:
         request = bytes.fromhex(text)

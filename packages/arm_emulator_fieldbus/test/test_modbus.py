@@ -265,8 +265,8 @@ def test_full_scale_is_the_supply_or_the_limit_of_the_motor(tmp_path: Path) -> N
         motor = {"kind": kind, "rotor_inertia": 1e-4, **numbers}
         given = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
         limit = numbers[f"{kind}_limit"]
-        assert registers.full_scale(given, given.joints[0]) == limit
+        assert registers.find_full_scale(given, given.joints[0]) == limit
         del motor[f"{kind}_limit"]
         without = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
         with pytest.raises(Refusal, match=rf"joints.joint.motor.{kind}_limit must be given"):
-            registers.full_scale(without, without.joints[0])
+            registers.find_full_scale(without, without.joints[0])

@@ -14,8 +14,14 @@ from modbus_line import Master, line_of, long_of, read_write, sound
 
 from arm_emulator import Scene, Session, load_scene
 from arm_emulator_fieldbus.converter import Converter
-from arm_emulator_fieldbus.modbus_rtu import Receiver, Station, crc, is_sound, request_length
-from arm_emulator_fieldbus.serial_line import LineErrors, bytes_time, silence_time
+from arm_emulator_fieldbus.modbus_rtu import (
+    Receiver,
+    Station,
+    compute_crc,
+    is_sound,
+    measure_request,
+)
+from arm_emulator_fieldbus.serial_line import LineErrors, compute_bytes_time, compute_silence
 
 FRAMES = 100_000 if FULL else 5_000
 
@@ -38,11 +44,13 @@ def remainder(data: bytes) -> int:
 
 
 def test_checksum_is_the_remainder_of_a_division() -> None:
-    assert crc(bytes.fromhex("01030000000a")) == 0xCDC5  # the standard's example of a reader
+    assert (
+        compute_crc(bytes.fromhex("01030000000a")) == 0xCDC5
+    )  # the standard's example of a reader
     draw = random.Random(1)
     for _ in range(50):
         data = draw.randbytes(draw.randrange(1, 40))
-        assert crc(data) == remainder(data)
+        assert compute_crc(data) == remainder(data)
 
 
 def test_checksum_sees_every_damaged_byte_and_every_two_flipped_bits() -> None:
@@ -94,7 +102,7 @@ def test_line_takes_its_time(scene: Scene, seed: int) -> None:
     baud = draw.choice([9600, 19200, 57600, 115200, 1_000_000])
     line, converter = line_of(scene, "line", baud=baud, watchdog=0)
     master, truth = Master(line), Session(scene, "lockstep", "first_answer")
-    period, now, silence = 1_000_000, 0.0, silence_time(baud)
+    period, now, silence = 1_000_000, 0.0, compute_silence(baud)
     held = wanted = np.zeros(3)
     for _ in range(40):
         words = [draw.randrange(-9999, 9999) & 0xFFFF for _ in range(3)]
@@ -113,8 +121,8 @@ def test_line_takes_its_time(scene: Scene, seed: int) -> None:
 
 
 def test_times_of_the_line() -> None:
-    assert bytes_time(1, 11_000) == 1_000_000
-    assert silence_time(11_000) == 3_500_000 and silence_time(115_200) == 1_750_000
+    assert compute_bytes_time(1, 11_000) == 1_000_000
+    assert compute_silence(11_000) == 3_500_000 and compute_silence(115_200) == 1_750_000
 
 
 class Recorder:
@@ -198,5 +206,5 @@ def test_errors_do_not_depend_on_pieces() -> None:
 
 
 def test_requests_have_the_lengths_of_the_standard() -> None:
-    assert request_length(b"\1") is None and request_length(b"\1\x10\0\0\0\1") is None
-    assert request_length(b"\1\x10\0\0\0\1\2") == 11 and request_length(b"\1\x55") is None
+    assert measure_request(b"\1") is None and measure_request(b"\1\x10\0\0\0\1") is None
+    assert measure_request(b"\1\x10\0\0\0\1\2") == 11 and measure_request(b"\1\x55") is None

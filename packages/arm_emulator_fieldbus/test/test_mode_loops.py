@@ -24,7 +24,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig
-from arm_emulator_fieldbus.object_dictionary import Aborted, dictionary, modes
+from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries, modes
 from bench.modes import PAGE, table_of
 from oracles.any_arm import arms
 
@@ -293,6 +293,6 @@ def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
         9: ("cyclic velocity", (speed,)),
         10: ("cyclic torque", (torque, limit)),
     }
-    (supported,) = (one for one in dictionary() if one.index == 0x6502)
+    (supported,) = (one for one in list_entries() if one.index == 0x6502)
     assert supported.standard == sum(1 << mode.number - 1 for mode in modes())
     assert isinstance(LoopFigure.holds, property)

@@ -127,7 +127,7 @@ class _Reader:
         flash = [region.at for region in memory if region.kind == "flash"]
         if not flash:
             raise Refusal(top.where, "memory", "have a region of kind flash", "none")
-        fields = _numbers(top, BOARD)
+        fields = _read_numbers(top, BOARD)
         self._interrupts = fields["interrupts"]
         fields["vectors"] = self._vectors(memory, flash[0])
         fields["preload"] = top.flag("preload")
@@ -158,7 +158,7 @@ class _Reader:
         return Board(top.where, regions, tuple(names), rows, fields)
 
     def _vectors(self, memory: tuple[Region, ...], default: int) -> int:
-        at = _word(self._top, "vectors", default)
+        at = _read_word(self._top, "vectors", default)
         size = 4 * (16 + self._interrupts)
         if at % 128 or not any(one.at <= at <= one.at + one.size - size for one in memory):
             rule = f"be a multiple of 128 with {size} bytes of memory from there on"
@@ -176,7 +176,7 @@ class _Reader:
         return self._region(name, section, "registers")
 
     def _region(self, name: str, section: Section, kind: str) -> Region:
-        at, size = _word(section, "at"), _word(section, "size")
+        at, size = _read_word(section, "at"), _read_word(section, "size")
         for key, value in (("at", at), ("size", size)):
             if value % PAGE:
                 raise section.refusal(key, f"be a multiple of {PAGE} bytes", hex(value))
@@ -191,10 +191,14 @@ class _Reader:
 
     def _word(self, _name: str, section: Section) -> Row:
         at = self._register(section, "at")
-        return {"at": at, "value": _word(section, "value"), "fixed": _word(section, "fixed", 0)}
+        return {
+            "at": at,
+            "value": _read_word(section, "value"),
+            "fixed": _read_word(section, "fixed", 0),
+        }
 
     def _encoder(self, joint: str, section: Section) -> Row:
-        numbers = _numbers(section, ENCODER)
+        numbers = _read_numbers(section, ENCODER)
         return {"joint": self._joints.index(joint), "at": self._own(section, "at"), **numbers}
 
     def _adc(self, _name: str, section: Section) -> Row:
@@ -224,7 +228,7 @@ class _Reader:
         at = self._own(section, "at")
         if section.choice("holds", ("counts", "float"), "counts") == "float":
             return {"at": at, "bits": 0}
-        numbers = _numbers(section, CHANNEL)
+        numbers = _read_numbers(section, CHANNEL)
         section.number(replace(CHANNEL[-1], at_most=2 ** numbers["bits"] - 1))
         return {"at": at, **numbers}
 
@@ -279,7 +283,7 @@ class _Reader:
     def _uart(self, _name: str, section: Section) -> Row:
         row = {key: self._own(section, key) for key in ("status", "data", "control")}
         row |= {"interrupt": self._interrupt(section), "targets": section.flag("targets")}
-        return {**row, **_numbers(section, UART)}
+        return {**row, **_read_numbers(section, UART)}
 
     def _mailbox(self) -> Row | None:
         section = self._top.section("targets")
@@ -331,7 +335,7 @@ class _Reader:
         return at
 
     def _register(self, section: Section, key: str) -> int:
-        at = _word(section, key)
+        at = _read_word(section, key)
         if at % 4 or not any(one.at <= at < one.at + one.size for one in self._blocks):
             known = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"
             rule = "be a multiple of 4 within a block of `registers`"
@@ -339,11 +343,11 @@ class _Reader:
         return at
 
 
-def _numbers(section: Section, declared: Sequence[Number]) -> Row:
+def _read_numbers(section: Section, declared: Sequence[Number]) -> Row:
     return {one.name: section.number(one) for one in declared}
 
 
-def _word(section: Section, key: str, default: int | None = None) -> int:
+def _read_word(section: Section, key: str, default: int | None = None) -> int:
     """Return a whole number of 32 bits, written as 0x40000000 or in decimal."""
     value = section.value(key)
     if isinstance(value, str) and re.fullmatch(r"0[xX][0-9a-fA-F]{1,8}", value):
@@ -361,7 +365,7 @@ def _check_regions(where: str, regions: tuple[Region, ...]) -> None:
             raise Refusal(where, f"region {one.name}", rule, hex(one.at + one.size))
 
 
-def board_struct(
+def make_board_struct(
     board: Board, scene: Scene, uarts: dict[str, tuple[int, int]]
 ) -> tuple[CData, dict[str, CData]]:
     """Return a board as in runner.h, and the objects that must outlive it.
@@ -375,7 +379,7 @@ def board_struct(
         Refusal: a bridge makes no command of the kind that a joint takes.
     """
     rows = dict(board.rows)
-    rows["pwm"] = tuple({"full_scale": _full_scale(row, scene), **row} for row in rows["pwm"])
+    rows["pwm"] = tuple({"full_scale": _find_full_scale(row, scene), **row} for row in rows["pwm"])
     rows["uart"] = tuple(
         {**one, **dict(zip(("out", "in"), uarts.get(name, (-1, -1)), strict=True))}
         for name, one in zip(board.uarts, rows["uart"], strict=True)
@@ -393,7 +397,7 @@ def board_struct(
     return RUNNER.new("mcu_board", joints=len(scene.joints), period=period, **fields), kept
 
 
-def _full_scale(pwm: Row, scene: Scene) -> float:
+def _find_full_scale(pwm: Row, scene: Scene) -> float:
     """Return the command at a duty of 1 [V, A or N m] where none is given: of a bridge the supply.
 
     Raises:

@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 
 from arm_emulator.extension.base import Refusal, read_bytes
-from arm_emulator_firmware.unicorn_library import package_folder
+from arm_emulator_firmware.unicorn_library import find_package
 
 LARGEST = 1 << 28  # bytes
 MOST_HEADERS = 4096  # of segments and of sections
@@ -34,7 +34,7 @@ class ElfImage:
         if content[4:6] != b"\x01\x01" or content[18:20] != ARM.to_bytes(2, "little"):
             rule = "be built for a little-endian 32-bit Arm"
             raise Refusal(self.name, "file", rule, "for another processor")
-        package_folder("elftools", "pyelftools")
+        find_package("elftools", "pyelftools")
         from elftools.elf.elffile import ELFFile
         from elftools.elf.sections import SymbolTableSection
 

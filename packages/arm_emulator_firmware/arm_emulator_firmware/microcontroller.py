@@ -18,12 +18,12 @@ from arm_emulator.extension.compiler import (
 )
 from arm_emulator.extension.machine import ControlCode, Scene
 from arm_emulator_firmware import CORE_FOLDER
-from arm_emulator_firmware.board import RUNNER, Board, board_struct
+from arm_emulator_firmware.board import RUNNER, Board, make_board_struct
 from arm_emulator_firmware.elf_image import ElfImage
 from arm_emulator_firmware.unicorn_library import (
+    find_headers,
     load_unicorn,
-    unicorn_headers,
-    unicorn_version,
+    read_version,
 )
 
 FLAGS = (*"-std=c++20 -O2 -fvisibility=hidden -ffp-contract=off".split(), *SHARED_FLAGS)
@@ -39,15 +39,15 @@ def runner_unit() -> Unit:
     Raises:
         Refusal: Unicorn is not installed.
     """
-    source = f'#include "runner.cpp"\n// with Unicorn {unicorn_version()}\n'
-    folders = (CORE_FOLDER, BOUNDARY_FOLDER, unicorn_headers())
+    source = f'#include "runner.cpp"\n// with Unicorn {read_version()}\n'
+    folders = (CORE_FOLDER, BOUNDARY_FOLDER, find_headers())
     about, part = "the microcontroller's runner", "runner.cpp"
     headers, where = (RUNNER,), "microcontroller"
     return Unit("microcontroller", source, FLAGS, folders, headers, where, about, part)
 
 
 @cache
-def _runner() -> Library:
+def _load_runner() -> Library:
     load_unicorn()
     return compiled_library(runner_unit())
 
@@ -80,8 +80,8 @@ class Microcontroller(ControlCode):
     ) -> None:
         self.name = image.name
         self._image = image
-        self._calls = _runner()
-        reported, self._kept = board_struct(board, scene, uarts or {})
+        self._calls = _load_runner()
+        reported, self._kept = make_board_struct(board, scene, uarts or {})
         why = RUNNER.ffi.new("char[]", 120)
         self.with_ = self._calls.mcu_new(reported, why)
         if not self.with_:

@@ -11,7 +11,7 @@ from pathlib import Path
 from arm_emulator.extension.base import Refusal
 
 
-def package_folder(package: str, distribution: str) -> Path:
+def find_package(package: str, distribution: str) -> Path:
     """Return the folder of a Python package that only this command needs.
 
     Raises:
@@ -29,20 +29,20 @@ def package_folder(package: str, distribution: str) -> Path:
     return Path(found.submodule_search_locations[0])
 
 
-def unicorn_headers() -> Path:
+def find_headers() -> Path:
     """Return the folder of Unicorn's headers.
 
     Raises:
         Refusal: it is not installed, or without headers.
     """
-    headers = package_folder("unicorn", "unicorn") / "include"
+    headers = find_package("unicorn", "unicorn") / "include"
     if not (headers / "unicorn/unicorn.h").is_file():
         rule = "come with its headers"
         raise Refusal("firmware", "Unicorn", rule, f"none in {headers}", "pip install unicorn")
     return headers
 
 
-def unicorn_version() -> str:
+def read_version() -> str:
     """Return the version of the installed Unicorn."""
     try:
         return version("unicorn")
@@ -57,7 +57,7 @@ def load_unicorn() -> ctypes.CDLL:
     Raises:
         Refusal: it is not installed, or does not load.
     """
-    folder = package_folder("unicorn", "unicorn") / "lib"
+    folder = find_package("unicorn", "unicorn") / "lib"
     files = sorted(folder.glob("libunicorn.so*"))
     if not files:
         rule = "come with its library"

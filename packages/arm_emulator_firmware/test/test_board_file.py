@@ -286,9 +286,9 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: P
             if missing == "elftools":
                 ElfImage(tmp_path / "firmware.elf")
             else:
-                from arm_emulator_firmware.unicorn_library import unicorn_headers
+                from arm_emulator_firmware.unicorn_library import find_headers
 
-                unicorn_headers()
+                find_headers()
 
 
 @pytest.mark.parametrize(

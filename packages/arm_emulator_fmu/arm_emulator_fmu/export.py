@@ -11,24 +11,23 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from arm_emulator.extension.base import Refusal, find_config_folder
+from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.compiler import (
     CORE_FOLDER,
     TICK_FOLDERS,
-    compile_bytes,
     compute_fingerprint,
 )
 from arm_emulator.extension.machine import Scene
 from arm_emulator_fmu.model_description import (
     build_description,
-    model_description,
-    model_description_2,
+    describe_model,
+    describe_model_2,
 )
-from arm_emulator_fmu.names import identifier
-from arm_emulator_fmu.page import page
-from arm_emulator_fmu.unit import FOLDER, unit_of
-from arm_emulator_fmu.variables import scalars, variables
-from arm_emulator_fmu.windows import windows_binary
+from arm_emulator_fmu.names import make_identifier
+from arm_emulator_fmu.page import write_page
+from arm_emulator_fmu.unit import FOLDER, make_unit
+from arm_emulator_fmu.variables import list_scalars, list_variables
+from arm_emulator_fmu.windows import compile_for_windows
 
 # That most machines have; "native" is faster, and gives other bits.
 TARGET = "x86-64-v2" if platform.machine() == "x86_64" else "native"
@@ -59,41 +58,39 @@ def export(
     """
     if out.suffix != ".fmu":
         raise Refusal("fmu", "--out", "end in .fmu", out.name)
-    listed = variables(scene) if version == "3" else scalars(scene)
-    unit, token = unit_of(scene, listed, version)
-    library = compile_bytes(unit, target)
-    name = identifier(scene.name)
+    listed = list_variables(scene) if version == "3" else list_scalars(scene)
+    unit, token = make_unit(scene, listed, version)
+    library = compiled_bytes(unit, target)
+    name = make_identifier(scene.name)
     options = shlex.join([*unit.flags, f"-march={target}"])
     definition = f"ARM_FINGERPRINT={compute_fingerprint(unit)}"
     command = f"g++ {options} -I. -D{definition} {' '.join(_SOURCES)} -o {name}.so"
     sources = dict(zip(_SOURCES, (unit.source, unit.beside), strict=True))
-    sources |= _included(*sources.values())
+    sources |= _list_included(*sources.values())
     if version == "3":
         own = {
-            "modelDescription.xml": model_description(scene, listed, token),
+            "modelDescription.xml": describe_model(scene, listed, token),
             "sources/buildDescription.xml": build_description(scene, _SOURCES, options, definition),
         }
     else:
-        own = {"modelDescription.xml": model_description_2(scene, listed, token)}
+        own = {"modelDescription.xml": describe_model_2(scene, listed, token)}
     files = {
         **own,
-        "documentation/index.html": page(scene, listed, command),
-        "documentation/licenses/license.txt": (
-            find_config_folder().parent / "LICENSE"
-        ).read_bytes(),
+        "documentation/index.html": write_page(scene, listed, command),
+        "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
         "documentation/externalDependencies.txt": _NEEDED,
         **{f"sources/{file}": text.encode() for file, text in sources.items()},
         f"binaries/{PLATFORMS[version]}/{name}.so": library,
     }
     if windows:
-        files[f"binaries/{WINDOWS[version]}/{name}.dll"] = windows_binary(unit)
+        files[f"binaries/{WINDOWS[version]}/{name}.dll"] = compile_for_windows(unit)
     try:
         _write(out, files)
     except OSError as error:
         raise Refusal("fmu", f"file {out}", "be writable", error.strerror) from None
 
 
-def _included(*sources: str) -> dict[str, str]:
+def _list_included(*sources: str) -> dict[str, str]:
     """Return the files that sources include, and those that they include, by name."""
     found: dict[str, str] = {}
     left = list(sources)

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 from arm_emulator.extension.base import escape_xml
 from arm_emulator.extension.machine import Scene
-from arm_emulator_fmu.names import convention, identifier, written
-from arm_emulator_fmu.units import BASE, DISPLAYED, OFFSETS, powers_of
+from arm_emulator_fmu.names import convention, make_identifier, write_name
+from arm_emulator_fmu.units import BASE, DISPLAYED, OFFSETS, find_powers
 from arm_emulator_fmu.variables import Variable
 
 TOOL = "arm_emulator"
@@ -28,7 +28,7 @@ _TYPES_2 = {"Float64": "Real", "Int64": "Real", "Int32": "Integer", "Boolean": "
 _TYPED_2 = ("unit", "displayUnit", "min", "max", "start")
 
 
-def model_description(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
+def describe_model(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
     """Return modelDescription.xml of FMI 3.0.
 
     Args:
@@ -41,7 +41,7 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
     ET.SubElement(
         root,
         "CoSimulation",
-        modelIdentifier=identifier(scene.name),
+        modelIdentifier=make_identifier(scene.name),
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
         canHandleVariableCommunicationStepSize="true",
@@ -49,10 +49,10 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         providesIntermediateUpdate="true",
         fixedInternalStepSize=repr(scene.servo_period),
     )
-    _header(root, scene, variables)
+    _write_header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
     for reference, one in enumerate(variables):
-        element = ET.SubElement(listed, one.type, _attributes(one, reference, naming))
+        element = ET.SubElement(listed, one.type, _list_attributes(one, reference, naming))
         if one.role == "output":
             element.set("intermediateUpdate", "true")
         for size in one.shape:
@@ -64,10 +64,10 @@ def model_description(scene: Scene, variables: Sequence[Variable], token: str) -
         ET.SubElement(structure, "Output", valueReference=k, dependencies="")
     for k in outputs:
         ET.SubElement(structure, "InitialUnknown", valueReference=k, dependencies=begin)
-    return _as_bytes(root)
+    return _encode_xml(root)
 
 
-def model_description_2(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
+def describe_model_2(scene: Scene, variables: Sequence[Variable], token: str) -> bytes:
     """Return modelDescription.xml of FMI 2.0.
 
     Args:
@@ -80,15 +80,15 @@ def model_description_2(scene: Scene, variables: Sequence[Variable], token: str)
     ET.SubElement(
         root,
         "CoSimulation",
-        modelIdentifier=identifier(scene.name),
+        modelIdentifier=make_identifier(scene.name),
         canHandleVariableCommunicationStepSize="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
     )
-    _header(root, scene, variables)
+    _write_header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
     for reference, one in enumerate(variables):
-        attributes = _attributes(one, reference, naming)
+        attributes = _list_attributes(one, reference, naming)
         own = {name: attributes.pop(name) for name in _TYPED_2 if name in attributes}
         element = ET.SubElement(listed, "ScalarVariable", attributes)
         ET.SubElement(element, _TYPES_2[one.type], own)
@@ -102,10 +102,10 @@ def model_description_2(scene: Scene, variables: Sequence[Variable], token: str)
         group = ET.SubElement(structure, name)
         for k in outputs:
             ET.SubElement(group, "Unknown", index=str(k), dependencies=dependencies)
-    return _as_bytes(root)
+    return _encode_xml(root)
 
 
-def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
+def _write_header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> None:
     """Add the parts that all versions share: origin, units, categories."""
     joints = escape_xml(", ".join(scene.joint_names))
     root.attrib.update(
@@ -114,7 +114,7 @@ def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> No
         generationTool=TOOL,
         variableNamingConvention=convention(variable.name for variable in variables),
     )
-    root.append(_units(variables))
+    root.append(_add_units(variables))
     categories = ET.SubElement(root, "LogCategories")
     for name, what in LOG_CATEGORIES.items():
         ET.SubElement(categories, "Category", name=name, description=what)
@@ -122,11 +122,11 @@ def _header(root: ET.Element, scene: Scene, variables: Sequence[Variable]) -> No
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=period)
 
 
-def _attributes(one: Variable, reference: int, naming: str) -> dict[str, str]:
+def _list_attributes(one: Variable, reference: int, naming: str) -> dict[str, str]:
     """Return the attributes of a variable."""
     continuous = one.type == "Float64"
     attributes = {
-        "name": written(one.name, one.element, naming),
+        "name": write_name(one.name, one.element, naming),
         "valueReference": str(reference),
         "description": escape_xml(one.description),
         "causality": _CAUSALITY.get(one.role, one.role),
@@ -158,7 +158,7 @@ def build_description(scene: Scene, sources: Sequence[str], options: str, defini
     """
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(
-        root, "BuildConfiguration", modelIdentifier=identifier(scene.name)
+        root, "BuildConfiguration", modelIdentifier=make_identifier(scene.name)
     )
     files = ET.SubElement(
         configuration, "SourceFileSet", language="C++20", compiler="gcc", compilerOptions=options
@@ -169,21 +169,21 @@ def build_description(scene: Scene, sources: Sequence[str], options: str, defini
     ET.SubElement(files, "PreprocessorDefinition", name=name, value=value)
     ET.SubElement(files, "IncludeDirectory", name=".")
     ET.SubElement(configuration, "Library", name="pthread", external="true")
-    return _as_bytes(root)
+    return _encode_xml(root)
 
 
-def _as_bytes(root: ET.Element) -> bytes:
+def _encode_xml(root: ET.Element) -> bytes:
     """Return an XML file."""
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     return text + b"\n"
 
 
-def _units(variables: Sequence[Variable]) -> ET.Element:
+def _add_units(variables: Sequence[Variable]) -> ET.Element:
     root = ET.Element("UnitDefinitions")
     for name in dict.fromkeys(variable.unit for variable in variables if variable.unit):
         element = ET.SubElement(root, "Unit", name=name)
-        powers = powers_of(name)
+        powers = find_powers(name)
         if powers is not None:
             base = {base: str(powers[base]) for base in BASE if base in powers}
             if name in OFFSETS:

@@ -22,7 +22,7 @@ def convention(names: Iterable[Parts]) -> str:
     return "structured" if ascii_only else "flat"
 
 
-def written(name: Parts, index: int | None, convention: str) -> str:
+def write_name(name: Parts, index: int | None, convention: str) -> str:
     """Return a name as the convention writes it; names that differ are written differently.
 
     Args:
@@ -32,21 +32,23 @@ def written(name: Parts, index: int | None, convention: str) -> str:
     """
     bracket = "" if index is None else f"[{index}]"
     if convention == "flat":
-        return ".".join(_one_line(part) for part in name) + bracket
-    return ".".join(part if _PLAIN.fullmatch(part) else _quoted(part) for part in name) + bracket
+        return ".".join(_join_lines(part) for part in name) + bracket
+    return (
+        ".".join(part if _PLAIN.fullmatch(part) else _quote_name(part) for part in name) + bracket
+    )
 
 
-def identifier(name: str) -> str:
+def make_identifier(name: str) -> str:
     """Return a name as an identifier of C, of at most 60 characters."""
     plain = re.sub(r"[^A-Za-z_0-9]", "_", name)[:60]
     return plain if _PLAIN.fullmatch(plain) else f"_{plain}"[:60]
 
 
-def _quoted(part: str) -> str:
+def _quote_name(part: str) -> str:
     return "'" + re.sub(r"(['\"\\])", r"\\\1", part) + "'"
 
 
-def _one_line(part: str) -> str:
+def _join_lines(part: str) -> str:
     # XML takes no control characters, and not all surrogates; the backslash marks what is escaped.
     return "".join(
         c if (c.isprintable() and c != "\\") else c.encode("unicode_escape").decode() for c in part

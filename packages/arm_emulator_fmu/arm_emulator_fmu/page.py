@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from arm_emulator.extension.base import escape_html
 from arm_emulator.extension.machine import Scene
-from arm_emulator_fmu.names import convention, written
+from arm_emulator_fmu.names import convention, write_name
 from arm_emulator_fmu.variables import Variable
 
 
-def page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
+def write_page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
     """Return the page.
 
     Args:
@@ -21,7 +21,7 @@ def page(scene: Scene, variables: Sequence[Variable], command: str) -> bytes:
     naming = convention(variable.name for variable in variables)
     rows = "\n".join(
         "<tr>"
-        + "".join(f"<td>{escape_html(text)}</td>" for text in _cells(variable, naming))
+        + "".join(f"<td>{escape_html(text)}</td>" for text in _format_cells(variable, naming))
         + "</tr>"
         for variable in variables
     )
@@ -54,11 +54,11 @@ The robot's description and its numbers are their author's.</p>
 """.encode()
 
 
-def _cells(one: Variable, naming: str) -> tuple[str, ...]:
+def _format_cells(one: Variable, naming: str) -> tuple[str, ...]:
     size = "".join(f"[{count}]" for count in one.shape)
     kind = {"fixed": "parameter, before the start", "tunable": "parameter, at any time"}
     return (
-        written(one.name, one.element, naming),
+        write_name(one.name, one.element, naming),
         f"{one.type}{size}",
         one.unit or "",
         kind.get(one.role, one.role),

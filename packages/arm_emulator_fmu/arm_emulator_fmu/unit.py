@@ -14,12 +14,7 @@ from arm_emulator.extension.base import VELOCITY
 from arm_emulator.extension.compiler import TICK_FOLDERS, Unit
 from arm_emulator.extension.machine import (
     Scene,
-    build_machine_unit,
-    compute_largest_position,
     cxx_number,
-    find_input,
-    list_further_inputs,
-    list_modes,
     list_readings,
 )
 from arm_emulator_fmu.variables import Variable
@@ -28,7 +23,7 @@ FOLDER = Path(__file__).resolve().parent
 VERSIONS = ("3", "2")  # of FMI
 
 
-def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
+def make_unit(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[Unit, str]:
     """Return the unit, and the token that its binary expects.
 
     The functions of FMI are compiled beside the machine, and so leave it its bits.
@@ -38,8 +33,8 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
         variables: of it, in the order of their value references.
         version: of FMI, one of `VERSIONS`.
     """
-    machine = build_machine_unit(scene)
-    table = _table(scene, variables)
+    machine = machine_unit(scene)
+    table = _write_table(scene, variables)
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {machine.source} {table}')}}}"
     unit = replace(
         machine,
@@ -53,14 +48,14 @@ def unit_of(scene: Scene, variables: Sequence[Variable], version: str) -> tuple[
     return unit, token
 
 
-def _table(scene: Scene, variables: Sequence[Variable]) -> str:
+def _write_table(scene: Scene, variables: Sequence[Variable]) -> str:
     """Return the constants of instance.hpp; the namespace is left open."""
-    rows = ",\n".join(map(_row, variables))
-    modes = ", ".join(map(str, list_modes(scene)))
-    names = list_further_inputs(scene)
-    at = [find_input(joint, name) for name in names for joint in scene.joints]
+    rows = ",\n".join(map(_format_row, variables))
+    modes = ", ".join(map(str, modes_of(scene)))
+    names = further_inputs(scene)
+    at = [input_at(joint, name) for name in names for joint in scene.joints]
     has = ", ".join("true" if one else "false" for one in at)
-    parameters = _numbers([*(one.value for one in scene.varied), 0.0])
+    parameters = _format_numbers([*(one.value for one in scene.varied), 0.0])
     return f"""\
 #include "variable.hpp"
 
@@ -75,9 +70,9 @@ inline constexpr double kPeriod = {cxx_number(scene.servo_period)};  // s, of th
 inline constexpr double kIntegrationStep = {cxx_number(scene.integrator.dt)};  // s
 inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
 inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
-inline constexpr double kStartQ[] = {{{_numbers(scene.start)}}};
-inline constexpr double kLargestQ[] = {{{_numbers(compute_largest_position(scene))}}};
-inline constexpr double kLargestV = {_numbers(VELOCITY.most)};
+inline constexpr double kStartQ[] = {{{_format_numbers(scene.start)}}};
+inline constexpr double kLargestQ[] = {{{_format_numbers(largest_position(scene))}}};
+inline constexpr double kLargestV = {_format_numbers(VELOCITY.most)};
 inline constexpr double kParameterStart[] = {{{parameters}}};
 }}
 
@@ -89,7 +84,7 @@ inline constexpr Variable kVariables[] = {{
 """
 
 
-def _row(one: Variable) -> str:
+def _format_row(one: Variable) -> str:
     array, brackets, field = one.symbol.partition("[]")
     value = f"{array}[{one.first}]{field}" if brackets else array
     element = f"{array}[0]" if brackets else array
@@ -100,5 +95,5 @@ def _row(one: Variable) -> str:
     )
 
 
-def _numbers(values: ArrayLike) -> str:
+def _format_numbers(values: ArrayLike) -> str:
     return ", ".join(map(cxx_number, np.atleast_1d(values)))

@@ -30,7 +30,7 @@ DISPLAYED = {
 OFFSETS = {"degC": 273.15}  # of their zeros, in base units
 
 
-def powers_of(name: str) -> dict[str, int] | None:
+def find_powers(name: str) -> dict[str, int] | None:
     """Return the powers of base units of a unit, such as ``N m s/rad``.
 
     None of one that is not of SI, such as counts.

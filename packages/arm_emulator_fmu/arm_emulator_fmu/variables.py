@@ -11,12 +11,7 @@ from arm_emulator.extension.machine import (
     Output,
     Scene,
     Varied,
-    find_input,
-    list_further_inputs,
-    list_input_units,
-    list_outputs,
     list_rows,
-    list_units,
 )
 from arm_emulator_fmu.names import Parts
 
@@ -76,26 +71,32 @@ class Variable:
         return self.units[0] if len(set(self.units)) == 1 else None
 
 
-def variables(scene: Scene) -> tuple[Variable, ...]:
+def list_variables(scene: Scene) -> tuple[Variable, ...]:
     """Return the variables of a scene's machine, in the order of their value references."""
     time = Variable(("time",), "shown.time", "Float64", "independent", "simulation time", ("s",))
-    return (time, *_inputs(scene), *_parameters(scene), *_measured(scene), *_truth(scene))
+    return (
+        time,
+        *_list_inputs(scene),
+        *_list_parameters(scene),
+        *_list_measurements(scene),
+        *_list_truth(scene),
+    )
 
 
-def scalars(scene: Scene) -> tuple[Variable, ...]:
+def list_scalars(scene: Scene) -> tuple[Variable, ...]:
     """Return the same without arrays, for FMI 2: a variable per joint, named after it.
 
     Time is no variable there, for some importers miss a start value of it, which it must not have.
     """
     found: list[Variable] = []
-    for array in variables(scene)[1:]:
-        rows = _of_joints(array) if array.joints else [array]
+    for array in list_variables(scene)[1:]:
+        rows = _split_joints(array) if array.joints else [array]
         for row in rows:
-            found += _elements(row) if row.shape else [row]
+            found += _split_elements(row) if row.shape else [row]
     return tuple(found)
 
 
-def _of_joints(array: Variable) -> list[Variable]:
+def _split_joints(array: Variable) -> list[Variable]:
     each = array.count // len(array.joints)
     what, _, _ = array.description.partition(", base to tool")
     return [
@@ -113,7 +114,7 @@ def _of_joints(array: Variable) -> list[Variable]:
     ]
 
 
-def _elements(array: Variable) -> list[Variable]:
+def _split_elements(array: Variable) -> list[Variable]:
     return [
         replace(
             array,
@@ -126,22 +127,22 @@ def _elements(array: Variable) -> list[Variable]:
     ]
 
 
-def _inputs(scene: Scene) -> list[Variable]:
+def _list_inputs(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     zero = (0.0,) * N
     commands = tuple(joint.unit for joint in scene.joints)
     what = "command to each motor, held over the step"
-    found = [_input(scene, "command", "Float64", what, commands, zero, "command")]
-    for k, name in enumerate(list_further_inputs(scene)):
-        abouts = (one.about for joint in scene.joints if (one := find_input(joint, name)))
-        what, units = " or ".join(dict.fromkeys(abouts)), list_input_units(scene, name)
-        row = _input(scene, name, "Float64", what, units, zero, "further")
+    found = [_make_input(scene, "command", "Float64", what, commands, zero, "command")]
+    for k, name in enumerate(further_inputs(scene)):
+        abouts = (one.about for joint in scene.joints if (one := input_at(joint, name)))
+        what, units = " or ".join(dict.fromkeys(abouts)), input_units(scene, name)
+        row = _make_input(scene, name, "Float64", what, units, zero, "further")
         found.append(replace(row, symbol="values.now.further[]", first=N * k))
     what = "whether each drive is enabled"
-    found.append(_input(scene, "enable", "Boolean", what, (), (1.0,) * N))
+    found.append(_make_input(scene, "enable", "Boolean", what, (), (1.0,) * N))
     if any(joint.brake for joint in scene.joints):
         what = "whether each brake closes though its drive is enabled"
-        found.append(_input(scene, "close_brake", "Boolean", what, (), zero))
+        found.append(_make_input(scene, "close_brake", "Boolean", what, (), zero))
     what = "power of all drives"
     found.append(Variable(("power",), "values.now.power", "Boolean", "input", what, start=(1.0,)))
     if scene.external_wrench:
@@ -153,7 +154,9 @@ def _inputs(scene: Scene) -> list[Variable]:
             moved = tuple(link.name for link in scene.chain.links)
             start = (0.0,) * (len(moved) * OUTPUT_AXES)
             symbol, units = f"values.now.external_{name}[]", (unit,) * len(moved)
-            row = _row(moved, ("external", name), symbol, "Float64", "input", what, units, start)
+            row = _make_row(
+                moved, ("external", name), symbol, "Float64", "input", what, units, start
+            )
             found.append(replace(row, rule="wrench", shape=(len(moved), OUTPUT_AXES)))
         what = "whether external forces and moments are in axes of the world, not of the links"
         name_ = ("external", "world_axes")
@@ -162,22 +165,22 @@ def _inputs(scene: Scene) -> list[Variable]:
     return found
 
 
-def _parameters(scene: Scene) -> list[Variable]:
+def _list_parameters(scene: Scene) -> list[Variable]:
     q = tuple(joint.start for joint in scene.joints)
     v = (0.0,) * len(q)
     found = [
-        _row(scene.joint_names, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
+        _make_row(scene.joint_names, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
              f"{what} of each joint at the start", units, start, f"start_{name}")
         for name, what, units, start in (
-            ("q", "position", _of_links(scene, "rad", "m"), q),
-            ("v", "speed", _of_links(scene, "rad/s", "m/s"), v),
+            ("q", "position", _list_links(scene, "rad", "m"), q),
+            ("v", "speed", _list_links(scene, "rad/s", "m/s"), v),
         )
     ]  # fmt: skip
-    units = _units_of_varied(scene)
+    units = _list_varied_units(scene)
     for k, one in enumerate(scene.varied):
         found.append(
             Variable(
-                _parts(one, scene),
+                _list_parts(one, scene),
                 "values.parameter[]",
                 "Float64",
                 "tunable",
@@ -192,26 +195,26 @@ def _parameters(scene: Scene) -> list[Variable]:
     return found
 
 
-def _measured(scene: Scene) -> list[Variable]:
-    outputs = list_outputs(scene)
-    found = [_output(scene, output) for output in outputs if not output.per_unit]
+def _list_measurements(scene: Scene) -> list[Variable]:
+    outputs = outputs_of(scene)
+    found = [_make_output(scene, output) for output in outputs if not output.per_unit]
     what = "whether the drives have power"
     found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
     for m, imu in enumerate(scene.imus):
         for output in outputs:
             if output.per_unit:
                 what = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
-                name, symbol = (output.name, imu.name), _in_unit(output, m)
+                name, symbol = (output.name, imu.name), _name_in_unit(output, m)
                 one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
                 found.append(replace(one, shape=(OUTPUT_AXES,)))
     return found
 
 
-def _output(scene: Scene, output: Output) -> Variable:
+def _make_output(scene: Scene, output: Output) -> Variable:
     array, _, field = output.symbol.partition(".")
     symbol = f"shown.{array}[]" + (f".{field}" if field else "")
-    units = list_units(scene, output)
-    one = _row(
+    units = units_of(scene, output)
+    one = _make_row(
         scene.joint_names,
         (output.name,),
         symbol,
@@ -225,15 +228,15 @@ def _output(scene: Scene, output: Output) -> Variable:
     return one if rows is None else replace(one, first=len(scene.joints) * rows.index(output.name))
 
 
-def _in_unit(output: Output, unit: int) -> str:
+def _name_in_unit(output: Output, unit: int) -> str:
     array, _, field = output.symbol.partition(".")
     return f"shown.{array}[{unit}].{field}[]"
 
 
-def _truth(scene: Scene) -> list[Variable]:
+def _list_truth(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     found = [
-        _row(
+        _make_row(
             scene.joint_names,
             ("truth", name),
             f"truth.{name}[]",
@@ -244,9 +247,9 @@ def _truth(scene: Scene) -> list[Variable]:
             None,
         )
         for name, what, units in (
-            ("q", "true position of each joint", _of_links(scene, "rad", "m")),
-            ("v", "true speed of each joint", _of_links(scene, "rad/s", "m/s")),
-            ("gear_torque", "true torque of each gear on its link", _of_links(scene, "N m", "N")),
+            ("q", "true position of each joint", _list_links(scene, "rad", "m")),
+            ("v", "true speed of each joint", _list_links(scene, "rad/s", "m/s")),
+            ("gear_torque", "true torque of each gear on its link", _list_links(scene, "N m", "N")),
             ("motor_angle", "true angle of each motor", ("rad",) * N),
             ("motor_speed", "true speed of each motor", ("rad/s",) * N),
             ("current", "true current of each motor", ("A",) * N),
@@ -264,7 +267,7 @@ def _truth(scene: Scene) -> list[Variable]:
     return found
 
 
-def _input(
+def _make_input(
     scene: Scene,
     name: str,
     type_: str,
@@ -275,10 +278,10 @@ def _input(
 ) -> Variable:
     """Return a value per joint that the machine is given."""
     symbol = f"values.now.{name}[]"
-    return _row(scene.joint_names, (name,), symbol, type_, "input", what, units, start, rule)
+    return _make_row(scene.joint_names, (name,), symbol, type_, "input", what, units, start, rule)
 
 
-def _row(
+def _make_row(
     joints: tuple[str, ...],
     name: Parts,
     symbol: str,
@@ -307,12 +310,12 @@ def _row(
     )
 
 
-def _of_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
+def _list_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
     kinds = [joint.kind for joint in scene.chain.joints]
     return tuple(prismatic if kind == "prismatic" else revolute for kind in kinds)
 
 
-def _parts(one: Varied, scene: Scene) -> Sequence[str]:
+def _list_parts(one: Varied, scene: Scene) -> Sequence[str]:
     """Return the parts of the name of a varied number; names in it may have dots."""
     group, _, rest = one.name.partition(".")
     known = {
@@ -327,7 +330,7 @@ def _parts(one: Varied, scene: Scene) -> Sequence[str]:
     return one.name.split(".")
 
 
-def _units_of_varied(scene: Scene) -> dict[str, str]:
+def _list_varied_units(scene: Scene) -> dict[str, str]:
     """Return the units of numbers that may be varied, where they are known.
 
     Those of parts are declared for joints that turn; of joints that slide they are left out.

@@ -16,7 +16,7 @@ NOT_THERE = {"-fPIC", "-fvisibility=hidden", "-Wl,-Bsymbolic"}  # of another fil
 OWN = ("-static", "-s", "-Wl,--no-insert-timestamp")  # equal sources make equal files
 
 
-def windows_binary(unit: Unit) -> bytes:
+def compile_for_windows(unit: Unit) -> bytes:
     """Return a unit as a library for 64-bit Windows that needs nothing beside the system's own.
 
     Raises:

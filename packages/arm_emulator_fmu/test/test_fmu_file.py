@@ -20,9 +20,9 @@ from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator_fmu.commands.fmu import fmu as write_fmu
 from arm_emulator_fmu.export import export
-from arm_emulator_fmu.model_description import model_description, model_description_2
-from arm_emulator_fmu.units import powers_of
-from arm_emulator_fmu.variables import scalars, variables
+from arm_emulator_fmu.model_description import describe_model, describe_model_2
+from arm_emulator_fmu.units import find_powers
+from arm_emulator_fmu.variables import list_scalars, list_variables
 
 __all__ = ["fmu", "scene"]  # fixtures
 
@@ -62,8 +62,8 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
     """Its names differ, its references lead somewhere, its start values fit."""
     conventions = set()
     for drawn in scenes(tmp_path, 50 if FULL else 16):
-        listed = variables(drawn)
-        root = ET.fromstring(model_description(drawn, listed, "{token}"))
+        listed = list_variables(drawn)
+        root = ET.fromstring(describe_model(drawn, listed, "{token}"))
         elements = root.find("ModelVariables")
         assert elements is not None and len(elements) == len(listed), "all are listed"
         names = [one.attrib["name"] for one in elements]
@@ -75,8 +75,8 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
             size = math.prod(int(part.attrib["start"]) for part in one)
             start = one.attrib.get("start")
             assert start is None or len(start.split()) == size, "start values fit"
-        single = scalars(drawn)
-        root = ET.fromstring(model_description_2(drawn, single, "{token}"))
+        single = list_scalars(drawn)
+        root = ET.fromstring(describe_model_2(drawn, single, "{token}"))
         conventions.add(root.attrib["variableNamingConvention"])
         names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
         assert len(set(names)) == len(names), "names differ"
@@ -88,9 +88,9 @@ def test_units_are_powers_of_base_units() -> None:
     for part in PARTS:
         for key, one in part.numbers().items():
             if one.varied and not one.whole:
-                assert powers_of(one.unit) is not None, (part.__name__, key, one.unit)
-    assert powers_of("V s/rad") == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
-    assert powers_of("N m/rad3") == {"kg": 1, "m": 2, "s": -2, "rad": -3}
+                assert find_powers(one.unit) is not None, (part.__name__, key, one.unit)
+    assert find_powers("V s/rad") == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
+    assert find_powers("N m/rad3") == {"kg": 1, "m": 2, "s": -2, "rad": -3}
 
 
 def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -> None:

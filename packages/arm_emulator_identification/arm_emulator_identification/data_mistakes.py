@@ -23,7 +23,7 @@ from arm_emulator.extension.machine import Scene, ShaftMotion
 from arm_emulator_identification import inertia
 from arm_emulator_identification.filtered import Filtered, Mask
 from arm_emulator_identification.link_regressor import LinkRegressor
-from arm_emulator_identification.residual_effects import lasting
+from arm_emulator_identification.residual_effects import estimate_correlation
 
 Order = NDArray[np.signedinteger[Any]]
 
@@ -86,7 +86,9 @@ class DataMistakes:
         self.names = scene.joint_names
         self.N = len(self.names)
         self._regressor = LinkRegressor(scene)
-        self._phi = np.concatenate([inertia.dynamic(joint.body) for joint in scene.chain.links])
+        self._phi = np.concatenate(
+            [inertia.list_dynamic(joint.body) for joint in scene.chain.links]
+        )
         Jm = [getattr(joint.motor, "rotor_inertia", 0.0) for joint in scene.joints]
         self._carried = np.array(Jm) / scene.gear_ratios**2
         widths = []
@@ -134,7 +136,7 @@ class DataMistakes:
         if found is None:
             return np.full(self.N, NOISE[1])
         shares = [
-            np.sqrt(np.mean(e[r] ** 2) * lasting(e, r)) if r.any() else NOISE[1]
+            np.sqrt(np.mean(e[r] ** 2) * estimate_correlation(e, r)) if r.any() else NOISE[1]
             for e, r in zip(found[0].T, view.rows.T, strict=True)
         ]
         return np.clip(NOISE[0] * np.array(shares), *NOISE)
@@ -170,7 +172,7 @@ class DataMistakes:
             return None
         return torque - every @ found, found, (widths * found)[-2 * N - 1 : -N - 1]
 
-    def at_clock(self, times: float) -> View:
+    def scale_time(self, times: float) -> View:
         """Return the record with its seconds scaled."""
         return replace(self.as_is, time=times)
 
@@ -200,40 +202,42 @@ class DataMistakes:
         """Return every slip at the size of least cost."""
         yield from self._units()
         yield from self._scales()
-        yield from self._signs_and_orders()
+        yield from self._try_signs()
         yield from self._times()
-        yield from self._zeros()
+        yield from self._try_zeros()
         loaded = replace(self.as_is, loaded=True)
-        yield self._searched("load", "another load at the tool than the scene's payload", loaded)
+        yield self._try_searched(
+            "load", "another load at the tool than the scene's payload", loaded
+        )
 
     def again(self, slip: Slip) -> Slip:
         """Return a slip with its cost at the present noise."""
         return replace(slip, cost=self.cost(slip.view) + slip.alone)
 
-    def _plain(self, quantity: str, got: str, view: View, scale: float = 0.0) -> Slip:
+    def _try_plain(self, quantity: str, got: str, view: View, scale: float = 0.0) -> Slip:
         return Slip(quantity, got, self.cost(view) + PLAIN, view, PLAIN, scale)
 
-    def _searched(self, quantity: str, got: str, view: View, scale: float = 0.0,
+    def _try_searched(self, quantity: str, got: str, view: View, scale: float = 0.0,
                   alone: float = SEARCHED) -> Slip:  # fmt: skip
         return Slip(quantity, got, self.cost(view) + alone, view, alone, scale)
 
     def _units(self) -> Iterator[Slip]:
         view = self.as_is
-        yield self._plain("angles", "deg, given as rad", self._turned(DEG))
-        yield self._plain("angles", "rad, given as deg", self._turned(1.0 / DEG))
-        yield self._plain("angles", "turns, given as rad", self._turned(2.0 * np.pi))
+        yield self._try_plain("angles", "deg, given as rad", self._scale_angles(DEG))
+        yield self._try_plain("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
+        yield self._try_plain("angles", "turns, given as rad", self._scale_angles(2.0 * np.pi))
         for factor, got in UNITS.items():
             scale = np.full(self.N, factor)
-            yield self._plain("torques", f"torques {got}", replace(view, scale=scale), factor)
+            yield self._try_plain("torques", f"torques {got}", replace(view, scale=scale), factor)
         at_links = 1.0 / np.abs(self.scene.gear_ratios)
         if not np.allclose(at_links, 1.0):
             got = "torques at the links, not at the motors' shafts"
-            yield self._plain("torques", got, replace(view, scale=at_links), 1e3)
+            yield self._try_plain("torques", got, replace(view, scale=at_links), 1e3)
         constants = [getattr(joint.motor, "torque_constant", None) for joint in self.scene.joints]
         if None not in constants:
             amps = 1.0 / np.array(constants, np.float64)
             got = "currents in A, given as torques"
-            yield self._plain("torques", got, replace(view, scale=amps), 1e3)
+            yield self._try_plain("torques", got, replace(view, scale=amps), 1e3)
 
     def _scales(self) -> Iterator[Slip]:
         """Torques and angles of all joints or of one, scaled."""
@@ -247,34 +251,34 @@ class DataMistakes:
 
             sizes = SIZES if j >= 0 else np.concatenate([SIZES, 10.0 ** np.arange(-6.0, 7.0)])
             size = self._search(torque, sizes, True)
-            got = f"torques{of} {_times(size)}"
+            got = f"torques{of} {_describe_scale(size)}"
             if j >= 0 and abs(size * abs(self.scene.gear_ratios[j]) - 1.0) < 0.1:
                 got = f"torque{of} at the link, not at the motor's shaft"
-            yield self._searched(f"scale of the torques{of}", got, torque(size), size)
+            yield self._try_searched(f"scale of the torques{of}", got, torque(size), size)
 
             def angle(size: float, here: Mask = here) -> View:
-                return self._turned(np.where(here, 1.0 / size, 1.0))
+                return self._scale_angles(np.where(here, 1.0 / size, 1.0))
 
             size = self._search(angle, SIZES[2:-2:2], True)
-            got = f"angles{of} {_times(size)}"
-            yield self._searched(f"scale of the angles{of}", got, angle(size))
+            got = f"angles{of} {_describe_scale(size)}"
+            yield self._try_searched(f"scale of the angles{of}", got, angle(size))
             if j >= 0:
                 for factor, got in ((DEG, "deg, given as rad"), (1.0 / DEG, "rad, given as deg")):
-                    turned = self._turned(np.where(here, factor, 1.0))
-                    yield self._plain(f"angles{of}", got, turned)
+                    turned = self._scale_angles(np.where(here, factor, 1.0))
+                    yield self._try_plain(f"angles{of}", got, turned)
 
-    def _signs_and_orders(self) -> Iterator[Slip]:
+    def _try_signs(self) -> Iterator[Slip]:
         view, every = self.as_is, np.arange(self.N)
         opposite = "the opposite ones"
-        yield self._plain("signs of all torques", opposite, replace(view, tau=-view.tau))
-        yield self._plain("signs of all angles", opposite, self._turned(-1.0))
+        yield self._try_plain("signs of all torques", opposite, replace(view, tau=-view.tau))
+        yield self._try_plain("signs of all angles", opposite, self._scale_angles(-1.0))
         for j, name in enumerate(self.names):
             flip = np.where(every == j, -1.0, 1.0)
             flipped = replace(view, tau=view.tau * flip)
-            yield self._plain(f"signs of {name}'s torque", opposite, flipped)
-            yield self._plain(f"signs of {name}'s angle", opposite, self._turned(flip))
+            yield self._try_plain(f"signs of {name}'s torque", opposite, flipped)
+            yield self._try_plain(f"signs of {name}'s angle", opposite, self._scale_angles(flip))
         orders = [
-            (f"{self.names[i]} and {self.names[j]}", _swapped(every, i, j))
+            (f"{self.names[i]} and {self.names[j]}", _swap_joints(every, i, j))
             for i, j in combinations(range(self.N), 2)
         ]
         if self.N > 2:
@@ -284,17 +288,17 @@ class DataMistakes:
         for names, order in orders:
             # Torques were referred to the links by the ratios of the assumed joints.
             tau = (view.tau * ratio)[:, order] / ratio
-            moved = self._ordered(order)
+            moved = self._reorder_angles(order)
             got = "swapped ones"
-            yield self._plain(f"torques of {names}", got, replace(view, tau=tau))
-            yield self._plain(f"angles of {names}", got, moved)
-            yield self._plain(f"columns of {names}", got, replace(moved, tau=tau))
+            yield self._try_plain(f"torques of {names}", got, replace(view, tau=tau))
+            yield self._try_plain(f"angles of {names}", got, moved)
+            yield self._try_plain(f"columns of {names}", got, replace(moved, tau=tau))
 
     def _times(self) -> Iterator[Slip]:
         view = self.as_is
-        size = self._search(self.at_clock, TIMES, True)
+        size = self._search(self.scale_time, TIMES, True)
         got = f"a time base in which a second is {size:.3g} s"
-        yield self._searched("t", got, self.at_clock(size))
+        yield self._try_searched("t", got, self.scale_time(size))
 
         def late(seconds: float, j: int = -1) -> View:
             tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
@@ -309,13 +313,13 @@ class DataMistakes:
             got = f"torques that come {1e3 * abs(seconds):.3g} ms {way}"
             # The torques of all joints have the same delay.
             alone = SEARCHED if j < 0 and seconds > 0.0 else RARE
-            yield self._searched(f"time of the torques{of}", got, late(seconds, j), alone=alone)
+            yield self._try_searched(f"time of the torques{of}", got, late(seconds, j), alone=alone)
 
-    def _zeros(self) -> Iterator[Slip]:
+    def _try_zeros(self) -> Iterator[Slip]:
         view = self.as_is
         for j, name in enumerate(self.names):
             offset = replace(view, offset=j)
-            yield self._searched(f"zero of {name}'s torque", "another one, an offset", offset)
+            yield self._try_searched(f"zero of {name}'s torque", "another one, an offset", offset)
             slides = self.scene.chain.joints[j].kind == "prismatic"
             if slides:
                 continue
@@ -326,7 +330,7 @@ class DataMistakes:
             zeros = TURN * np.array([k for k in range(-12, 13) if k])
             zero = self._search(turned, zeros, False)
             got = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
-            yield self._searched(f"zero of {name}'s angle", got, turned(zero))
+            yield self._try_searched(f"zero of {name}'s angle", got, turned(zero))
 
     def _search(self, of: Callable[[float], View], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip
@@ -347,7 +351,7 @@ class DataMistakes:
         place = found.x if found.fun < costs[best] else places[best]
         return float(np.exp(place)) if by_ratio else float(place)
 
-    def _turned(self, by: float | Array) -> View:
+    def _scale_angles(self, by: float | Array) -> View:
         """Return the record with angles scaled, by a number or one per joint."""
         slides = np.array([joint.kind == "prismatic" for joint in self.scene.chain.joints])
         by = np.where(slides & (np.abs(by) != 1.0), 1.0, by)
@@ -355,7 +359,7 @@ class DataMistakes:
         return replace(view, q=view.q * by, v=view.v * by, a=view.a * by,
                        direction=view.direction * np.sign(by))  # fmt: skip
 
-    def _ordered(self, order: Order) -> View:
+    def _reorder_angles(self, order: Order) -> View:
         """Return the record with the angles of joints in another order."""
         view = self.as_is
         return replace(
@@ -364,13 +368,13 @@ class DataMistakes:
         )  # fmt: skip
 
 
-def _swapped(every: Order, i: int, j: int) -> Order:
+def _swap_joints(every: Order, i: int, j: int) -> Order:
     order = every.copy()
     order[[i, j]] = j, i
     return order
 
 
-def _times(size: float) -> str:
+def _describe_scale(size: float) -> str:
     return f"{size:.3g} times as large as they can be" if size > 1.0 else (
         f"{1.0 / size:.3g} times as small as they can be"
     )  # fmt: skip

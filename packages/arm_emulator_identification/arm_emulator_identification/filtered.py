@@ -60,11 +60,11 @@ class Filtered:
     def settle(self, rows: Array) -> Array:
         """Return samples of `fine` (K, ...), low-passed, at the rows of this."""
         fine = self.fine
-        smooth: Array = low_pass(rows, fine.period, fine.frequency, fine.causal)[fine.kept]
+        smooth: Array = filter_low_pass(rows, fine.period, fine.frequency, fine.causal)[fine.kept]
         return smooth
 
 
-def low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
+def filter_low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
     """Return rows (K, ...) low-passed at `frequency` [Hz]; without a lag unless causal."""
     b, a = butter(ORDER, 2.0 * frequency * period)
     smooth: Array
@@ -80,12 +80,12 @@ def smooth_motion(
     q: Array, period: float, frequency: float, causal: bool = False
 ) -> tuple[Array, Array, Array]:
     """Return angles (K, N) low-passed at `frequency` [Hz], and their two rates."""
-    smooth = low_pass(q, period, frequency, causal)
-    v = _rate(smooth, period, causal)
-    return smooth, v, _rate(v, period, causal)
+    smooth = filter_low_pass(q, period, frequency, causal)
+    v = _differentiate(smooth, period, causal)
+    return smooth, v, _differentiate(v, period, causal)
 
 
-def _rate(rows: Array, period: float, causal: bool) -> Array:
+def _differentiate(rows: Array, period: float, causal: bool) -> Array:
     """Return differences of second order: central ones, or, causally, backward ones."""
     rate: Array = np.gradient(rows, period, axis=0)
     if causal:
@@ -93,7 +93,7 @@ def _rate(rows: Array, period: float, causal: bool) -> Array:
     return rate
 
 
-def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | None = None,
+def filter_run(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | None = None,
              every: int | None = None, causal: bool = False) -> Filtered:  # fmt: skip
     """Return a record low-passed.
 
@@ -131,8 +131,8 @@ def filtered(run: MeasuredRun, ratio: Array, frequency: float, slowest: float | 
     few = max(int(1.0 / (ROWS_PER_PERIOD * frequency * period)), len(q) // MOST_ROWS)
     step = every or max(1, few)
     kept = slice(edge, len(q) - edge, step)
-    tau = low_pass(run.tau / ratio, period, frequency, causal)
-    direction = low_pass(np.sign(turning), period, frequency, causal)
+    tau = filter_low_pass(run.tau / ratio, period, frequency, causal)
+    direction = filter_low_pass(np.sign(turning), period, frequency, causal)
     fine = FineMotion(run.t, sharp, turning, acceleration, run.tau, period, frequency, kept, causal)
     return Filtered(
         run.t[kept], q[kept], v[kept], a[kept], direction[kept], tau[kept], moving[kept], fine

@@ -23,11 +23,10 @@ from arm_emulator.extension.machine import (
     STATE_ROWS,
     Scene,
     coerce_scene,
-    list_outputs,
     list_variable_numbers,
 )
 from arm_emulator_fleet import Fleet
-from arm_emulator_identification.residual_effects import lasting
+from arm_emulator_identification.residual_effects import estimate_correlation
 
 WHERE = "fit_numbers"
 STEP = 0.01  # of an unknown's width, for the derivative
@@ -97,13 +96,13 @@ def fit_numbers(
         raise Refusal(WHERE, "sought and signals", "be given by names", got)
     if not callable(modifier):
         raise Refusal(WHERE, "modifier", "be a function of the unknowns", modifier)
-    measured = {name: _signal(scene, name, values, rows) for name, values in signals.items()}
+    measured = {name: _check_signal(scene, name, values, rows) for name, values in signals.items()}
     if not (sought and measured):
         raise Refusal(WHERE, "sought and signals", "be one or more", "none")
     fit = _Fit(scene, rows, measured, sought, modifier)
     x = fit.begin
     for _ in range(ROUNDS):
-        x = fit.better(x, fit.noise_at(x))
+        x = fit.better(x, fit.estimate_noise(x))
     left = np.split(np.mean(fit.followed(x.tobytes())[0] ** 2, axis=0), len(measured))
     return FittedNumbers(
         dict(zip(sought, x.tolist(), strict=True)),
@@ -132,11 +131,11 @@ class _Fit:
         sought: Mapping[str, Sought],
         modifier: Modifier,
     ) -> None:
-        known = [_sought(name, one) for name, one in sought.items()]
+        known = [_check_sought(name, one) for name, one in sought.items()]
         self.begin, self._width, self._least, self._most = np.array(known).T
         self._names, self._modifier = list(sought), modifier
         self._rows, self._signals = rows, list(measured)
-        self._machine = _varying(scene, self.numbers_of(self.begin))
+        self._machine = _make_varied_scene(scene, self.numbers_of(self.begin))
         self._truth = np.concatenate([*measured.values()], axis=1)
         self.followed = lru_cache(4)(self._followed)
 
@@ -154,19 +153,19 @@ class _Fit:
     def _followed(self, at: bytes) -> tuple[Array, Array]:
         """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
         x = np.frombuffer(at)
-        steps = _steps(x, self._width, self._least, self._most)
+        steps = _choose_steps(x, self._width, self._least, self._most)
         ways = [self.numbers_of(one) for one in (x, *(x + np.diag(steps)))]
-        found = _run(self._machine, ways, self._rows, self._signals)
+        found = _simulate_fleet(self._machine, ways, self._rows, self._signals)
         slopes = np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
         return found[0] - self._truth, slopes
 
-    def noise_at(self, x: Array) -> Array:
+    def estimate_noise(self, x: Array) -> Array:
         """Return the root mean square of the errors (C,)."""
         size = np.sqrt(np.mean(self.followed(x.tobytes())[0] ** 2, axis=0))
         noise: Array = np.maximum(size, 1e-12 * (1.0 + np.abs(self._truth).max()))
         return noise
 
-    def _weighted(self, x: Array, noise: Array) -> tuple[Array, Array]:
+    def _weight_errors(self, x: Array, noise: Array) -> tuple[Array, Array]:
         """Return errors and prior in units of their deviations, and the slopes."""
         error, slopes = self.followed(x.tobytes())
         rows = (slopes / noise[:, None]).reshape(-1, len(x))
@@ -176,22 +175,25 @@ class _Fit:
     def better(self, x: Array, noise: Array) -> Array:
         """Return the unknowns of least squares with this noise, from x on."""
         found: Array = least_squares(
-            lambda x: self._weighted(x, noise)[0], x, lambda x: self._weighted(x, noise)[1],
-            bounds=(self._least, self._most), x_scale=self._width,
-        ).x  # fmt: skip
+            lambda x: self._weight_errors(x, noise)[0],
+            x,
+            lambda x: self._weight_errors(x, noise)[1],
+            bounds=(self._least, self._most),
+            x_scale=self._width,
+        ).x
         return found
 
     def deviations(self, x: Array) -> Array:
         """Return the standard deviations of the unknowns (U,)."""
         error, every = self.followed(x.tobytes())[0], np.ones(len(self._rows), bool)
         # Errors that last over several periods count once.
-        independent = np.sqrt([lasting(column, every) for column in error.T])
-        A = self._weighted(x, self.noise_at(x) * independent)[1]
+        independent = np.sqrt([estimate_correlation(column, every) for column in error.T])
+        A = self._weight_errors(x, self.estimate_noise(x) * independent)[1]
         deviations: Array = np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
         return deviations
 
 
-def _sought(name: str, one: object) -> tuple[float, float, float, float]:
+def _check_sought(name: str, one: object) -> tuple[float, float, float, float]:
     """Return value, width and range of an unknown."""
     of = (one.value, one.width, one.least, one.most) if isinstance(one, Sought) else None
     row = None if of is None else coerce_array(of)
@@ -203,15 +205,15 @@ def _sought(name: str, one: object) -> tuple[float, float, float, float]:
     raise Refusal(WHERE, f"sought {name}", rule, one)
 
 
-def _steps(x: Array, width: Array, least: Array, most: Array) -> Array:
+def _choose_steps(x: Array, width: Array, least: Array, most: Array) -> Array:
     """Return the steps of the unknowns for their derivatives, which stay in their ranges (U,)."""
     step, up, down = STEP * width, most - x, x - least
     within: Array = np.where(up >= down, up, -down)
     return np.where(step <= up, step, np.where(step <= down, -step, within))
 
 
-def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
-    reported = [one.name for one in list_outputs(scene) if not one.per_unit]
+def _check_signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
+    reported = [one.name for one in outputs_of(scene) if not one.per_unit]
     if name not in (*STATE_ROWS, *reported):
         raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*STATE_ROWS, *reported)))
     rows = ANY_STATE.named(name).numbers(WHERE, values)
@@ -221,7 +223,7 @@ def _signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Arra
     return rows
 
 
-def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
+def _make_varied_scene(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     """Return the scene with these numbers as data of each machine."""
     possible = {
         number.name: number
@@ -235,7 +237,9 @@ def _varying(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     return dataclasses.replace(scene, varied=varied)
 
 
-def _run(scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[str]) -> Array:
+def _simulate_fleet(
+    scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[str]
+) -> Array:
     """Return signals (ways, K, C) of machines with these numbers under commands."""
     varied = {name: np.array([one[name] for one in ways]) for name in ways[0]}
     fleet = Fleet(scene, len(ways), varied=varied)

@@ -49,22 +49,24 @@ class Found:
         return f"{self.name}: {self.value:.6g} {self.unit}, {remark}, before {self.before:.6g}"
 
 
-def bodies_of(scene: Scene, fit: TorqueFit) -> list[Body]:
+def list_bodies(scene: Scene, fit: TorqueFit) -> list[Body]:
     """Return the links' bodies, in the core's frames, without the payload."""
     n = inertia.NUMBERS
     rows = [slice(n * k, n * (k + 1)) for k in range(len(scene.chain.links))]
     return [
-        inertia.body_of(inertia.exponential(fit.values[row])) if fit.fitted[row].any() else bare
+        inertia.make_body(inertia.map_exponential(fit.values[row]))
+        if fit.fitted[row].any()
+        else bare
         for row, bare in zip(rows, scene.bare, strict=True)
     ]
 
 
-def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
+def list_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     """Return the sought numbers: links as mass, first moment and inertia of the URDF's links."""
     n, found = inertia.NUMBERS, list[Found]()
     for k, joint in enumerate(scene.chain.links):
         if fit.fitted[n * k : n * k + n].any():
-            found += _link(joint, fit, n * k)
+            found += _list_link(joint, fit, n * k)
     units = fit.unknowns[n * len(scene.chain.links) :]
     for u, one in enumerate(units, len(fit.unknowns) - len(units)):
         if fit.fitted[u]:
@@ -79,15 +81,15 @@ def numbers_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     return found
 
 
-def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
+def _list_link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
     here = slice(first, first + inertia.NUMBERS)
     start = np.array([one.value for one in fit.unknowns[here]])
     widths = np.array([one.width for one in fit.unknowns[here]]) * fit.fitted[here]
-    turn = np.array([_in_child(joint, row) for row in np.eye(inertia.NUMBERS)]).T
-    J = turn @ inertia.slope(fit.values[here])
+    turn = np.array([_rotate_to_child(joint, row) for row in np.eye(inertia.NUMBERS)]).T
+    J = turn @ inertia.differentiate_exponential(fit.values[here])
     after = np.sqrt(np.maximum(np.diag(J @ fit.covariance[here, here] @ J.T), 0.0))
     before = np.sqrt(np.diag(J @ np.diag(widths**2) @ J.T))
-    old, new = (turn @ inertia.exponential(row) for row in (start, fit.values[here]))
+    old, new = (turn @ inertia.map_exponential(row) for row in (start, fit.values[here]))
     for k, name in enumerate(VARIED_NAMES):
         unit = UNITS[name.split("_")[0]]
         identified = bool(after[k] < IDENTIFIED * before[k])
@@ -97,7 +99,7 @@ def _link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
         )  # fmt: skip
 
 
-def _in_child(joint: ChainJoint, numbers: Array) -> list[float]:
+def _rotate_to_child(joint: ChainJoint, numbers: Array) -> list[float]:
     """Return the ten numbers of `inertia.dynamic` in the frame of the joint's child link."""
-    body = inertia.body_of(numbers)
+    body = inertia.make_body(numbers)
     return list(varied_of_child(joint, body).values())

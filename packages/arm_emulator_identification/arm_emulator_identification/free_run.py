@@ -13,8 +13,8 @@ import numpy as np
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator.extension.machine import Scene
 from arm_emulator_fleet import Fleet
-from arm_emulator_identification.filtered import EDGE, low_pass, smooth_motion
-from arm_emulator_identification.link_regressor import torques_of_links
+from arm_emulator_identification.filtered import EDGE, filter_low_pass, smooth_motion
+from arm_emulator_identification.link_regressor import compute_link_torques
 from arm_emulator_identification.measured_run import MeasuredRun
 
 SPEED_BELOW = 40.0  # Hz: bandwidth of the initial speeds
@@ -32,7 +32,7 @@ class Starts:
     omega_m: Array
 
 
-def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
+def find_starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
            faster: float = 0.0) -> Starts:  # fmt: skip
     """Return states in motion from which runs of some seconds can start, evenly over the record.
 
@@ -56,20 +56,22 @@ def starts(run: MeasuredRun, scene: Scene, seconds: float, every: float,
         raise Refusal(run.where, "record", rule, f"{run.t[-1] - run.t[0]:.3g} s")
     at = np.round(np.arange(edge, last, every) / period).astype(int)
     quick = min(SPEED_BELOW, 0.2 / period)
-    speeds = np.gradient(low_pass(run.q_motor, period, quick), period, axis=0)
+    speeds = np.gradient(filter_low_pass(run.q_motor, period, quick), period, axis=0)
     at = at[np.abs(speeds[at]).max(axis=1) >= faster]
     if not at.size:
         raise Refusal(run.where, "record", f"be faster than {faster:g} rad/s or m/s", "at rest")
     v = speeds[at]
     slow, speed, a = smooth_motion(run.q_motor, period, min(LOAD_BELOW, 0.2 / period))
-    load = torques_of_links(scene, run.t, slow, speed, a)[at]
+    load = compute_link_torques(scene, run.t, slow, speed, a)[at]
     ratio = scene.gear_ratios
     q_motor = run.q_motor[at]
     give = np.array([scene.wind_up(row) for row in load])
     return Starts(at, q_motor - give, v, q_motor / ratio, v / ratio)
 
 
-def free_runs(scene: Scene, run: MeasuredRun, begin: Starts, looks: Sequence[int]) -> Array:
+def simulate_free_runs(
+    scene: Scene, run: MeasuredRun, begin: Starts, looks: Sequence[int]
+) -> Array:
     """Return the motors' angles, at the link, after some samples (looks, S, N) [rad or m].
 
     Args:
@@ -90,12 +92,12 @@ def free_runs(scene: Scene, run: MeasuredRun, begin: Starts, looks: Sequence[int
     angles, done = np.empty((len(looks), S, N)), 0
     for row, look in enumerate(looks):
         at = begin.at + np.arange(done, look)[:, None]
-        fleet.run(held_torques(run, at), steps)
+        fleet.run(average_torques(run, at), steps)
         angles[row], done = fleet.state.theta_m * ratio, look
     return angles
 
 
-def held_torques(run: MeasuredRun, at: Array) -> Array:
+def average_torques(run: MeasuredRun, at: Array) -> Array:
     """Return the torques from samples to the next ones: the means of both (..., N)."""
     mean: Array = 0.5 * (run.tau[at] + run.tau[at + 1])
     return mean
@@ -109,7 +111,7 @@ class Drift:
     errors: Array  # at the end, (S, N) rad or m
 
 
-def drift(run: MeasuredRun, begin: Starts, samples: int, ends: Array) -> Drift:
+def compute_drift(run: MeasuredRun, begin: Starts, samples: int, ends: Array) -> Drift:
     """Compare free runs after some samples (S, N) [rad or m] with the record."""
     errors = ends - run.q_motor[begin.at + samples]
     root = np.sqrt(np.mean(errors**2, axis=0))

@@ -35,7 +35,7 @@ from arm_emulator_identification.found import Found
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
-from arm_emulator_identification.torque_model import TorqueModel, matches
+from arm_emulator_identification.torque_model import TorqueModel, has_match
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,12 @@ class Identified:
     doubts: list[str]
 
 
-def gears_of(scene: Scene) -> list[str]:
+def list_gears(scene: Scene) -> list[str]:
     """Return the names of the gears' stiffnesses, which encoders at the links show, not torques."""
     return [f"joints.{joint.name}.gear.stiffness" for joint in scene.joints]
 
 
-def identified(
+def identify_numbers(
     nominal: Scene,
     record: MeasuredRun,
     asked: Asked,
@@ -102,24 +102,24 @@ def identified(
     stage("fit torques")
     typical = motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)
     model = TorqueModel(nominal, typical, asked.trust)
-    gears = gears_of(nominal)
-    by_torques = [one for one in asked.fit if not _of_gears(gears, one)]
+    gears = list_gears(nominal)
+    by_torques = [one for one in asked.fit if not _is_of_gears(gears, one)]
     fitted = model.choose(by_torques, "identify")
-    fitted = fitted & ~np.array([matches(one.name, asked.hold) for one in model.unknowns])
+    fitted = fitted & ~np.array([has_match(one.name, asked.hold) for one in model.unknowns])
     torques = model.of(motion)
     fit = fit_torques(model, motion, fitted, torques)
     check_fit(run.where, run.joints, fit.explained)
     return Identified(run, motion, fit, torques.torques(fit.values), doubts)
 
 
-def _of_gears(gears: Sequence[str], pattern: str) -> bool:
-    return any(matches(name, [pattern]) for name in gears) and "gear" in pattern
+def _is_of_gears(gears: Sequence[str], pattern: str) -> bool:
+    return any(has_match(name, [pattern]) for name in gears) and "gear" in pattern
 
 
 FAR = 3.0  # prior deviations, beyond which a number is doubted
 
 
-def doubts_of(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
+def list_doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
     """Return objections to the numbers found, as text."""
     names, doubts = scene.joint_names, list[str]()
     for of, body in zip(scene.chain.links, scene.bare, strict=True):
@@ -175,7 +175,7 @@ def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: P
     plt.close(figure)
 
 
-def with_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
+def add_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
     """Return numbers together with those that follow them and differ from them."""
     found = dict(numbers)
     for joint in scene.joints:
@@ -213,17 +213,17 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
     comments = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
     try:
         urdf.parent.mkdir(parents=True, exist_ok=True)
-        urdf.write_text(_with_bodies(scene, in_urdf(scene, bodies)), encoding="utf-8")
-        text = comments + _replaced(scene_file, values)
+        urdf.write_text(_insert_bodies(scene, rotate_to_links(scene, bodies)), encoding="utf-8")
+        text = comments + _replace_values(scene_file, values)
         if not scene.trusted_inertias:
-            text = text.rstrip() + "\n" + _trust([joint.link for joint in scene.chain.links])
+            text = text.rstrip() + "\n" + _write_trust([joint.link for joint in scene.chain.links])
         file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise Refusal("identify", f"file {file}", "be writable", error.strerror) from None
     _check_written(load_scene(file), numbers)
 
 
-def _trust(links: Sequence[str]) -> str:
+def _write_trust(links: Sequence[str]) -> str:
     """Return the key that exempts links: parameters that fit torques need not fit shapes."""
     listed = yaml.safe_dump({"trusted_inertias": list(links)}, sort_keys=False)
     return f"\n# Identified parameters, not those of bodies.\n{listed}"
@@ -240,7 +240,7 @@ def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
                     raise Refusal(scene.where, name, f"be {wanted:g}, as found", got)
 
 
-def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
+def _replace_values(file: Path, values: Mapping[str, float | str]) -> str:
     """Return a scene's text with some values by their dotted places.
 
     If each has a place of its own, the rest of the text is kept. Where joints share a
@@ -263,7 +263,7 @@ def _replaced(file: Path, values: Mapping[str, float | str]) -> str:
     return edited_yaml(text, edits)
 
 
-def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
+def _insert_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
     """Return the URDF with the bodies of its moving links; links fixed to them get none."""
     robot = ET.fromstring(scene.urdf)
     links = {element.get("name"): element for element in robot.findall("link")}
@@ -279,7 +279,7 @@ def _with_bodies(scene: Scene, bodies: Mapping[str, Body]) -> str:
     return ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def in_urdf(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
+def rotate_to_links(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
     """Return the bodies of the joints' child links, in their frames, by name.
 
     Args:

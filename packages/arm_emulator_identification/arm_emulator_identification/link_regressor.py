@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from arm_emulator.extension.base import Array
 from arm_emulator.extension.machine import Scene, ShaftMotion
-from arm_emulator_identification.inertia import dynamic
+from arm_emulator_identification.inertia import list_dynamic
 
 ROUNDS = 3  # iterations for friction that depends on the gear torque
 
@@ -44,12 +44,12 @@ class LinkRegressor:
         return rows
 
 
-def torques_of_links(scene: Scene, t: Array, q: Array, v: Array, a: Array) -> Array:
+def compute_link_torques(scene: Scene, t: Array, q: Array, v: Array, a: Array) -> Array:
     """Return the torques of a scene's gears on the links in a motion (K, N) [N m or N].
 
     These are inertia and weight of the links, and the torques of the parts at them.
     """
-    phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.links])
+    phi = np.concatenate([list_dynamic(joint.body) for joint in scene.chain.links])
     alone: Array = LinkRegressor(scene)(q, v, a) @ phi
     tau = alone.copy()
     none = np.zeros_like(t)

@@ -37,7 +37,7 @@ class MeasuredRun:
         """Time from sample to sample [s]."""
         return float(self.t[-1] - self.t[0]) / (len(self.t) - 1)
 
-    def shifted(self, delays: Mapping[str, float]) -> MeasuredRun:
+    def shift_back(self, delays: Mapping[str, float]) -> MeasuredRun:
         """Return the record with delayed signals [s] shifted back."""
         changed = {}
         for name, delay in delays.items():

@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator.extension.machine import Scene
 from arm_emulator_identification.data_mistakes import DataMistakes, Slip
-from arm_emulator_identification.filtered import Filtered, filtered
+from arm_emulator_identification.filtered import Filtered, filter_run
 from arm_emulator_identification.measured_run import MeasuredRun
 
 # Saving of an undone slip, in squares of deviations and relative to the record's cost. In correct
@@ -39,15 +39,15 @@ def filter_record(scene: Scene, run: MeasuredRun, low_pass: float, *,
     Args:
         scene: the machine.
         run: the record.
-        low_pass: see `filtered` [Hz].
+        low_pass: see `filter_run` [Hz].
         as_is: do not try slips.
 
     Raises:
         Refusal: it cannot be of this machine.
     """
     check_clock(run)
-    run, doubts = without_outliers(run)
-    motion = filtered(run, scene.gear_ratios, low_pass)
+    run, doubts = replace_outliers(run)
+    motion = filter_run(run, scene.gear_ratios, low_pass)
     check_movement(run, motion)
     check_speeds(scene, run, motion)
     if not as_is:
@@ -129,7 +129,7 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     common = float(np.median(factors))
     if wrong.all() and np.ptp(np.log(np.abs(factors))) < 0.1:
         slips = DataMistakes(scene, data)
-        with_clock = slips.cost(slips.at_clock(common))
+        with_clock = slips.cost(slips.scale_time(common))
         if with_clock < (1.0 - A_SLIP[1]) * slips.cost(slips.as_is):
             got = f"rates {common:.4g} times as large, since a second of t is {common:.4g} s"
             raise Refusal(run.where, "t", "have the time base of v_mot", got)
@@ -156,13 +156,13 @@ def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
     others = [f"{slip.quantity}: {slip.got}" for slip in close if slip.got != best.got][:2]
     got = " or ".join([best.got, *others])
     clearly = saved > A_SLIP[0] and saved > A_SLIP[1] * as_is
-    if not clearly or _doubtful(best):
+    if not clearly or _is_doubtful(best):
         return [f"{best.quantity}: the record fits the scene better with {got}"]
     valid = "the record the other way round, or --as-is if it is right as it is"
     raise Refusal(run.where, best.quantity, "be those of the scene", got, valid)
 
 
-def _doubtful(slip: Slip) -> bool:
+def _is_doubtful(slip: Slip) -> bool:
     """Whether a slip is within the uncertainty of scenes."""
     by_scale = slip.scale and abs(np.log(slip.scale)) < np.log(DOUBTFUL)
     return bool(by_scale) or slip.quantity == "load"
@@ -191,7 +191,7 @@ ROUNDS = 3  # since neighbours hide each other
 MOST = 0.05  # of the samples: with more it is no measurement
 
 
-def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
+def replace_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
     """Return a record without outliers, and a description of those, as text.
 
     Raises:
@@ -203,7 +203,7 @@ def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
         for j, joint in enumerate(run.joints):
             out = np.zeros(len(rows), bool)
             for _ in range(ROUNDS):
-                new = _outliers(rows[:, j], LEAST[name]) & ~out
+                new = _find_outliers(rows[:, j], LEAST[name]) & ~out
                 if not new.any():
                     break
                 out |= new
@@ -223,7 +223,7 @@ def without_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
     return dataclasses.replace(run, **changed), found
 
 
-def _outliers(signal: Array, least: float) -> Array:
+def _find_outliers(signal: Array, least: float) -> Array:
     """Return the samples that are farther from their neighbours than usual around them."""
     # For a smooth motion, the error of a parabola through the neighbours is negligible.
     away = np.zeros_like(signal)

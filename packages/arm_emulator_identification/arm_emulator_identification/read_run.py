@@ -45,16 +45,16 @@ def read_run(path: Path, scene: Scene, angles: str = "rad", side: str = "link") 
     """
     where = path.name
     if path.suffix == ".npz":
-        signals = _from_archive(path)
+        signals = _read_archive(path)
     elif path.suffix == ".csv":
-        signals = _from_table(path, scene)
+        signals = _read_table(path, scene)
     else:
         raise Refusal(where, "file", "be a record", path.suffix or "nothing", ".npz, .csv, bag")
-    _to_radians(signals, scene, angles, side)
-    return run_of(signals, scene, where)
+    _convert_angles(signals, scene, angles, side)
+    return make_run(signals, scene, where)
 
 
-def run_of(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
+def make_run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
     """Return the record made of signals.
 
     Args:
@@ -67,7 +67,7 @@ def run_of(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
     """
     N, t = len(scene.joints), signals.pop("t", np.zeros(0))
     if "current" in signals and "tau" not in signals:
-        signals["tau"] = _torques(signals.pop("current"), scene, where)
+        signals["tau"] = _convert_currents(signals.pop("current"), scene, where)
     signals.pop("current", None)
     for name, shown in (("q_motor", "q_mot"), ("tau", "tau, tau_abs or current")):
         if name not in signals:
@@ -86,7 +86,7 @@ def run_of(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun:
     return run
 
 
-def _to_radians(signals: dict[str, Array], scene: Scene, angles: str, side: str) -> None:
+def _convert_angles(signals: dict[str, Array], scene: Scene, angles: str, side: str) -> None:
     turns = np.array([joint.kind == "revolute" for joint in scene.chain.joints])
     ratio = scene.gear_ratios
     for name in OF_ANGLE:
@@ -97,7 +97,7 @@ def _to_radians(signals: dict[str, Array], scene: Scene, angles: str, side: str)
             signals[name] = rows * scale * (ratio if at_motor else 1.0)
 
 
-def _torques(current: Array, scene: Scene, where: str) -> Array:
+def _convert_currents(current: Array, scene: Scene, where: str) -> Array:
     """Return torques from currents (K, N) [A] by the motors' constants."""
     constants = [getattr(joint.motor, "torque_constant", None) for joint in scene.joints]
     if None in constants or current.shape[-1:] != (len(constants),):
@@ -108,14 +108,14 @@ def _torques(current: Array, scene: Scene, where: str) -> Array:
     return torques
 
 
-def _from_archive(path: Path) -> dict[str, Array]:
+def _read_archive(path: Path) -> dict[str, Array]:
     arrays = read_arrays(path, {"t", *NAMES})
     if "t" not in arrays:
         raise Refusal(path.name, "archive", "have t [s]", ", ".join(arrays) or "nothing known")
     return {NAMES.get(name, name): values for name, values in arrays.items()}
 
 
-def _from_table(path: Path, scene: Scene) -> dict[str, Array]:
+def _read_table(path: Path, scene: Scene) -> dict[str, Array]:
     table = read_table(path, {"t": "s"})
     if "t" not in table.columns:
         got = ", ".join(table.columns) or "nothing"
@@ -164,7 +164,7 @@ def read_arrays(file: Path, names: Collection[str]) -> dict[str, Array]:
         try:
             _check_entries(stream, where)
             with zipfile.ZipFile(stream) as archive:
-                return _arrays(archive, names, where)
+                return _read_arrays(archive, names, where)
         except Refusal:
             raise
         except Exception as error:  # zipfile, zlib and NumPy raise various ones
@@ -192,7 +192,7 @@ def _check_entries(stream: IO[bytes], where: str) -> None:
         raise Refusal(where, "archive", rule, "more" if large else entries)
 
 
-def _arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dict[str, Array]:
+def _read_arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dict[str, Array]:
     arrays: dict[str, Array] = {}
     left = MOST_BYTES
     for entry in archive.infolist():

@@ -110,7 +110,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     """
     masks = [data.moving[:, j] & (weights[:, j] > 0.0) for j in range(error.shape[1])]
     noise = np.array([
-        _noise(-error[m, j], weights[m, j], lasting(error[:, j], m))
+        _noise(-error[m, j], weights[m, j], estimate_correlation(error[:, j], m))
         for j, m in enumerate(masks)
     ])  # fmt: skip
     per = [np.sqrt(weights[m, j]) / noise[j] for j, m in enumerate(masks)]
@@ -149,7 +149,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     return ResidualEffects(tuple(effects), shift * widths, scaled)
 
 
-def lasting(error: Array, rows: Mask) -> float:
+def estimate_correlation(error: Array, rows: Mask) -> float:
     """Return the correlation length of an error (K,) in some rows [samples]."""
     return _lasting(error[rows], rows)
 

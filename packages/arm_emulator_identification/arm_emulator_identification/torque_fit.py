@@ -15,7 +15,11 @@ from scipy.optimize import least_squares
 
 from arm_emulator.extension.base import Array
 from arm_emulator_identification.filtered import Filtered, Mask
-from arm_emulator_identification.residual_effects import Effect, find_structure, lasting
+from arm_emulator_identification.residual_effects import (
+    Effect,
+    estimate_correlation,
+    find_structure,
+)
 from arm_emulator_identification.torque_model import MotionTorques, TorqueModel, Unknown
 
 TURNS = 5  # of fit, weights and loads in alternation
@@ -144,7 +148,7 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             weights[:, j] = np.minimum(
                 1.0, STANDS_OUT * usual / np.maximum(np.abs(error[:, j]), 1e-300)
             )
-            last = lasting(error[:, j], r)
+            last = estimate_correlation(error[:, j], r)
             noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
             samples += r.sum() / last
         used = _directions(slopes(values[fitted])[: rows.sum()] * widths)

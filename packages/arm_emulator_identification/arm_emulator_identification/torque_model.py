@@ -60,7 +60,7 @@ class Piece:
         return {key: float(unknowns[self.first + k]) for k, key in enumerate(self.keys)}
 
 
-def matches(name: str, patterns: Sequence[str]) -> bool:
+def has_match(name: str, patterns: Sequence[str]) -> bool:
     """Return whether a pattern matches a number: its name, or consecutive parts of it."""
     return any(
         fnmatch.fnmatchcase(name, before + pattern + after)
@@ -98,11 +98,11 @@ class TorqueModel:
         self.rest = np.zeros(inertia.NUMBERS * len(scene.chain.links))
         for k, (geometry, body) in enumerate(zip(scene.chain.links, scene.bare, strict=True)):
             sound = inertia.is_body(body)
-            numbers = inertia.log_cholesky(body if sound else inertia.ball(body))
-            widths = inertia.widths(body, trust) if sound else np.zeros(inertia.NUMBERS)
-            beside = inertia.dynamic(body) if sound else inertia.exponential(numbers)
+            numbers = inertia.map_logarithm(body if sound else inertia.make_ball(body))
+            widths = inertia.estimate_widths(body, trust) if sound else np.zeros(inertia.NUMBERS)
+            beside = inertia.list_dynamic(body) if sound else inertia.map_exponential(numbers)
             here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
-            self.rest[here] = inertia.dynamic(geometry.body) - beside
+            self.rest[here] = inertia.list_dynamic(geometry.body) - beside
             for name, value, off in zip(LINK, numbers, widths, strict=True):
                 unit = "" if name.startswith("log") else "m"
                 whole = f"links.{geometry.link}.{name}"
@@ -151,13 +151,13 @@ class TorqueModel:
         """
         names = [one.name for one in self.unknowns]
         for pattern in patterns:
-            if not any(matches(name, [pattern]) for name in names) and pattern != EVERYTHING:
+            if not any(has_match(name, [pattern]) for name in names) and pattern != EVERYTHING:
                 known = sorted({name.rsplit(".", 1)[0] for name in names})
                 rule = "name numbers that can be identified"
                 raise Refusal(where, "--fit", rule, pattern, ", ".join(known))
         offsets = [one for one in patterns if "offset" in one or "measured" in one]
         wanted = [
-            matches(name, offsets if name.endswith(".offset") else patterns) for name in names
+            has_match(name, offsets if name.endswith(".offset") else patterns) for name in names
         ]
         chosen: Mask = np.array(wanted) & (self.widths > 0.0)
         return chosen
@@ -174,7 +174,7 @@ class TorqueModel:
     def bodies(self, unknowns: Array) -> Array:
         """Return the ten numbers of each link (L, 10), without the payload."""
         links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)
-        return np.array([inertia.exponential(link) for link in links])
+        return np.array([inertia.map_exponential(link) for link in links])
 
 
 def _check_stated(scene: Scene) -> None:
@@ -259,7 +259,7 @@ class MotionTorques:
         found = np.zeros((K, N, len(model.unknowns)))
         for k, one in enumerate(links):
             here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
-            found[:, :, here] = pieces[:, :, k] @ inertia.slope(one)
+            found[:, :, here] = pieces[:, :, k] @ inertia.differentiate_exponential(one)
         for effort in self.efforts:
             here = slice(effort.piece.first, effort.piece.first + len(effort.piece.keys))
             found[:, effort.piece.joint, here] = self._slopes_of(effort, unknowns)

@@ -15,11 +15,11 @@ import numpy as np
 
 from arm_emulator.extension.base import Array
 from arm_emulator.extension.machine import Scene
-from arm_emulator_identification.filtered import EDGE, low_pass, smooth_motion
+from arm_emulator_identification.filtered import EDGE, filter_low_pass, smooth_motion
 from arm_emulator_identification.found import Found
-from arm_emulator_identification.link_regressor import torques_of_links
+from arm_emulator_identification.link_regressor import compute_link_torques
 from arm_emulator_identification.measured_run import MeasuredRun
-from arm_emulator_identification.torque_model import matches
+from arm_emulator_identification.torque_model import has_match
 
 BELOW = 10.0  # Hz: bandwidth of the load of rigid links
 ORDERS = np.arange(20.0, 2000.0, 0.5)  # waves per turn searched for the ripple
@@ -43,14 +43,14 @@ class WindUp:
     computed: Array  # rad (K, N), of the scene's gears
 
 
-def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
+def compute_wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
     """Compare measured wind-up with that of a scene's gears under its links' torques."""
     period, N = run.period, len(scene.joints)
     frequency = min(BELOW, 0.1 / period)
     q, v, a = smooth_motion(run.q_motor, period, frequency)
     edge = int(EDGE / (frequency * period))
     kept = slice(edge, len(q) - edge)
-    load = torques_of_links(scene, run.t, q, v, a)[kept]
+    load = compute_link_torques(scene, run.t, q, v, a)[kept]
     K = len(load)
     measured, computed = np.full((K, N), np.nan), np.full((K, N), np.nan)
     residual, unexplained, stiffness, deviation = (np.full(N, np.nan) for _ in range(4))
@@ -67,7 +67,7 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
         residual[j] = np.sqrt(np.mean((give - own - zero) ** 2))
         unexplained[j] = give.std()
         error = give - own - zero
-        ripple[j], order[j], rest[j] = _largest_wave(error, run.q_motor[kept, j], period)
+        ripple[j], order[j], rest[j] = _find_largest_wave(error, run.q_motor[kept, j], period)
         A = np.column_stack([load[:, j], np.ones(K)])
         (compliance, _), *_ = np.linalg.lstsq(A, give, rcond=None)
         error = give - A @ np.linalg.lstsq(A, give, rcond=None)[0]
@@ -82,17 +82,17 @@ def wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
     )  # fmt: skip
 
 
-def stiffness_found(
+def list_stiffness(
     scene: Scene, run: MeasuredRun, wanted: Sequence[str], hold: Sequence[str]
 ) -> list[Found]:
     """Return the stiffness of gears whose links have encoders."""
     if run.q_link is None or not wanted:
         return []
-    of = wind_up(run, scene)
+    of = compute_wind_up(run, scene)
     numbers = []
     for j, joint in enumerate(scene.joints):
         name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
-        if before is None or name not in wanted or matches(name, hold):
+        if before is None or name not in wanted or has_match(name, hold):
             continue
         reported = bool(np.isfinite(of.stiffness[j]))
         value = float(of.stiffness[j]) if reported else before
@@ -100,9 +100,9 @@ def stiffness_found(
     return numbers
 
 
-def _largest_wave(error: Array, q: Array, period: float) -> tuple[float, float, float]:
+def _find_largest_wave(error: Array, q: Array, period: float) -> tuple[float, float, float]:
     """Return amplitude and order of the largest wave in an error, and the remainder."""
-    quick = error - low_pass(error[:, None], period, SLOW)[:, 0]
+    quick = error - filter_low_pass(error[:, None], period, SLOW)[:, 0]
     found = [abs(np.mean(quick * np.exp(1j * n * q))) for n in ORDERS]
     n = float(ORDERS[int(np.argmax(found))])
     A = np.column_stack([np.sin(n * q), np.cos(n * q), np.ones(len(q))])

@@ -27,7 +27,7 @@ from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.varied import vary_child
 from arm_emulator_identification import inertia
-from arm_emulator_identification.found import numbers_found
+from arm_emulator_identification.found import list_found
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
 from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.read_run import read_run
@@ -111,10 +111,10 @@ def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, fl
     driven = torque_driven(scene, PERIOD, [*links, *inertias, *of_friction])
     values = {one.name: one.value for one in driven.varied}
     for joint in scene.chain.joints:
-        numbers = inertia.log_cholesky(joint.body)
-        moved = numbers + OFF * inertia.widths(joint.body, 1.0) * rng.standard_normal(10)
-        body = inertia.body_of(inertia.exponential(moved))
-        of = vary_child(joint, body).items()
+        numbers = inertia.map_logarithm(joint.body)
+        moved = numbers + OFF * inertia.estimate_widths(joint.body, 1.0) * rng.standard_normal(10)
+        body = inertia.make_body(inertia.map_exponential(moved))
+        of = of_child(joint, body).items()
         values |= {f"links.{joint.link}.{name}": value for name, value in of}
     for name in inertias:
         values[name] *= np.exp(0.5 * OFF * rng.standard_normal())
@@ -219,7 +219,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
     fit = fit_torques(model, motion, model.choose(["*"], "bench"))
     inside = [
         abs(one.value - values[one.name]) < SIGMAS * one.deviation
-        for one in numbers_found(scene, fit) if one.name in values and one.deviation > 0.0
+        for one in list_found(scene, fit) if one.name in values and one.deviation > 0.0
     ]  # fmt: skip
     return float(np.mean(inside)), [one.name for one in fit.effects], fit
 
@@ -318,7 +318,7 @@ def clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
     scene = MACHINES[machine]()
     if machine == "kuka":
         path = SHIPPED[seed % len(SHIPPED)]
-        return scene, read_run(path, scene, angles="deg").shifted(DELAYS)
+        return scene, read_run(path, scene, angles="deg").shift_back(DELAYS)
     driven, values = changed(scene, np.random.default_rng([seed, 3]))
     return scene, make_record(driven, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, values)
 

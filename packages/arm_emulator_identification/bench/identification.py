@@ -8,8 +8,8 @@ import numpy as np
 
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.varied import vary_child
-from arm_emulator_identification.filtered import Filtered, filtered
-from arm_emulator_identification.found import numbers_found
+from arm_emulator_identification.filtered import Filtered, filter_run
+from arm_emulator_identification.found import list_found
 from arm_emulator_identification.torque_fit import fit_torques
 from arm_emulator_identification.torque_model import TorqueModel
 from bench.measure import progress
@@ -51,7 +51,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     """
     record = make_record(scene, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE)
     ratio = scene.gear_ratios
-    data = filtered(record, ratio, LOW_PASS)
+    data = filter_run(record, ratio, LOW_PASS)
     model = model_of(scene, data)
     fitted = model.choose(["*"], "bench")
     true = {one.name: one.value for one in model.unknowns}
@@ -61,7 +61,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     known = model.start + model.widths * rng.standard_normal(len(model.start))
     least = np.array([one.least for one in model.unknowns])
     model.start = np.where(fitted & (known > least), known, model.start)
-    found = numbers_found(scene, fit_torques(model, data, fitted))
+    found = list_found(scene, fit_torques(model, data, fitted))
     return np.array([(one.value - true[one.name]) / one.deviation for one in found if not one.left])
 
 

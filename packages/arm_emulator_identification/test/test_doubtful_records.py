@@ -10,7 +10,7 @@ from draws import some
 
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator_identification.measured_run import MeasuredRun
-from arm_emulator_identification.plausibility import without_outliers
+from arm_emulator_identification.plausibility import replace_outliers
 from bench.doubtful_records import (
     EFFECTS,
     MACHINES,
@@ -70,12 +70,12 @@ def test_a_few_spikes_are_found_one_by_one() -> None:
     rng = np.random.default_rng(4)
     driven, values = changed(MACHINES["three_axis"](), rng)
     run = make_record(driven, 5, 4.0, 2e-6, 0.03, values)
-    clean, reported = without_outliers(run)
+    clean, reported = replace_outliers(run)
     assert not reported
     np.testing.assert_array_equal(clean.tau, run.tau)
     at = rng.choice(np.arange(10, len(run.t) - 10), 12, replace=False)
     run.tau[at, 1] += 4.0 * run.tau[:, 1].std() * rng.choice([-1.0, 1.0], 12)
-    found, reported = without_outliers(run)
+    found, reported = replace_outliers(run)
     assert len(reported) == 1
     assert reported[0].startswith(f"torque of {run.joints[1]}: 12 outliers"), reported
     left = np.abs(found.tau - clean.tau)[:, 1]

@@ -14,9 +14,9 @@ from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator_identification import inertia
 from arm_emulator_identification.commands.identify import identify
-from arm_emulator_identification.filtered import filtered
-from arm_emulator_identification.found import numbers_found
-from arm_emulator_identification.identified import with_followers, write_fitted
+from arm_emulator_identification.filtered import filter_run
+from arm_emulator_identification.found import list_found
+from arm_emulator_identification.identified import add_followers, write_fitted
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
 from arm_emulator_identification.plausibility import filter_record
 from arm_emulator_identification.read_run import read_run
@@ -28,7 +28,7 @@ from oracles.synthetic_record import make_record
 
 GIVEN = load_scene(DATA / "given.yaml")
 RATIO = GIVEN.gear_ratios
-RUN_A = read_run(SHIPPED[0], GIVEN, angles="deg").shifted(DELAYS)
+RUN_A = read_run(SHIPPED[0], GIVEN, angles="deg").shift_back(DELAYS)
 
 
 def look_over(run: MeasuredRun) -> list[str]:
@@ -197,11 +197,11 @@ def fitted(folder: Path, scene: Scene, file: Path, seed: int) -> tuple[Scene, di
     numbers = {one.name: float(value) for one, value in pairs
                if one.name.startswith("joints.") and not one.name.endswith("offset")}  # fmt: skip
     bodies = [
-        inertia.body_of(row) if inertia.is_body(bare) else bare
+        inertia.make_body(row) if inertia.is_body(bare) else bare
         for row, bare in zip(model.bodies(values), scene.bare, strict=True)
     ]
     out = folder / f"fitted_{seed}.yaml"
-    write_fitted(out, file, scene, with_followers(scene, numbers), bodies, "found")
+    write_fitted(out, file, scene, add_followers(scene, numbers), bodies, "found")
     return load_scene(out), numbers
 
 
@@ -237,10 +237,10 @@ def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path)
         )  # fmt: skip
     record = make_record(load_scene(files["true"]), 3, 10.0, 1e-6, 0.01)
     known = load_scene(files["known"])
-    data = filtered(record, np.array([0.05]), 10.0)
+    data = filter_run(record, np.array([0.05]), 10.0)
     model = TorqueModel(known, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
     fit = fit_torques(model, data, model.choose(["motor"], "test"))
-    numbers = {one.name: one for one in numbers_found(known, fit)}
+    numbers = {one.name: one for one in list_found(known, fit)}
     one = numbers["joints.joint.motor.rotor_inertia"]
     assert one.value == 1e-3
     assert "left as it was: this record drives it to 5e-05" in one.line

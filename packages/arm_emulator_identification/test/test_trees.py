@@ -32,7 +32,7 @@ from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_fleet.fleet import Fleet
-from arm_emulator_identification.inertia import dynamic
+from arm_emulator_identification.inertia import list_dynamic
 from arm_emulator_identification.link_regressor import LinkRegressor
 from oracles.reference import reference
 
@@ -210,7 +210,7 @@ def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
     scene = random_tree(tmp_path, seed, 8, gravity=GRAVITY)
     oracle, rng = Oracle(scene), np.random.default_rng(seed)
     loads, regressor = LinkLoads(scene), LinkRegressor(scene)
-    phi = np.concatenate([dynamic(joint.body) for joint in scene.chain.links])
+    phi = np.concatenate([list_dynamic(joint.body) for joint in scene.chain.links])
     q, v, a = rng.normal(size=(3, 5, 8))
     tau = regressor(q, v, a) @ phi
     still = np.zeros(8)

@@ -24,14 +24,14 @@ from arm_emulator_identification.validation.kuka_kr300 import (
     wind_up_figures,
 )
 from arm_emulator_identification.validation.manutec_r3 import MOST, SHOWN, manutec_failures
-from arm_emulator_identification.wind_up import wind_up
+from arm_emulator_identification.wind_up import compute_wind_up
 
 
 def figures(scene: Scene, path: Path) -> Iterator[Figure]:
     """Checks without a simulation."""
     run = load(path, scene)
     yield from torque_figures(scene, run, *torques_of(scene, run))
-    yield from wind_up_figures(run, wind_up(run, scene))
+    yield from wind_up_figures(run, compute_wind_up(run, scene))
 
 
 def failures(scene: Scene, path: Path) -> list[str]:
@@ -104,7 +104,7 @@ def test_free_runs_are_nearer_than_null_models(path: Path) -> None:
 def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:
     """826 waves per turn of the link: it comes again in both runs."""
     scene = load_scene("kuka_kr300")
-    of_b = wind_up(load(SHIPPED[1], scene), scene)
+    of_b = compute_wind_up(load(SHIPPED[1], scene), scene)
     assert of_b.order[1] == pytest.approx(known().wave_order[1], abs=2.0)
     assert of_b.ripple[1] == pytest.approx(known().wave[1], rel=0.2)
 

@@ -72,8 +72,8 @@ class ArmScene:
         tool = pin.updateFramePlacement(self._model, self._data, self._tool)
         with self._server.atomic():
             for handle, place in zip(self._handles, self._places.oMg, strict=True):
-                _put(handle, place)
-            _put(self._frame, tool)
+                _place_handle(handle, place)
+            _place_handle(self._frame, tool)
 
     @property
     def p_WT(self) -> Array:
@@ -97,7 +97,7 @@ class ArmScene:
             if one is not None:
                 one.remove()
 
-    def tool_way(self, q: Array) -> Array:
+    def trace_tool(self, q: Array) -> Array:
         """Return the tool's positions (K, 3) [m] at positions of the shafts (K, N)."""
         way = np.empty((len(q), 3))
         for k, row in enumerate(q):
@@ -107,7 +107,7 @@ class ArmScene:
 
     def show_way(self, q: Array) -> None:
         """Show the way of the tool through positions of the shafts (K, N)."""
-        way = self.tool_way(q)
+        way = self.trace_tool(q)
         pieces = np.stack([way[:-1], way[1:]], axis=1)
         moving = pieces[np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) > 1e-6]
         if len(moving):
@@ -126,7 +126,7 @@ class ArmScene:
         return np.asarray(at)
 
     def _added(self, number: int, shape: Any) -> Any:
-        vertices, faces = _mesh(shape.geometry)
+        vertices, faces = _make_mesh(shape.geometry)
         color = tuple(float(one) for one in shape.meshColor[:3]) if shape.overrideMaterial else GREY
         look = {"color": OVER, "opacity": OPACITY} if self._over else {"color": color}
         return self._server.scene.add_mesh_simple(
@@ -134,12 +134,12 @@ class ArmScene:
         )
 
 
-def _put(handle: Any, place: Any) -> None:
+def _place_handle(handle: Any, place: Any) -> None:
     x, y, z, w = pin.Quaternion(place.rotation).coeffs()
     handle.position, handle.wxyz = place.translation, (w, x, y, z)
 
 
-def _mesh(shape: Any) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+def _make_mesh(shape: Any) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Return vertices (V, 3) and triangles (T, 3) of a shape of Pinocchio."""
     import trimesh.creation as made
 

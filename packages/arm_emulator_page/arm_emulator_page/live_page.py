@@ -15,11 +15,11 @@ from arm_emulator.extension.base import Column, ColumnRows, Refusal, escape_mark
 from arm_emulator.extension.machine import Scene, select_values
 from arm_emulator.extension.page import Controls
 from arm_emulator_page.arm_scene import ArmScene
-from arm_emulator_page.machine_tab import TargetTab, machine_tab
-from arm_emulator_page.number_table import EventList, machine_table
+from arm_emulator_page.machine_tab import TargetTab, add_machine_tab
+from arm_emulator_page.number_table import EventList, format_machine
 from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.push_tab import PushTab
-from arm_emulator_page.signal_plot import SignalPlot, chosen
+from arm_emulator_page.signal_plot import SignalPlot, read_choice
 
 PLOTTED = 0.25  # s, wall, between two plots and two tables
 SPANS = {"1 s": 1.0, "10 s": 10.0, "60 s": 60.0, "the whole run": math.inf}
@@ -86,7 +86,7 @@ class LivePage:
         self._slider.on_update(lambda _: None if self._changing else self.go(self._slider.value))
         self._live_button = gui.add_button("Live", disabled=True)
         self._live_button.on_click(lambda _: self.go(None))
-        self._time_controls(gui, can)
+        self._add_time_controls(gui, can)
         self.answer = gui.add_markdown("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Now"):
@@ -103,7 +103,7 @@ class LivePage:
                 push = partial(self.ask, "push")
                 PushTab(self.exclusive, push, served.server, self.arm, scene)
         with tabs.add_tab("Machine"):
-            machine_tab(self, gui, scene)
+            add_machine_tab(self, gui, scene)
         with tabs.add_tab("Events"):
             if "break_when" in can:
                 self._condition = gui.add_text("Stop when", "")
@@ -183,7 +183,7 @@ class LivePage:
             words.append(f"{self._dropped} ticks not shown: the page is too slow for them")
         if self._at is not None:
             self.arm.show(row["q"][0])
-        self._numbers.content = machine_table(
+        self._numbers.content = format_machine(
             scene.joint_names,
             q=row["q"][0],
             v=row["v"][0],
@@ -207,7 +207,7 @@ class LivePage:
 
     def _plot(self) -> None:
         with self.exclusive:
-            self._plots.show(self._history.since(SPANS[chosen(self._span, SPANS)], SAMPLES))
+            self._plots.show(self._history.since(SPANS[read_choice(self._span, SPANS)], SAMPLES))
 
     @property
     def plotted(self) -> tuple[Any, ...]:
@@ -244,7 +244,7 @@ class LivePage:
             self._list.show(self._events)
             self.answer.content = escape_markdown(reason)
 
-    def _time_controls(self, gui: Any, can: frozenset[str]) -> None:
+    def _add_time_controls(self, gui: Any, can: frozenset[str]) -> None:
         if "pause" in can:
             self._pause_button = gui.add_button("Pause")
             self._pause_button.on_click(lambda _: self._switch())
@@ -259,7 +259,7 @@ class LivePage:
             known = (label for label, factor in RATES.items() if factor == self.hands.factor)
             now = next(known, None)
             rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
-            rate.on_update(lambda _: self.ask("rate", RATES[chosen(rate, RATES)]))
+            rate.on_update(lambda _: self.ask("rate", RATES[read_choice(rate, RATES)]))
 
     def _switch(self) -> None:
         pauses = self._pause_button.label == "Pause"

@@ -11,7 +11,7 @@ from arm_emulator_page.arm_scene import ArmScene
 FAULTS = "faults."  # names of varied numbers that are faults begin so
 
 
-def machine_tab(page: Any, gui: Any, scene: Scene) -> None:
+def add_machine_tab(page: Any, gui: Any, scene: Scene) -> None:
     """Add the controls for what a page's hands can do, in the tab in whose context this is called.
 
     Args:

@@ -7,23 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from arm_emulator.extension.base import escape_markdown
-
 # Headings with units, for joints that turn; those of slides are in the line above the table.
 SLIDES = "slides: q in m, v in m/s, gear in N; command: as the motor takes it"
 DECIMALS = 4
 
 
-def number_table(names: Sequence[str], columns: dict[str, Any]) -> str:
+def format_numbers(names: Sequence[str], columns: dict[str, Any]) -> str:
     """Return columns (N,) by their headings as a table, a line per joint."""
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for j, name in enumerate(names):
-        cells = (_cell(np.asarray(value)[j]) for value in columns.values())
-        lines.append(f"| {escape_markdown(name)} | " + " | ".join(cells) + " |")
+        cells = (_format_cell(np.asarray(value)[j]) for value in columns.values())
+        lines.append(f"| {markdown_text(name)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def machine_table(
+def format_machine(
     names: Sequence[str], q: Any, v: Any, gear: Any, current: Any, command: Any, counts: Any
 ) -> str:
     """Return the state and the measurement of all joints (N,) as a table with its units."""
@@ -35,10 +33,10 @@ def machine_table(
         "command": command,
         "counts": counts,
     }
-    return f"{SLIDES}\n\n" + number_table(names, columns)
+    return f"{SLIDES}\n\n" + format_numbers(names, columns)
 
 
-def _cell(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     if isinstance(value, np.integer):
         return str(int(value))
     if np.isnan(value):

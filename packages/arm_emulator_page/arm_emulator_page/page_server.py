@@ -38,7 +38,7 @@ class PageServer:
 
         token = page_token()
         # It prints addresses without the token, whatever it is asked.
-        with guarded(Guard(token, address)), contextlib.redirect_stdout(io.StringIO()):
+        with guard_server(Guard(token, address)), contextlib.redirect_stdout(io.StringIO()):
             try:
                 self.server: Any = viser.ViserServer(address.host, address.port, verbose=False)
             except (OSError, RuntimeError) as error:
@@ -167,7 +167,7 @@ def _put_title(response: Any) -> None:
         response.headers["Content-Length"] = str(len(response.body))
 
 
-def guarded(guard: Guard) -> AbstractContextManager[None]:
+def guard_server(guard: Guard) -> AbstractContextManager[None]:
     """Let the server that is started in this block ask a guard about every request."""
 
     def respond(status: HTTPStatus, kind: str, text: str) -> Any:

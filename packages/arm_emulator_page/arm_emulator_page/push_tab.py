@@ -54,7 +54,7 @@ class PushTab:
 
     def _push(self) -> None:
         force, moment = self._force.value, self._moment.value
-        self._push_with(self._link.value, _floats(force), _floats(moment))
+        self._push_with(self._link.value, _read_vector(force), _read_vector(moment))
 
     def _let_go(self) -> None:
         with self._exclusive:
@@ -84,7 +84,7 @@ class PushTab:
         """Pull at the link as a spring between it and the handle; the last pull is always made."""
         with self._exclusive:
             pull = np.array(self._handle.position) - self._arm.p_WL(self._link.value)
-            self._force.value = _floats(float(self._stiffness.value) * pull)
+            self._force.value = _read_vector(float(self._stiffness.value) * pull)
             self._show_arrow()
             now = time.monotonic()
             if over or now - self._sent >= PAUSE:
@@ -103,6 +103,6 @@ class PushTab:
                 )
 
 
-def _floats(values: Any) -> tuple[float, float, float]:
+def _read_vector(values: Any) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z

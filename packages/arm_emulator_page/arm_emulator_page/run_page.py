@@ -12,10 +12,10 @@ from arm_emulator.extension.base import Refusal, escape_markdown
 from arm_emulator.extension.machine import Session
 from arm_emulator.extension.page import Condition, TermsNow, Timeline
 from arm_emulator_page.arm_scene import ArmScene
-from arm_emulator_page.number_table import EventList, machine_table, number_table
+from arm_emulator_page.number_table import EventList, format_machine, format_numbers
 from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.run_view import RunView
-from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, chosen, lines_of
+from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, read_choice, style_lines
 
 FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")
@@ -99,7 +99,7 @@ class RunPage:
         data: tuple[Any, ...] = self._chart.data
         return data
 
-    def new_tab(self, name: str) -> Any:
+    def add_tab(self, name: str) -> Any:
         """Return a new tab as a context for its controls."""
         return self._tabs.add_tab(name)
 
@@ -207,7 +207,7 @@ class RunPage:
             self._list.show(self._subject.events)
         with tabs.add_tab("Torques"):
             ask = gui.add_button("Explain this moment")
-            ask.on_click(lambda _: self._explained())
+            ask.on_click(lambda _: self._show_terms())
             self._terms = gui.add_markdown("")
 
     def _switch(self) -> None:
@@ -245,12 +245,12 @@ class RunPage:
             self._show()
             self._found.content = f"holds at tick {tick}, {tick * scene.servo_period:g} s"
 
-    def _explained(self) -> None:
+    def _show_terms(self) -> None:
         with self.exclusive:
             terms, active = self._explain()
             names = self._session.scene.joint_names
             tables = [
-                f"On each {side} [N m or N]\n\n" + number_table(names, rows)
+                f"On each {side} [N m or N]\n\n" + format_numbers(names, rows)
                 for side, rows in (("link", terms.link), ("rotor", terms.rotor))
             ]
             self._terms.content = "\n\n".join(
@@ -268,7 +268,9 @@ class RunPage:
                     at = float(self.line.tick)
                     continue
                 at = max(at, float(self.line.tick))
-                at += FRAME * float(chosen(self._rate, RATES)) / self._session.scene.servo_period
+                at += (
+                    FRAME * float(read_choice(self._rate, RATES)) / self._session.scene.servo_period
+                )
                 tick = min(int(at), self.last)
                 if tick != self.line.tick:
                     self.line.go_to(tick)
@@ -297,7 +299,7 @@ class RunPage:
             self.changing = False
         power = "" if session.powered else ", **no power**"
         measured = session.measured
-        self._numbers.content = machine_table(
+        self._numbers.content = format_machine(
             names,
             q=state.q,
             v=state.v,
@@ -318,12 +320,12 @@ class RunPage:
         elif self._over is not None and self._of.value == DIFFERENCE:
             ticks, values = history.minus(self._over.history, group)
         t = ticks * self._session.scene.servo_period
-        return (t, *values.T), lines_of(history.groups[group])
+        return (t, *values.T), style_lines(history.groups[group])
 
     def _plot(self) -> None:
         with self.exclusive:
             self._chart.data, self._chart.series = self._series(
-                chosen(self._group, self._subject.history.groups)
+                read_choice(self._group, self._subject.history.groups)
             )
 
 

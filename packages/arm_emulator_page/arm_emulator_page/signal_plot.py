@@ -16,7 +16,7 @@ HEIGHT = 260  # px
 SCALES: dict[str, Any] = {"x": {"time": False}}  # of seconds, which are no date
 
 
-def grouped(columns: Sequence[Column]) -> dict[str, list[Column]]:
+def group_columns(columns: Sequence[Column]) -> dict[str, list[Column]]:
     """Return the columns of each quantity, such as "measured.current"."""
     groups: dict[str, list[Column]] = {}
     for column in columns:
@@ -25,7 +25,7 @@ def grouped(columns: Sequence[Column]) -> dict[str, list[Column]]:
     return groups
 
 
-def lines_of(columns: Sequence[Column]) -> tuple[Any, ...]:
+def style_lines(columns: Sequence[Column]) -> tuple[Any, ...]:
     """Return how the columns of a quantity are drawn over time."""
     lines: list[dict[str, Any]] = [{"label": "t [s]"}]
     lines += [
@@ -45,11 +45,11 @@ class SignalPlot:
     """
 
     def __init__(self, gui: Any, columns: Sequence[Column], changed: Callable[[], None]) -> None:
-        self._groups = grouped(columns)
+        self._groups = group_columns(columns)
         self._choice = gui.add_dropdown("Signal", tuple(self._groups), initial_value=FIRST)
         self._choice.on_update(lambda _: changed())
         self._drawn = FIRST
-        lines = lines_of(self._groups[FIRST])
+        lines = style_lines(self._groups[FIRST])
         empty = tuple(np.zeros(0) for _ in lines)
         self._chart = gui.add_uplot(empty, lines, scales=SCALES, height=HEIGHT)
 
@@ -61,7 +61,7 @@ class SignalPlot:
 
     def show(self, rows: ColumnRows) -> None:
         """Plot the chosen quantity of rows (K,)."""
-        group = chosen(self._choice, self._groups)
+        group = read_choice(self._choice, self._groups)
         columns = self._groups[group]
         values = [column.of(rows).astype(np.float64) for column in columns]
         data = (rows["t"].astype(np.float64), *values)
@@ -69,10 +69,10 @@ class SignalPlot:
             self._chart.data = data
             return
         self._drawn = group
-        self._chart.data, self._chart.series = data, lines_of(columns)
+        self._chart.data, self._chart.series = data, style_lines(columns)
 
 
-def chosen(control: Any, known: Collection[str]) -> str:
+def read_choice(control: Any, known: Collection[str]) -> str:
     """Return the value of a dropdown; the first known one replaces any other value."""
     value = str(control.value)
     if value not in known:

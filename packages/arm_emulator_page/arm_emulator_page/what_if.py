@@ -44,11 +44,11 @@ class WhatIf:
         self._page, self._lines, self._keep = page, {"the run": line}, keep
         run, gui = line.run, page.gui
         self._pushes: dict[str, Push] = {}  # by link, to be set
-        with page.new_tab("Push"):
+        with page.add_tab("Push"):
             scene = run.session.scene
             PushTab(page.exclusive, self._push, page.server, page.arm, scene)
             self._pushed = gui.add_markdown("")
-        with page.new_tab("What if"):
+        with page.add_tab("What if"):
             self._which = gui.add_dropdown("Timeline", tuple(self._lines))
             self._which.on_update(lambda _: self._turn_to(self._which.value))
             self._over = gui.add_dropdown("Laid over it", (NOTHING, *self._lines))

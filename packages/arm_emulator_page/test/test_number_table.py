@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from arm_emulator_page.number_table import DECIMALS, machine_table
+from arm_emulator_page.number_table import DECIMALS, format_machine
 
 
 def rows_of(q: list[float]) -> list[list[str]]:
     """Return the cells of a table of joints that differ in q alone."""
     names, zeros = [f"joint_{k}" for k in range(len(q))], np.zeros(len(q))
     counts = np.full(len(q), -228991, dtype=np.int64)
-    table = machine_table(
+    table = format_machine(
         names, q=np.array(q), v=zeros, gear=zeros, current=zeros, command=zeros, counts=counts
     )
     lines = [line for line in table.splitlines() if line.startswith("|")]

@@ -14,12 +14,12 @@ from arm_emulator.extension.base import KEEP_NOTHING, Refusal, find_scene, parse
 from arm_emulator.extension.commands import Clock, Keep, PageAt, SceneName, command, output, watched
 from arm_emulator.extension.machine import Plant, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
-from arm_emulator_fieldbus.can_bus import Bus, BusService, can_bus
+from arm_emulator_fieldbus.can_bus import Bus, BusService, open_bus
 from arm_emulator_fieldbus.can_server import CanServer
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.eds import eds as data_sheet
+from arm_emulator_fieldbus.eds import make_eds as data_sheet
 
 
 def load_segment(
@@ -39,7 +39,7 @@ def load_segment(
 
 
 @contextlib.contextmanager
-def opened(
+def open_requested_bus(
     listen: str, bus: str | None, channel: str | None, bitrate: int | None
 ) -> Iterator[tuple[Bus, str]]:
     """Open the requested bus for a block; yield it with its description.
@@ -48,7 +48,7 @@ def opened(
         Refusal: the bus is unknown, or does not open.
     """
     if bus is not None:
-        with can_bus(bus, channel or "", bitrate) as one:
+        with open_bus(bus, channel or "", bitrate) as one:
             yield one, f"{bus} {channel or ''}".rstrip()
         return
     for name, value in (("channel", channel), ("bitrate", bitrate)):
@@ -94,7 +94,7 @@ def canopen(
     if eds is not None:
         return write_eds(scene, eds)
     lockstep = clock == "lockstep"
-    with opened(listen, bus, channel, bitrate) as (on, name):
+    with open_requested_bus(listen, bus, channel, bitrate) as (on, name):
         segment = load_segment(scene, first_node, lockstep=lockstep, sync_period=sync_period)
         machine, withheld = segment.scene, segment.drives.withheld
         nodes = {

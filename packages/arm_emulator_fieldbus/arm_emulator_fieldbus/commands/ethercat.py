@@ -15,7 +15,7 @@ from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, ou
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import Scene, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
-from arm_emulator_fieldbus.esi import esi as description_of
+from arm_emulator_fieldbus.esi import make_esi as description_of
 from arm_emulator_fieldbus.ethercat import Segment
 
 FIGURES = ("frames", "exchanges", "periods", "lost_cycles", "late_periods", "malformed", "foreign",
@@ -53,7 +53,7 @@ def ethercat(
         return write_esi(scene, esi)
     if interface is None:
         raise Refusal("ethercat", "--interface", "name a network interface", "none")
-    machine, segment = _segment(scene, not realtime)
+    machine, segment = _load_segment(scene, not realtime)
     joints, withheld = machine.joint_names, segment.drives.withheld
     descriptor = segment.open(interface)
     # Masters wait some milliseconds for a frame, which a busy host may exceed before it wakes us.
@@ -80,7 +80,7 @@ def ethercat(
         return 1
     finally:
         os.close(descriptor)
-        _report(segment.figures, not realtime)
+        _report_figures(segment.figures, not realtime)
 
 
 def write_esi(scene_name: str, file: Path) -> int:
@@ -89,7 +89,7 @@ def write_esi(scene_name: str, file: Path) -> int:
     Raises:
         Refusal: the scene or its gains are not taken, or the file cannot be written.
     """
-    _, segment = _segment(scene_name, True)
+    _, segment = _load_segment(scene_name, True)
     try:
         file.write_text(description_of(segment.drives), encoding="utf-8")
     except OSError as error:
@@ -98,7 +98,7 @@ def write_esi(scene_name: str, file: Path) -> int:
     return 0
 
 
-def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
+def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     path = find_scene(scene_name)
     scene = load_scene(path)
     warn(*scene.warnings)
@@ -106,7 +106,7 @@ def _segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     return scene, Segment(scene, servo, lockstep)
 
 
-def _report(figures: CData, lockstep: bool) -> None:
+def _report_figures(figures: CData, lockstep: bool) -> None:
     output.facts({"figures": {name: getattr(figures, name) for name in FIGURES}})
     print(f"frames            {figures.frames}, of which with all process data {figures.exchanges}")
     print(f"servo periods     {figures.periods}")

@@ -11,9 +11,9 @@ from cyclopts import Parameter
 from arm_emulator.extension.base import KEEP_NOTHING, Refusal
 from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, served_session
 from arm_emulator.extension.machine import load_scene
-from arm_emulator_fieldbus.converter import Converter, blocks
+from arm_emulator_fieldbus.converter import Converter, list_blocks
 from arm_emulator_fieldbus.modbus_line import ModbusLine
-from arm_emulator_fieldbus.modbus_pty import RealTimeService, SerialPort, serve
+from arm_emulator_fieldbus.modbus_pty import RealTimeService, SerialPort, serve_port
 from arm_emulator_fieldbus.modbus_rtu import LARGEST_STATION
 from arm_emulator_fieldbus.serial_line import LARGEST_BAUD, LineErrors
 
@@ -54,7 +54,7 @@ def modbus(
     """
     kept.check("modbus")
     if registers:
-        return _registers(scene)
+        return _print_registers(scene)
     if not 50 <= baud <= LARGEST_BAUD:
         raise Refusal("modbus", "baud", f"be 50 to {LARGEST_BAUD} bit/s", baud)
     if not 1 <= station <= LARGEST_STATION:
@@ -77,17 +77,17 @@ def modbus(
             RealTimeService(port, converter, station, baud, errors).serve()
         else:
             line = ModbusLine(converter, station, clock, baud, errors)
-            serve(port, line, converter, baud)
+            serve_port(port, line, converter, baud)
     return 0
 
 
-def _registers(scene: str) -> int:
+def _print_registers(scene: str) -> int:
     """Print the table of registers of a scene.
 
     Raises:
         Refusal: the scene is refused.
     """
-    table = blocks(load_scene(scene))
+    table = list_blocks(load_scene(scene))
     for one in table:
         last = one.address + one.count - 1
         where = f"{one.address}" if one.count == 1 else f"{one.address} to {last}"

@@ -21,24 +21,24 @@ from draws import FULL
 
 from arm_emulator import Plant, load_gains
 from arm_emulator.base.config_files import find_scene
-from arm_emulator_fieldbus.can_bus import BusService, can_bus
+from arm_emulator_fieldbus.can_bus import BusService, open_bus
 from arm_emulator_fieldbus.canopen_segment import Segment
 from arm_emulator_fieldbus.commands.canopen import load_segment, write_eds
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.object_dictionary import dictionary
+from arm_emulator_fieldbus.object_dictionary import list_entries
 
 canopen: Any = pytest.importorskip("canopen")
 pytest.importorskip("can")
 
 ROOT = Path(__file__).resolve().parents[4]
-ENTRIES = [one for one in dictionary() if one.buses & CANOPEN]
+ENTRIES = [one for one in list_entries() if one.buses & CANOPEN]
 
 
 @contextmanager
 def network_of(segment: Segment, channel: str, period: int | None = None) -> Iterator[Any]:
     """Our nodes in a thread, and a network of the master's on the same virtual bus."""
-    with can_bus("virtual", channel, None) as bus:
+    with open_bus("virtual", channel, None) as bus:
         goes_on = threading.Event()
         goes_on.set()
         service = BusService(bus, segment, period)

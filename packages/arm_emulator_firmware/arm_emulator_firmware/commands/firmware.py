@@ -95,7 +95,7 @@ def firmware(
     if stop_when is not None and gdb is None:
         raise Refusal("firmware", "--stop-when", "come with --gdb, which halts there", "none")
     with contextlib.ExitStack() as open_:
-        lines = open_.enter_context(_lines(wiring, uart or ()))
+        lines = open_.enter_context(_open_lines(wiring, uart or ()))
         chip = Microcontroller(wiring, ElfImage(firmware), machine, lines)
         one = TableRun(machine, table, chip)
         open_.enter_context(Recorder(one.session.plant, kept, waits=True, stays=True))
@@ -152,7 +152,7 @@ def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
 
 
 @contextlib.contextmanager
-def _lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
+def _open_lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
     """Yield file descriptors to write to and read from for serial lines, by their names."""
     names = board.uarts
     wanted = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
@@ -174,12 +174,12 @@ def _lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[in
             if where == "stdout":
                 lines[name] = (1, -1)
             elif where == "pty":
-                lines[name] = (open_.enter_context(_pty(name)),) * 2
+                lines[name] = (open_.enter_context(_open_pty(name)),) * 2
         yield lines
 
 
 @contextlib.contextmanager
-def _pty(name: str) -> Iterator[int]:
+def _open_pty(name: str) -> Iterator[int]:
     ours, theirs = pty.openpty()
     try:
         tty.setraw(theirs, termios.TCSANOW)

@@ -37,8 +37,8 @@ from test_fmu_file import scenes
 
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator_fmu.export import export
-from arm_emulator_fmu.model_description import model_description, model_description_2
-from arm_emulator_fmu.variables import scalars, variables
+from arm_emulator_fmu.model_description import describe_model, describe_model_2
+from arm_emulator_fmu.variables import list_scalars, list_variables
 
 FMPY = Path(fmpy.__file__).parent
 ROOT = Path(__file__).resolve().parents[4]
@@ -92,9 +92,9 @@ def test_fmpy_finds_no_fault_in_the_description_of_any_scene(tmp_path: Path) -> 
     found = scenes(tmp_path, 50)
     assert len(found) == 50, "so many are drawn"
     for number, scene in enumerate(found):
-        texts = [model_description(scene, variables(scene), "{token}")]
+        texts = [describe_model(scene, list_variables(scene), "{token}")]
         if number % 6 == 0:  # a name per number takes fmpy its time
-            texts.append(model_description_2(scene, scalars(scene), "{token}"))
+            texts.append(describe_model_2(scene, list_scalars(scene), "{token}"))
         for text in texts:
             file = io.BytesIO()
             with zipfile.ZipFile(file, "w") as archive:

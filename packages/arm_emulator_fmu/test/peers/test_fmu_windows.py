@@ -13,7 +13,7 @@ from fmu_client import OK, Fmu, Instance
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_fmu.commands.fmu import fmu
-from arm_emulator_fmu.windows import COMPILERS, windows_binary
+from arm_emulator_fmu.windows import COMPILERS, compile_for_windows
 
 TEST = Path(__file__).resolve().parent
 SOURCES = TEST.parents[1] / "arm_emulator_fmu"
@@ -88,10 +88,10 @@ def test_without_a_cross_compiler_it_states_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from arm_emulator.machine.scene.scene import load_scene
-    from arm_emulator_fmu.unit import unit_of
-    from arm_emulator_fmu.variables import variables
+    from arm_emulator_fmu.unit import make_unit
+    from arm_emulator_fmu.variables import list_variables
 
     scene = load_scene("three_axis")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(Refusal, match=r"--windows must find a cross compiler .*g\+\+-mingw-w64"):
-        windows_binary(unit_of(scene, variables(scene), "3")[0])
+        compile_for_windows(make_unit(scene, list_variables(scene), "3")[0])

@@ -17,22 +17,22 @@ from arm_emulator.extension.base import Refusal, find_scene
 from arm_emulator.extension.base import given_warnings as given
 from arm_emulator.extension.commands import SceneName, command, output, plain
 from arm_emulator.extension.machine import Scene, compute_count_angle, load_scene
-from arm_emulator_identification.found import Found, bodies_of, numbers_found
+from arm_emulator_identification.found import Found, list_bodies, list_found
 from arm_emulator_identification.identified import (
     Asked,
     Identified,
-    doubts_of,
+    add_followers,
     draw_torques,
-    gears_of,
-    identified,
-    with_followers,
+    identify_numbers,
+    list_doubts,
+    list_gears,
     write_fitted,
 )
 from arm_emulator_identification.measured_run import MeasuredRun
-from arm_emulator_identification.read_run import read_run, run_of
+from arm_emulator_identification.read_run import make_run, read_run
 from arm_emulator_identification.torque_fit import TorqueFit
-from arm_emulator_identification.torque_model import matches
-from arm_emulator_identification.wind_up import stiffness_found
+from arm_emulator_identification.torque_model import has_match
+from arm_emulator_identification.wind_up import list_stiffness
 
 DELAYED = ("tau", "q_link")
 LONGEST_DELAY = 0.1  # s
@@ -83,25 +83,25 @@ def identify(
     if out.resolve() == file.resolve():
         raise Refusal("identify", "--out", "be another file than the scene", out)
     wanted, kept = ([one for one in names.split(",") if one] for names in (fit, hold))
-    late = _delays(delay or ())
-    with _stages() as stage:
+    late = _read_delays(delay or ())
+    with _show_stages() as stage:
         stage("read")
-        record = _record(data, nominal, angles, side).shifted(late)
+        record = _record(data, nominal, angles, side).shift_back(late)
         asked = Asked(wanted, kept, low_pass, trust, as_is)
-        found = identified(nominal, record, asked, stage)
+        found = identify_numbers(nominal, record, asked, stage)
         stage("write")
-        numbers = numbers_found(nominal, found.fit)
-        doubts = found.doubts + doubts_of(nominal, found.fit, numbers)
+        numbers = list_found(nominal, found.fit)
+        doubts = found.doubts + list_doubts(nominal, found.fit, numbers)
         _write(out, file, nominal, found.fit, numbers, doubts, data.name)
         # Gears wind up under the load of the fitted links.
-        springs = [one for one in gears_of(nominal) if matches(one, wanted)]
-        numbers += stiffness_found(load_scene(out), found.run, springs, kept)
+        springs = [one for one in list_gears(nominal) if has_match(one, wanted)]
+        numbers += list_stiffness(load_scene(out), found.run, springs, kept)
         _write(out, file, nominal, found.fit, numbers, doubts, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
         draw_torques(found.motion, found.torques, nominal.joint_names, picture, title)
     console = output.console(110)
-    console.print(_heading(found, late, low_pass))
+    console.print(_write_heading(found, late, low_pass))
     heads = "number", "unit", "before", "found", "+-", ""
     rows = (
         (one.name, one.unit, f"{one.before:.5g}", f"{one.value:.5g}", f"{one.deviation:.2g}",
@@ -113,12 +113,12 @@ def identify(
         console.print(f"warning: {doubt}", markup=False, highlight=False)
     console.print(f"scene: {out}\npicture: {picture}")
     given.extend(doubts)
-    output.facts(_facts(found, numbers, nominal) | {"scene": out, "picture": picture})
+    output.facts(_list_facts(found, numbers, nominal) | {"scene": out, "picture": picture})
     return 0
 
 
 @contextlib.contextmanager
-def _stages() -> Iterator[Callable[[str], None]]:
+def _show_stages() -> Iterator[Callable[[str], None]]:
     """Show the stage that runs; give what begins another one."""
     columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
     progress = Console(stderr=True)  # not for JSON, and erased at the end
@@ -135,7 +135,7 @@ def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
     return read_bag_run(data, nominal)
 
 
-def _facts(found: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[str, Any]:
+def _list_facts(found: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[str, Any]:
     explained = dict(zip(nominal.joint_names, found.fit.explained, strict=True))
     return {
         "record": found.run.where,
@@ -148,7 +148,7 @@ def _facts(found: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[
     }
 
 
-def _delays(given: Sequence[str]) -> dict[str, float]:
+def _read_delays(given: Sequence[str]) -> dict[str, float]:
     delays = dict[str, float]()
     for one in given:
         name, sign, text = one.partition("=")
@@ -163,7 +163,7 @@ def _delays(given: Sequence[str]) -> dict[str, float]:
     return delays
 
 
-def _heading(found: Identified, delays: dict[str, float], low_pass: float) -> str:
+def _write_heading(found: Identified, delays: dict[str, float], low_pass: float) -> str:
     run, fit = found.run, found.fit
     late = ", ".join(f"{name} {1e3 * value:g} ms late" for name, value in delays.items())
     explained = ", ".join(f"{share:.1f}" for share in fit.explained)
@@ -184,8 +184,8 @@ def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequenc
     heading = [f"Made of {scene.where} by `arm_emulator identify`, of the record {record}.", ""]
     heading += [one.line for one in numbers]
     heading += [f"warning: {doubt}" for doubt in doubts]
-    values = with_followers(scene, values)
-    write_fitted(out, file, scene, values, bodies_of(scene, fit), "\n".join(heading))
+    values = add_followers(scene, values)
+    write_fitted(out, file, scene, values, list_bodies(scene, fit), "\n".join(heading))
 
 
 def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
@@ -228,4 +228,4 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
         per = [joint.sensors.link_encoder for joint in scene.joints]
         scale = [2.0 * np.pi / one.counts_per_turn if one else np.nan for one in per]
         signals["q_link"] = (link + 0.5) * np.array(scale)
-    return run_of(signals, scene, str(path))
+    return make_run(signals, scene, str(path))

@@ -76,7 +76,7 @@ class Figure:
         return "; ".join(filter(None, (each, mean and f"mean {mean}")))
 
 
-def table_of(title: str, names: Sequence[str], figures: Sequence[Figure]) -> Table:
+def format_table(title: str, names: Sequence[str], figures: Sequence[Figure]) -> Table:
     """Return figures of axes as a table, failures in red."""
     table = Table(title=title)
     table.add_column("")

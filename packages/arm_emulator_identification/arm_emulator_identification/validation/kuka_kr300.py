@@ -14,14 +14,19 @@ from rich.progress import track
 
 from arm_emulator.extension.base import Array, find_config_folder
 from arm_emulator.extension.machine import Scene, load_scene
-from arm_emulator_identification.filtered import Filtered, filtered, smooth_motion
-from arm_emulator_identification.free_run import Starts, drift, free_runs, starts
+from arm_emulator_identification.filtered import Filtered, filter_run, smooth_motion
+from arm_emulator_identification.free_run import (
+    Starts,
+    compute_drift,
+    find_starts,
+    simulate_free_runs,
+)
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.read_run import read_run
 from arm_emulator_identification.torque_fit import explained
 from arm_emulator_identification.torque_model import TorqueModel
-from arm_emulator_identification.validation.figure import Figure, table_of
-from arm_emulator_identification.wind_up import WindUp, wind_up
+from arm_emulator_identification.validation.figure import Figure, format_table
+from arm_emulator_identification.wind_up import WindUp, compute_wind_up
 
 DATA = find_config_folder() / "validation" / "kuka_kr300"
 SHIPPED = (DATA / "run_A.npz", DATA / "run_B.npz")
@@ -83,13 +88,13 @@ def known() -> Known:
     scene = load_scene("kuka_kr300")
     run = load(SHIPPED[0], scene)
     data = _filtered(run, scene)
-    of_gears = wind_up(run, scene)
+    of_gears = compute_wind_up(run, scene)
     return Known(PerAxis.fitted(data), of_gears.order, of_gears.ripple)
 
 
 def load(path: Path, scene: Scene) -> MeasuredRun:
     """Read a run as published: degrees, at the link; late signals taken from later."""
-    return read_run(path, scene, angles="deg").shifted(DELAYS)
+    return read_run(path, scene, angles="deg").shift_back(DELAYS)
 
 
 def compare(path: Path, scene: Scene | None = None) -> Comparison:
@@ -101,7 +106,7 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
     scene = scene or load_scene("kuka_kr300")
     run = load(path, scene)
     data, torques = torques_of(scene, run)
-    of_gears = wind_up(run, scene)
+    of_gears = compute_wind_up(run, scene)
     paths, begins, drifting = _free_runs(scene, run)
     figures = (
         *torque_figures(scene, run, data, torques),
@@ -112,7 +117,7 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
 
 
 def _filtered(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
-    return filtered(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1, causal=causal)
+    return filter_run(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1, causal=causal)
 
 
 def _torques(scene: Scene, data: Filtered) -> Array:
@@ -153,9 +158,9 @@ def torque_figures(
 def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figure]]:
     paths, begins, figures = np.zeros(0), np.zeros(0), list[Figure]()
     for seconds in LONG:
-        begin = starts(run, scene, seconds, EVERY, IN_MOTION)
+        begin = find_starts(run, scene, seconds, EVERY, IN_MOTION)
         looks = range(1, round(seconds / run.period) + 1)
-        angles = free_runs(scene, run, begin, looks)
+        angles = simulate_free_runs(scene, run, begin, looks)
         if not paths.size:
             paths, begins = angles, begin.at
         title = f"free run of {seconds:g} s, % off"
@@ -168,10 +173,10 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
         }
         best = np.full(len(scene.joints), np.inf)
         for name, ends in nulls.items():
-            null = 100.0 * drift(run, begin, len(looks), ends).share
+            null = 100.0 * compute_drift(run, begin, len(looks), ends).share
             best = min(best, null, key=np.mean)
             figures.append(Figure(f"{title}: {name}", null, ".1f", yardstick=True))
-        off = 100.0 * drift(run, begin, len(looks), angles[-1]).share
+        off = 100.0 * compute_drift(run, begin, len(looks), angles[-1]).share
         mean, each = MOST_DRIFT[seconds]
         figures.append(Figure(title, off, ".1f", most=each, most_mean=mean))
         share = float(off.mean() / best.mean())
@@ -306,7 +311,7 @@ def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[
     compared = []
     for one in found:
         title = f"KUKA KR300, identified on run A, beside {one.run.where}"
-        console.print(table_of(title, scene.joint_names, one.figures))
+        console.print(format_table(title, scene.joint_names, one.figures))
         picture = folder / f"kuka_kr300_{Path(one.run.where).stem}.png"
         draw(one, scene.joint_names, picture)
         for failure in one.failures:

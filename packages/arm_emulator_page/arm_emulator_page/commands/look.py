@@ -41,13 +41,13 @@ def look(
         port: TCP port (default: any that is free); on this machine alone without HOST.
     """
     machine = RecordedMachine.of(bag, scene, run)
-    over = None if other is None else _subject(RecordedMachine.of(other, other_scene, other_run))
+    over = None if other is None else _view_run(RecordedMachine.of(other, other_scene, other_run))
 
     def explained() -> tuple[TermsNow, list[str]]:
         now = explain_moment(machine)
         return now.terms, now.active
 
-    page = RunPage(_subject(machine), explained, port, over)
+    page = RunPage(_view_run(machine), explained, port, over)
     output.line(page.url)
     output.facts({"url": page.url, "scene": machine.scene.name, "ticks": machine.last})
     try:
@@ -57,7 +57,7 @@ def look(
     return 0
 
 
-def _subject(machine: RecordedMachine) -> RunView:
+def _view_run(machine: RecordedMachine) -> RunView:
     events = tuple(
         (tick, ", ".join(str(EVENT_KINDS.get(one.kind, one.kind)) for one in made))
         for tick, made in sorted(machine.changes.items())
