@@ -32,7 +32,7 @@ class TestTargets(unittest.TestCase):
     """Every call waits until the nodes can serve it."""
 
     def test_the_tool_reaches_its_target(self) -> None:
-        with testing.join() as net:
+        with testing.joined() as net:
             target = net.send_tool_target((0.43, 0.05, 0.64), at=0.2)
             net.go_on()
             net.wait_for(target)
