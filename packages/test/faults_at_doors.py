@@ -1,7 +1,7 @@
 """Faults that are done to every door, with the results and the words of refusals.
 
 What doors do stands in faults_at_doors.json beside this file, from which the page of doors has its
-table. `FAULTS_AT_DOORS=write pytest packages/test/test_faults_at_doors.py` writes it anew.
+table. `FAULTS_AT_DOORS=write pytest packages/test/test_faults_at_*.py` writes it again.
 """
 
 from __future__ import annotations

@@ -20,7 +20,6 @@ from arm_emulator.extension.base import (
     Section,
     find_beside,
     find_scene,
-    list_numbers,
     read_bytes,
     read_yaml,
 )
@@ -29,12 +28,12 @@ from arm_emulator.extension.runs import (
     MotionConfig,
     ServoConfig,
     check_fit,
-    check_rates,
     load_motion_config,
     load_servo_config,
 )
 from arm_emulator_campaign.definition.fault import Fault, list_faults
 from arm_emulator_campaign.definition.scenario import Scenario, read_scenario
+from arm_emulator_campaign.definition.servo_gains import change_gain, change_gains
 from arm_emulator_campaign.definition.varying_numbers import DRAWN, read_correlations, read_varying
 from arm_emulator_campaign.sampling.intervals import bound_share
 from arm_emulator_campaign.sampling.variation import SAMPLINGS, Variation, make_correlation
@@ -435,32 +434,3 @@ def _put_number(data: Any, path: Sequence[str], value: float) -> None:
         data[key] = value
     else:
         _put_number(data[key], path[size:], value)
-
-
-def change_gain(servo: ServoConfig, name: str, value: object, where: str) -> ServoConfig:
-    """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
-    *path, key = name.split(".")
-    joint = ".".join(path[2:])
-    of_joint = next((one for one in servo.joints if one.name == joint), None)
-    numbers = {} if of_joint is None else list_numbers(type(of_joint))
-    if path[:2] != ["controller", "joints"] or of_joint is None:
-        valid = ", ".join(f"controller.joints.{name}" for name in servo.joint_names)
-        raise Refusal(where, name, "be a number of the servo", name, valid)
-    if key not in numbers:
-        raise Refusal(where, name, "be a number of the servo", key, ", ".join(numbers))
-    changed = replace(of_joint, **{key: numbers[key].take(where, value, name)})
-    check_rates(changed, servo.period, f"{where}: controller")
-    return replace(
-        servo, joints=tuple(changed if joint is of_joint else joint for joint in servo.joints)
-    )
-
-
-def change_gains(servo: ServoConfig, controller: Section, where: str) -> ServoConfig:
-    """Return a servo with all numbers that a section of the controller states."""
-    joints = controller.section("joints")
-    for joint in () if joints is None else joints.keys():
-        section = joints.required_section(joint)  # type: ignore[union-attr]
-        for key in section.keys():
-            name = f"controller.joints.{joint}.{key}"
-            servo = change_gain(servo, name, section.value(key), where)
-    return servo
