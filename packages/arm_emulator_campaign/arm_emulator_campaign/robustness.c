@@ -92,6 +92,11 @@ static const double* waiting(const stream* one) {
 
 static double* end_of(stream* one) { return one->values + one->begin + one->count; }
 
+/* Samples that wait in both streams, or in one without a second. */
+static int64_t paired(const stream* left, const stream* right) {
+  return right && right->count < left->count ? right->count : left->count;
+}
+
 static void grow(stream* one, int64_t by) {
   one->count += by;
   one->made += by;
@@ -187,8 +192,7 @@ static int feed_atom(node* one, const double* row, int64_t first, int64_t count)
 }
 
 static int feed_pointwise(node* one, stream* left, stream* right) {
-  int64_t count = left->count;
-  if (right && right->count < count) count = right->count;
+  const int64_t count = paired(left, right);
   if (count == 0) return 0;
   if (make_room(&one->out, count)) return -1;
   const double* a = waiting(left);
@@ -274,8 +278,7 @@ static segment joined_with_all(int32_t kind, segment all, const double* a, const
 }
 
 static int feed_window(node* one, stream* left, stream* right) {
-  int64_t count = left->count;
-  if (right && right->count < count) count = right->count;
+  const int64_t count = paired(left, right);
   if (count == 0 || (!has_end(one) && !is_once(one))) return 0;
   if (make_room(&one->out, count)) return -1;
   const double* a = waiting(left);
@@ -295,40 +298,24 @@ static int feed_window(node* one, stream* left, stream* right) {
   return 0;
 }
 
-/* Values of a window without end at each time from `first` on: from the end of the trace back. */
-static int end_forever(node* one, stream* left, stream* right, int64_t wanted) {
-  if (make_room(&one->out, wanted)) return -1;
-  double* out = end_of(&one->out);
-  if (is_once(one)) {
-    if (wanted > 0) out[0] = value_of(one->what.kind, one->newest);
-    grow(&one->out, wanted);
-    return 0;
-  }
-  segment later = nothing(one->what.kind);
-  int64_t count = left->count;
-  if (right && right->count < count) count = right->count;
-  for (int64_t i = (count > wanted ? count : wanted) - 1; i >= 0; --i) {
-    if (i < count) {
-      const double a = left->values[left->begin + i];
-      const segment sample = {a, right ? right->values[right->begin + i] : a};
-      later = joined(one->what.kind, sample, later);
-    }
-    if (i < wanted) out[i] = value_of(one->what.kind, later);
-  }
-  grow(&one->out, wanted);
-  return 0;
+/* A sample that a window has kept: in its block, or, without end, in its children. */
+static segment kept_sample(const node* one, const stream* left, const stream* right, int64_t i) {
+  if (has_end(one)) return one->block[i];
+  const double a = left->values[left->begin + i];
+  const segment sample = {a, right ? right->values[right->begin + i] : a};
+  return sample;
 }
 
-/* The same of a window that was never full: its block has all samples, none of which went out. */
-static int end_short(node* one, int64_t wanted) {
+/* Values at each time from `first` on of a window that keeps all samples: from the end back. */
+static void fold_back(node* one, const stream* left, const stream* right, int64_t wanted) {
+  const int64_t count = has_end(one) ? one->taken : paired(left, right);
   segment later = nothing(one->what.kind);
   double* out = end_of(&one->out);
-  for (int64_t i = (one->taken > wanted ? one->taken : wanted) - 1; i >= 0; --i) {
-    if (i < one->taken) later = joined(one->what.kind, one->block[i], later);
+  for (int64_t i = (count > wanted ? count : wanted) - 1; i >= 0; --i) {
+    if (i < count) later = joined(one->what.kind, kept_sample(one, left, right, i), later);
     if (i < wanted) out[i] = value_of(one->what.kind, later);
   }
   grow(&one->out, wanted);
-  return 0;
 }
 
 /* Complete the values of a window at the times that the trace has. */
@@ -337,10 +324,15 @@ static int end_window(robustness* all, node* one, stream* left, stream* right) {
   if (one->last != ROBUSTNESS_FOREVER && one->last < last) last = one->last;
   const int64_t wanted = last - one->first + 1;
   if (wanted <= one->out.made) return 0;
-  if (!has_end(one)) return end_forever(one, left, right, wanted);
   if (make_room(&one->out, wanted - one->out.made)) return -1;
-  if (one->taken < one->width) return end_short(one, wanted);
-  while (one->out.made < wanted) move(one, nothing(one->what.kind));
+  if (!has_end(one) && is_once(one)) {
+    *end_of(&one->out) = value_of(one->what.kind, one->newest);
+    grow(&one->out, wanted);
+  } else if (!has_end(one) || one->taken < one->width) {
+    fold_back(one, left, right, wanted);
+  } else {
+    while (one->out.made < wanted) move(one, nothing(one->what.kind));
+  }
   return 0;
 }
 
