@@ -18,7 +18,8 @@ from arm_emulator_campaign.search.method import Finding, Method
 def choose_places(count: int, of: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Return `count` places of a list of `of` entries, each as often as others but for chance."""
     order: NDArray[np.int64] = rng.permutation(of)
-    return order[((np.arange(count) + rng.random()) * of / count).astype(int)]
+    places: NDArray[np.int64] = order[((np.arange(count) + rng.random()) * of / count).astype(int)]
+    return places
 
 
 @dataclass(frozen=True, kw_only=True)
