@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 
+from arm_emulator.extension.base import escape_to_line
 from arm_emulator_fieldbus.canopen_node import Node
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fieldbus.object_dictionary import REALS, TYPES, Entry, list_entries
@@ -22,7 +23,7 @@ def make_eds(node: Node, file_name: str, product: str) -> str:
         file_name: under which it will be kept.
         product: name of the device.
     """
-    file_name, product = one_line(file_name), one_line(product)
+    file_name, product = escape_to_line(file_name), escape_to_line(product)
     entries = [one for one in list_entries() if one.buses & CANOPEN]
     objects = [list(group) for _, group in groupby(entries, key=lambda one: one.index)]
     indices = [group[0].index for group in objects]

@@ -11,10 +11,11 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.base import Refusal, find_config_folder
 from arm_emulator.extension.compiler import (
     CORE_FOLDER,
     TICK_FOLDERS,
+    compile_bytes,
     compute_fingerprint,
 )
 from arm_emulator.extension.machine import Scene
@@ -60,7 +61,7 @@ def export(
         raise Refusal("fmu", "--out", "end in .fmu", out.name)
     listed = list_variables(scene) if version == "3" else list_scalars(scene)
     unit, token = make_unit(scene, listed, version)
-    library = compiled_bytes(unit, target)
+    library = compile_bytes(unit, target)
     name = make_identifier(scene.name)
     options = shlex.join([*unit.flags, f"-march={target}"])
     definition = f"ARM_FINGERPRINT={compute_fingerprint(unit)}"
@@ -77,7 +78,9 @@ def export(
     files = {
         **own,
         "documentation/index.html": write_page(scene, listed, command),
-        "documentation/licenses/license.txt": (config_folder().parent / "LICENSE").read_bytes(),
+        "documentation/licenses/license.txt": (
+            find_config_folder().parent / "LICENSE"
+        ).read_bytes(),
         "documentation/externalDependencies.txt": _NEEDED,
         **{f"sources/{file}": text.encode() for file, text in sources.items()},
         f"binaries/{PLATFORMS[version]}/{name}.so": library,

@@ -14,7 +14,12 @@ from arm_emulator.extension.base import VELOCITY
 from arm_emulator.extension.compiler import TICK_FOLDERS, Unit
 from arm_emulator.extension.machine import (
     Scene,
+    build_machine_unit,
+    compute_largest_position,
     cxx_number,
+    find_input,
+    list_further_inputs,
+    list_modes,
     list_readings,
 )
 from arm_emulator_fmu.variables import Variable
@@ -33,7 +38,7 @@ def make_unit(scene: Scene, variables: Sequence[Variable], version: str) -> tupl
         variables: of it, in the order of their value references.
         version: of FMI, one of `VERSIONS`.
     """
-    machine = machine_unit(scene)
+    machine = build_machine_unit(scene)
     table = _write_table(scene, variables)
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, f'{version} {machine.source} {table}')}}}"
     unit = replace(
@@ -51,9 +56,9 @@ def make_unit(scene: Scene, variables: Sequence[Variable], version: str) -> tupl
 def _write_table(scene: Scene, variables: Sequence[Variable]) -> str:
     """Return the constants of instance.hpp; the namespace is left open."""
     rows = ",\n".join(map(_format_row, variables))
-    modes = ", ".join(map(str, modes_of(scene)))
-    names = further_inputs(scene)
-    at = [input_at(joint, name) for name in names for joint in scene.joints]
+    modes = ", ".join(map(str, list_modes(scene)))
+    names = list_further_inputs(scene)
+    at = [find_input(joint, name) for name in names for joint in scene.joints]
     has = ", ".join("true" if one else "false" for one in at)
     parameters = _format_numbers([*(one.value for one in scene.varied), 0.0])
     return f"""\
@@ -71,7 +76,7 @@ inline constexpr double kIntegrationStep = {cxx_number(scene.integrator.dt)};  /
 inline constexpr long kStepsPerPeriod = {scene.steps_per_period};
 inline constexpr int kModes[] = {{{modes}}};  // enum arm_mode
 inline constexpr double kStartQ[] = {{{_format_numbers(scene.start)}}};
-inline constexpr double kLargestQ[] = {{{_format_numbers(largest_position(scene))}}};
+inline constexpr double kLargestQ[] = {{{_format_numbers(compute_largest_position(scene))}}};
 inline constexpr double kLargestV = {_format_numbers(VELOCITY.most)};
 inline constexpr double kParameterStart[] = {{{parameters}}};
 }}

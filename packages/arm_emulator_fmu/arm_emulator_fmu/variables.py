@@ -11,7 +11,12 @@ from arm_emulator.extension.machine import (
     Output,
     Scene,
     Varied,
+    find_input,
+    list_further_inputs,
+    list_input_units,
+    list_outputs,
     list_rows,
+    list_units,
 )
 from arm_emulator_fmu.names import Parts
 
@@ -133,9 +138,9 @@ def _list_inputs(scene: Scene) -> list[Variable]:
     commands = tuple(joint.unit for joint in scene.joints)
     what = "command to each motor, held over the step"
     found = [_make_input(scene, "command", "Float64", what, commands, zero, "command")]
-    for k, name in enumerate(further_inputs(scene)):
-        abouts = (one.about for joint in scene.joints if (one := input_at(joint, name)))
-        what, units = " or ".join(dict.fromkeys(abouts)), input_units(scene, name)
+    for k, name in enumerate(list_further_inputs(scene)):
+        abouts = (one.about for joint in scene.joints if (one := find_input(joint, name)))
+        what, units = " or ".join(dict.fromkeys(abouts)), list_input_units(scene, name)
         row = _make_input(scene, name, "Float64", what, units, zero, "further")
         found.append(replace(row, symbol="values.now.further[]", first=N * k))
     what = "whether each drive is enabled"
@@ -196,7 +201,7 @@ def _list_parameters(scene: Scene) -> list[Variable]:
 
 
 def _list_measurements(scene: Scene) -> list[Variable]:
-    outputs = outputs_of(scene)
+    outputs = list_outputs(scene)
     found = [_make_output(scene, output) for output in outputs if not output.per_unit]
     what = "whether the drives have power"
     found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
@@ -213,7 +218,7 @@ def _list_measurements(scene: Scene) -> list[Variable]:
 def _make_output(scene: Scene, output: Output) -> Variable:
     array, _, field = output.symbol.partition(".")
     symbol = f"shown.{array}[]" + (f".{field}" if field else "")
-    units = units_of(scene, output)
+    units = list_units(scene, output)
     one = _make_row(
         scene.joint_names,
         (output.name,),

@@ -23,6 +23,7 @@ from arm_emulator.extension.machine import (
     STATE_ROWS,
     Scene,
     coerce_scene,
+    list_outputs,
     list_variable_numbers,
 )
 from arm_emulator_fleet import Fleet
@@ -213,7 +214,7 @@ def _choose_steps(x: Array, width: Array, least: Array, most: Array) -> Array:
 
 
 def _check_signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
-    reported = [one.name for one in outputs_of(scene) if not one.per_unit]
+    reported = [one.name for one in list_outputs(scene) if not one.per_unit]
     if name not in (*STATE_ROWS, *reported):
         raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*STATE_ROWS, *reported)))
     rows = ANY_STATE.named(name).numbers(WHERE, values)

@@ -16,6 +16,7 @@ import numpy as np
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
+from arm_emulator.extension.machine import vary_child
 from arm_emulator.machine.parts.drive_stages.torque_ripple import TorqueRipple
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import RotorFriction
@@ -114,7 +115,7 @@ def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, fl
         numbers = inertia.map_logarithm(joint.body)
         moved = numbers + OFF * inertia.estimate_widths(joint.body, 1.0) * rng.standard_normal(10)
         body = inertia.make_body(inertia.map_exponential(moved))
-        of = of_child(joint, body).items()
+        of = vary_child(joint, body).items()
         values |= {f"links.{joint.link}.{name}": value for name, value in of}
     for name in inertias:
         values[name] *= np.exp(0.5 * OFF * rng.standard_normal())

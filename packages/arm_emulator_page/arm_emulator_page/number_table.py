@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from arm_emulator.extension.base import escape_markdown
+
 # Headings with units, for joints that turn; those of slides are in the line above the table.
 SLIDES = "slides: q in m, v in m/s, gear in N; command: as the motor takes it"
 DECIMALS = 4
@@ -17,7 +19,7 @@ def format_numbers(names: Sequence[str], columns: dict[str, Any]) -> str:
     lines = ["| | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
     for j, name in enumerate(names):
         cells = (_format_cell(np.asarray(value)[j]) for value in columns.values())
-        lines.append(f"| {markdown_text(name)} | " + " | ".join(cells) + " |")
+        lines.append(f"| {escape_markdown(name)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

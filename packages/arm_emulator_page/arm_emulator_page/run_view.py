@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.machine import RecordRow
+from arm_emulator.extension.machine import RecordRow, list_columns
 from arm_emulator.extension.page import Timeline
 from arm_emulator_page.signal_plot import group_columns
 
@@ -71,7 +71,7 @@ class SignalHistory:
             ticks.append(line.tick)
         self.ticks = np.array(ticks)
         self._rows = np.concatenate(rows)
-        self.groups = group_columns(columns_of(line.run.session.scene))
+        self.groups = group_columns(list_columns(line.run.session.scene))
 
     def values(self, group: str) -> NDArray[np.float64]:
         """Return a quantity at all samples (K, columns)."""

@@ -36,7 +36,7 @@ from arm_emulator_campaign.program import judges_unit
 from arm_emulator_campaign.signals import sampler_unit
 from arm_emulator_fieldbus.drives_unit import drives_unit
 from arm_emulator_fieldbus.ethercat import ethercat_unit
-from arm_emulator_fleet.unit import build_fleet_unit, fleet_unit
+from arm_emulator_fleet.unit import build_fleet_unit
 from arm_emulator_fmu.unit import make_unit
 from arm_emulator_fmu.variables import list_scalars, list_variables
 from emulator_node.c import answered_ticks_unit, real_time_ticks_unit
@@ -83,12 +83,12 @@ def units(folder: Path) -> Iterator[Unit]:
     """Yield all that is compiled for shipped scenes and for random mixtures of parts."""
     for name in ("three_axis", "ur5", "panda"):
         scene = load_scene(name)
-        yield machine_unit(scene)
-        yield equations_unit(scene)
-        yield fleet_unit(scene)
+        yield build_machine_unit(scene)
+        yield build_equations_unit(scene)
+        yield build_fleet_unit(scene)
         yield make_unit(scene, list_variables(scene), "3")[0]
         yield make_unit(scene, list_scalars(scene), "2")[0]
-    yield machine_unit(load_scene("manutec_r3"))
+    yield build_machine_unit(load_scene("manutec_r3"))
     schemes = itertools.cycle(("rosenbrock", "implicit", "extrapolated", "paper"))
     for seed, scheme in zip(some(range(24), 4), schemes, strict=False):
         (folder / str(seed)).mkdir()

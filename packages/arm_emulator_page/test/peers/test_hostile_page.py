@@ -8,6 +8,7 @@ import pytest
 from browser import PATIENCE, browser
 from hostile_names import hostile_names
 
+from arm_emulator.base.escape import escape_markdown
 from arm_emulator_page.number_table import format_numbers
 from arm_emulator_page.page_server import PageServer
 
@@ -26,8 +27,8 @@ def test_nothing_of_a_name_runs_in_the_browser(browser: Any) -> None:
         for k in range(0, len(NAMES), PIECE):
             names = NAMES[k : k + PIECE]
             for number, name in enumerate(names, k):
-                gui.add_markdown(f"{markdown_text(name)}")
-                gui.add_markdown(f"Of {markdown_text(name)} shown {number}.")
+                gui.add_markdown(f"{escape_markdown(name)}")
+                gui.add_markdown(f"Of {escape_markdown(name)} shown {number}.")
             gui.add_markdown(format_numbers(names, {"q": [0.0] * len(names)}))
         page = browser.new_context(viewport={"width": 640, "height": 480}).new_page()
         page.set_default_timeout(PATIENCE)
