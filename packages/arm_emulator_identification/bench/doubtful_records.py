@@ -16,7 +16,6 @@ import numpy as np
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.extension.machine import vary_child
 from arm_emulator.machine.parts.drive_stages.torque_ripple import TorqueRipple
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import RotorFriction
