@@ -35,12 +35,14 @@ class Outcome:
     @classmethod
     def of(cls, campaign: Campaign, case: Case, judged: Outcomes) -> Outcome:
         """Return the outcome of a run that was judged alone."""
+        diverged = float(judged.diverged[0])
         return cls(
             case.index,
             case.values,
             dict(zip(campaign.requirements, judged.robustness[0].tolist(), strict=True)),
             dict(zip(campaign.measures, judged.measures[0].tolist(), strict=True)),
-            float(judged.diverged[0]),
+            # Python finds equal outcomes equal only if their NaN is the same object.
+            diverged if math.isfinite(diverged) else math.nan,
         )
 
     @property
