@@ -22,6 +22,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.messages.message_types import read_definition
 from arm_emulator.ros.messages.middleware import get_middleware
+from arm_emulator.ros.node.barrier import guard, refuse_request
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
@@ -94,7 +95,8 @@ class Wires:
             def create_service(self, kind: type, name: str, callback: Any, **named: Any) -> Any:
                 if not name.startswith("~/"):  # rclpy's own
                     return super().create_service(kind, name, callback, **named)
-                wires.services[f"{self.get_name()}/{name[2:]}"] = callback
+                answer = guard(self, name[2:], callback, refuse_request)
+                wires.services[f"{self.get_name()}/{name[2:]}"] = answer
                 return None
 
             def create_timer(self, period: float, callback: Any, **named: Any) -> Any:
