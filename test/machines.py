@@ -48,6 +48,15 @@ PMSM = {
     "rotor_inertia": ROTOR,
 }
 
+# Sensors with noise, a brake and varied numbers, as overrides of three_axis.
+SENSED: dict[str, Any] = {
+    "varied": ["joints.*.friction.viscous", "seed"],
+    "seed": 3,
+    "joints.*.current_sensor": {"noise": 0.01},
+    "joints.shoulder.tachometer": {"noise": 0.001},
+    "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
+    "imus.hand": {"link": "forearm", "gyroscope": {"noise": 1e-3}},
+}
 GRAVITY = [1.0, -2.0, -9.0]  # m/s2, aslant
 LINK_INERTIA = 0.05 + 2.0 * 0.3**2  # kg m2, of one_link_urdf() about its joint
 

@@ -11,9 +11,8 @@ import pinocchio as pin
 import pytest
 import yaml
 from draws import FULL, some
-from machines import GRAVITY, MOTOR, moving_joints, random_chain_urdf, write_scene
+from machines import GRAVITY, MOTOR, SENSED, moving_joints, random_chain_urdf, write_scene
 from scipy.integrate import solve_ivp
-from test_fleet_calls import SENSED
 from test_fleet_step import LOCATED
 
 from arm_emulator import (

@@ -38,7 +38,7 @@ from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator import load_scene
-kinds = [*PARTS, *ANALOG, *KNOWN.values(), *fault.known_faults().values()]
+kinds = [*PARTS, *ANALOG, *KNOWN.values(), *fault.list_faults().values()]
 for joint in load_scene("ur5").joints:
     kinds += map(type, (*joint.parts, *joint.sensors.parts.values()))
 strangers = {kind.__name__ for kind in kinds if not kind.__module__.startswith("arm_emulator")}

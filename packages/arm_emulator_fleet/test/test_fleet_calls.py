@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import FULL, some
+from machines import SENSED
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.plant.outputs import KNOWN
@@ -16,14 +17,6 @@ from oracles.random_machines import machine
 
 COUNT = 11  # more than one group, and none that is full
 NUMBER = "joints.elbow.friction.viscous"
-SENSED: dict[str, Any] = {
-    "varied": ["joints.*.friction.viscous", "seed"],
-    "seed": 3,
-    "joints.*.current_sensor": {"noise": 0.01},
-    "joints.shoulder.tachometer": {"noise": 0.001},
-    "joints.waist.brake": {"torque": 50.0, "close_delay": 0.004, "release_delay": 0.006},
-    "imus.hand": {"link": "forearm", "gyroscope": {"noise": 1e-3}},
-}
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from test_fleet_calls import COUNT, NUMBER, SENSED
+from machines import SENSED
+from test_fleet_calls import COUNT, NUMBER
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.machine.plant.outputs import KNOWN

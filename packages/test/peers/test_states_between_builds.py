@@ -21,7 +21,7 @@ import numpy as np
 import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Plant, load_scene
 from arm_emulator.toolchain.unit import compile_units
-from test_fleet_calls import SENSED
+from machines import SENSED
 
 way, target, level, file = *sys.argv[1:4], pathlib.Path(sys.argv[4])
 of_machines.FLAGS = tuple(level if flag == "-O3" else flag for flag in of_machines.FLAGS)
