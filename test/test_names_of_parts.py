@@ -55,6 +55,7 @@ ABOUT = "a bench about these very parts"
 ALLOWED = {
     "oracles/reference.py": INDEPENDENT,
     "oracles/smoothed_reference.py": INDEPENDENT,
+    "oracles/part_samples.py": "numbers with which each part is tame",
     "oracles/alone.py": "draws what the smoothed reference solves",
     "bench/bare.py": "the parts that peers have, too",
     "bench/mujoco_peer.py": INDEPENDENT,

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
@@ -93,7 +94,14 @@ class JacobianController:
         self.begin(now.q)
 
     def retune(self, config: MotionConfig) -> None:
-        """Continue with other parameters."""
+        """Continue with other parameters.
+
+        Raises:
+            Refusal: config is not a MotionConfig.
+        """
+        coerce_kind(
+            config, MotionConfig, "JacobianController.retune", "config", "be a MotionConfig"
+        )
         self.weight = config.weight
         self.step_limit = config.step_limit
         self.singular_below = config.singular_below

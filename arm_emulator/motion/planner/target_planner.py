@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.motion.ik.configuration_search import ConfigurationSearch
 from arm_emulator.motion.ik.inverse_kinematics import InverseKinematics
 from arm_emulator.motion.model.arm_tree import ArmTree
@@ -93,7 +94,12 @@ class TargetPlanner:
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
 
     def retune(self, config: MotionConfig) -> None:
-        """Continue with other limits, from the next way on."""
+        """Continue with other limits, from the next path on.
+
+        Raises:
+            Refusal: config is not a MotionConfig.
+        """
+        coerce_kind(config, MotionConfig, "TargetPlanner.retune", "config", "be a MotionConfig")
         self._set_limits(config)
 
     def begin(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
@@ -153,6 +159,7 @@ class TargetPlanner:
             ArithmeticError: the robot description holds numbers that cannot be computed with.
         """
         q = self.kinematics.vector(q)
+        coerce_kind(target, Pose, "TargetPlanner.update", "target", "be a Pose")
         notices = self._find_reference(q)
         now = self.coming
         if target is not self._target and not _is_same(target, self._target):
