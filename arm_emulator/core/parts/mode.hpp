@@ -5,7 +5,7 @@
 // torque, the position of a contact. Such a part has
 //
 //   mode_at(...)         the mode that a state calls for,
-//   wanted(...)          the one that the end of a step calls for: the same where it holds,
+//   required(...)        the one that the end of a step calls for: the same where it holds,
 //   margin(...)          how far a state is from where the mode ceases to hold, negative beyond,
 //   settle(...)          and puts a state where its mode holds it, against rounding.
 //   is_regular(...)        Optional and faster: whether a state, as the start
