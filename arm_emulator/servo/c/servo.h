@@ -40,8 +40,8 @@
  *
  * Numbers are `double`, or `float` with SERVO_FLOAT defined. With SERVO_LANES defined the law of a
  * joint works on vectors, a lane for each of several arms, to the same bits: what differs from arm
- * to arm is decided by masks (arm_emulator_fleet/core/servo_fleet.cpp). Compile without contraction of
- * products and sums (-ffp-contract=off), and every compiler and processor gives the same bits.
+ * to arm is decided by masks (arm_emulator_fleet/core/servo_fleet.cpp). Compile without contraction
+ * of products and sums (-ffp-contract=off), and every compiler and processor gives the same bits.
  */
 #ifndef SERVO_H
 #define SERVO_H
