@@ -22,7 +22,10 @@ def packages(folder: Path) -> set[str]:
     return {path.parent.name for path in folder.glob("*/__init__.py")} - NO_ROOMS
 
 
-BESIDE = {path.name: path for path in (ROOT / "packages").glob("*/arm_emulator_*") if path.is_dir()}
+BESIDE = {
+    path.parent.name: path.parent
+    for path in (ROOT / "packages").glob("*/arm_emulator_*/__init__.py")
+}
 
 
 def test_every_package_and_module_has_a_floor() -> None:
@@ -42,6 +45,17 @@ def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -
     assert set(public["source_modules"]) == set(BESIDE)
     rooms = {f"arm_emulator.{name}" for name in packages(ROOT / "arm_emulator")}
     assert rooms - {"arm_emulator.extension"} <= set(public["forbidden_modules"])
+
+
+def test_no_list_of_packages_leaves_one_out() -> None:
+    """Tests that pytest does not find, code that mypy does not, circles that nobody looks for."""
+    linter, mypy, pytest = PROJECT["importlinter"], PROJECT["mypy"], PROJECT["pytest"]
+    (circles,) = (one for one in linter["contracts"] if one["type"] == "acyclic_siblings")
+    assert set(circles["ancestors"]) == set(linter["root_packages"])
+    folders = {path.parent.relative_to(ROOT).as_posix() for path in BESIDE.values()}
+    assert folders == set(mypy["mypy_path"])
+    tests = {f"{folder}/test" for folder in folders}
+    assert folders | tests <= set(pytest["ini_options"]["pythonpath"])
 
 
 def test_every_room_has_a_row_in_the_table() -> None:
