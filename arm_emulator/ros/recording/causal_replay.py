@@ -162,10 +162,10 @@ class CausalReplay:
             answers.asked += 1
             if len(answers.missing) < MISSING_LIMIT:
                 grant = granted.take(stamp)
-                answer = self._ask_node(one, grant)
                 # The recorder may end before the last message for which the node waits.
-                waits = stamp in self._prompts
-                if answer is None and grant is None and granted.over and waits:
+                ends = grant is None and granted.over
+                answer = self._ask_node(one, grant, ends)
+                if answer is None and ends and stamp in self._prompts:
                     end = stamp
                     answers.asked -= 1
                 else:
@@ -313,8 +313,15 @@ class CausalReplay:
         while self._orders and self._orders[0].first and self._orders[0].run == self._run:
             self._give_order(self._orders.popleft())
 
-    def _ask_node(self, one: _Message, granted: bytes | None) -> Any:
-        """Publish a message; return the answer to it, or None after some time."""
+    def _ask_node(self, one: _Message, granted: bytes | None, ends: bool) -> Any:
+        """Publish a message; return the answer to it, or None after some time.
+
+        Args:
+            one: the message.
+            granted: what the node waits for before it answers, or None.
+            ends: the bag has nothing more that the node could wait for, so None is returned as soon
+                as it waits.
+        """
         topics, key, stamp = self._topics, one.key, one.stamp
         asked, given, again = self._publishers[topics.asked], False, False
         self._received.clear()
@@ -336,6 +343,8 @@ class CausalReplay:
             if self._node.spin_until(answered, RESEND):
                 self._prompts.clear()
                 return self._received.pop(0)
+            if ends and stamp in self._prompts:
+                break
             given, again = False, True
         return None
 
