@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 from draws import FULL, some
+from faulty_machine import everything
 from machines import SENSED
 from own_firmware import code
-from test_faults import everything
 
 import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Diverged, ExternalWrench, Plant, Scene, load_scene

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from draws import FULL
+from faulty_machine import NAMES, chain_urdf, everything
 from machines import MOTOR, write_scene
-from test_faults import NAMES, chain_urdf, everything
 
 from arm_emulator import ExternalWrench, Plant, Scene, load_scene
 from arm_emulator.analysis.torque_terms import TermsNow, TorqueTerms
