@@ -22,7 +22,7 @@ def located(scheme: str, dt: float, period: float) -> dict[str, Any]:
     return {"servo_period": period, "integrator": integrator}
 
 
-@pytest.mark.parametrize("scheme", some(SECOND_ORDER, 1))
+@pytest.mark.parametrize("scheme", SECOND_ORDER)
 def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str) -> None:
     """A constant torque against dry friction, then the opposite one, behind a rigid gear.
 
