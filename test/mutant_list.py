@@ -185,7 +185,7 @@ MUTANTS = (
         f"{CORE_PARTS}/motors/dc_motor.hpp",
         "if (L == 0.0) i[0] = (V - Kb * wm) / R_circuit();",
         "if (L == 0.0) i[0] = (V + Kb * wm) / R_circuit();",
-        "test_located.py",
+        "test_limits.py",
     ),
     Mutant(
         f"{CORE_PARTS}/motors/dc_motor.hpp",
