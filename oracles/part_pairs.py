@@ -35,6 +35,7 @@ from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import (
     DECORATORS,
     EXTRAS,
+    GEAR_STAGES,
     GEARS,
     LINK_FRICTIONS,
     MOTORS,
@@ -109,7 +110,9 @@ def drawn_joint(rng: Rng) -> DrawnJoint:
     always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
     for kinds in always:
         joint.put(any_of(rng, kinds), rng)
-    sometimes: tuple[Kind, ...] = (Brake, *EXTRAS)
+    gear = joint.section["gear"]
+    within_gear = GEAR_STAGES if "stiffness" in gear and "backlash" not in gear else ()
+    sometimes: tuple[Kind, ...] = (Brake, *within_gear, *EXTRAS)
     for kind in sometimes:
         if rng.random() < 0.5:
             joint.put(kind, rng)

@@ -24,6 +24,7 @@ from arm_emulator.machine.parts.frictions.stribeck import Stribeck
 from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.gears.gear import Gear
+from arm_emulator.machine.parts.gears.hysteresis import Hysteresis
 from arm_emulator.machine.parts.gears.kinematic_error_gear import KinematicErrorGear
 from arm_emulator.machine.parts.gears.progressive_gear import ProgressiveGear
 from arm_emulator.machine.parts.joint_effects.cogging import Cogging
@@ -58,6 +59,7 @@ USUAL: dict[type[Part], dict[str, tuple[float, float]]] = {
         "length": (0.4, 0.6),
         "stiffness": (20.0, 200.0),
     },
+    Hysteresis: {"torque": (1.0, 20.0), "twist": (3e-4, 3e-3)},
     Drag: {"coefficient": (0.1, 10.0)},
 }
 

@@ -41,31 +41,33 @@ void put_motors(const Numbers<S>& n, const double* angle, const double* speed, S
   });
 }
 
-// Whether a drive whose nonlinear parts depend on the motor's states has an algebraic state, or may
-// have one if it is varied.
+// Whether a drive has states that are set at a step's start: those of a gear with memory, or an
+// algebraic state of the motor on which nonlinear parts depend, which it may get by varied numbers.
 template <class S>
 constexpr bool jumps_with(Real varied) {
   Real p[kOwnNumbers<S> + 1] = {};
   for (Real& value : p) value = varied;
   return std::apply(
-      [](const auto&... drive) { return (... || (drive.bends_motor && drive.follows_at_once())); },
+      [](const auto&... drive) {
+        return (... || (drive.has_gear_memory || (drive.bends_motor && drive.follows_at_once())));
+      },
       S::drives(p));
 }
 template <class S>
 inline constexpr bool kJumps = jumps_with<S>(1.0) || jumps_with<S>(0.0);
 
-// Set the algebraic states of those drives at a step's start: torque ripple and load friction are
-// evaluated there, and the command may have jumped since the last step. (The schemes' tables treat
-// linear parts implicitly.)
+// Set those states: torque ripple and load friction are evaluated there, and the command may have
+// jumped since the last step. (The schemes' tables treat linear parts implicitly.)
 template <class S, class X>
 ARM_INLINE void begin_at_once(const Numbers<S, X>& n, State<S, X>& x, const X* u) {
   for (int lane = 0; lane < kWidth<X>; ++lane)
     n.for_each_drive_of(lane,
                         [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
-                          if constexpr (Drive::bends_motor)
-                            if (drive.follows_at_once()) {
+                          if constexpr (Drive::bends_motor || Drive::has_gear_memory)
+                            if (Drive::has_gear_memory || drive.follows_at_once()) {
                               auto at = input_in_lane(drive, j, x, u[j], lane);
-                              drive.follow(at);
+                              if (Drive::bends_motor && drive.follows_at_once()) drive.follow(at);
+                              drive.follow_twist(at);
                               put_states(drive, j, lane, at, x);
                             }
                         });

@@ -41,7 +41,8 @@ struct Drive {
   static constexpr bool driven = Motor::present;
   static constexpr bool elastic = driven && !Gear::rigid;
   static constexpr bool carries_rotor = driven && Gear::rigid;
-  // Indices of the states: those of the motor, then tm and wm, then those of the extras.
+  // Indices of the states: those of the motor, then tm and wm, further ones of the gear, then those
+  // of the extras.
   static constexpr int tm = Motor::states, wm = Motor::states + 1;
   static constexpr int own = Motor::states + (elastic ? Gear::states : 0);
   static constexpr int states = own + (0 + ... + Extras::states);
@@ -70,7 +71,7 @@ struct Drive {
       if constexpr (Rotor::modes > 0)
         if (is_active(active, of_rotor)) D.f[wm] = 0.0;
     }
-    for (int k = own; k < states; ++k) D.f[k] = 1.0;
+    for (int k = elastic ? wm + 1 : own; k < states; ++k) D.f[k] = 1.0;
     return D;
   }
 
@@ -341,6 +342,12 @@ struct Drive {
     if constexpr (driven) motor.follow(x.z, x.u, felt_speed(x));
   }
 
+  // Whether the gear has states of its own, which follow the twist at the start of each step.
+  static constexpr bool has_gear_memory = elastic && requires { Gear::remembers; };
+  constexpr void follow_twist(Input<Real>& x) const {
+    if constexpr (has_gear_memory) gear.follow(x.z[tm], x.q, x.z + wm + 1);
+  }
+
   // x with the numbers of these modes.
   constexpr Input<Real> with(Input<Real> x, const Modes& now) const {
     for (int m = 0; m < modes; ++m) x.offset[m] = now.at[m].offset;
@@ -359,8 +366,12 @@ struct Drive {
   }
   template <class X>
   ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned active) const {
-    return gear.torque(x.z[tm], x.z[wm], x.q, x.v, x.offset[Gear::modes > 0 ? of_gear : 0],
-                       is_active(active, of_gear) && Gear::modes > 0);
+    const X offset = x.offset[Gear::modes > 0 ? of_gear : 0];
+    const bool held = is_active(active, of_gear) && Gear::modes > 0;
+    if constexpr (has_gear_memory)
+      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, offset, held, x.z + wm + 1);
+    else
+      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, offset, held);
   }
   // Torque on the rotor from the torque T of an elastic gear on its link.
   template <class X>

@@ -9,12 +9,19 @@
 namespace arm {
 
 template <class Drive, int n, int M, class X>
+ARM_INLINE constexpr X stored_in_gear(const Drive& drive, const DriveInput<n, M, X>& x) {
+  if constexpr (Drive::has_gear_memory)
+    return drive.gear.stored(x.z[Drive::tm], x.q, x.z + Drive::wm + 1);
+  else
+    return drive.gear.stored(x.z[Drive::tm], x.q);
+}
+
+template <class Drive, int n, int M, class X>
 ARM_INLINE constexpr X stored_in(const Drive& drive, const DriveInput<n, M, X>& x) {
   X E = 0.5 * drive.carried() * x.v * x.v;
   if constexpr (Drive::driven) E += drive.motor.stored(x.z);
   if constexpr (Drive::elastic)
-    E += 0.5 * drive.motor.Mm * x.z[Drive::wm] * x.z[Drive::wm] +
-         drive.gear.stored(x.z[Drive::tm], x.q);
+    E += 0.5 * drive.motor.Mm * x.z[Drive::wm] * x.z[Drive::wm] + stored_in_gear(drive, x);
   drive.for_each_extra([&](const auto& extra, auto state, auto) __attribute__((always_inline)) {
     E += extra.stored(drive.angle_of(extra, x), x.z + state);
   });
@@ -39,9 +46,11 @@ constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x
   const Real T = drive.load_on_link(x, active);
   Real P = drive.friction.Dv * x.v * x.v + drive.sliding_under(x, T) * magnitude(x.v);
   if constexpr (Drive::driven) P += drive.motor.dissipated(x.z);
-  if constexpr (Drive::elastic)
-    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v,
-                               Drive::gear_modes > 0 && is_active(active, Drive::of_gear));
+  const bool held = Drive::gear_modes > 0 && is_active(active, Drive::of_gear);
+  if constexpr (Drive::has_gear_memory)
+    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, held, x.z + wm + 1);
+  else if constexpr (Drive::elastic)
+    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, held);
   if constexpr (Drive::elastic && Drive::rotor_modes > 0)
     P += drive.rotor.dissipated(x.z[wm], drive.on_rotor(x, T));
   if constexpr (Drive::carries_rotor && Drive::rotor_modes > 0)

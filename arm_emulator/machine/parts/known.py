@@ -10,6 +10,7 @@ from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.gears.gear import Gear
+from arm_emulator.machine.parts.gears.gear_stage import GearStage
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
@@ -31,6 +32,9 @@ def _select_by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], 
 # A gear is the first of these whose keys it has all.
 GEARS = _select_by_keys(list_kinds(Gear))
 
+# Parts within a gear.
+GEAR_STAGES = tuple(list_kinds(GearStage))
+
 # And so is friction.
 LINK_FRICTIONS = _select_by_keys(list_kinds(LinkFriction))
 ROTOR_FRICTIONS = _select_by_keys(list_kinds(OfRotor))
@@ -50,6 +54,7 @@ PARTS: tuple[type[Part], ...] = (
     *DECORATORS,
     *_OF_ONE_MOTOR,
     *GEARS,
+    *GEAR_STAGES,
     *LINK_FRICTIONS,
     *ROTOR_FRICTIONS,
     Brake,
@@ -84,6 +89,12 @@ def read_gear(section: Section) -> Gear:
                 rule = "come with a stiffness (a rigid gear has none)"
                 raise section.refusal(key, rule, "alone")
     return gear
+
+
+def read_gear_stages(joint: Section) -> tuple[GearStage, ...]:
+    """Return the parts within the gear of a joint."""
+    given = ((kind, joint.below(kind.section)) for kind in GEAR_STAGES)
+    return tuple(kind.read(section) for kind, section in given if section is not None)
 
 
 def find_gear(**numbers: float) -> Gear:

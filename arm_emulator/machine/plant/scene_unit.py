@@ -295,9 +295,12 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
             supply = Supply(supply_voltage, places.get("supply.share", ""))
             motor = one.wrap_motor(joint.motor, motor, part(one), supply)
         motor = joint.motor.wrap_motor(motor, joint.name, places)
+    gear = joint.gear.cxx_type, part(joint.gear)
+    for stage in joint.gear_stages:
+        gear = stage.wrap_gear(*gear, part(stage))
     kinds = [
         motor.type,
-        joint.gear.cxx_type,
+        gear[0],
         joint.friction.cxx_type,
         kind,
         *(extra.cxx_type for extra in joint.extras),
@@ -306,7 +309,7 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
     return f"""\
       arm::Drive<{", ".join(kinds)}>{{
           .motor = {motor.value},
-          .gear = {part(joint.gear)},
+          .gear = {gear[1]},
           .friction = {part(joint.friction)},
           .rotor = {values},
           .extras = {{{extras}}}}}"""

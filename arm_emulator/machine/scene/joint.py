@@ -15,6 +15,7 @@ from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import Friction
 from arm_emulator.machine.parts.gears.gear import Gear
+from arm_emulator.machine.parts.gears.gear_stage import GearStage
 from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.known import (
@@ -26,6 +27,7 @@ from arm_emulator.machine.parts.known import (
     read_extras,
     read_friction,
     read_gear,
+    read_gear_stages,
     read_motor,
 )
 from arm_emulator.machine.parts.measuring.encoder import Encoder
@@ -49,6 +51,7 @@ class Joint:
     )
     motor: Motor | None
     gear: Gear
+    gear_stages: tuple[GearStage, ...] = ()  # within its gear
     sensors: JointSensors
     friction: Friction
     rotor_friction: Friction | None = None
@@ -63,7 +66,15 @@ class Joint:
         rotor = () if self.rotor_friction is None else (self.rotor_friction,)
         brake = () if self.brake is None else (self.brake,)
         of_motor = (*motor, *self.decorators)
-        return (*of_motor, self.gear, self.friction, *rotor, *brake, *self.extras)
+        return (
+            *of_motor,
+            self.gear,
+            *self.gear_stages,
+            self.friction,
+            *rotor,
+            *brake,
+            *self.extras,
+        )
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return its part of a kind, None if it has none."""
@@ -187,6 +198,7 @@ def _read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] 
         **one.numbers(Joint),
         motor=driven,
         gear=find_gear(ratio=1.0) if gear is None else read_gear(gear),
+        gear_stages=read_gear_stages(one),
         sensors=JointSensors.read(one, kind),
         friction=link_friction_of()
         if friction is None
@@ -197,6 +209,8 @@ def _read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] 
         extras=read_extras(one, limits),
     )
     one.finish()
+    for stage in joint.gear_stages:
+        stage.check_gear(joint.gear, one)
     if joint.motor is not None:
         for decorator in joint.decorators:
             decorator.check_motor(joint.motor, one)

@@ -39,6 +39,19 @@ struct KinematicErrorGear {
     const X rate = (Ng + by_motor.slope) * wm - (1.0 - by_link.slope) * v;
     return (Kg * w + Dg * rate) * (1.0 - by_link.slope);
   }
+  // The twist w, its rate, and the torque on the link from a torque F along it.
+  template <class X>
+  ARM_INLINE constexpr X twist(X tm, X q) const {
+    return Ng * tm - q + error(motor, tm).at + error(link, q).at;
+  }
+  template <class X>
+  ARM_INLINE constexpr X twist_rate(X tm, X wm, X q, X v) const {
+    return (Ng + error(motor, tm).slope) * wm - (1.0 - error(link, q).slope) * v;
+  }
+  template <class X>
+  ARM_INLINE constexpr X on_link(X q, X F) const {
+    return F * (1.0 - error(link, q).slope);
+  }
   // Torque on the rotor from the torque T on the link.
   template <class X>
   ARM_INLINE constexpr X on_rotor(X tm, X q, X T) const {
@@ -46,12 +59,12 @@ struct KinematicErrorGear {
   }
   template <class X>
   ARM_INLINE constexpr X stored(X tm, X q) const {
-    const X w = Ng * tm - q + error(motor, tm).at + error(link, q).at;
+    const X w = twist(tm, q);
     return 0.5 * Kg * w * w;
   }
   template <class X>
   ARM_INLINE constexpr X dissipated(X tm, X wm, X q, X v, bool) const {
-    const X rate = (Ng + error(motor, tm).slope) * wm - (1.0 - error(link, q).slope) * v;
+    const X rate = twist_rate(tm, wm, q, v);
     return Dg * rate * rate;
   }
 

@@ -17,6 +17,7 @@ class BacklashGear(ElasticGear):
     header = "gears/backlash.hpp"
     cxx = "BacklashGear"
     named_by = ("stiffness", "backlash")
+    has_play = True
 
     # Free play of the link with the motor held.
     backlash: float = number(

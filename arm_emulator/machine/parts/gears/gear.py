@@ -21,6 +21,7 @@ class Gear(Part):
     shaft = "rotor"
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
     stiffens: ClassVar[bool] = False  # with its wind-up
+    has_play: ClassVar[bool] = False
 
     # Negative: the link turns the other way.
     ratio: float = number(

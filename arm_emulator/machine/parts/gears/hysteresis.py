@@ -1,0 +1,56 @@
+"""Hysteresis of elastic gears."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.gears.gear import Gear
+from arm_emulator.machine.parts.gears.gear_stage import GearStage
+from arm_emulator.machine.parts.part import number
+from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+# The count is a part of the C++ type, no number of it.
+_ELEMENTS = Number(
+    "elements", "elements", at_least=1, at_most=16, whole=True, default=4, text="n, their count"
+)
+
+
+@register_part
+class Hysteresis(GearStage):
+    """Springs beside that of an elastic gear, which bend with its twist and slip in turn."""
+
+    section = "gear.hysteresis"
+    header = "gears/hysteresis.hpp"
+    cxx = "Hysteresis"
+    keys = (_ELEMENTS,)
+
+    torque: float = number("F", "N m", above=0.0, text="F at the link, when all elements slip")
+    twist: float = number("twist", "rad", above=0.0, text="at the link, beyond which all slip")
+    elements: int = 4
+
+    @classmethod
+    def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
+        return super().read_numbers(section) | {"elements": section.integer(_ELEMENTS)}
+
+    def effort(self, motion: ShaftMotion) -> Array:
+        """None: rotor and link pass the torque on."""
+        return np.zeros_like(motion.t)
+
+    def check_gear(self, gear: Gear, joint: Section) -> None:  # noqa: D102
+        if gear.stiffness is None or gear.has_play:
+            rule = "belong to an elastic gear without play"
+            raise joint.refusal(self.section, rule, type(gear).__name__)
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        return f"arm::{self.cxx}<{self.elements}>"
+
+    def wrap_gear(self, kind: str, gear: str, own: str) -> tuple[str, str]:  # noqa: D102
+        wrapped = f"arm::HystereticGear<{kind}, {self.elements}>"
+        return wrapped, f"{wrapped}{{{gear}, {own}}}"
