@@ -219,6 +219,7 @@ class Machine {
           drive.put_further(k, at, rows[r * N + j], numbers_.supply());
       put_states(drive, j, 0, at, x_);
     });
+    if constexpr (locates) threads_.stepper().forget();
     power_ = EnergyBalance<S>::largest_power(numbers_, x_, applied_);
   }
   void applied_inputs(Real* rows) const {

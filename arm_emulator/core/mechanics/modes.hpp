@@ -103,15 +103,19 @@ class Modes {
         lower_to(N + j, drive.margin(input_of(drive, j, x, u[j]), of(drive, j)));
     });
     if (smallest < 0.0 || !Friction::present || !friction.lock()) return smallest;
-    const Dynamics& links = memo.at(*n_, x);
-    Real a[N];
     Friction coulomb(*n_);
-    torques(x, u, links, a);
-    coulomb.take(x, x, u, of_drives());
-    coulomb.hold_in(friction, [&] { return loaded(links); }, a);
+    hold(x, u, memo.at(*n_, x), coulomb);
     for (int j = 0; j < N; ++j)
       if (friction.locked[j]) lower_to(2 * N + j, coulomb.spare(j));
     return smallest;
+  }
+
+  // Find the torques of the locks at x.
+  void hold(const State<S>& x, const Real* u, const Dynamics& links, Friction& coulomb) const {
+    Real a[N];
+    torques(x, u, links, a);
+    coulomb.take(x, x, u, of_drives());
+    coulomb.hold_in(friction, [&] { return loaded(links); }, a);
   }
 
   // Set x to the values that its modes hold: stopped joints rest, a current is within its limit, a

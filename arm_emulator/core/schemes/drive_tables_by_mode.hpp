@@ -78,13 +78,11 @@ class ServedDrives {
         n_.for_each_drive_of(lane, [&]<class Drive>(const Drive& drive, int j) {
           if constexpr (!Drive::is_linear) put_rest(drive, j, lane, x, u, rest);
         });
-    } else if constexpr (modal) {
-      n_.for_each_drive_of(0, [&]<class Drive>(const Drive& drive, int j) {
-        if constexpr (!Drive::is_linear) put_rest(drive, j, 0, x, u, rest);
-      });
     } else {
       n_.for_each_drive_of(
           0, [&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+            if constexpr (modal && !Drive::is_linear)
+              if (!Drive::only_gear_bends || active_[j]) return put_rest(drive, j, 0, x, u, rest);
             if constexpr (!Drive::is_linear) {
               const auto is = drive.rest(input_of(drive, j, x, u[j]), 0);
               for (int k = 0; k < drive.states; ++k)
@@ -162,6 +160,7 @@ class ServedDrives {
   }
   void note(int j, const Modes& modes) {
     now_[j] = modes;
+    active_[j] = modes.active();
     put_offsets(j);
   }
 
@@ -251,6 +250,7 @@ class ServedDrives {
   }
 
   Modes now_[N];
+  unsigned active_[N] = {};  // of each drive
   alignas(64) X offsets_[modal ? M : 1][row] = {};
   using Linears = decltype(linear_of(S::drives(nullptr)));
   [[no_unique_address]] std::conditional_t<kDifferentiates, Linears, Nothing> linear_;

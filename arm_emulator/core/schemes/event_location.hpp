@@ -13,7 +13,7 @@
 #pragma once
 
 #include "mechanics/energy_flow.hpp"
-#include "mechanics/modes.hpp"
+#include "schemes/kept_modes.hpp"
 #include "schemes/scheme.hpp"
 #include "schemes/step_segments.hpp"
 
@@ -29,20 +29,25 @@ class EventLocation {
   static constexpr int N = S::N, row = Method::row;
 
   EventLocation(Real step, const Numbers<S>& numbers)
-      : h_(step), n_(numbers), full_(step, numbers), part_(step, numbers) {}
+      : h_(step), n_(numbers), full_(step, numbers), part_(step, numbers), kept_(numbers) {}
   void renew() {
-    memo_.forget();
+    forget();
     full_.renew();
     part_.renew();
   }
   void reset(const State<S>& x) {
-    memo_.forget();
+    forget();
     full_.reset(x);
   }
   Memory memory() const { return full_.memory(); }
   void restore(const Memory& memory) {
-    memo_.forget();
+    forget();
     full_.restore(memory);
+  }
+  // The state or what acts on it has changed since the last step.
+  void forget() {
+    memo_.forget();
+    kept_.forget();
   }
 
   // The links' part at x.
@@ -60,24 +65,24 @@ class EventLocation {
   void watch(EnergyMeter<S>* by) { meter_ = by; }
 
   template <class Exchange>
-  void step(State<S>& x, const Real (&u)[row], const Dynamics& given, Exchange& exchange) {
-    Dynamics links = given;
-    exchange.take(links);
+  void step(State<S>& x, const Real (&u)[row], const Dynamics&, Exchange&) {
     follow_at_once(n_, x, u);
-    const Modes<S> modes(n_, x, u, links);
+    if (!kept_.begin(x, u, memo_)) full_.serve(kept_.now());
+    const Modes<S>& modes = kept_.now();
     const Memory memory = full_.memory();
     State<S> y = x;
-    full_.step_in(modes, y, u, links, Past::used);
-    if (modes.margin(y, u, memo_) < 0.0) {
-      full_.restore(memory);
-      cut(x, y, u, modes, links);
-    } else {
-      modes.settle(y, u);
+    if (kept_.rest())
+      full_.step_at_rest(y, u, memo_.at(n_, x));
+    else
+      full_.step_using_up(memo_.used_up(), modes.friction, y, u, Past::used);
+    if (kept_.end(y, u, memo_)) {
       if (meter_) meter_->part(x, y, u, modes, h_);
       note(PieceEnd::step, x, modes, h_, true);
       x = y;
+    } else {
+      full_.restore(memory);
+      cut(x, y, u, modes, memo_.at(n_, x));
     }
-    exchange.give(x);
   }
   // A step that is known as a whole: from x to y, with all drives in their regular modes
   // and the links in these. The memory is that of y.
@@ -241,6 +246,7 @@ class EventLocation {
   Method full_;
   Part part_;  // of a step
   LinksMemo<S> memo_;
+  KeptModes<S> kept_;
   EnergyMeter<S>* meter_ = nullptr;
   struct Noted {
     StepSegments* in = nullptr;

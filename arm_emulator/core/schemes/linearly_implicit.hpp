@@ -101,11 +101,16 @@ class LinearlyImplicit {
   // Whether the last step's data exists and has this step's length.
   enum class Past { used, unknown };
 
+  // Serve the drives in these modes.
+  void serve(const Modes<S>& modes) {
+    if constexpr (Tables::modal)
+      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
+  }
   // A step in the given modes, whether they hold or not (event_location.hpp).
-  void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], const Dynamics& links,
+  void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], Dynamics links,
                Past from) {
     serve(modes);
-    step_in(modes.friction, x, u, links, from);
+    step_using_up(links, modes.friction, x, u, from);
   }
   // A step with the drives in the modes that the tables serve.
   void step_in(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x, const X (&u)[row],
@@ -125,6 +130,27 @@ class LinearlyImplicit {
     move_links(x, in);
     move_drives(x, in);
     prescribed_ = {};
+  }
+
+  // The same where all links rest under these torques: nothing is left to solve.
+  void step_at_rest(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
+    static_assert(stages == 2);
+    Inputs in;
+    begin(x, u, in);
+    if constexpr (Tables::modal) tables_.put_modes(in);
+    Accelerations own;
+    Accelerations& k1 = place_of_next(own);
+    begin_links(x, u, in, k1);
+    for_each<N>([&](auto j) __attribute__((always_inline)) {
+      k1.torque[j] -= k1.torque[j] - links.nle[j];
+      k1.a[j] = X{};
+    });
+    keep_past(k1);
+    if constexpr (!Tables::linear) {
+      X none[row];
+      evaluate_rest<false>(u, in, none);
+    }
+    move_drives(x, in);
   }
 
   // Set the past for a step from `start` to x that was taken otherwise; `links` are those at x.
@@ -168,15 +194,18 @@ class LinearlyImplicit {
   static constexpr double gamma = gamma_of(stages);
   using Numbers = Row<N, X>;
 
-  void serve(const Modes<S>& modes) {
-    if constexpr (Tables::modal)
-      for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
-  }
   Accelerations& place_of_next(Accelerations& own) {
     if constexpr (memories == 2)
       return past_[1 - newest_];
     else
       return own;
+  }
+
+  ARM_INLINE void keep_past(const Accelerations& k1) {
+    if constexpr (memories == 2)
+      newest_ = 1 - newest_;
+    else if constexpr (extrapolates)
+      past() = k1;
   }
 
   ARM_INLINE void begin(State<S, X>& x, const X (&u)[row], Inputs& in) const {
@@ -207,10 +236,7 @@ class LinearlyImplicit {
     X change[row] = {};
     if constexpr (extrapolates) extrapolate_change(links, change);
     first_stage(x, links, in, k1);
-    if constexpr (memories == 2)
-      newest_ = 1 - newest_;
-    else if constexpr (extrapolates)
-      past() = k1;
+    keep_past(k1);
     if constexpr (stages == 2 && !extrapolates) evaluate_change(x, k1, change);
     if constexpr (extrapolates && locates && kWidth<X> == 1)  // lanes have a past
       if (prescribed_.past == Past::unknown) evaluate_change(x, k1, change);
@@ -263,6 +289,7 @@ class LinearlyImplicit {
 
   // The drives' part of d: how their rest, and friction of the links that varies, change from x to
   // x + h k1.
+  template <bool slides = true>
   ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) {
     State<S, X> y;
     Numbers number;
@@ -281,7 +308,8 @@ class LinearlyImplicit {
         },
         y.q);
     store([&](auto g) { return fma(h_, in[In::k1].at[g], in[In::v].at[g]); }, y.v);
-    if constexpr (Coulomb<S, X>::varies) coulomb_.add_change(y, u, tables_.modes(), change);
+    if constexpr (slides && Coulomb<S, X>::varies)
+      coulomb_.add_change(y, u, tables_.modes(), change);
     const auto rest = tables_.rest_at(y, u);
     for_each<Tables::R, kMaxInputs>([&](auto r) __attribute__((always_inline)) {
       if (!Tables::matters(In::rest + r)) return;
@@ -351,6 +379,17 @@ class LinearlyImplicit {
   // a wound-up gear begins to pull gathers its speed with h^3, which the error of a step exceeds at
   // any h.)
   void step_in_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
+    if constexpr (locates)
+      step_in_modes_rarely(x, u, links, in);
+    else
+      find_modes(x, u, links, in);
+  }
+  // With located events: the rest of a step that has too many of them.
+  ARM_ONCE void step_in_modes_rarely(State<S>& x, const Real (&u)[row], const Dynamics& links,
+                                     Inputs& in) {
+    find_modes(x, u, links, in);
+  }
+  ARM_INLINE void find_modes(State<S>& x, const Real (&u)[row], const Dynamics& links, Inputs& in) {
     constexpr int round_limit = 2 * N * Tables::M;
     const Memory memory = past();
     const bool begins_regular = regular_ && is_regular(n_, x, u);
@@ -381,7 +420,8 @@ class LinearlyImplicit {
   }
 
   // From x to y in the modes that the tables serve.
-  void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in, State<S>& y) {
+  ARM_INLINE void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in,
+                          State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -400,7 +440,7 @@ class LinearlyImplicit {
     for (int part = 0; part < 2; ++part) {
       Dynamics links;
       Inputs in;
-      Links<S, X>::dynamics(n_, x.q, x.v, links);
+      Links<S, X>::dynamics_apart(n_, x.q, x.v, links);
       begin(x, u, in);
       half_->step_in_modes(x, u, links, in);
     }
