@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.config_files import BESIDE
 from arm_emulator.base.name_rule import LONGEST_NAME, SCENE_MARKS
 from arm_emulator.base.validation.number import Number, list_numbers
@@ -70,6 +71,21 @@ MACHINE: Keys = {
     "payload.com": _row_of(COM, 3, "`[0, 0, 0]`", "its centre of mass in the tool's frame"),
     "payload.inertia": _row_of(INERTIA, 6, "0", "`[ixx, iyy, izz, ixy, ixz, iyz]`, positive"
                                " definite, about its centre of mass, along the tool's axes"),
+    "calibration": Key("", range="section", text="how the machine's kinematics differs from the"
+                       " URDF, see [Nominal and true kinematics](../how_to/calibrate.md)"),
+    "calibration.file": Key("", range="file beside the scene", text="deviations in a file: ours, or"
+                            " one of Universal Robots or KUKA"),
+    "calibration.nominal": Key("", range="file beside the scene", text="of a `.dat` of KUKA: the"
+                               " machine data of its type"),
+    "calibration.base": Key("", range="a link fixed to the root", absent="`base`, else the root",
+                            text="in whose frame makers state their numbers"),
+    "calibration.flange": Key("", range="a link of the URDF", absent="`tool0`, else the tool",
+                              text="up to which they do"),
+    "calibration.joints": Key("", range="a section per joint of the URDF, fixed ones too",
+                              text="deviations, each in the place of the file's:"),
+    **{
+        f"calibration.joints.JOINT.{name}": one for name, one in list_numbers(Deviation).items()
+    },
     "external_wrench": _flag("whether forces and moments may act on the links from outside, see"
                              " [External wrenches](parts/external_wrench.md)"),
     "supply_voltage": _SCENE["supply_voltage"],

@@ -36,7 +36,7 @@ class Entities:
         # Imported at the first question: Pinocchio takes longer than a node's whole start.
         from arm_emulator.motion.model.link_motions import LinkMotions
 
-        return LinkMotions(self._session.scene.urdf, self._session.scene.joint_names)
+        return LinkMotions(self._session.scene.true_urdf, self._session.scene.joint_names)
 
     @property
     def names(self) -> list[str]:

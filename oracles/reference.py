@@ -300,7 +300,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
     if not scene.chain.coupling.plain:
         rule = "have a drive for each joint, to be solved independently"
         raise Refusal("reference", scene.where, rule, "couplings or mimic joints")
-    robot = ET.fromstring(scene.urdf)
+    robot = ET.fromstring(scene.true_urdf)
     # Pinocchio need not parse unused elements.
     robot.set("name", "robot")
     for link in robot.findall("link"):

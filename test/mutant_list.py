@@ -121,7 +121,7 @@ MUTANTS = (
         "test_dynamics.py test_scene.py",
     ),
     Mutant(
-        f"{MACHINE}/scene/urdf_tree.py",
+        "arm_emulator/base/urdf/joint_tree.py",
         "for axis in (2, 1, 0)",
         "for axis in (0, 1, 2)",
         "test_dynamics.py",

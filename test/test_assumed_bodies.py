@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from arm_emulator import Refusal, load_scene
+from arm_emulator.base.urdf.frames import frame_of
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.design import new_scene
 from arm_emulator.design.assumed_bodies import DENSITY, SLENDER, assume_bodies
 from arm_emulator.design.new_scene import write_new
-from arm_emulator.machine.chain import Body, frame_of
+from arm_emulator.machine.chain import Body
 from arm_emulator.motion.collision.shapes import CollisionShapes
 
 RHO = 800.0  # kg/m3

@@ -48,7 +48,7 @@ BAD_VALUES: list[tuple[dict[str, Any], str]] = [
     ({"locked": {"elbow": "open"}}, "locked.elbow must be a number from -10000 to 10000 rad or m, got 'open'"),
     ({"urdf": "none.urdf"}, "urdf must be a file, got none.urdf"),
     ({"name": None}, "name must be a text, got nothing"),
-    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: assumed, cores, couplings, demo, energy_flow, external_wrench,"),
+    ({"colour": "red"}, "key colour must be known, got 'colour'; valid: assumed, calibration, cores, couplings, demo, energy_flow, external_wrench,"),
 ]  # fmt: skip
 
 LOOP = '<joint name="loop" type="fixed"><parent link="forearm"/><child link="column"/></joint>'

@@ -17,7 +17,8 @@ from draws import FULL, some
 from machines import Oracle, write_scene
 
 from arm_emulator import Diverged, Measured, Plant, Scene, load_scene
-from arm_emulator.machine.chain import Body, ChainJoint, Frame, frame_of
+from arm_emulator.base.urdf.frames import Frame, frame_of
+from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.varied import (

@@ -54,7 +54,7 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
         Diverged: the machine diverges on the way.
     """
     run = OfflineRun(scene, gains.servo, gains.motion)
-    forward = run.controller.kinematics.forward
+    forward = run.true_kinematics.forward
     x, y, z = plan.displacement.tolist()
     target = MoveTool((x, y, z)).target(run)
     run.instructor.add(plan.settle_ns, target)

@@ -17,8 +17,9 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.frames import Frame, frame_of
 from arm_emulator.design.mesh_file import find_mesh
-from arm_emulator.machine.chain import Body, Frame, frame_of
+from arm_emulator.machine.chain import Body
 from arm_emulator.motion.model.mesh_units import read_mesh_unit
 
 DENSITY = 1200.0  # kg/m3

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.couplings import Follows, followers, list_own_shafts
-from arm_emulator.machine.scene.urdf_tree import FREE_KINDS, MOVING_KINDS
+from arm_emulator.base.urdf.joint_tree import FREE_KINDS, MOVING_KINDS
 
 MOVING = tuple(MOVING_KINDS)
 KINDS = (*MOVING, "fixed", *FREE_KINDS)

@@ -20,10 +20,11 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.frames import compute_cross
 from arm_emulator.base.warning import warn
 from arm_emulator.design.assumed_bodies import shape_of
-from arm_emulator.machine.chain import Body, Chain, compute_cross
-from arm_emulator.machine.scene.urdf_tree import read_bodies
+from arm_emulator.machine.chain import Body, Chain
+from arm_emulator.machine.scene.urdf_bodies import read_bodies
 
 ROUNDING = 0.01  # of the largest moment: figures of two digits
 DENSITIES = 300.0, 3000.0  # kg/m3: 44 of 48 industrial arms lie between them, by their hulls

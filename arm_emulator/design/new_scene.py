@@ -33,8 +33,8 @@ from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene, load_scene
+from arm_emulator.machine.scene.urdf_bodies import LARGEST_MASS
 from arm_emulator.machine.scene.urdf_chain import MovedBody, collect_moved_bodies
-from arm_emulator.machine.scene.urdf_tree import LARGEST_MASS
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import DriveParameters

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.urdf.frames import Frame
 from arm_emulator.design.choose_joints import LEAST_ARM
-from arm_emulator.machine.chain import Chain, Frame
+from arm_emulator.machine.chain import Chain
 
 DENSITY = 1000.0  # kg/m3
 PAYLOAD, OF_MASS, OF_SPEED = 0.9, 0.86, -0.5

@@ -5,8 +5,12 @@ from arm_emulator.analysis.mode_loops import Mode as LoopMode
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.analysis.stability import explain as explain_divergence
+from arm_emulator.base.urdf.frames import Frame
+from arm_emulator.base.urdf.joint_tree import find_root as find_root_link
+from arm_emulator.base.urdf.joint_tree import list_element_names
+from arm_emulator.base.urdf.joint_tree import read_joints as read_urdf_joints
 from arm_emulator.design.assumed_bodies import inertial_of
-from arm_emulator.machine.chain import Body, ChainJoint, Frame
+from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.cxx_literals import format_number as cxx_number
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.input import VOLTAGE as VOLTAGE_INPUT
@@ -69,9 +73,6 @@ from arm_emulator.machine.scene.integrator import Integrator, format_mismatch
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.overrides import override_keys
 from arm_emulator.machine.scene.scene import LARGEST_SEED, Scene, coerce_scene, load_scene
-from arm_emulator.machine.scene.urdf_tree import find_root as find_root_link
-from arm_emulator.machine.scene.urdf_tree import list_element_names
-from arm_emulator.machine.scene.urdf_tree import read_joints as read_urdf_joints
 from arm_emulator.machine.schemes.known import KNOWN as KNOWN_SCHEMES
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange

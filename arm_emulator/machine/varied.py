@@ -10,8 +10,9 @@ from typing import TypeVar
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.frames import Frame
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.chain import Body, ChainJoint, Frame
+from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.cxx_literals import format_number
 
 Kind = TypeVar("Kind")

@@ -7,6 +7,7 @@ numbers, so that the motor states are the same to the last bit.
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from pathlib import Path
 
 from arm_emulator.base.arrays import Array
@@ -23,10 +24,11 @@ from arm_emulator.machine.session.session import Session
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import JointSetpoint
-from arm_emulator.motion.model.kinematics import list_moving_joints
+from arm_emulator.motion.model.kinematics import Kinematics, list_moving_joints
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.gains import check_fit, load_gains
 from arm_emulator.runs.servo_step import ServoStep
+from arm_emulator.runs.true_kinematics import find_true_kinematics
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.servo_config import ServoConfig
 
@@ -75,6 +77,11 @@ class OfflineRun(NonCopyable):
         self._step = ServoStep(self.drives, places)
         session = self.session
         self._loop = FirmwareLoop(session.plant, self._step)
+
+    @cached_property
+    def true_kinematics(self) -> Kinematics:
+        """Kinematics of the machine, which may differ from the controller's."""
+        return find_true_kinematics(self.session.scene, self.controller.kinematics)
 
     def __repr__(self) -> str:
         return f"<OfflineRun of {self.session.scene.name} at tick {self.session.tick}>"

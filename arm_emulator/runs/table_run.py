@@ -163,5 +163,7 @@ def load_table_run(
 def compute_tool_error(session: Session, wanted: Array) -> Array:
     """Return what the tool lacks to joint targets (N,) [rad or m], in the world (3,) [m]."""
     scene = session.scene
-    forward = Kinematics(scene.urdf, scene.joint_names, scene.tool).forward
-    return np.asarray(forward(wanted)[1] - forward(session.state.q)[1])
+    nominal, true = (
+        Kinematics(urdf, scene.joint_names, scene.tool) for urdf in (scene.urdf, scene.true_urdf)
+    )
+    return np.asarray(nominal.forward(wanted)[1] - true.forward(session.state.q)[1])

@@ -14,7 +14,7 @@ def get_view(scene: Scene) -> dict[str, Any]:
     robots = find_example_robot_data()
     quantities = [part for part in list_reported_by_parts(scene) if not part.per_unit]
     return {
-        "urdf_xml": scene.urdf,
+        "urdf_xml": scene.true_urdf,
         "joint_names": scene.joint_names,
         "q_start": scene.start,
         "tool": scene.tool,

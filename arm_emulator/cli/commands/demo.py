@@ -33,9 +33,9 @@ from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.fig4 import draw_fig4
 from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator.motion.model.kinematics import POSITION_ROWS
+from arm_emulator.motion.model.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.model.pose import Pose
-from arm_emulator.motion.planner.tool_controller import Controller, make_controller
+from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
 from arm_emulator.ros.node.node_shell import COMMAND_QOS, STATE_SUB_QOS
 from arm_emulator.ros.process.bringup import Bringup
@@ -43,6 +43,7 @@ from arm_emulator.ros.process.ctrl_c import CtrlC
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.gains import Gains, check_fit, load_gains
 from arm_emulator.runs.recorder import get_viewer_command
+from arm_emulator.runs.true_kinematics import find_true_kinematics
 from arm_emulator_msgs.msg import EmulatorStatus
 
 PATIENCE = 120.0  # s, wall: on an idle machine the nodes need a second or two
@@ -134,7 +135,8 @@ def _run(
     period_ns = round(motion.period * NANOSECONDS)
     R_WT, p_WT = controller.kinematics.forward(scene.start)
     target = Pose(p_WT + plan.displacement, R_WT)
-    observer = _Observer(controller, target, period_ns, plan)
+    true = find_true_kinematics(scene, controller.kinematics)
+    observer = _Observer(true, target, period_ns, plan)
     try:
         with console.status("waiting for the three nodes to meet"):
             observer.wait(lambda: observer.answered, network, "the nodes to meet")
@@ -182,13 +184,13 @@ class _Observer(Node):
     """Sends the target and watches the true arm, at every instruction."""
 
     def __init__(
-        self, controller: Controller, target: Pose, period_ns: int, plan: DemoPlan
+        self, kinematics: Kinematics, target: Pose, period_ns: int, plan: DemoPlan
     ) -> None:
         super().__init__("demo")
         self.q: list[Array] = []  # true joint angles at each instruction
         self.answered = False
         self.target_taken = False
-        self._kinematics, self._target = controller.kinematics, target
+        self._kinematics, self._target = kinematics, target
         self._period_ns, self._start_ns = period_ns, plan.settle_ns
         self._targets = self.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
         self._pause = self.create_client(SetBool, "emulator/pause")

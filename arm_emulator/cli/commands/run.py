@@ -80,7 +80,7 @@ def run(
     if bag is not None:
         check_new_bag("run", bag)
     one = load_offline_run(scene)
-    session, kinematics = one.session, one.controller.kinematics
+    session, kinematics = one.session, one.true_kinematics
     machine = session.scene
     warn_of_loops(machine, one.drives.servo.config)
     ticks = ticks_of(10.0 if seconds is None else seconds, machine)

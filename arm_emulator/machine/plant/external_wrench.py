@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.products import apply_matrix
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.frames import Frame
 from arm_emulator.base.validation.bound import FORCE, MOMENT, POINT
 from arm_emulator.base.validation.number import Number
-from arm_emulator.machine.chain import Frame
 from arm_emulator.machine.scene.scene import Scene
 
 AXES = ("link", "world")

@@ -9,7 +9,7 @@ import numpy as np
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
-from arm_emulator.machine.scene.urdf_tree import check_inertia
+from arm_emulator.machine.scene.urdf_bodies import check_inertia
 
 MASS = Number(
     "mass",

@@ -18,6 +18,7 @@ import numpy as np
 
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.calibration.calibration import Calibration
 from arm_emulator.base.config_files import BESIDE, find_config
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
@@ -29,6 +30,7 @@ from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.measuring.sensors import SENSOR_PARTS
+from arm_emulator.machine.scene.encoder_zeros import put_zeros
 from arm_emulator.machine.scene.fault_catalogue import list_faults, list_variable_numbers
 from arm_emulator.machine.scene.integrator import Integrator, format_mismatch, suggest_divisors
 from arm_emulator.machine.scene.joint import Joint, read_joints
@@ -54,7 +56,9 @@ class Scene(ArrayEquality, SharedObject):
 
     name: str
     where: str  # the file, for refusals
-    urdf: str  # XML text, locked joints fixed
+    urdf: str  # XML text, locked joints fixed: the description that controllers have
+    true_urdf: str  # the same with the joints where the machine has them
+    calibration: Calibration  # of the machine, by how much both differ
     tool: str  # link whose frame is the tool
     gravity: tuple[float, ...] | None  # m/s2 in the world
     supply_voltage: float = number(
@@ -207,6 +211,7 @@ def _build(root: Section, file: Path) -> Scene:
     chain, mass = links.chain, links.payload_mass
     gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
     joints = read_joints(root, chain, links.urdf_file.name, links.limits)
+    joints = put_zeros(joints, links.calibration)
     integrator = Integrator.read(root.required_section("integrator"))
     dt = suggest_divisors(numbers["servo_period"], integrator.dt, where)
     integrator = replace(integrator, dt=dt)
@@ -226,6 +231,8 @@ def _build(root: Section, file: Path) -> Scene:
         name=name,
         where=where,
         urdf=links.urdf,
+        true_urdf=links.true_urdf,
+        calibration=links.calibration,
         tool=links.tool,
         gravity=gravity,
         joints=joints,

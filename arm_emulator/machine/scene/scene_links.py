@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+from arm_emulator.base.calibration.calibration import (
+    Calibration,
+    displace_joints,
+    find_beside,
+    read_calibration,
+)
 from arm_emulator.base.urdf.shafts import read_shaft_limits
 from arm_emulator.base.urdf.urdf_text import parse_urdf, read_limits, read_urdf
 from arm_emulator.base.validation.number import Number
@@ -19,14 +26,16 @@ LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
 
 
 class SceneLinks:
-    """Result of a scene's keys `urdf`, `tool`, `payload`, `locked` and `couplings`.
+    """Result of a scene's keys `urdf`, `tool`, `payload`, `locked`, `couplings` and `calibration`.
 
     Attributes:
         urdf_file: the description.
-        urdf: its text, locked joints fixed, shares of couplings in it.
-        robot: the same, parsed.
+        urdf: its text, locked joints fixed, shares of couplings in it: what controllers know.
+        true_urdf: the same with the joints where the machine has them.
+        robot: the description, parsed.
         tool: link whose frame is the tool.
-        chain: geometry and inertia of the moving joints, the payload carried.
+        calibration: deviations of the machine from its description.
+        chain: geometry and inertia of the machine's moving joints, the payload carried.
         bare: the bodies of the chain's links without the payload.
         limits: ends of the joints' ways by name; of coupled ones those of their shafts.
         payload_mass: [kg]; None: the scene has no payload.
@@ -54,12 +63,18 @@ class SceneLinks:
         body = None if self._payload is None else read_payload(self._payload)
         self.payload_mass = None if body is None else body.mass
         _apply_coupling(root.section("couplings"), self.robot)
+        self._true_robot = self.robot
+        self.calibration = self._calibrate(root.section("calibration"), file)
         self.chain = self._chain(body)
         twice = None if body is None else self._chain(body.scaled(2.0))
         self.bare = _remove_payload(self.chain, twice)
         locks = lock_joints(self.robot, self._locked, self.urdf_file.name)
         if locks or root.has("couplings"):
             self.urdf = ET.tostring(self.robot, encoding="unicode")
+        self.true_urdf = self.urdf
+        if self._true_robot is not self.robot:
+            lock_joints(self._true_robot, self._locked, self.urdf_file.name)
+            self.true_urdf = ET.tostring(self._true_robot, encoding="unicode")
         self.limits = read_limits(self.robot)
         coupling = self.chain.coupling
         if not coupling.plain:  # a stop of a shaft is where the first of its joints has one
@@ -72,9 +87,21 @@ class SceneLinks:
         bodies = [read_payload(self._payload, mass=kg) for kg in (1.0, 2.0)]
         return load_of(*map(self._chain, bodies))
 
+    def _calibrate(self, section: Section | None, file: Path) -> Calibration:
+        """Read the calibration, and put it into the description of the machine."""
+        if section is None:
+            return Calibration()
+        held = copy.deepcopy(self.robot)
+        lock_joints(held, self._locked, self.urdf_file.name)
+        find = find_beside(file.parent, file.name)
+        calibration = read_calibration(section, held, self.tool, find)
+        frames = calibration.list_displacements(held, self.tool, zeros=False)
+        self._true_robot = displace_joints(self.robot, frames, file.name)
+        return calibration
+
     def _chain(self, load: Body | None) -> Chain:
         return read_chain(
-            self.robot,
+            self._true_robot,
             self.urdf_file.name,
             self._where,
             locked=self._locked,

@@ -14,19 +14,8 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.products import apply_matrix, measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.couplings import Coupling, followers, read_coupling
-from arm_emulator.base.urdf.urdf_text import complete_limits
-from arm_emulator.machine.chain import (
-    Body,
-    Chain,
-    ChainJoint,
-    Frame,
-    clean,
-    compute_atan2,
-    compute_cross,
-    rpy_of,
-    turn,
-)
-from arm_emulator.machine.scene.urdf_tree import (
+from arm_emulator.base.urdf.frames import Frame, clean, compute_atan2, compute_cross, rpy_of, turn
+from arm_emulator.base.urdf.joint_tree import (
     FREE_KINDS,
     MOVING_KINDS,
     UrdfJoint,
@@ -34,9 +23,11 @@ from arm_emulator.machine.scene.urdf_tree import (
     list_element_names,
     list_names,
     parse_joints,
-    read_bodies,
     read_joints,
 )
+from arm_emulator.base.urdf.urdf_text import complete_limits
+from arm_emulator.machine.chain import Body, Chain, ChainJoint
+from arm_emulator.machine.scene.urdf_bodies import read_bodies
 
 MOST_JOINTS = 200  # more are no arm, and would compile for hours
 # Below these, moved by a joint, what is divided by them may overflow.
@@ -180,7 +171,7 @@ def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> b
     """
     elements = [e for e in robot.findall("joint") if e.get("name") in locked]
     for element, joint in zip(elements, parse_joints(elements, where), strict=True):
-        held = _move_joint(joint, locked[joint.name])
+        held = joint.place_at(locked[joint.name])
         for tag in _OF_MOVING:
             for old in element.findall(tag):
                 element.remove(old)
@@ -220,7 +211,7 @@ def _find_moving_joints(
         for joint in below.get(link, []):
             reached.add(joint.child)
             if joint.kind == "fixed" or joint.name in locked:
-                at = frame @ _move_joint(joint, locked.get(joint.name, 0.0))
+                at = frame @ joint.place_at(locked.get(joint.name, 0.0))
                 if carrier >= 0:
                     moving[carrier].links.append(joint.child)
                     moving[carrier].frames.append(at)
@@ -252,18 +243,6 @@ def _sort_joints(moving: list[_Moving]) -> list[_Moving]:
         left += carried.get(order[-1], [])[::-1]
     places = {before: after for after, before in enumerate(order)} | {-1: -1}
     return [dataclasses.replace(moving[k], parent=places[moving[k].parent]) for k in order]
-
-
-def _move_joint(joint: UrdfJoint, position: float) -> Frame:
-    """Return the child's frame in the parent's with the joint at `position`."""
-    if joint.kind == "fixed" or joint.kind in FREE_KINDS:
-        return joint.placement
-    if joint.kind == "prismatic":
-        return joint.placement @ Frame(p=position * joint.axis)
-    a = compute_cross(joint.axis)
-    return joint.placement @ Frame(
-        np.eye(3) + math.sin(position) * a + multiply_matrices((1.0 - math.cos(position)) * a, a)
-    )
 
 
 def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:

@@ -21,6 +21,11 @@ class MotionConfig(SharedObject):
     """Parameters of the motion controller."""
 
     tool: str = parameter("tool", "link of the robot description that is the tool")
+    calibration: str = parameter(
+        "",
+        "file of the machine's calibration, which corrects the robot description; a relative name: "
+        "beside the parameter file; empty: the description holds",
+    )
     period: float = parameter(
         0.05, "logical time between joint targets", unit="s", ends=(1e-4, 10.0)
     )
@@ -259,4 +264,6 @@ class MotionConfig(SharedObject):
 def load_motion_config(path: Path) -> MotionConfig:
     """Read a ROS parameter file of the node `motion_controller`."""
     config, tables = load_parameters(path, NODE, MotionConfig, beside=SECTIONS)
+    if config.calibration:
+        config = replace(config, calibration=str(path.parent / config.calibration))
     return config.add_sections(tables, path.name)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
 import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.calibration.calibration import correct_urdf
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import SECTION
@@ -65,6 +67,8 @@ def make_controller(urdf_xml: str, joint_names: Sequence[str], config: MotionCon
     Raises:
         Refusal: a description, name or value that is not taken.
     """
+    if config.calibration:
+        urdf_xml = correct_urdf(urdf_xml, Path(config.calibration), config.tool)
     kinematics = Kinematics(urdf_xml, joint_names, config.tool, config.task, config.where)
     for name in config.drives:
         if name not in kinematics.joint_names:

@@ -76,7 +76,8 @@ def _select_rest(scene: Scene) -> tuple[object, ...]:
     """Return what of a scene has nothing to do with how it is integrated."""
     plain = dataclasses.replace(scene.integrator, scheme=SCHEMES[0], events=INTEGRATOR_EVENTS[0])
     return (
-        scene.name, scene.urdf, scene.tool, scene.servo_period, scene.cores, scene.varied,
+        scene.name, scene.urdf, scene.true_urdf, scene.tool, scene.servo_period, scene.cores,
+        scene.varied,
         write_scene_unit(dataclasses.replace(scene, integrator=plain, threads=1)),
     )  # fmt: skip
 

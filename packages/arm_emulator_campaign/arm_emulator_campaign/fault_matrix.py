@@ -95,7 +95,7 @@ def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apa
             run.advance(run.motion_ticks)
         except Diverged:
             return _Seen(tool, "drive", k + 1 - begins, largest)
-        tool.append(run.controller.kinematics.forward(session.state.q)[1])
+        tool.append(run.true_kinematics.forward(session.state.q)[1])
         largest = max(largest, _compare_encoders(run))
         unable = k > begins and able and not run.drives.movable(session.powered).all()
         states = [one.state for one in run.instructor.reports.waiting]

@@ -38,13 +38,13 @@ class ArmScene:
         self._server, self._name, self._over = server, name, over
         self._way: Any = None
         self._shafts = Shafts(scene.urdf, scene.joint_names)
-        self._model = pin.buildModelFromXML(scene.urdf)
+        self._model = pin.buildModelFromXML(scene.true_urdf)
         self._data = self._model.createData()
         self.missing = ""
         try:
             self._shapes = pin.buildGeomFromUrdfString(
                 self._model,
-                scale_to_metres(scene.urdf),
+                scale_to_metres(scene.true_urdf),
                 pin.GeometryType.VISUAL,
                 package_dirs=list_package_folders(),
             )

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+from arm_emulator.base.urdf.frames import Frame, frame_of
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
-from arm_emulator.machine.chain import Chain, Frame, frame_of
+from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.measuring.analog_sensor import LARGEST_ERROR, Converter
 from arm_emulator.machine.parts.measuring.encoder import DELAY

@@ -210,7 +210,7 @@ def load_campaign(file: Path) -> Campaign:
     scene, overrides = _load_varied_scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
-    used = {"scene": read_bytes(scene_file, LARGEST_YAML_FILE), "urdf": scene.urdf.encode()}
+    used = {"scene": read_bytes(scene_file, LARGEST_YAML_FILE), "urdf": scene.true_urdf.encode()}
     used |= {name: files[name].read_bytes() for name in ("servo", "motion")}
     used |= _read_named_files(data, file.parent)
     sampling = root.choice("sampling", SAMPLINGS, default=SAMPLINGS[0])

@@ -1,6 +1,6 @@
-"""Joints and bodies of a URDF, with their frames: its tree as it stands in the XML.
+"""Joints of a URDF, with their frames: its tree as it stands in the XML.
 
-Numbers are collected first, then turned into frames and bodies all at once.
+Numbers are collected first, then turned into frames all at once.
 """
 
 from __future__ import annotations
@@ -16,24 +16,13 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.name_rule import check_joint_name
 from arm_emulator.base.products import measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.chain import (
-    EYE,
-    X_AXIS,
-    Bodies,
-    Frame,
-    clean,
-    turns,
-)
+from arm_emulator.base.urdf.frames import EYE, X_AXIS, Frame, clean, compute_cross, turns
 
 MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 FREE_KINDS = ("floating", "planar")  # no joints of an arm, but they may be locked at 0
 # Beyond these a number in a URDF is a slip, and what is computed from it may overflow.
-LARGEST_MASS = 1e9  # kg
 LARGEST_LENGTH = 1e6  # m
-LARGEST_INERTIA = 1e15  # kg m2
 LARGEST_ANGLE = 1e6  # rad
-_TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-_FULL_TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of the entries above
 
 
 @dataclass(frozen=True)
@@ -46,6 +35,16 @@ class UrdfJoint:
     child: str
     placement: Frame
     axis: Array
+
+    def place_at(self, position: float) -> Frame:
+        """Return the child's frame in the parent's with the joint at `position` [rad or m]."""
+        if self.kind == "fixed" or self.kind in FREE_KINDS:
+            return self.placement
+        if self.kind == "prismatic":
+            return self.placement @ Frame(p=position * self.axis)
+        a = compute_cross(self.axis)
+        sine, versine = math.sin(position), 1.0 - math.cos(position)
+        return self.placement @ Frame(np.eye(3) + sine * a + multiply_matrices(versine * a, a))
 
 
 def list_element_names(robot: ET.Element, tag: str, where: str) -> dict[str, int]:
@@ -78,7 +77,7 @@ def read_joints(robot: ET.Element, links: Mapping[str, int], where: str) -> list
 def parse_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
     """Return what elements <joint> declare."""
     whats = [f"joint {element.get('name')}" for element in elements]
-    placements = _read_frames([e.find("origin") for e in elements], whats, "origin", where)
+    placements = read_frames([e.find("origin") for e in elements], whats, "origin", where)
     joints = []
     for element, what, placement in zip(elements, whats, placements, strict=True):
         kind = element.get("type") or ""
@@ -107,69 +106,18 @@ def parse_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
 def _read_axis(element: ET.Element | None, what: str, where: str) -> Array:
     if element is None:
         return X_AXIS
-    axis = np.array(_parse_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
-    _check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
+    axis = np.array(parse_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
+    check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
     size = measure_length(axis)
     if size < 1e-6:
         raise Refusal(where, what, "have a direction", tuple(map(float, axis)))
     return axis / size
 
 
-def read_bodies(robot: ET.Element, where: str) -> Bodies:
-    """Return the bodies of all links, in their order; without an inertial a link has none."""
-    links = robot.findall("link")
-    rows, whats, origins, places = [], [], [], []
-    for place, link in enumerate(links):
-        inertial = link.find("inertial")
-        if inertial is None:
-            continue
-        what = f"link {link.get('name')}"
-        mass, tensor = inertial.find("mass"), inertial.find("inertia")
-        if mass is None or tensor is None:
-            raise Refusal(where, f"{what}: inertial", "hold <mass> and <inertia>", "only a part")
-        texts = [mass.get("value"), *map(tensor.get, _TENSOR)]
-        try:
-            rows.append([float(text) for text in texts])  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            for key, text in zip(("mass", *_TENSOR), texts, strict=True):
-                _parse_numbers(text, 1, f"{what}: {key}", where)
-        whats.append(what)
-        origins.append(inertial.find("origin"))
-        places.append(place)
-    values = np.array(rows).reshape(-1, 7)
-    _check_size(values[:, :1], LARGEST_MASS, whats, "mass", where)
-    _check_size(values[:, 1:], LARGEST_INERTIA, whats, "inertia", where)
-    for place in np.flatnonzero(values[:, 0] < 0.0).tolist():
-        raise Refusal(where, f"{whats[place]}: mass", "be >= 0 kg", float(values[place, 0]))
-    frames = _read_frames(origins, whats, "inertial origin", where)
-    everywhere = Bodies(
-        np.zeros(len(links)), np.zeros((len(links), 3)), np.zeros((len(links), 3, 3))
-    )
-    if not places:
-        return everywhere
-    R = np.array([frame.R for frame in frames])
-    inertia = multiply_matrices(R, values[:, 1:][:, _FULL_TENSOR], R.transpose(0, 2, 1))
-    bodies = Bodies.from_center(values[:, 0], np.array([frame.p for frame in frames]), inertia)
-    everywhere.mass[places] = bodies.mass
-    everywhere.moment[places] = bodies.moment
-    everywhere.inertia[places] = bodies.inertia
-    return everywhere
-
-
-def check_inertia(inertia: Array, what: str, where: str) -> None:
-    """Refuse a tensor (3, 3) [kg m2] about the centre of mass that is not positive definite."""
-    moments = np.linalg.eigvalsh(inertia)
-    if moments[0] <= 1e-12 * moments[2]:
-        shown = ", ".join(f"{moment:.3g}" for moment in moments)
-        raise Refusal(
-            where, what, "be positive definite, principal moments > 0 kg m2", f"({shown})"
-        )
-
-
-def _read_frames(
+def read_frames(
     origins: list[ET.Element | None], whats: list[str], name: str, where: str
 ) -> list[Frame]:
-    """Return the frames of elements <origin>."""
+    """Return the frames of elements <origin>; without one, no displacement."""
     rows, no_turn = [], (0.0,) * 6
     for origin, what in zip(origins, whats, strict=True):
         if origin is None:
@@ -182,19 +130,20 @@ def _read_frames(
         except ValueError:
             words = []
         if len(words) != 6 or len(xyz.split()) != 3:  # name the one at fault
-            _parse_numbers(xyz, 3, f"{what}: {name} xyz", where)
-            _parse_numbers(rpy, 3, f"{what}: {name} rpy", where)
+            parse_numbers(xyz, 3, f"{what}: {name} xyz", where)
+            parse_numbers(rpy, 3, f"{what}: {name} rpy", where)
         rows.append((x, y, z, roll, pitch, yaw))
     values = np.array(rows).reshape(-1, 6)
-    _check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
-    _check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
+    check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
+    check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
     R = clean(multiply_matrices(*(turns(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))))
     turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
     p = values[:, :3].copy()
     return [Frame(R[k] if turned[k] else EYE, p[k]) for k in range(len(rows))]
 
 
-def _parse_numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
+def parse_numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
+    """Return `count` numbers of an attribute."""
     words = (text or "").split() if count > 1 else [text or ""]
     if len(words) != count:
         raise Refusal(where, what, "be three numbers", repr(text))
@@ -204,7 +153,7 @@ def _parse_numbers(text: str | None, count: int, what: str, where: str) -> list[
         raise Refusal(where, what, "be a number", repr(text)) from None
 
 
-def _check_size(values: Array, largest: float, whats: list[str], name: str, where: str) -> None:
+def check_size(values: Array, largest: float, whats: list[str], name: str, where: str) -> None:
     """Refuse rows (K, ...) of which an entry is not finite or too large."""
     for row, column in np.argwhere(~(np.abs(values) <= largest)).tolist():
         value = float(values[row, column])

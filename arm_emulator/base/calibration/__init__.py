@@ -1,0 +1,1 @@
+"""Deviations of one machine from its description, and the files that state them."""

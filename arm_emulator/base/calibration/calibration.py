@@ -1,0 +1,224 @@
+"""The calibration of one machine: deviations of its joints, put into its description."""
+
+from __future__ import annotations
+
+import copy
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from arm_emulator.base.calibration.denavit_hartenberg import displace_along_axes, find_dh_frames
+from arm_emulator.base.calibration.deviation import Deviation
+from arm_emulator.base.calibration.joint_path import find_path
+from arm_emulator.base.calibration.kuka_files import read_kuka_zeros
+from arm_emulator.base.calibration.ur_files import read_ur_deltas, read_ur_kinematics
+from arm_emulator.base.io.text_file import explain_missing_file
+from arm_emulator.base.io.yaml_file import read_yaml
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.frames import Frame, rpy_of
+from arm_emulator.base.urdf.joint_tree import (
+    MOVING_KINDS,
+    list_element_names,
+    parse_joints,
+    read_joints,
+)
+from arm_emulator.base.urdf.urdf_text import parse_urdf
+from arm_emulator.base.validation.section import Section
+
+KUKA = ".dat"
+SUFFIXES = (".yaml", ".yml", ".conf", KUKA)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Deviations of the joints of a description, by name.
+
+    Attributes:
+        deviations: of moving and of fixed joints.
+        base: link in whose frame makers state their numbers; empty: `base`, else the root link.
+        flange: link up to which they do; empty: `tool0`, else the tool.
+        where: its name in refusals.
+    """
+
+    deviations: Mapping[str, Deviation] = field(default_factory=dict)
+    base: str = ""
+    flange: str = ""
+    where: str = "calibration"
+
+    def list_displacements(
+        self, robot: ET.Element, tool: str, *, zeros: bool
+    ) -> Mapping[str, Frame]:
+        """Return the frame to which each joint's is displaced, seen from it, by name.
+
+        Args:
+            robot: the description, locked joints fixed.
+            tool: the tool's link.
+            zeros: whether joints are turned back by `encoder_zero`, so that positions which the
+                encoders report place the links; else positions are the joints' own.
+
+        Raises:
+            Refusal: a joint that the description does not have, or a number that it cannot take.
+        """
+        joints = {
+            one.name: one
+            for one in read_joints(robot, list_element_names(robot, "link", self.where), self.where)
+        }
+        for name in self.deviations:
+            if name not in joints:
+                known = ", ".join(joints)
+                raise Refusal(self.where, f"joint {name}", "be a joint of the URDF", name, known)
+        frames = self._displace_axes(robot, tool)
+        for name, one in self.deviations.items():
+            if one.encoder_zero and joints[name].kind not in MOVING_KINDS:
+                rule = "belong to a joint that moves"
+                raise Refusal(self.where, f"{name}.encoder_zero", rule, joints[name].kind)
+            frames[name] = frames.get(name, Frame()) @ one.displaced
+            if zeros and one.encoder_zero:
+                back = joints[name].place_at(-one.encoder_zero)
+                frames[name] = frames[name] @ joints[name].placement.inverse @ back
+        return frames
+
+    def _displace_axes(self, robot: ET.Element, tool: str) -> dict[str, Frame]:
+        """Return what the numbers of Denavit and Hartenberg do."""
+        of_axes = [name for name, one in self.deviations.items() if one.has_dh_numbers]
+        if not of_axes:
+            return {}
+        path = find_path(robot, self.where, self.base, self.flange, tool)
+        moving = [joint.name for joint in path.moving]
+        for name in of_axes:
+            if name not in moving:
+                rule = "be of a joint that moves the flange"
+                raise Refusal(self.where, f"deltas of {name}", rule, name, ", ".join(moving))
+        dh, children = find_dh_frames(path), path.frames
+        ends = [*moving, path.behind[0].name] if path.behind else moving
+        found, before = {}, None
+        for name, frame in zip(ends, dh, strict=False):
+            one = self.deviations.get(name, Deviation()) if name in moving else Deviation()
+            found[name] = displace_along_axes(one, before, frame, children[name])
+            before = one
+        last = self.deviations.get(moving[-1], Deviation())
+        if not path.behind and (last.delta_a or last.delta_alpha):
+            rule = "be 0 of the last joint, whose own link is the flange"
+            raise Refusal(self.where, f"{moving[-1]}.delta_a, delta_alpha", rule, "others")
+        return found
+
+
+def displace_joints(robot: ET.Element, frames: Mapping[str, Frame], where: str) -> ET.Element:
+    """Return a copy of a description with joints displaced to frames seen from their own."""
+    displaced = copy.deepcopy(robot)
+    elements = [e for e in displaced.findall("joint") if e.get("name") in frames]
+    for element, joint in zip(elements, parse_joints(elements, where), strict=True):
+        placement = joint.placement @ frames[joint.name]
+        for old in element.findall("origin"):
+            element.remove(old)
+        numbers = placement.p, rpy_of(placement.R)
+        xyz, rpy = (" ".join(map(repr, map(float, row))) for row in numbers)
+        ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
+    return displaced
+
+
+def correct_urdf(urdf_xml: str, file: Path, tool: str) -> str:
+    """Return a description with which positions that encoders report place the machine's links.
+
+    Args:
+        urdf_xml: the description.
+        file: of the machine's calibration.
+        tool: the tool's link.
+
+    Raises:
+        Refusal: a file that is not taken, or that does not fit to the description.
+    """
+    robot = parse_urdf(urdf_xml, file.name)
+    frames = load_calibration(file, robot, tool).list_displacements(robot, tool, zeros=True)
+    return ET.tostring(displace_joints(robot, frames, file.name), encoding="unicode")
+
+
+def load_calibration(file: Path, robot: ET.Element, tool: str) -> Calibration:
+    """Return the calibration in a file: ours, or one of Universal Robots."""
+    root = Section({"file": file.name}, file.name)
+    return read_calibration(root, robot, tool, find_beside(file.parent, file.name))
+
+
+def read_calibration(
+    root: Section, robot: ET.Element, tool: str, find: Callable[[str], Path]
+) -> Calibration:
+    """Return the calibration of a section.
+
+    Args:
+        root: the section, of a scene or a file.
+        robot: the description, locked joints fixed.
+        tool: the tool's link.
+        find: gives the file of a name.
+
+    Raises:
+        Refusal: a key, a value or a file that is not taken.
+    """
+    base, flange = (root.text(key) if root.has(key) else "" for key in ("base", "flange"))
+    nominal = find(root.text("nominal")) if root.has("nominal") else None
+    if nominal is not None and not root.has("file"):
+        raise root.refusal("nominal", "come with a key file", "alone")
+    deviations = dict[str, Deviation]()
+    if root.has("file"):
+        file = find(root.text("file"))
+        _check_nominal(root, file, nominal)
+        of_file = _read_file(file, nominal, base, flange, robot, tool)
+        deviations |= of_file.deviations
+        base, flange = base or of_file.base, flange or of_file.flange
+    section = root.section("joints")
+    for name in () if section is None else section.keys():
+        assert section is not None
+        below = section.required_section(name)
+        numbers = below.numbers(Deviation)
+        of_joint = deviations.get(name, Deviation())
+        deviations[name] = replace(
+            of_joint, **{key: value for key, value in numbers.items() if below.has(key)}
+        )
+    root.finish()
+    return Calibration(deviations, base, flange, root.where)
+
+
+def _check_nominal(root: Section, file: Path, nominal: Path | None) -> None:
+    if (file.suffix == KUKA) != (nominal is not None):
+        rule = f"be the machine data of the type, beside a file {KUKA} of the machine"
+        raise root.refusal("nominal", rule, nominal.name if nominal else "nothing")
+
+
+def _read_file(
+    file: Path, nominal: Path | None, base: str, flange: str, robot: ET.Element, tool: str
+) -> Calibration:
+    """Return the calibration in a file: ours, or a maker's."""
+    if file.suffix not in SUFFIXES:
+        raise Refusal(file.name, "file", "be a calibration", file.suffix, ", ".join(SUFFIXES))
+    root = None
+    if file.suffix in (".yaml", ".yml"):
+        root = Section(read_yaml(file), file.name)
+        if not root.has("kinematics"):
+            for key in ("file", "nominal"):
+                if root.has(key):
+                    raise root.refusal(key, "stand in the scene", repr(root.text(key)))
+            return read_calibration(root, robot, tool, find_beside(file.parent, file.name))
+    path = find_path(robot, file.name, base, flange, tool)
+    if root is not None:
+        found = read_ur_kinematics(root, path)
+    elif nominal is not None:
+        found = read_kuka_zeros(file, nominal, path)
+    else:
+        found = read_ur_deltas(file, path)
+    return Calibration(found, base, flange, file.name)
+
+
+def find_beside(folder: Path, where: str) -> Callable[[str], Path]:
+    """Return a function that gives the file of a name, beside others in a folder.
+
+    Raises:
+        Refusal: the function, where there is no such file.
+    """
+
+    def find(name: str) -> Path:
+        reason = explain_missing_file(folder / name)
+        if reason is not None:
+            raise Refusal(where, "calibration", "be a file", f"{name} ({reason})")
+        return folder / name
+
+    return find

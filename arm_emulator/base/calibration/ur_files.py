@@ -1,0 +1,109 @@
+"""Calibrations of Universal Robots: what the ROS driver writes, and what the controller holds.
+
+`ur_calibration` of Universal_Robots_ROS2_Driver writes a YAML file with the placement of each of
+the six joints, as `rpy` and `xyz` of a URDF, the first in the frame `base`, the last joint's link
+being the flange (`tool0`). The controller's `calibration.conf` has numbers that are added to those
+of Denavit and Hartenberg (denavit_hartenberg.py).
+"""
+
+from __future__ import annotations
+
+import configparser
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+
+from arm_emulator.base.calibration.denavit_hartenberg import find_dh_frames, screw
+from arm_emulator.base.calibration.deviation import Deviation
+from arm_emulator.base.calibration.joint_path import JointPath
+from arm_emulator.base.calibration.placed_axes import place_axes
+from arm_emulator.base.io.text_file import read_text
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.urdf.frames import Frame, frame_of
+from arm_emulator.base.validation.number import Number
+from arm_emulator.base.validation.section import Section
+
+LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+DELTAS = ("delta_theta", "delta_a", "delta_d", "delta_alpha")
+STATUS = "calibration_status"  # 2: linearised, the deltas hold; 0 and 1: they do not yet
+LINEARISED = 2
+MOST_BYTES = 1 << 20
+_PLACE = [Number.within(name, "m", 1e5) for name in "xyz"]
+_TURN = [Number.within(name, "rad", 10.0) for name in ("roll", "pitch", "yaw")]
+_DELTA = Number.within("deltas", "m or rad", 1e5)  # common normals of almost parallel axes
+
+
+def read_ur_kinematics(root: Section, path: JointPath) -> Mapping[str, Deviation]:
+    """Return the deviations of a file with a section `kinematics`.
+
+    Raises:
+        Refusal: another form, or an arm of other than six joints.
+    """
+    section = root.required_section("kinematics")
+    _check_joints(path, root.where)
+    frame, axes = path.base, []
+    for link in LINKS:
+        one = section.required_section(link)
+        frame = frame @ frame_of(map(one.number, _PLACE), map(one.number, _TURN))
+        axes.append(frame)
+    if section.has("hash"):
+        section.text("hash")  # by which the driver compares it with the arm
+    root.finish()
+    return place_axes(path, axes, frame)
+
+
+def read_ur_deltas(file: Path, path: JointPath) -> Mapping[str, Deviation]:
+    """Return the deviations of a file `calibration.conf`.
+
+    Raises:
+        Refusal: another form, an arm of other than six joints, or one not linearised yet.
+    """
+    _check_joints(path, file.name)
+    rows = _read_rows(file)
+    frames = find_dh_frames(path)
+    flange = frames[-1].inverse @ path.flange
+    frame, axes = frames[0], list[Frame]()
+    for k, (here, after) in enumerate(pairwise(frames)):
+        axes.append(frame)
+        theta, a, d, alpha = (rows[name][k] for name in DELTAS)
+        frame = frame @ screw(2, theta, d) @ here.inverse @ after @ screw(0, alpha, a)
+    return place_axes(path, axes, frame @ flange)
+
+
+def _read_rows(file: Path) -> Mapping[str, list[float]]:
+    """Return the rows of deltas, six numbers each."""
+    parser = configparser.ConfigParser(strict=False, interpolation=None)
+    try:
+        parser.read_string(read_text(file, MOST_BYTES))
+    except configparser.Error as error:
+        reason = str(error).splitlines()[0]
+        raise Refusal(file.name, "file", "be a calibration of the controller", reason) from None
+    if not parser.has_section("mounting"):
+        known = ", ".join(parser.sections()) or "none"
+        raise Refusal(file.name, "section mounting", "be given", "nothing", known)
+    section = parser["mounting"]
+    status = section.get(STATUS, str(LINEARISED)).split("#")[0].split()
+    if status[:1] != [str(LINEARISED)]:
+        rule = f"be {LINEARISED}, linearised"
+        raise Refusal(file.name, STATUS, rule, " ".join(status) or "nothing")
+    return {name: _read_row(file.name, name, section.get(name, "")) for name in DELTAS}
+
+
+def _read_row(where: str, name: str, text: str) -> list[float]:
+    found = re.fullmatch(r"\[(.*)\]", text.split("#", maxsplit=1)[0].strip())
+    words = found[1].replace(",", " ").split() if found else []
+    if len(words) != len(LINKS):
+        raise Refusal(where, name, f"be a row of {len(LINKS)} numbers", text or "nothing")
+    try:
+        row = [float(word) for word in words]
+    except ValueError:
+        raise Refusal(where, name, "be numbers", text) from None
+    return [_DELTA.take(where, value, name) for value in row]
+
+
+def _check_joints(path: JointPath, where: str) -> None:
+    kinds = [joint.kind for joint in path.moving]
+    if len(kinds) != len(LINKS) or "prismatic" in kinds:
+        names = ", ".join(joint.name for joint in path.moving)
+        raise Refusal(where, "arm", f"have {len(LINKS)} revolute joints to its flange", names)

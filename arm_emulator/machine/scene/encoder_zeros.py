@@ -1,0 +1,49 @@
+"""Reports of encoders whose joints are at 0, from the calibration of a machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+from arm_emulator.base.calibration.calibration import Calibration
+from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.parts.measuring.encoder import Encoder
+from arm_emulator.machine.scene.joint import Joint
+
+AnyEncoder = TypeVar("AnyEncoder", bound=Encoder)
+
+
+def put_zeros(joints: tuple[Joint, ...], calibration: Calibration) -> tuple[Joint, ...]:
+    """Return joints whose encoders are turned on their shafts as a calibration has it.
+
+    Raises:
+        Refusal: a joint has no encoder of its own.
+    """
+    given = {
+        name: one.encoder_zero for name, one in calibration.deviations.items() if one.encoder_zero
+    }
+    driven = {joint.name for joint in joints if joint.motor is not None}
+    for name in given:
+        if name not in driven:
+            known = ", ".join(sorted(driven)) or "none"
+            rule = "belong to a joint with a motor"
+            raise Refusal(calibration.where, f"{name}.encoder_zero", rule, name, known)
+    return tuple(_turn_discs(one, given[one.name]) if one.name in given else one for one in joints)
+
+
+def _turn_discs(joint: Joint, zero: float) -> Joint:
+    """Return a joint whose encoders report `zero` [rad or m] more than its position."""
+    sensors = joint.sensors
+    at_link = sensors.link_encoder
+    return replace(
+        joint,
+        sensors=replace(
+            sensors,
+            encoder=_turn(sensors.counting, zero / joint.gear.ratio),
+            link_encoder=None if at_link is None else _turn(at_link, zero),
+        ),
+    )
+
+
+def _turn(encoder: AnyEncoder, angle: float) -> AnyEncoder:
+    return replace(encoder, offset=(encoder.offset or 0.0) + angle)
