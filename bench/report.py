@@ -26,6 +26,7 @@ SECTIONS = (
     "ns_per_step",
     "fleet",
     "stability_map",
+    "sticking",
     "threads",
     "clocks",
     "first_use",
