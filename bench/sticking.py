@@ -157,7 +157,7 @@ def report(figures: dict[str, Any]) -> str:
 A bar of 4 kg on a hinge, 0.5 m to its centre, is held horizontally by dry friction of twice its
 weight's torque. Drake has no dry friction in joints: there a block of 4 kg rests on a slope, in
 contact of twice the friction that it needs, and the creep is in m. Pinocchio has none either: its
-rows are ABA under a smooth law in a loop of Python, whose time says nothing.
+rows are ABA under a smooth law in a loop of Python, whose time is not stated.
 
 {table(("at rest", "creep [rad/min, m/min]", "step [ns]"), rest)}
 

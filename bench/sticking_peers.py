@@ -54,7 +54,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Run:
-    """Angles or places (K,) every SAMPLE, and the time of a step [ns], None if it says nothing."""
+    """Angles or places (K,) every SAMPLE, and the time of a step [ns], None where it is not measured."""
 
     q: Array
     step: float | None = None
@@ -142,7 +142,7 @@ def pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
     """Return Pinocchio's ABA under regularised friction, in semi-implicit Euler steps.
 
     Friction is tanh(v / smooth); breakaway falls to sliding over the speed `fall`. The loop is
-    Python's, so its time says nothing about Pinocchio.
+    Python's, so its time is not that of Pinocchio.
     """
 
     def run(bar: Bar, duration: float, start: float) -> Run:
