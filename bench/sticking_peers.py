@@ -54,7 +54,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Run:
-    """Angles or places (K,) every SAMPLE, and the time of a step [ns], None where it is not measured."""
+    """Places (K,) every SAMPLE [rad or m], and the time of a step [ns], None if not measured."""
 
     q: Array
     step: float | None = None
