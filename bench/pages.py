@@ -105,6 +105,7 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "look.png": _bench("page_picture", "look"),
     "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),
     "tool_paths.png": _bench("tool_paths"),
+    "vibration.png": _section("vibration", "vibration.png"),
     "tune_ur5.png": _command("tune_ur5.png", "tune", "ur5"),
 }
 

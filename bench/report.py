@@ -35,6 +35,7 @@ SECTIONS = (
 BY_NAME = (
     "feedforward",
     "tool_paths",
+    "vibration",
     "assumed",
     "beside_mujoco",
     "portable_arithmetic",

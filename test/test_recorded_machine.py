@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_bags import synthetic
+from made_bags import TYPES, EmulatorBag, synthetic
+from sensor_msgs.msg import JointState
 
-from arm_emulator import Refusal, Timeline, load_scene
+from arm_emulator import Kinematics, Refusal, Session, Timeline, load_scene
+from arm_emulator.analysis.residual_vibration import measure_vibration
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.cli.command_line import main
+from arm_emulator.machine.plant.plant_state import compute_count_angle
 from arm_emulator.ros.recording.bag import Bag
+from arm_emulator.ros.recording.bag_writer import BagWriter
 
 POWERS = [True] * 30 + [False] * 9 + [True] * 60
 
@@ -130,3 +134,40 @@ def test_a_moment_beyond_the_record_is_refused(at: str, explain: Explain) -> Non
     code, output = explain(at)
     assert code == 2
     assert "--at must be within the run, 0 to 0.099 s" in output["refused"]
+
+
+def test_the_vibration_after_the_last_targets_is_that_of_the_machine(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Voltages for 200 ms, targets of 10 ms up to there; then the links swing on their gears."""
+    session = Session(load_scene("three_axis"), "lockstep", "first_answer")
+    names, places, counts = list(session.scene.joint_names), [], []
+    tool = Kinematics(session.scene.urdf, names, session.scene.tool)
+    count_angle = compute_count_angle(session.scene)
+    kinds = {**TYPES, "/joint_targets": JointState}
+    with BagWriter(tmp_path / "bag") as writer:
+        bag = EmulatorBag(writer, session, kinds)
+        for tick in range(600):
+            bag.report()
+            if tick % 10 == 0 and tick <= 190:
+                bag.send("/joint_targets", name=names, position=[0.001 * tick, 0.0, 0.0])
+            volts = [6.0, 0.0, 0.0] if tick < 190 else [0.0, 0.0, 0.0]
+            places.append(tool.forward(session.state.q)[1])
+            counts.append(tool.forward(count_angle * session.measured.encoder_counts)[1])
+            bag.command(tick, volts)
+            session.offer(tick, names, volts)
+            session.advance()
+    end = 200
+    words = ["explain", str(tmp_path / "bag"), "--scene", "three_axis", "--json"]
+    for more in ([], ["--at", "0.2"]):
+        monkeypatch.setattr("sys.argv", ["arm_emulator", *words, "--stop", "0.05", *more])
+        with pytest.raises(SystemExit) as code:
+            main()
+        found = json.loads(capsys.readouterr().out)
+        assert code.value.code == 0 and found["tick"] == end, found
+        for source, rows in (("truth", places), ("encoders", counts)):
+            expected = measure_vibration(np.array(rows[end:]), 1e-3, 5e-5)
+            for key in ("largest", "swing", "rms", "frequency", "settled"):
+                value = getattr(expected, key)
+                value = None if np.isnan(value) else pytest.approx(value, rel=1e-6, abs=1e-12)
+                assert found[source][key] == value, (source, key)

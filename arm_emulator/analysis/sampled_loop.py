@@ -14,9 +14,8 @@ from arm_emulator.base.arrays import Array
 
 ComplexArray = npt.NDArray[np.complex128]
 
-_THETA, _CURRENT, _APPLIED, _TARGET = (
-    INPUTS.index(name) for name in ("theta", "current", "applied", "target")
-)
+_THETA, _CURRENT, _APPLIED = (INPUTS.index(name) for name in ("theta", "current", "applied"))
+_GIVEN = [INPUTS.index(name) for name in ("target", "v_target")]
 _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 
 
@@ -58,6 +57,7 @@ class SampledLoop:
 
     Attributes:
         A: one servo period of everything, (n, n).
+        B: what it adds per joint target [rad or m] and per speed that comes with it, (n, 2, N).
         radius: growth factor per period of the fastest growing (slowest decaying) motion.
 
     Args:
@@ -78,27 +78,27 @@ class SampledLoop:
         for j in range(N):
             measured[_CURRENT, j, applied + j] = plant.current_by_command[j]
             measured[_APPLIED, j, applied + j] = 1.0
-        A, B = np.zeros((size, size)), np.zeros((size, N))
-        command, by_target = np.zeros((N, size)), np.zeros((N, N))
+        A, B = np.zeros((size, size)), np.zeros((size, 2, N))
+        command, by_given = np.zeros((N, size)), np.zeros((N, 2, N))
         for j, servo in enumerate(servos):
             own = slice(n + s * j, n + s * (j + 1))
             A[own] = servo.B @ measured[:, j]
             A[own, own] += servo.A
-            B[own, j] = servo.B[:, _TARGET]
+            B[own, :, j] = servo.B[:, _GIVEN]
             command[j] = servo.D @ measured[:, j]
             command[j, own] += servo.C
-            by_target[j, j] = servo.D[_TARGET]
+            by_given[j, :, j] = servo.D[_GIVEN]
         # The queue of commands: the newest at its end, the one that is applied at its front.
         queue = np.zeros((N * (1 + delay), size))
-        queue_target = np.zeros((N * (1 + delay), N))
+        queue_given = np.zeros((N * (1 + delay), 2, N))
         for d in range(delay):
             queue[N * d : N * (d + 1), applied + N * (d + 1) : applied + N * (d + 2)] = np.eye(N)
         queue[N * delay :] = command
-        queue_target[N * delay :] = by_target
-        A[applied:], B[applied:] = queue, queue_target
+        queue_given[N * delay :] = by_given
+        A[applied:], B[applied:] = queue, queue_given
         A[:n, :n] = plant.F
         A[:n] += plant.G @ queue[:N]
-        B[:n] += plant.G @ queue_target[:N]
+        B[:n] += np.tensordot(plant.G, queue_given[:N], 1)
         self.A, self.B = A, B
         self._states, self._command = n, command
         # Inputs added to the commands of the servos.
@@ -163,7 +163,7 @@ class SampledLoop:
         n = self._states
         size = len(self.A)
         once = np.zeros((size + 1, size + 1))
-        once[:size, :size], once[:size, size], once[size, size] = self.A, self.B[:, joint], 1.0
+        once[:size, :size], once[:size, size], once[size, size] = self.A, self.B[:, 0, joint], 1.0
         ahead = np.linalg.matrix_power(once, every)
         x = np.zeros((size + 1, 1))
         x[size] = 1.0

@@ -102,18 +102,18 @@ def _find_newest(
         if at > ends:
             break
         if name == "joint_targets":
-            q_target = _arrange(message.name, message.position, names, q_target)
+            q_target = arrange_joints(message.name, message.position, names, q_target)
         elif name == "motion/status":
             orders = describe_motion(message)
         elif message.tick == tick and at >= published:
-            commanded = _arrange(message.joint_names, message.command, names, commanded)
+            commanded = arrange_joints(message.joint_names, message.command, names, commanded)
     return commanded, q_target, orders
 
 
-def _arrange(
+def arrange_joints(
     given: list[str], values: Any, names: tuple[str, ...], before: Array | None
 ) -> Array | None:
-    """Return values in the scene's order of joints; what was before if joints are missing."""
+    """Return values in the scene's order of joints; `before` if joints are missing."""
     if sorted(given) != sorted(names) or len(values) != len(names):
         return before
     return np.array([values[list(given).index(name)] for name in names], np.float64)

@@ -3,8 +3,12 @@
 from arm_emulator.analysis.linear_servo import Loop as ServoLoop
 from arm_emulator.analysis.mode_loops import Mode as LoopMode
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
+from arm_emulator.analysis.residual_vibration import QUANTITIES as VIBRATION_QUANTITIES
+from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
+from arm_emulator.analysis.servo_loop import poses as draw_poses
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.analysis.stability import explain as explain_divergence
+from arm_emulator.analysis.vibration_modes import VibrationMode, find_vibration_modes
 from arm_emulator.base.urdf.frames import Frame
 from arm_emulator.base.urdf.joint_tree import find_root as find_root_link
 from arm_emulator.base.urdf.joint_tree import list_element_names
@@ -109,6 +113,7 @@ __all__ = [
     "STEPS_BETWEEN_CHECKS",
     "TOOL_SIGNALS_NAME",
     "VARIED_NAMES",
+    "VIBRATION_QUANTITIES",
     "VOLTAGE_INPUT",
     "WRENCH_AXES",
     "Body",
@@ -143,6 +148,7 @@ __all__ = [
     "SmallMotions",
     "ToolChain",
     "Varied",
+    "VibrationMode",
     "WrenchChange",
     "arrange_further_rows",
     "bound_start",
@@ -154,10 +160,13 @@ __all__ = [
     "compute_count_angle",
     "compute_largest_position",
     "cxx_number",
+    "draw_poses",
     "explain_divergence",
     "find_input",
+    "find_reference_end",
     "find_root_link",
     "find_varied",
+    "find_vibration_modes",
     "format_mismatch",
     "inertial_of",
     "is_at_one_instant",
@@ -178,6 +187,7 @@ __all__ = [
     "make_commands",
     "make_options",
     "make_truth",
+    "measure_vibration",
     "move_to_moving_link",
     "order_by_joint",
     "override_keys",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arm_emulator.motion.executor.feedforward import Feedforward
+from arm_emulator.motion.executor.shaped_reference import ShapedReference
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.planner.collision_guard import CollisionGuard
@@ -30,6 +31,7 @@ class Controllers:
         leading: the control law that leads, or None.
         period_ns: motion period [ns].
         guard: stops the arm before parts touch; None: nobody watches.
+        shaped: shapes that motion first, so that the arm does not shake.
         feedforward: what makes the servo's targets of the links' motion.
     """
 
@@ -39,6 +41,7 @@ class Controllers:
         self._planner = controller if isinstance(controller, TargetPlanner) else None
         self.leading: Controller | None = None
         self._braking: JerkLimitedVelocity | None = None
+        self.shaped = ShapedReference(config.design_shaper(), config.period)
         self.feedforward = Feedforward(controller.kinematics, config)
         watched = config.has_collision_stop
         self.guard = CollisionGuard(controller.kinematics, config) if watched else None
@@ -63,6 +66,7 @@ class Controllers:
     def retune(self, config: MotionConfig) -> None:
         """Continue with other parameters; its owner retunes `controller`."""
         self.config, self._braking = config, None
+        self.shaped.retune(config.design_shaper())
         if self._planner not in (None, self.controller):
             self.planner.retune(config)
 

@@ -183,7 +183,7 @@ class PathGoal(_ToolGoal):
         self._check_motion(controllers, motion)
         controllers.leading = self._law = law
         law.follow(motion, f"in {motion.duration:.3g} s")
-        self._arrival = _Arrival(config)
+        self._arrival, self._shaped = _Arrival(config), controllers.shaped
         self._watch = PathMonitor(law.kinematics, self._path.poses, config.tool_path_tolerance)
 
     def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
@@ -198,7 +198,7 @@ class PathGoal(_ToolGoal):
     def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
         instruction = self._law.go_on(q, self._path.poses[-1])
-        self._watch.see(instruction.q, q)
+        self._watch.see(instruction.q, q - self._shaped.lag)  # where the tool truly is
         return instruction
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:

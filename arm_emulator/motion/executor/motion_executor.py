@@ -90,6 +90,7 @@ class MotionExecutor:
         if self._controllers is not None:
             self._controllers.leading = None
             self._controllers.feedforward.forget()
+            self._controllers.shaped.restart()
 
     def retune(self, config: MotionConfig) -> None:
         """Continue with other parameters; a path that has begun keeps its speed."""
@@ -230,16 +231,19 @@ class MotionExecutor:
         if movable is not None and not movable.all():
             controllers.feedforward.forget()  # the measured positions hold, whatever was commanded
         controllers.feedforward.observe(tau, movable)
-        measured, q = q, controllers.feedforward.compute_link_angles(q)
+        measured, links = q, controllers.feedforward.compute_link_angles(q)
+        # The arm as if it had got the reference without the delay of its shaper.
+        q, true_v = links + controllers.shaped.lag, v
+        v = None if v is None else v + controllers.shaped.v_lag
         try:
             self._wait(controllers, time_ns, q, movable)
             self._take_up(controllers, time_ns, q)
             if self._standstill is None:
                 of_links = self._instruct(controllers, time_ns, q, v)
             else:
-                can = np.ones(len(q), dtype=bool) if movable is None else movable
-                of_links = self._standstill.instruct(q, v, can)
-            instruction = controllers.feedforward.complete(of_links)
+                can = np.ones(len(links), dtype=bool) if movable is None else movable
+                of_links = self._standstill.instruct(links, true_v, can)
+            instruction = controllers.feedforward.complete(controllers.shaped.shape(of_links))
             answer = instruction.q, instruction.v, instruction.tau
             for bound, values in zip((_Q_TARGET, _V_TARGET, _TAU), answer, strict=True):
                 if values is not None:
@@ -250,8 +254,8 @@ class MotionExecutor:
             self.restarts += 1
             self.trouble = str(error)
             self.start_over(self.trouble)
-            self._hold = q
-            of_links, instruction = JointSetpoint(q), JointSetpoint(measured)
+            self._hold = links
+            of_links, instruction = JointSetpoint(links), JointSetpoint(measured)
         self._last = time_ns, of_links
         return instruction
 
@@ -266,9 +270,9 @@ class MotionExecutor:
         """Stand still while a joint cannot move, and until all rest."""
         if self._standstill is None:
             if movable is not None and not movable.all():
-                self._standstill = Standstill(
-                    controllers, self._find_reference(controllers, time_ns, q)
-                )
+                now = controllers.shaped.compute_sent(self._find_reference(controllers, time_ns, q))
+                self._standstill = Standstill(controllers, now)
+                controllers.shaped.restart()
                 self._only = None
             return
         if not self._standstill.is_over or (movable is not None and not movable.all()):
@@ -359,8 +363,14 @@ class MotionExecutor:
             moved = bool((before.v != 0.0).any())
             state = State.ABORTED if moved else State.REFUSED
             return self._halt_goal(controllers, time_ns, before, Progress(state, str(reason)))
-        progress = self.progress = taken.order.progress(time_ns, q, v)
+        shaped, progress = controllers.shaped, taken.order.progress(time_ns, q, v)
+        if not shaped.is_settled and progress.state in (State.REACHED, State.UNREACHABLE):
+            progress = replace(progress, state=State.MOVING, reason="")
+        self.progress = progress
         path_text = taken.order.path_text
+        if shaped.delay:
+            later = f"{shaped.delay:.3g} s more by the shaper"
+            path_text = f"{path_text}, {later}" if path_text else later
         if taken.state is State.ACCEPTED or (
             taken.state is State.MOVING and path_text != taken.path_text
         ):
@@ -370,7 +380,8 @@ class MotionExecutor:
             )
         taken.report(self.reports, progress)
         if taken.state is State.ABORTED:
-            return self._stop_measured(controllers, time_ns, q, v)
+            v = None if v is None else v - shaped.v_lag
+            return self._stop_measured(controllers, time_ns, q - shaped.lag, v)
         return self._guard_setpoint(controllers, time_ns, q, instruction)
 
     def _guard_setpoint(
@@ -443,5 +454,5 @@ class MotionExecutor:
             reference = Reference(self._hold, still, still)
         scale = controllers.controller.kinematics.joint_scale
         if reference is None or not (np.abs(reference.q - q) <= LOST * scale).all():
-            return Reference(q, still, still)
+            return Reference(q - controllers.shaped.lag, still, still)
         return reference

@@ -10,10 +10,18 @@ from typing import Any
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.validation.parameters import load_parameters, parameter
 from arm_emulator.motion.model.drive_parameters import SECTION, Drives, read_drives
+from arm_emulator.motion.model.input_shaper import (
+    KINDS,
+    MODES,
+    InputShaper,
+    ShapedMode,
+    check_shaper,
+    read_modes,
+)
 from arm_emulator.motion.model.obstacles import OBSTACLES, Obstacle, read_obstacles
 
 NODE = "motion_controller"
-SECTIONS = SECTION, OBSTACLES
+SECTIONS = SECTION, OBSTACLES, MODES
 
 
 @dataclass(frozen=True)
@@ -177,6 +185,13 @@ class MotionConfig(SharedObject):
     may_end_moving: bool = parameter(
         False, "whether the last point of a joint trajectory may have a speed", settable=True
     )
+    shaper: str = parameter(
+        "none",
+        "input shaper of the joint targets, for the modes of the section modes: none, zv, zvd; a "
+        "motion ends by its delay later; taken over at rest",
+        choices=KINDS,
+        settable=True,
+    )
     jog_command_in_type: str = parameter(
         "unitless",
         "unit of jog commands: unitless, shares of the scales; speed_units, m/s and rad/s",
@@ -237,6 +252,8 @@ class MotionConfig(SharedObject):
     drives: Drives = field(default_factory=dict)
     """Gears and friction of joints by name, for the feed-forward `full`; a joint that is not there
     has a rigid gear and no friction. In files it is the section `joints`."""
+    modes: tuple[ShapedMode, ...] = ()
+    """Modes that the shaper suppresses. In files it is the section `modes`."""
     where: str = field(default=NODE, compare=False)
     """Name of the parameters in refusals: their file, or the node."""
 
@@ -245,11 +262,22 @@ class MotionConfig(SharedObject):
         """Whether the arm stops before parts touch."""
         return self.collisions == "stop" or (self.collisions == "auto" and bool(self.obstacles))
 
+    def design_shaper(self) -> InputShaper:
+        """Return the input shaper.
+
+        Raises:
+            Refusal: one that is not taken, see `check_shaper`.
+        """
+        check_shaper(self.shaper, self.modes, self.method, self.where)
+        return InputShaper.design(self.shaper, self.modes)
+
     def add_sections(self, sections: Mapping[str, Any], where: str) -> MotionConfig:
         """Return the parameters with those of the sections."""
         drives = read_drives(sections.get(SECTION, {}), where)
         obstacles = read_obstacles(sections.get(OBSTACLES, {}), where)
-        return replace(self, where=where, drives=drives, obstacles=obstacles)
+        modes = read_modes(sections.get(MODES, {}), where)
+        check_shaper(self.shaper, modes, self.method, where)
+        return replace(self, where=where, drives=drives, obstacles=obstacles, modes=modes)
 
     @property
     def gives(self) -> str:

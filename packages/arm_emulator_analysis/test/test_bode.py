@@ -10,8 +10,10 @@ import pytest
 from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from test_command_line import run
 
-from arm_emulator import Plant, load_scene
+from arm_emulator import Plant, load_gains, load_scene
+from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.io.table_file import read_table
+from arm_emulator.motion.model.config import load_motion_config
 
 RATIO, STIFFNESS, DAMPING = 0.01, 4e4, np.array([5.0, 8.0, 3.0])
 
@@ -86,3 +88,26 @@ def test_wrong_ranges_and_places_are_refused(file: Path, tmp_path: Path) -> None
     ):
         code, _, errors = run("bode", str(file), *words)
         assert code == 2 and line in errors and errors.count("\n") == 1, errors
+
+
+def test_the_modes_under_the_servos_are_lines_of_a_motion_controllers_file(tmp_path: Path) -> None:
+    code, out, errors = run("bode", "three_axis", "--closed")
+    assert code == 0, errors
+    lines = out.partition("for the motion controller's file:\n")[2]
+    file = tmp_path / "motion.yaml"
+    file.write_text(f"/**/motion_controller:\n  ros__parameters:\n    tool: tool\n{lines}")
+    config = load_motion_config(file)
+    scene = load_scene("three_axis")
+    modes = find_vibration_modes(Plant(scene), load_gains("three_axis").servo, scene.start)
+    assert config.shaper == "zvd" and len(config.modes) == 2
+    for given, mode in zip(config.modes, modes, strict=False):
+        assert given.frequency == pytest.approx(mode.frequency, rel=1e-3)
+        assert given.damping == pytest.approx(mode.damping, rel=1e-2)
+    facts = json.loads(run("bode", "three_axis", "--closed", "--json")[1])
+    assert [one["swing"] for one in facts["modes"]] == [one.swing for one in modes]
+    assert facts["range"][0] <= modes[0].frequency <= facts["range"][1]
+
+
+def test_modes_need_a_servo(file: Path) -> None:
+    code, out, errors = run("bode", str(file), "--closed")
+    assert code == 2 and "servo parameters must be in" in errors, out

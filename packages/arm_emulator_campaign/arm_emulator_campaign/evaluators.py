@@ -33,6 +33,7 @@ from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
 from arm_emulator_campaign.signals import list_signal_units
+from arm_emulator_campaign.vibration_requirement import KEY, VibrationRequirement
 
 Signals = Mapping[str, Array]
 REDUCTIONS = ("max", "min", "mean", "rms", "last")
@@ -176,7 +177,7 @@ class Evaluators:
         section = Section({"requirements": dict(campaign.requirements)}, where)
         given = section.required_section("requirements")
         formulas: dict[str, Formula] = {}
-        self._checked: dict[str, Checked] = {}
+        self._checked: dict[str, Checked | VibrationRequirement] = {}
         for name, text in campaign.requirements.items():
             if isinstance(text, str):
                 quantity = f"requirements.{name}"
@@ -184,7 +185,11 @@ class Evaluators:
                 formulas[name] = bind_signals(formula, known, where, quantity)
             else:
                 below = given.required_section(name)
-                self._checked[name] = Checked(below, known, campaign.file.parent)
+                self._checked[name] = (
+                    VibrationRequirement(below, scene)
+                    if KEY in text
+                    else Checked(below, known, campaign.file.parent)
+                )
         self._measures = [
             Measure(text, known, where, f"measures.{name}")
             for name, text in campaign.measures.items()
@@ -208,7 +213,7 @@ class Evaluators:
         kept = [rows.of(Signal(name)) for value in self._checked.values() for name in value.names]
         reduced = [(one.kind, rows.of(each)) for one in self._measures for each in one.of]
         self._program = Program(rows, requirements, reduced, kept, room)
-        self._traces: list[list[Array]] = [[] for _ in range(runs)]  # for functions of Python
+        self._traces: list[list[Array]] = [[] for _ in range(runs)]  # of those that need all of it
         self.samples = rows.samples
 
     def begin(self) -> None:

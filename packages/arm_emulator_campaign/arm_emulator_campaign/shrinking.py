@@ -188,7 +188,7 @@ def _make_campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str,
         key: seen(controller[key]) for key in ("servo", "motion") if key in controller
     }
     requirement = campaign.requirements[found.requirement]
-    if isinstance(requirement, Mapping):
+    if isinstance(requirement, Mapping) and "python" in requirement:
         file, _, function = str(requirement["python"]).partition(":")
         requirement = {**requirement, "python": f"{seen(file)}:{function}"}
     data["requirements"] = {found.requirement: requirement}

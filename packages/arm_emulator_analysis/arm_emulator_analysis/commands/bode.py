@@ -1,4 +1,4 @@
-"""Show how each joint answers to commands over frequency: resonances, Bode plot, table."""
+"""Show how each joint answers to commands over frequency: resonances, modes, Bode plot, table."""
 
 from __future__ import annotations
 
@@ -14,17 +14,27 @@ from scipy import signal
 from arm_emulator import LinearMachine, linearise
 from arm_emulator.extension.base import Array, Number, Refusal
 from arm_emulator.extension.commands import SceneName, command, output
-from arm_emulator.extension.machine import Scene, load_scene
+from arm_emulator.extension.machine import (
+    Plant,
+    Scene,
+    draw_poses,
+    find_vibration_modes,
+    load_scene,
+)
+from arm_emulator.extension.runs import check_servo, load_gains
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
 PER_DECADE = 2000  # frequencies
 KEPT = slice(None, None, 20)  # of them in tables
+MODES = 8  # that are listed
+SHAPED = 2  # of them, for the shaper
 
 
 @command(
     keys="`scene`, `pose`, `frequency` [Hz], `joints`: by name `unit` of the command, `resonances` "
     "and `antiresonances` [Hz], and of the speeds of `motor` and `link` the `gain` [rad/s or m/s "
-    "per unit] and the `phase` [rad]"
+    "per unit] and the `phase` [rad]; with the option closed, `modes`: `frequency` [Hz], "
+    "`damping`, `swing` [m/(m/s2)], and `range`: least and largest first frequency over poses [Hz]"
 )
 def bode(
     scene: SceneName = "three_axis",
@@ -35,6 +45,7 @@ def bode(
     high: Annotated[float | None, Parameter(metavar="HZ")] = None,
     picture: Annotated[Path | None, Parameter(metavar="PNG")] = None,
     table: Annotated[Path | None, Parameter(metavar="CSV")] = None,
+    closed: bool = False,
 ) -> int:
     """Show the frequency response from the command of each joint to its speeds.
 
@@ -46,6 +57,7 @@ def bode(
         high: highest frequency (default: half that of the servo).
         picture: gains and phases as a picture.
         table: gains and phases as a table.
+        closed: add the modes of the machine under its servos, for the input shaper.
     """
     machine = load_scene(scene)
     most = 0.5 / machine.servo_period if high is None else FREQUENCY.take("bode", high)
@@ -75,7 +87,36 @@ def bode(
         "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[KEPT],
         "joints": {name: _list_facts(one, units[name]) for name, one in found.items()},
     })  # fmt: skip
+    if closed:
+        _list_modes(scene, machine, linear.x0[linear.q])
     return 0
+
+
+def _list_modes(name: str, machine: Scene, q: Array) -> None:
+    """Print the modes of the machine under the servos that belong to it."""
+    servo, plant = load_gains(name).servo, Plant(machine)
+    check_servo(machine, servo)
+    modes = find_vibration_modes(plant, servo, q)
+    if not modes:
+        output.line("under its servos no mode swings")
+    rows = [
+        (f"{one.frequency:.2f}", f"{one.damping:.3f}", f"{1e3 * one.swing:.2g}")
+        for one in modes[:MODES]
+    ]
+    heads = "Hz", "damping", "tool, mm per m/s² that begins at once"
+    output.table(heads, rows, title="modes under the servos")
+    firsts = [find_vibration_modes(plant, servo, pose)[:1] for pose in draw_poses(machine)]
+    frequencies = [first[0].frequency for first in firsts if first]
+    ends = [min(frequencies), max(frequencies)] if frequencies else None
+    if ends is not None:
+        output.line(f"the first over {len(firsts)} poses: {ends[0]:.3g} to {ends[1]:.3g} Hz")
+        output.line("for the motion controller's file:")
+        output.line("    shaper: zvd\n    modes:")
+        for count, one in enumerate(modes[:SHAPED], 1):
+            numbers = f"{{frequency: {one.frequency:.4g}, damping: {one.damping:.3g}}}"
+            output.line(f"      mode_{count}: {numbers}")
+    facts = [{"frequency": m.frequency, "damping": m.damping, "swing": m.swing} for m in modes]
+    output.facts({"modes": facts, "range": ends})
 
 
 def _format_frequencies(frequencies: np.ndarray) -> str:

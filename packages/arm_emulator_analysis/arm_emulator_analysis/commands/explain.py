@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,13 +10,19 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.extension.bags import Explanation, RecordedMachine, explain_moment
-from arm_emulator.extension.base import Array, Refusal
+from arm_emulator.extension.bags import (
+    Explanation,
+    RecordedMachine,
+    explain_moment,
+    measure_stop,
+)
+from arm_emulator.extension.base import Array, Number, Refusal
 from arm_emulator.extension.commands import RunNumber, SceneName, When, command, output
 from arm_emulator.extension.machine import Diverged, Scene, list_differing_builds
 from arm_emulator.extension.page import Condition, Timeline
 from arm_emulator_analysis.first_difference import find_first_difference
 
+BAND = Number("--stop", "mm", above=0.0, at_most=1e6)
 TITLES = {
     "q_target": "target [rad or m]",
     "q": "q [rad or m]",
@@ -32,7 +39,8 @@ TITLES = {
         "`commanded`, `applied`, `supplied`, `dissipated`, `torques_on_links`, "
         "`torques_on_rotors`, `active`; with a second bag, and the moment before the difference, "
         "`sides`, `equal_ticks`, `difference` (null if they are equal), `builds` (sentences on "
-        "how builds differ)"
+        "how builds differ); with the option stop, `truth` and `encoders`: `largest`, `swing`, "
+        "`rms` [m], `frequency` [Hz] (null without a peak), `settled` [s]"
     ),
 )
 def explain(
@@ -42,6 +50,7 @@ def explain(
     *,
     at: Annotated[float | None, Parameter(metavar="S")] = None,
     when: When = None,
+    stop: Annotated[float | None, Parameter(metavar="MM")] = None,
     scene: SceneName | None = None,
     other_scene: SceneName | None = None,
     run: RunNumber = -1,
@@ -57,6 +66,8 @@ def explain(
         other: folder of the bag whose run is compared.
         at: logical time of the moment (s).
         when: condition instead: the first moment at which it holds, after that of --at if given.
+        stop: instead of a moment, the tool's vibration after the last targets, or from --at on,
+            and the time until it stays within so many mm of its rest.
         scene: scene file or name (default: the one that the bag names).
         other_scene: likewise of the other bag.
         run: which run of the bag, from 1 on (default: the last).
@@ -64,23 +75,54 @@ def explain(
     """
     machine = RecordedMachine.of(bag, scene, run)
     if other is not None:
-        if at is not None or when is not None:
-            raise Refusal("explain", "--at and --when", "stand without a second bag", "both")
+        if at is not None or when is not None or stop is not None:
+            rule = "stand without a second bag"
+            raise Refusal("explain", "--at, --when and --stop", rule, "both")
         second = RecordedMachine.of(other, other_scene or scene, other_run)
         return _compare((bag.name, other.name), machine, second)
+    if stop is not None:
+        if when is not None:
+            raise Refusal("explain", "--stop", "stand without --when", "both")
+        end = None if at is None else _find_tick(machine, at)
+        return _print_stop(machine, 1e-3 * BAND.take("explain", stop), end)
     if at is None and when is None:
         raise Refusal("explain", "--at or --when", "be given", "neither")
-    period = machine.scene.servo_period
-    begin = 0.0 if at is None else at
-    if not (math.isfinite(begin) and 0 <= round(begin / period) <= machine.last):
-        rule = f"be within the run, 0 to {machine.last * period:g} s"
-        raise Refusal("explain", "--at", rule, f"{begin:g}")
-    machine.advance(round(begin / period))
+    machine.advance(_find_tick(machine, 0.0 if at is None else at))
     if when is not None and not _is_found(machine, Condition(when, machine.scene, "explain")):
-        output.line(f"it never holds, up to {machine.last * period:g} s: {when}")
+        last = machine.last * machine.scene.servo_period
+        output.line(f"it never holds, up to {last:g} s: {when}")
         output.facts({"scene": machine.scene.name, "tick": None})
         return 1
     _print(machine.scene, explain_moment(machine))
+    return 0
+
+
+def _find_tick(machine: RecordedMachine, at: float) -> int:
+    """Return the tick at a logical time [s]."""
+    period = machine.scene.servo_period
+    if not (math.isfinite(at) and 0 <= round(at / period) <= machine.last):
+        rule = f"be within the run, 0 to {machine.last * period:g} s"
+        raise Refusal("explain", "--at", rule, f"{at:g}")
+    return round(at / period)
+
+
+def _print_stop(machine: RecordedMachine, band: float, end: int | None) -> int:
+    """Print the vibration of the tool after the last targets of a run, or from a tick on."""
+    tick, *found = measure_stop(machine, band, end)
+    scene, sources = machine.scene, ("truth", "encoders")
+    output.line(f"scene {scene.name}: the tool after {tick * scene.servo_period:g} s")
+    rows = [
+        (name, *(f"{1e3 * v:.4f}" for v in (one.largest, one.swing, one.rms)),
+         "-" if math.isnan(one.frequency) else f"{one.frequency:.2f}", f"{one.settled:.3f}")
+        for name, one in zip(sources, found, strict=True)
+    ]  # fmt: skip
+    heads = ("tool by", "largest, mm", "swing, mm", "rms, mm", "Hz", f"within {1e3 * band:g} mm, s")
+    output.table(heads, rows)
+    facts = [dataclasses.asdict(one) for one in found]
+    for fact in facts:
+        fact["frequency"] = None if math.isnan(fact["frequency"]) else fact["frequency"]
+    by_source = dict(zip(sources, facts, strict=True))
+    output.facts({"scene": scene.name, "tick": tick, **by_source})
     return 0
 
 

@@ -214,7 +214,8 @@ def _write_requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     units = list_column_units(campaign)
     for one in summary.shares:
         given = campaign.requirements.get(one.name, "")
-        text = given if isinstance(given, str) else str(given.get("python", ""))
+        named = isinstance(given, str) or "python" not in given
+        text = str(given) if named else str(given["python"])
         bad = " bad" if one.hits else ""
         yield f"<tr><td class=formula><b>{escape_html(one.name)}</b>"
         yield f"<br><code>{escape_html(text)}</code>" if text else ""

@@ -1,0 +1,164 @@
+"""The reference as the servo gets it: shaped, so that the arm does not shake when it has ended.
+
+All joints are shaped alike, so a straight line of the joints remains one, and each value is a mean
+of earlier ones with positive shares: limits of position, speed, acceleration and jerk hold on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from arm_emulator.base.arrays import Array
+from arm_emulator.motion.model.input_shaper import InputShaper
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
+
+_APART = 1e-9  # rad or m: rounding between the end of a motion period and the begin of the next
+
+
+@dataclass(eq=False)
+class _ShapedPeriod:
+    """The reference of one motion period; in between it is the quintic through both ends."""
+
+    begin: Reference
+    end: Reference
+    is_end_known: bool
+    """Whether `end` was given, not extrapolated."""
+    tau: Array | None
+
+    def at(self, share: float, period: float) -> Reference:
+        """Return the motion at a share of it."""
+        if share == 1.0:
+            return self.end
+        T, begin, end = period, self.begin, self.end
+        v0, a0 = begin.v * T, 0.5 * begin.a * T**2
+        q = end.q - begin.q - v0 - a0
+        v, a = end.v * T - v0 - 2.0 * a0, 0.5 * end.a * T**2 - a0
+        c3, c4, c5 = 10.0 * q - 4.0 * v + a, 7.0 * v - 15.0 * q - 2.0 * a, 6.0 * q - 3.0 * v + a
+        s = share
+        return Reference(
+            begin.q + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5)))),
+            (v0 + s * (2.0 * a0 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))) / T,
+            (2.0 * a0 + s * (6.0 * c3 + s * (12.0 * c4 + s * 20.0 * c5))) / T**2,
+        )
+
+    @property
+    def is_resting(self) -> bool:
+        """Whether nothing moves in it."""
+        ends = (self.begin.v, self.begin.a, self.end.v, self.end.a, self.end.q - self.begin.q)
+        return not any(rate.any() for rate in ends)
+
+
+class ShapedReference:
+    """Shapes setpoints one motion period after the other.
+
+    Where the reference jumps to where the arm is measured, as behind closed brakes, and until it
+    rests after that, it is passed on as it is: a delay would send the arm back.
+
+    Args:
+        shaper: its impulses.
+        period: motion period [s].
+
+    Attributes:
+        lag: by how much the reference is ahead of what the servo got, at the next period (N,).
+        v_lag: the same of its speeds.
+    """
+
+    def __init__(self, shaper: InputShaper, period: float) -> None:
+        self.lag: Array | float = 0.0
+        self.v_lag: Array | float = 0.0
+        self._period = period
+        self._coming: InputShaper | None = shaper
+        self._past: deque[_ShapedPeriod] = deque(maxlen=1)
+        self._sent: Reference | None = None  # end of the newest shaped period
+        self._take()
+
+    def retune(self, shaper: InputShaper) -> None:
+        """Continue with another shaper from the next rest on."""
+        self._coming = None if shaper == self._shaper else shaper
+        if self._sent is None:
+            self._take()
+
+    def restart(self) -> None:
+        """Pass the reference on as it is, until it rests."""
+        self._past.clear()
+        self._sent, self.lag, self.v_lag = None, 0.0, 0.0
+        self._take()
+
+    @property
+    def delay(self) -> float:
+        """Time by which it ends motions later [s]."""
+        return self._shaper.delay
+
+    def compute_sent(self, reference: Reference) -> Reference:
+        """Return what the servo got of a reference at this moment."""
+        return self._sent or reference
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the servo got all of the reference."""
+        return not np.any(self.lag) and not np.any(self.v_lag)
+
+    def shape(self, setpoint: JointSetpoint) -> JointSetpoint:
+        """Return the setpoint of this motion period."""
+        if self._shaper.delay == 0.0 and self._coming is None:
+            return setpoint
+        present = self._read(setpoint)
+        if self._past and (np.abs(self._past[-1].end.q - present.begin.q) > _APART).any():
+            self.restart()
+        if self._past and not self._past[-1].is_end_known:
+            self._past[-1].end = present.begin
+        if present.is_resting and self.is_settled:
+            self.restart()
+            self._past.extend([present] * (self._past.maxlen or 1))
+            self._sent = present.end
+            return setpoint
+        self._past.append(present)
+        if self._sent is None:
+            return setpoint
+        now = self._sent
+        then = self._sum()
+        self._sent = then
+        self.lag, self.v_lag = present.end.q - then.q, present.end.v - then.v
+        now = Reference(now.q, now.v, now.a, (then.a - now.a) / self._period)
+        v = (then.q - now.q) / self._period
+        return JointSetpoint(now.q, v, self._sum_effort(), now, then)
+
+    def _take(self) -> None:
+        """Begin to use the shaper that was given last."""
+        if self._coming is None:
+            return
+        self._shaper, self._coming = self._coming, None
+        back = self._shaper.times / self._period
+        self._places = -1 - np.floor(back).astype(int)  # of the impulses, among past periods
+        self._within = 1.0 - (back - np.floor(back))  # and in these, as a share
+        self._past = deque(maxlen=-int(self._places[-1]))
+
+    def _read(self, setpoint: JointSetpoint) -> _ShapedPeriod:
+        q, period = setpoint.q, self._period
+        mean = np.zeros_like(q) if setpoint.v is None else setpoint.v
+        now = setpoint.now or Reference(q, mean, np.zeros_like(q))
+        then = setpoint.then or now.after(period, q + period * mean)
+        return _ShapedPeriod(now, then, setpoint.then is not None, setpoint.tau)
+
+    def _sum(self) -> Reference:
+        """Return the shaped motion at the end of the newest period."""
+        newest = self._past[-1].end
+        q, v, a = newest.q.copy(), np.zeros_like(newest.v), np.zeros_like(newest.a)
+        parts = zip(self._shaper.shares, self._places, self._within, strict=True)
+        for share, place, within in parts:  # exactly at rest where all of them are
+            of = self._past[place].at(within, self._period)
+            q += share * (of.q - newest.q)
+            v += share * of.v
+            a += share * of.a
+        return Reference(q, v, a)
+
+    def _sum_effort(self) -> Array | None:
+        """Return the shaped torques; None where some of them are not known."""
+        parts = [self._past[place].tau for place in self._places]
+        known = [tau for tau in parts if tau is not None]
+        if len(known) < len(parts):
+            return None
+        return np.asarray(self._shaper.shares @ np.array(known))
