@@ -195,8 +195,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/drive.hpp",
-        "dry += rotor.law.holding(gear.Ng * T) / magnitude(gear.Ng);",
-        "dry += rotor.law.holding(T) / magnitude(gear.Ng);",
+        "dry += rotor.law.holding(on_link<Rotor>(gear.Ng * T, turn(way))) / magnitude(gear.Ng);",
+        "dry += rotor.law.holding(on_link<Rotor>(T, turn(way))) / magnitude(gear.Ng);",
         "test_load_friction.py test_rotor_friction.py",
     ),
     Mutant(
@@ -207,9 +207,27 @@ MUTANTS = (
     ),
     Mutant(
         f"{CORE_PARTS}/frictions/load_friction.hpp",
-        "return dry + mu * magnitude(T);",
-        "return dry + mu * T;",
+        "return dry + mu * magnitude(on.of_gear);",
+        "return dry + mu * on.of_gear;",
         "test_load_friction.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/frictions/load_friction.hpp",
+        "select(on.lead > 0.0, q * on.of_gear",
+        "select(on.lead < 0.0, q * on.of_gear",
+        "test_directed_load_friction.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/frictions/rotor_friction.hpp",
+        "return same < onward ? same : onward;",
+        "return onward;",
+        "test_directed_load_friction.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/coulomb.hpp",
+        "return select(way < 0.0, of_.Ds[1][j], of_.Ds[0][j]);",
+        "return of_.Ds[0][j];",
+        "test_directed_load_friction.py",
     ),
     Mutant(
         f"{CORE_PARTS}/measuring/encoder.hpp",

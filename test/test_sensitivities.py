@@ -100,6 +100,27 @@ def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> 
     compare(scene, commands(scene, 0))
 
 
+def test_derivatives_by_every_number_of_friction_that_knows_the_direction_of_power(
+    tmp_path: Path,
+) -> None:
+    directed = {"viscous": 1e-5, "load": 0.1, "back_load": 0.3, "rest_load": 0.2,
+                "rest_back_load": 0.1, "motor_load": 0.1, "rest_motor_load": 0.05,
+                "rest_load_square": 0.5, "rest_motor_square": 0.2, "exponent": 1.6}  # fmt: skip
+    of_rotor = {**directed, "coulomb": 5e-3, "breakaway": 8e-3, "stribeck": 6.0}
+    motor = {"kind": "torque", "rotor_inertia": 1e-4, "torque_limit": 0.3, "bandwidth": 100.0}
+    elastic = {"ratio": 0.02, "stiffness": 2e4, "damping": 20.0}
+    sections = (
+        {"motor": {**motor, "friction": of_rotor}, "gear": elastic},
+        {"motor": motor, "gear": {**elastic, "ratio": -0.02},
+         "friction": {**directed, "coulomb": 0.5, "breakaway": 0.7, "stribeck": 0.2}},
+        {"motor": {**motor, "friction": of_rotor}, "gear": {"ratio": -0.02}},
+    )  # fmt: skip
+    joints = dict(zip(GANTRY, sections, strict=True))
+    file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
+    scene = load_scene(file, {"integrator.dt": PERIOD / 4, "integrator.events": "located"})
+    compare(scene, commands(scene, 0))
+
+
 def mixture(folder: Path, seed: int) -> Scene:
     scheme = ("extrapolated", "rosenbrock")[seed % 2]
     return load_scene(write_mixture(folder, seed), {"integrator.scheme": scheme})

@@ -31,6 +31,9 @@ class Coulomb {
   // Whether the breakaway torque depends on a load.
   static constexpr bool loaded =
       any_drive<S>([](const auto& drive) { return drive.holds_by_load; });
+  // Whether friction is another one in the other direction.
+  static constexpr bool directed =
+      any_drive<S>([](const auto& drive) { return drive.friction_is_directed; });
 
   explicit Coulomb(const Numbers<S, X>& numbers) : n_(numbers) {}
 
@@ -46,8 +49,11 @@ class Coulomb {
           const auto at = [&](const State<S, X>& state) {
             return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
           };
-          set_lane(of_.Dc[j], lane, drive.sliding(at(x), now.active()));
-          set_lane(of_.Ds[j], lane, drive.holding(at(pulled), now.active()));
+          for (int side = 0; side < Taken::sides; ++side) {
+            const Real way = side == 0 ? 1.0 : -1.0;
+            set_lane(of_.Dc[side][j], lane, drive.sliding(at(x), now.active(), way));
+            set_lane(of_.Ds[side][j], lane, drive.holding(at(pulled), now.active(), way));
+          }
           set_lane(of_.dry[j], lane, drive.is_dry());
         });
     }
@@ -62,8 +68,10 @@ class Coulomb {
           return;
         const auto now = modes(drive, j, lane);
         const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
-        const Real more = drive.sliding(at, now.active()) - lane_of(of_.Dc[j], lane);
-        set_lane(change[j], lane, lane_of(change[j], lane) - more * lane_of(direction_[j], lane));
+        const Real way = lane_of(direction_[j], lane);
+        const Real more =
+            drive.sliding(at, now.active(), way) - lane_of(Dc(j, direction_[j]), lane);
+        set_lane(change[j], lane, lane_of(change[j], lane) - more * way);
       });
   }
 
@@ -79,7 +87,7 @@ class Coulomb {
       for (int j = 0; j < N; ++j) down.rhs[j] = x[j];
       do {
         factor_unlocked(W);
-        for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - Dc(j) * direction_[j];
+        for (int j = 0; j < N; ++j) x[j] = down.rhs[j] - sliding_torque(j);
         solve_again(x);
       } while (lock_joint(down, x) || free_joint(W, down, x));
     }
@@ -93,7 +101,7 @@ class Coulomb {
     for (int j = 0; j < N; ++j) {
       lock_torque_[j] = rhs[j];
       slide &= negated(locked_[j]);
-      rest &= where(locked_[j], negated(magnitude(lock_torque_[j]) > Ds(j)));
+      rest &= where(locked_[j], negated(magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j])));
     }
     if (all(slide | rest)) return;
     auto M = mass();
@@ -130,14 +138,14 @@ class Coulomb {
     if constexpr (kWidth<X> == 1)
       if (!lock) {
         factors_.factor(W);
-        for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
+        for (int j = 0; j < N; ++j) x[j] = rhs[j] - sliding_torque(j);
         return factors_.solve(x);
       }
     if (lock)
       factor_unlocked(W);
     else
       factor(W);
-    for (int j = 0; j < N; ++j) x[j] = rhs[j] - Dc(j) * direction_[j];
+    for (int j = 0; j < N; ++j) x[j] = rhs[j] - sliding_torque(j);
     solve_again(x);
     if (!lock) return;
     for (int j = 0; j < N; ++j)
@@ -162,13 +170,15 @@ class Coulomb {
     Mask<X> same = X{} == X{};
     for (int j = 0; j < N; ++j) {
       same &= (direction_[j] == modes.direction[j]) & ~(locked_[j] ^ modes.locked[j]);
-      same &= ~where(locked_[j], magnitude(lock_torque_[j]) > Ds(j));
+      same &= ~where(locked_[j], magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j]));
     }
     return all(same);
   }
 
   // Remaining capacity of the lock of joint j, below 0 if it does not hold [N m].
-  ARM_INLINE X spare(int j) const { return Ds(j) * (1.0 + kRounding) - magnitude(lock_torque_[j]); }
+  ARM_INLINE X spare(int j) const {
+    return Ds(j, lock_torque_[j]) * (1.0 + kRounding) - magnitude(lock_torque_[j]);
+  }
 
   ARM_INLINE void solve_again(X* x) const {
     if constexpr (present)
@@ -179,7 +189,7 @@ class Coulomb {
   // Torque against the motion of joint j, or of the lock that holds it.
   ARM_INLINE X force(int j) const {
     if constexpr (present)
-      return select(locked_[j], lock_torque_[j], Dc(j) * direction_[j]);
+      return select(locked_[j], lock_torque_[j], sliding_torque(j));
     else
       return X{};
   }
@@ -261,7 +271,7 @@ class Coulomb {
     X excess = {}, way = {}, worst = X{} - 1.0;
     for (int j = 0; j < N; ++j) {
       const X torque = lock_torque_[j] = torque_of_lock(j, W, down.rhs, x);
-      const X capacity = select(down.broken[j], X{} + Dc(j), X{} + Ds(j));
+      const X capacity = select(down.broken[j], X{} + Dc(j, torque), X{} + Ds(j, torque));
       const X over = select(locked_[j], magnitude(torque) - capacity, X{});
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
@@ -293,22 +303,29 @@ class Coulomb {
 
   // Friction torques of a step, if they vary.
   struct Taken {
-    X Dc[N] = {}, Ds[N] = {};
+    static constexpr int sides = directed ? 2 : 1;  // forward, and backward if that differs
+    X Dc[sides][N] = {}, Ds[sides][N] = {};
     X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then
   };
 
-  ARM_INLINE auto Dc(int j) const {
-    if constexpr (varies)
-      return of_.Dc[j];
+  // Friction of joint j that slides, or is pulled, in the direction of `way`.
+  ARM_INLINE auto Dc(int j, [[maybe_unused]] const X& way) const {
+    if constexpr (directed)
+      return select(way < 0.0, of_.Dc[1][j], of_.Dc[0][j]);
+    else if constexpr (varies)
+      return of_.Dc[0][j];
     else
       return n_.Dc(j);
   }
-  ARM_INLINE auto Ds(int j) const {
-    if constexpr (varies)
-      return of_.Ds[j];
+  ARM_INLINE auto Ds(int j, [[maybe_unused]] const X& way) const {
+    if constexpr (directed)
+      return select(way < 0.0, of_.Ds[1][j], of_.Ds[0][j]);
+    else if constexpr (varies)
+      return of_.Ds[0][j];
     else
       return n_.Ds(j);
   }
+  ARM_INLINE auto sliding_torque(int j) const { return Dc(j, direction_[j]) * direction_[j]; }
 
   // Whether a joint may be locked: whether it has a law of dry friction.
   ARM_INLINE auto dry(int j) const {

@@ -115,7 +115,7 @@ struct Drive {
         r.f[wm] = is_active(active, of_rotor)
                       ? -x.z[wm]
                       : shaft - on_rotor(x, T) -
-                            rotor.against(x.z[wm], on_rotor(x, T), x.offset[of_rotor]);
+                            rotor.against(x.z[wm], on_rotor(x, T), shaft, x.offset[of_rotor]);
       else
         r.f[wm] = shaft - on_rotor(x, T);
       r.g += T;
@@ -163,32 +163,38 @@ struct Drive {
   // load in the given modes.
   static constexpr bool friction_varies = LinkFriction::varies || (carries_rotor && Rotor::varies);
   static constexpr bool holds_by_load = LinkFriction::loaded || (carries_rotor && Rotor::loaded);
+  // Whether it is another one in the other direction.
+  static constexpr bool friction_is_directed =
+      LinkFriction::directed || (carries_rotor && Rotor::directed);
   // Whether a nonlinear part depends on the motor's states.
   static constexpr bool bends_motor =
-      driven && (!std::is_same_v<LinearOf<Motor>, Motor> || (!elastic && holds_by_load));
+      driven && (!std::is_same_v<LinearOf<Motor>, Motor> || (!elastic && holds_by_load) ||
+                 (elastic && Rotor::directed));
   constexpr bool is_dry() const {
     if constexpr (carries_rotor && Rotor::modes > 0)
       if (rotor.law.is_dry()) return true;
     return friction.is_dry();
   }
+  // Torque against the link, which slides that `way`: 1 or -1.
   template <class X>
-  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned active) const {
-    return sliding_under(x, load_on_link(x, active));
+  ARM_INLINE constexpr X sliding(const Input<X>& x, unsigned active, X way) const {
+    return sliding_under(x, load_on_link(x, active), way);
   }
   // Sliding torque under the torque T of the gear on its link.
   template <class X>
-  ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T) const {
-    X dry = friction.sliding(x.v, T);
+  ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T, X way) const {
+    X dry = friction.sliding(x.v, on_link<LinkFriction>(T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.sliding(motor_speed(x), gear.Ng * T) / magnitude(gear.Ng);
+      dry += rotor.law.sliding(motor_speed(x), on_link<Rotor>(gear.Ng * T, turn(way))) /
+             magnitude(gear.Ng);
     return dry;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned active) const {
+  ARM_INLINE constexpr X holding(const Input<X>& x, unsigned active, X way) const {
     const X T = load_on_link(x, active);
-    X dry = friction.holding(T);
+    X dry = friction.holding(on_link<LinkFriction>(T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.holding(gear.Ng * T) / magnitude(gear.Ng);
+      dry += rotor.law.holding(on_link<Rotor>(gear.Ng * T, turn(way))) / magnitude(gear.Ng);
     return dry;
   }
 
@@ -390,6 +396,18 @@ struct Drive {
     return X{};
   }
 
+  // Torque of the motor and of extras on the rotor.
+  template <class X>
+  ARM_INLINE constexpr X drive_torque(const Input<X>& x, unsigned active) const {
+    X torque = motor.torque(x.z, motor_angle(x));
+    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode)
+                       __attribute__((always_inline)) {
+                         if constexpr (Extra::place == Place::rotor)
+                           torque += torque_of<state, mode>(extra, x, active);
+                       });
+    return torque;
+  }
+
   template <class Extra, class X>
   ARM_INLINE constexpr X angle_of(const Extra&, const Input<X>& x) const {
     if constexpr (Extra::place == Place::rotor) return motor_angle(x);
@@ -440,14 +458,22 @@ struct Drive {
   constexpr OnRotor shaft(const Input<Real>& at, const Modes& now) const {
     const Input<Real> x = with(at, now);
     const unsigned active = now.active();
-    OnRotor on = {motor.torque(x.z, motor_angle(x)), on_rotor(x, gear_on_link(x, active)),
+    OnRotor on = {drive_torque(x, active), on_rotor(x, gear_on_link(x, active)),
                   kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
-    for_each_extra([&]<class Extra>(const Extra& extra, auto state, auto mode) {
-      if constexpr (Extra::place == Place::rotor)
-        on.torque += torque_of<state, mode>(extra, x, active);
-    });
     on.torque -= on.of_gear;
     return on;
+  }
+
+  // The direction of the rotor behind a rigid gear, where the link moves that `way`.
+  template <class X>
+  ARM_INLINE constexpr X turn(X way) const {
+    return gear.Ng < 0.0 ? -way : way;
+  }
+  // Torques for the friction of a link, and of a rotor that turns with it.
+  template <class Law, class X>
+  ARM_INLINE static constexpr ShaftTorques<X> on_link(X T, X way) {
+    if constexpr (!Law::directed) return {T, T, X{}};
+    return {way * T, way * T, way * T};
   }
 
   // `first` and the counts of so many extras.

@@ -37,8 +37,8 @@ struct Sheet {
  private:
   constexpr void set(int j, const auto& drive) {
     carried[j] = drive.carried();
-    Dc[j] = drive.sliding(drive.at_rest_behind(0.0, 0.0), 0);
-    Ds[j] = drive.holding(drive.at_rest_behind(0.0, 0.0), 0);
+    Dc[j] = drive.sliding(drive.at_rest_behind(0.0, 0.0), 0, Real{1.0});
+    Ds[j] = drive.holding(drive.at_rest_behind(0.0, 0.0), 0, Real{1.0});
   }
 };
 

@@ -33,10 +33,10 @@ constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, u
     on.gear = drive.gear_on_link(x, active);
     on.gear_on_rotor = -drive.on_rotor(x, on.gear);
     if constexpr (Drive::rotor_modes > 0)
-      on.rotor_friction =
-          is_active(active, Drive::of_rotor)
-              ? -(shaft + on.gear_on_rotor)
-              : -drive.rotor.against(x.z[Drive::wm], -on.gear_on_rotor, x.offset[Drive::of_rotor]);
+      on.rotor_friction = is_active(active, Drive::of_rotor)
+                              ? -(shaft + on.gear_on_rotor)
+                              : -drive.rotor.against(x.z[Drive::wm], -on.gear_on_rotor, shaft,
+                                                     x.offset[Drive::of_rotor]);
   } else if constexpr (Drive::driven) {
     if constexpr (Drive::rotor_modes > 0)
       on.rotor_friction = -drive.rotor.law.Dv * drive.motor_speed(x);

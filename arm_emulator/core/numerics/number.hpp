@@ -101,6 +101,11 @@ template <class X>
 ARM_INLINE constexpr X magnitude(X x) {
   return select(x < 0.0, -x, x);
 }
+// 1, or -1 of what is below 0.
+template <class X>
+ARM_INLINE constexpr X sign_of(X x) {
+  return select(x < 0.0, X{} - 1.0, X{} + 1.0);
+}
 template <class X>
 ARM_INLINE constexpr X clamp(X x, double limit) {
   return select(x > limit, X{} + limit, select(x < -limit, X{} - limit, x));

@@ -83,7 +83,8 @@ class DriveSteps {
   // Torque of dry friction against the motion of a link that slides.
   Real friction(const auto& drive, int j, const One* at, const Inputs& in) const {
     if constexpr (Coulomb<S, Real>::varies)
-      return drive.sliding(input(drive, at, in), tables_.served(j).active()) *
+      return drive.sliding(input(drive, at, in), tables_.served(j).active(),
+                           friction_.direction[j]) *
              friction_.direction[j];
     else if constexpr (Coulomb<S, Real>::present)
       return n_.Dc(j) * friction_.direction[j];

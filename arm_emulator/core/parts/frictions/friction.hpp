@@ -9,6 +9,15 @@
 
 namespace arm {
 
+// Torques on a shaft [N m]. A law that asks for the direction of power gets them as they are in the
+// direction in which the shaft moves, or would move: positive where the motor drives.
+template <class X>
+struct ShaftTorques {
+  X of_gear;   // on the link, seen at this shaft
+  X of_motor;  // what drives the shaft; at a link that of the gear
+  X lead;      // above 0: the motor's torque is the greater one; at a link its sign alone
+};
+
 struct Friction {
   constexpr bool operator==(const Friction&) const = default;
 
@@ -18,8 +27,9 @@ struct Friction {
   // Whether the sliding torque varies. Then its value at a step's start enters the first stage, its
   // change the second.
   static constexpr bool varies = false;
-  // Whether the breakaway torque depends on the torque of the gear.
-  static constexpr bool loaded = false;
+  // Whether the breakaway torque depends on the torque of the gear; whether the direction of power
+  // matters, and with it the motor's torque.
+  static constexpr bool loaded = false, directed = false;
 
   // See drive.hpp.
   constexpr const Friction& linear() const { return *this; }
@@ -29,14 +39,14 @@ struct Friction {
 
   // Whether it can hold a shaft at rest; the breakaway torque may still be 0 at times.
   constexpr bool is_dry() const { return Dc > 0.0; }
-  // Torques against sliding at the speed w, and that hold at rest, under the torque T of the gear
-  // on that shaft.
+  // Torques against sliding at the speed w, and that hold at rest, under these torques on the
+  // shaft.
   template <class X>
-  ARM_INLINE constexpr X sliding(X, X) const {
+  ARM_INLINE constexpr X sliding(X, const ShaftTorques<X>&) const {
     return X{} + Dc;
   }
   template <class X>
-  ARM_INLINE constexpr X holding(X) const {
+  ARM_INLINE constexpr X holding(const ShaftTorques<X>&) const {
     return X{} + Ds;
   }
 };

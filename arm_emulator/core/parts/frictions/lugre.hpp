@@ -82,7 +82,7 @@ struct LuGre {
   ARM_INLINE constexpr X slip(X w, X z) const {
     X g{};
     for (int lane = 0; lane < kWidth<X>; ++lane)
-      set_lane(g, lane, Stribeck{0.0, Dc, Ds, vs}.sliding(lane_of(w, lane), Real{}));
+      set_lane(g, lane, Stribeck{0.0, Dc, Ds, vs}.sliding(lane_of(w, lane), ShaftTorques<Real>{}));
     return s0 * magnitude(w) * z / g;
   }
 };

@@ -1,8 +1,9 @@
 // Dry friction of a rotor behind an elastic gear (behind a rigid gear it acts on the link).
 //
 // Its mode is `active` where the rotor sticks: then 0 = wm replaces eq. (2). Else the mode's number
-// is the sliding torque, with the sign of the motion. `Law` is any law with the interface of
-// friction.hpp; a law without dry friction has the regular mode only.
+// is the sliding torque, with the sign of the motion; of a law that knows the direction of power it
+// is +-1 where the motor's torque is the greater one, and else +-2. `Law` is any law with the
+// interface of friction.hpp; a law without dry friction has the regular mode only.
 #pragma once
 
 #include "parts/frictions/friction.hpp"
@@ -17,6 +18,8 @@ struct OnRotor {
   Real torque;    // N m, of all
   Real of_gear;   // N m, of the gear alone
   Real rounding;  // N m, uncertainty by rounding of angles
+
+  constexpr Real of_motor() const { return torque + of_gear; }
 };
 
 template <class Law = Friction>
@@ -26,34 +29,36 @@ struct RotorFriction {
   Law law;
 
   static constexpr int modes = 1;
-  static constexpr bool varies = Law::varies, loaded = Law::loaded;
+  static constexpr bool varies = Law::varies, loaded = Law::loaded, directed = Law::directed;
   constexpr auto linear() const {
     return RotorFriction<std::remove_cvref_t<decltype(law.linear())>>{law.linear()};
   }
 
-  // Torque against the motion, viscous and dry, while it slides by `offset`.
+  // Torque against the motion, viscous and dry, while it slides by `offset`, under the torques of
+  // the gear and of the motor.
   template <class X>
-  ARM_INLINE constexpr X against(X wm, [[maybe_unused]] X T, X offset) const {
+  ARM_INLINE constexpr X against(X wm, [[maybe_unused]] X of_gear, [[maybe_unused]] X of_motor,
+                                 X offset) const {
     if constexpr (varies) {
-      const X dry = law.sliding(wm, T);
+      const X dry = law.sliding(wm, on_shaft(of_gear, of_motor, offset));
       return law.Dv * wm + select(offset < 0.0, -dry, select(offset > 0.0, dry, X{}));
     } else {
       return law.Dv * wm + offset;
     }
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X wm, X T) const {
-    return law.Dv * wm * wm + law.sliding(wm, T) * magnitude(wm);
+  ARM_INLINE constexpr X dissipated(X wm, X of_gear, X of_motor, X offset) const {
+    return law.Dv * wm * wm + law.sliding(wm, on_shaft(of_gear, of_motor, offset)) * magnitude(wm);
   }
 
   constexpr bool is_regular() const { return is_free(); }
   constexpr Mode mode_at(Real wm, const OnRotor& on) const {
     if (is_free()) return {};
     if (wm == 0.0 && spare(on) >= 0.0) return {true, 0.0};
-    return slide(wm == 0.0 ? on.torque : wm, wm, on.of_gear);
+    return slide(wm == 0.0 ? on.torque : wm, wm, on);
   }
   constexpr Mode required(Real began, Real wm, const OnRotor& on, const Mode& mode) const {
-    if (mode.active) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on.of_gear);
+    if (mode.active) return spare(on) >= 0.0 ? mode : slide(on.torque, 0.0, on);
     if (is_free()) return mode;
     // A rotor that reverses rests at the step's end, or in the whole step if it stopped in the
     // first half: longer friction would wind up the gear.
@@ -63,7 +68,13 @@ struct RotorFriction {
   constexpr Real margin(Real wm, const OnRotor& on, const Mode& mode) const {
     if (mode.active) return spare(on);
     if (is_free()) return 1.0;
-    return mode.offset < 0.0 ? -wm : wm;
+    const Real onward = mode.offset < 0.0 ? -wm : wm;
+    if constexpr (directed)
+      if (law.jumps()) {
+        const Real same = lead_of(mode.offset) * lead(on.of_gear, on.of_motor());
+        return same < onward ? same : onward;
+      }
+    return onward;
   }
   constexpr void settle(Real& wm, const Mode& mode) const {
     if (mode.active || (!is_free() && wm * mode.offset < 0.0)) wm = 0.0;
@@ -71,13 +82,37 @@ struct RotorFriction {
 
  private:
   constexpr bool is_free() const { return !law.is_dry(); }
+  // By how much the motor's torque is the greater one [N m], and its sign from the mode's number.
+  template <class X>
+  ARM_INLINE static constexpr X lead(X of_gear, X of_motor) {
+    return magnitude(of_motor) - magnitude(of_gear);
+  }
+  template <class X>
+  ARM_INLINE static constexpr X lead_of(X offset) {
+    return select(magnitude(offset) > 1.5, X{} - 1.0, X{} + 1.0);
+  }
+  template <class X>
+  ARM_INLINE static constexpr ShaftTorques<X> on_shaft(X of_gear, X of_motor, X offset) {
+    if constexpr (!directed) return {of_gear, of_motor, X{}};
+    const X way = select(offset < 0.0, X{} - 1.0, X{} + 1.0);
+    return {way * of_gear, way * of_motor, lead_of(offset)};
+  }
+  static constexpr ShaftTorques<Real> toward(Real way, const OnRotor& on) {
+    return on_shaft(on.of_gear, on.of_motor(), offset_of(way, on));
+  }
+  static constexpr Real offset_of(Real way, const OnRotor& on) {
+    const Real number = lead(on.of_gear, on.of_motor()) < 0.0 ? 2.0 : 1.0;
+    return way < 0.0 ? -number : number;
+  }
   // Remaining holding torque, below 0 if it does not hold [N m].
   constexpr Real spare(const OnRotor& on) const {
-    return law.holding(on.of_gear) * (1.0 + kRounding) + on.rounding - magnitude(on.torque);
+    return law.holding(toward(on.torque, on)) * (1.0 + kRounding) + on.rounding -
+           magnitude(on.torque);
   }
-  constexpr Mode slide(Real way, Real wm, Real T) const {
+  constexpr Mode slide(Real way, Real wm, const OnRotor& on) const {
+    if constexpr (directed) return {false, offset_of(way, on)};
     // The sign is the direction of motion, also for a torque of 0.
-    const Real dry = law.sliding(wm, T);
+    const Real dry = law.sliding(wm, toward(way, on));
     const Real some = dry > 0.0 ? dry : 1e-300;
     return {false, way < 0.0 ? -some : some};
   }
@@ -88,7 +123,7 @@ struct FreeRotor {
   constexpr bool operator==(const FreeRotor&) const = default;
 
   static constexpr int modes = 0;
-  static constexpr bool varies = false, loaded = false;
+  static constexpr bool varies = false, loaded = false, directed = false;
   constexpr const FreeRotor& linear() const { return *this; }
 };
 

@@ -15,16 +15,16 @@ struct Stribeck {
   Real Dv, Dc, Ds;  // as of Friction
   Real vs;          // rad/s, at 63 % of the fall
 
-  static constexpr bool varies = true, loaded = false;
+  static constexpr bool varies = true, loaded = false, directed = false;
   constexpr Friction linear() const { return {Dv, Dc, Ds}; }
 
   constexpr bool is_dry() const { return Ds > 0.0; }
   template <class X>
-  ARM_INLINE constexpr X sliding(X w, X) const {
+  ARM_INLINE constexpr X sliding(X w, const ShaftTorques<X>&) const {
     return Dc + (Ds - Dc) * exponential(-(w / vs) * (w / vs));
   }
   template <class X>
-  ARM_INLINE constexpr X holding(X) const {
+  ARM_INLINE constexpr X holding(const ShaftTorques<X>&) const {
     return X{} + Ds;
   }
 };

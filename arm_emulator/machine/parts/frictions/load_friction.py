@@ -1,19 +1,35 @@
-"""Friction that grows with the torque of the gear."""
+"""Friction that grows with the torque of the gear, and with that of the motor."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.frictions.stribeck import compute_stribeck_torque
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
+DIRECTED = (
+    "back_load",
+    "rest_load",
+    "rest_back_load",
+    "motor_load",
+    "rest_motor_load",
+    "rest_load_square",
+    "rest_motor_square",
+    "exponent",
+)  # keys of the law that knows the direction of power
+
 
 class LoadFriction(Friction):
-    """Further friction: `load` times the gear's torque on that shaft."""
+    """Further friction: `load` times the gear's torque on that shaft, and more of its kind.
+
+    Numbers that begin with `rest_` fade with the speed, as breaking away does. Source: M. Duclusaud
+    and G. Passault, ICRA 2025 (arXiv 2410.08650), and LossyGear of the Modelica Standard Library.
+    """
 
     header = "frictions/load_friction.hpp"
     cxx = "LoadFriction"
@@ -29,17 +45,146 @@ class LoadFriction(Friction):
         text="vs, see [Stribeck friction](stribeck.md)",
     )
     load: float = number("mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", text="mu")
+    back_load: float | None = number(
+        "mu_back",
+        "N m/(N m)",
+        ends=(0.0, 10.0),
+        sought="known",
+        default=None,
+        absent="`load`",
+        text="mu where the link drives the motor",
+    )
+    rest_load: float | None = number(
+        "nu",
+        "N m/(N m)",
+        ends=(0.0, 10.0),
+        sought="known",
+        default=None,
+        absent="0",
+        text="nu, as mu, at rest",
+    )
+    rest_back_load: float | None = number(
+        "nu_back",
+        "N m/(N m)",
+        ends=(0.0, 10.0),
+        sought="known",
+        default=None,
+        absent="`rest_load`",
+        text="nu where the link drives the motor",
+    )
+    motor_load: float | None = number(
+        "m",
+        "N m/(N m)",
+        ends=(0.0, 10.0),
+        sought="known",
+        default=None,
+        absent="0",
+        text="m, per torque of the motor",
+    )
+    rest_motor_load: float | None = number(
+        "n",
+        "N m/(N m)",
+        ends=(0.0, 10.0),
+        sought="known",
+        default=None,
+        absent="0",
+        text="n, as m, at rest",
+    )
+    rest_load_square: float | None = number(
+        "q",
+        "1/(N m)",
+        at_least=0.0,
+        sought="known",
+        default=None,
+        absent="0",
+        text="q, per square of the gear's torque, at rest, where the motor drives",
+    )
+    rest_motor_square: float | None = number(
+        "q_back",
+        "1/(N m)",
+        at_least=0.0,
+        sought="known",
+        default=None,
+        absent="0",
+        text="q', per square of the motor's torque, at rest, where the link drives",
+    )
+    exponent: float | None = number(
+        "alpha",
+        "1",
+        ends=(0.5, 20.0),
+        default=None,
+        absent="2",
+        text="α, of the speed in Stribeck's term",
+    )
+
+    @property
+    def is_directed(self) -> bool:
+        """Whether it has a number of the law that knows the direction of power."""
+        return any(getattr(self, key) is not None for key in DIRECTED)
+
+    @property
+    def cxx_type(self) -> str:  # noqa: D102
+        if not self.is_directed:
+            return super().cxx_type
+        return f"arm::DirectedLoadFriction<{'true' if self.exponent is None else 'false'}>"
+
+    def check(self, section: Section) -> None:  # noqa: D102
+        super().check(section)
+        if self.exponent is not None and self.stribeck is None:
+            raise section.refusal("exponent", "come with a stribeck speed", self.exponent)
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().sliding(motion)
+        if not self.is_directed:
+            if self.stribeck is not None:
+                dry = compute_stribeck_torque(
+                    self.coulomb, self.breakaway, self.stribeck, motion.speed
+                )
+            torque: Array = dry + self.load * np.abs(motion.gear_torque)
+            return torque
+        way = np.where(motion.speed < 0.0, -1.0, 1.0)
+        T = way * motion.gear_torque
+        A = way * motion.motor_torque if self.shaft == "rotor" else T
+        torque = dry + self._under_load(A, T, self.load, self.back_load, self.motor_load)
         if self.stribeck is not None:
-            dry = compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
-        torque: Array = dry + self.load * np.abs(motion.gear_torque)
+            torque += self._fading(A, T) * self._remaining(motion.speed)
         return torque
+
+    def _fading(self, A: Array, T: Array) -> Array:
+        """Return what is added to the sliding torque at rest [N m]."""
+        fading = self.breakaway - self.coulomb
+        of_load = self._under_load(
+            A, T, self.rest_load or 0.0, self.rest_back_load, self.rest_motor_load
+        )
+        # Behind a rigid gear both are the motor's torque, up to rounding.
+        ahead = np.abs(A) - np.abs(T)
+        leads = np.where(np.abs(ahead) < 1e-12 * np.abs(T), T, ahead) > 0.0
+        square = np.where(
+            leads, (self.rest_load_square or 0.0) * T**2, (self.rest_motor_square or 0.0) * A**2
+        )
+        return np.asarray(fading + of_load + np.where(A * T > 0.0, square, 0.0))
+
+    def _remaining(self, speed: Array) -> Array:
+        """Return the share of the fading terms that remains at a speed."""
+        assert self.stribeck is not None
+        with np.errstate(over="ignore"):
+            power = np.abs(speed / self.stribeck) ** (
+                2.0 if self.exponent is None else self.exponent
+            )
+        return np.asarray(np.exp(-np.minimum(power, 700.0)))
+
+    @staticmethod
+    def _under_load(
+        A: Array, T: Array, forward: float, backward: float | None, of_motor: float | None
+    ) -> Array:
+        """Return the torque of a load friction, of torques in the direction of motion [N m]."""
+        of_gear = np.where(T > 0.0, forward, forward if backward is None else backward)
+        return np.asarray(np.abs((of_motor or 0.0) * A + of_gear * T))
 
     @property
     def sticks(self) -> bool:  # noqa: D102
-        return self.coulomb > 0.0 or self.load > 0.0
+        numbers = (self.coulomb, self.load, *(getattr(self, key) for key in DIRECTED[:-1]))
+        return any(one is not None and one > 0.0 for one in numbers)
 
 
 @register_part

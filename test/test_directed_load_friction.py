@@ -1,0 +1,375 @@
+"""Friction that knows the direction of power: published joints, lossy gears, worms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from balance import balance_of
+from draws import some
+from lossy_joint import Bam, Law, LossyGear, LossyGearDriven, Rotor
+from machines import slides_urdf, write_scene
+from scipy.optimize import brentq
+
+from arm_emulator import Plant, Refusal, Scene, load_scene
+from arm_emulator.analysis.torque_terms import TorqueTerms
+from arm_emulator.base.arrays import Array
+from arm_emulator.machine.parts.frictions.load_friction import RotorLoadFriction
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+MASS, GRAVITY = 2.0, 9.81
+PERIOD, ROWS = 0.02, 15
+# Rhoban/bam, bam/params/erob80_100/m6.json and erob80_50/m6.json (Apache-2.0), at the output.
+EROB80_100 = Bam(
+    Kc=0.0004779665335836211, Kcs=5.2264235087217585, Km=0.048887727723564756,
+    Ke=7.626323416955297e-08, Kms=8.823275901433639e-06, Kes=0.05116664604344119,
+    Kmq=0.0027029166135035076, Keq=0.002556257557735874, speed=2.0330344391978556,
+    alpha=2.9999247237894795,
+)  # fmt: skip
+EROB80_50 = Bam(
+    Kc=3.258936577427873, Kcs=0.32043116640097835, Km=0.03566185222966088,
+    Ke=0.0008431659435708802, Kms=0.003770985236415064, Kes=0.041438023645284434,
+    Kmq=0.0018721192347735344, Keq=0.0015990991138724365, speed=2.830385649014235,
+    alpha=1.7864364677651365,
+)  # fmt: skip
+VISCOUS = 9.709332392870175  # N m s/rad, of eRob80:100
+
+
+def scene_of(folder: Path, joint: Rotor, friction: dict[str, float], **integrator: Any) -> Scene:
+    """Return the machine of the joint."""
+    motor: dict[str, Any] = {"kind": "torque", "rotor_inertia": joint.Jm}
+    gear = {"ratio": joint.Ng}
+    if joint.Kg:
+        gear |= {"stiffness": joint.Kg, "damping": joint.Dg}
+    section: dict[str, Any] = {"motor": motor, "gear": gear}
+    (section if joint.at_link else motor)["friction"] = friction
+    file = write_scene(
+        folder, slides_urdf(["joint"]), {"joint": section}, servo_period=PERIOD,
+        gravity=[-joint.weight / MASS, 0.0, 0.0], energy_flow=True,
+        integrator={"scheme": "rosenbrock", "dt": PERIOD / 40, "events": "located", **integrator},
+        varied=["joints.*"],  # one library for all draws
+    )  # fmt: skip
+    return load_scene(file)
+
+
+def vary(plant: Plant, joint: Rotor, friction: dict[str, float]) -> None:
+    """Give a machine the numbers of another joint of this ratio, and reset it."""
+    numbers = {"motor.rotor_inertia": joint.Jm, "gear.stiffness": joint.Kg,
+               "gear.damping": joint.Dg}  # fmt: skip
+    friction = {key: value for key, value in friction.items() if key != "breakaway"}  # follows
+    numbers |= {f"motor.friction.{key}": value for key, value in friction.items()}
+    for name, value in numbers.items():
+        plant.set_parameter(f"joints.joint.{name}", value)
+    plant.reset()
+
+
+def states(plant: Plant, rows: Array, steps: int) -> Array:
+    """Return angle of the rotor and position of the link after each command."""
+    reached = []
+    for row in rows:
+        plant.advance(np.array([row]), steps)
+        reached.append([plant.state.theta_m[0], plant.state.q[0]])
+    return np.array(reached)
+
+
+def sample_joint(rng: np.random.Generator, at_link: bool = False) -> tuple[Rotor, Array]:
+    """A weight behind a spring, and commands that lift it, let it down and hold it."""
+    ratio = float(rng.choice([-0.02, 0.02]))  # a library has one ratio
+    stiffness = float(10 ** rng.uniform(3.0, 4.3))
+    joint = Rotor(
+        Jm=float(10 ** rng.uniform(-4.3, -3.3)), Ng=ratio, Kg=stiffness,
+        Dg=0.02 * float(np.sqrt(MASS * stiffness)), mass=MASS, weight=GRAVITY * MASS,
+        viscous=0.0, law=lambda *_: 0.0, at_link=at_link,
+    )  # fmt: skip
+    return joint, ratio * joint.weight * (1.0 + rng.uniform(-1.2, 1.2, ROWS))
+
+
+def sample_bam(rng: np.random.Generator, scale: float, speed: float) -> Bam:
+    """A budget of some tenths of a torque, of the class of the published ones."""
+    Kc = float(rng.uniform(0.02, 0.1)) * scale
+    Km, Ke, Kms, Kes, Kmq, Keq = rng.uniform(0.0, 0.2, 6).tolist()
+    return Bam(Kc, 0.5 * Kc, Km, Ke, Kms, Kes, Kmq / scale, Keq / scale,
+               speed * float(rng.uniform(0.3, 2.0)), float(rng.uniform(1.2, 3.5)))  # fmt: skip
+
+
+def sample_lossy(rng: np.random.Generator, scale: float) -> tuple[LossyGear, dict[str, float]]:
+    """LossyGear of a rotor, its bearing at flange a, and the section of the scene for it."""
+    eta1, eta2 = rng.uniform(0.5, 0.95, 2).tolist()
+    bearing = float(rng.uniform(0.02, 0.1)) * scale
+    law = LossyGear(eta1, eta2, eta1 * bearing, bearing / eta2)
+    return law, {"coulomb": bearing, "load": 1.0 / eta1 - 1.0, "back_load": 1.0 - eta2}
+
+
+def sample_driven(rng: np.random.Generator, scale: float) -> tuple[LossyGear, dict[str, float]]:
+    """LossyGear of a link, or behind a rigid gear: its bearing at flange b."""
+    eta1, eta2 = rng.uniform(0.5, 0.95, 2).tolist()
+    bearing = float(rng.uniform(0.02, 0.1)) * scale
+    law = LossyGearDriven(eta1, eta2, bearing, bearing)
+    return law, {"coulomb": bearing, "load": 1.0 - eta1, "back_load": 1.0 / eta2 - 1.0}
+
+
+def sample_case(kind: str, seed: int) -> tuple[Rotor, Array, dict[str, float]]:
+    """A joint with its commands, and its section of friction."""
+    rng = np.random.default_rng([seed, 91])
+    joint, rows = sample_joint(rng, at_link=kind.endswith(("link", "rigid")))
+    if kind.endswith("rigid"):
+        joint = replace(joint, Kg=0.0, Dg=0.0)
+    scale, speed = abs(joint.Ng) * joint.weight, 10.0
+    if joint.at_link:
+        scale, speed = joint.weight, 0.3
+    viscous = float(rng.uniform(0.0, 0.05)) * scale / speed
+    law: Law
+    if kind.startswith("budget"):
+        law = sample_bam(rng, scale, speed)
+        friction = law.section(viscous)
+    else:
+        law, friction = (sample_driven if joint.at_link else sample_lossy)(rng, scale)
+        friction["viscous"] = viscous
+    return replace(joint, law=law, viscous=viscous), rows, friction
+
+
+KINDS = ("budget of a rotor", "lossy gear of a rotor", "budget of a link", "lossy gear of a link",
+         "budget, rigid", "lossy gear, rigid")  # fmt: skip
+SEEDS = {kind: some(range(10), 2) for kind in KINDS}
+
+
+@pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for kind in KINDS for seed in SEEDS[kind]])
+def test_motion_is_that_of_the_published_law_with_order_two(
+    tmp_path: Path, kind: str, seed: int
+) -> None:
+    joint, rows, friction = sample_case(kind, seed)
+    start = np.zeros(4)
+    truth, stops = joint.run(rows, PERIOD, start)
+    assert stops, "the joint shall stop on its way"
+    scheme = ("rosenbrock", "extrapolated")[seed % 2]
+    size = np.abs(truth[:, [0, 2]]).max(axis=0)
+    errors = []
+    for steps in (40, 80, 160, 320, 640):
+        plant = Plant(scene_of(tmp_path, joint, friction, scheme=scheme, dt=PERIOD / steps))
+        off = np.abs(states(plant, rows, steps) - truth[:, [0, 2]]) / size
+        errors.append(float(off.max()))
+    # A constant pull and no spring: the scheme has no error, but that of its event times.
+    if errors[0] < 1e-7:
+        return
+    order = np.log2(errors[0] / errors[-1]) / 4.0
+    # Events come and go where a step resolves the swing badly; the mean order hardly varies.
+    assert order > 1.75, f"{kind}: {errors}"
+    assert errors[-1] < 1e-3, f"{kind}: {errors}"
+
+
+@pytest.mark.parametrize("kind", some(KINDS, 3))
+def test_without_located_events_the_motion_is_that_of_the_law_too(
+    tmp_path: Path, kind: str
+) -> None:
+    joint, rows, friction = sample_case(kind, 1)
+    truth, _ = joint.run(rows, PERIOD, np.zeros(4))
+    size = np.abs(truth[:, [0, 2]]).max(axis=0)
+    errors = []
+    for steps in (40, 640):
+        scene = scene_of(tmp_path, joint, friction, events="step", dt=PERIOD / steps)
+        off = np.abs(states(Plant(scene), rows, steps) - truth[:, [0, 2]]) / size
+        errors.append(float(off.max()))
+    # Of order 1 it falls by 16, but each event lies well or badly within a step.
+    assert errors[-1] < max(errors[0] / 2.0, 1e-7) and errors[-1] < 0.02, errors
+
+
+def erob_joint(law: Bam, viscous: float, weight: float) -> Rotor:
+    """The actuator by its output, with a spring that is stiff against what is measured."""
+    return Rotor(Jm=1.1350955632532613, Ng=1.0, Kg=1e4, Dg=200.0, mass=MASS, weight=weight,
+                 viscous=viscous, law=law)  # fmt: skip
+
+
+def settled(plant: Plant, torque: float) -> None:
+    """Wind the spring up to the load, without motion of the rotor."""
+    plant.advance(np.array([torque]), 4000)
+    assert plant.state.omega_m[0] == 0.0, "the load shall be held"
+
+
+def ramped(plant: Plant, begin: float, by: float) -> float:
+    """Return the torque of the motor at which the rotor begins to move, of a slow ramp."""
+    settled(plant, begin)
+    torque = begin
+    for _ in range(4000):
+        if plant.state.omega_m[0] != 0.0:
+            return torque
+        torque += by
+        plant.advance(np.array([torque]), 100)
+    raise AssertionError("it never moves")
+
+
+@pytest.mark.parametrize(("law", "viscous"), [(EROB80_100, VISCOUS), (EROB80_50, 1.4)])
+def test_a_published_actuator_breaks_away_where_its_budget_states(
+    tmp_path: Path, law: Bam, viscous: float
+) -> None:
+    """Under 50 N m from outside, by a motor whose torque grows, and falls, until it moves."""
+    outside = 50.0
+    scene = scene_of(tmp_path, erob_joint(law, viscous, outside), law.section(viscous),
+                     dt=5e-4)  # fmt: skip
+    drives = brentq(lambda tau: tau - outside - law(1.0, 0.0, tau, outside, True), 50.0, 90.0)
+    driven = brentq(lambda tau: outside - tau - law(-1.0, 0.0, tau, outside, False), 1.0, 50.0)
+    step = 0.01
+    assert ramped(Plant(scene), outside, step) == pytest.approx(drives, abs=2.0 * step)
+    assert ramped(Plant(scene), outside, -step) == pytest.approx(driven, abs=2.0 * step)
+
+
+def slowed(plant: Plant, torque: float, speed: float, outside: float) -> float:
+    """Return the friction on the rotor that turns at a speed, from how it slows down [N m].
+
+    The spring carries what is outside: the link moves with the rotor.
+    """
+    inertia, wind_up, step = 1.1350955632532613, outside / 1e4, 1e-6
+    plant.put("test", {"q": [0.0], "v": [speed], "theta_m": [wind_up], "omega_m": [speed]})
+    plant.advance(np.array([torque]), 1)
+    return torque - outside - inertia * float(plant.state.omega_m[0] - speed) / step
+
+
+def test_erob80_100_has_the_published_friction_at_rest_and_in_motion(tmp_path: Path) -> None:
+    """50 N m from outside: 45 N m of the motor hold it, or none."""
+    joint = erob_joint(EROB80_100, VISCOUS, 50.0)
+    plant = Plant(scene_of(tmp_path, joint, EROB80_100.section(VISCOUS), dt=1e-6, events="step"))
+    nearly_at_rest = 1e-4  # rad/s
+    measured = [
+        slowed(plant, 45.0, nearly_at_rest, 50.0),
+        slowed(plant, 45.0, 10.0, 50.0) - 10.0 * VISCOUS,
+        slowed(plant, 0.0, nearly_at_rest, 50.0),
+    ]
+    assert measured == pytest.approx([15.5, 2.2, 7.8], abs=0.06), "N m, as published"
+
+
+def test_friction_of_the_machine_is_the_budget_at_random_torques_and_speeds(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(92)
+    for law in (EROB80_100, EROB80_50):
+        joint = erob_joint(law, 0.5, 50.0)
+        scene = scene_of(tmp_path, joint, law.section(0.5), dt=5e-4)
+        plant, terms = Plant(scene), TorqueTerms(scene)
+        for _ in range(150):
+            tau, gear = rng.uniform(-60.0, 60.0, 2)
+            speed = float(rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-3.0, 1.0))
+            plant.put("test", {"q": [0.0], "v": [speed], "theta_m": [gear / 1e4],
+                               "omega_m": [speed]})  # fmt: skip
+            now = terms.of(plant.save(), np.array([tau])).rotor["friction"][0]
+            budget = law(1.0, speed, tau, gear, abs(tau) > abs(gear)) + 0.5 * abs(speed)
+            assert -now * np.sign(speed) == pytest.approx(budget, rel=1e-9), (tau, gear, speed)
+
+
+def test_the_law_in_python_is_the_budget_at_random_torques_and_speeds() -> None:
+    """Identification fits it to measured motions."""
+    rng = np.random.default_rng(95)
+    tau, gear, speed = rng.uniform(-60.0, 60.0, (3, 200))
+    none = np.zeros(200)
+    at = ShaftMotion(none, none, 0.1 * speed, none, gear, tau, 1.0)
+    for law in (EROB80_100, EROB80_50):
+        budget = [
+            law(np.sign(w), w, A, S, abs(A) > abs(S))
+            for w, A, S in zip(at.speed, tau, gear, strict=True)
+        ]
+        dry = RotorLoadFriction(**law.section(0.5)).sliding(at)
+        assert dry == pytest.approx(np.array(budget), rel=1e-12)
+
+
+def test_friction_only_takes_energy(tmp_path: Path) -> None:
+    """500 draws of the law, of its load and of the direction."""
+    rng, worst, plants = np.random.default_rng(93), 0.0, dict[float, Plant]()
+    for draw in range(500):
+        joint, rows = sample_joint(rng)
+        scale = abs(joint.Ng) * joint.weight
+        friction = sample_bam(rng, scale, 10.0).section(0.01 * scale)
+        friction |= {"back_load": float(rng.uniform(0.0, 2.0)),
+                     "rest_back_load": float(rng.uniform(0.0, 2.0))}  # fmt: skip
+        if joint.Ng not in plants:
+            plants[joint.Ng] = Plant(scene_of(tmp_path, joint, friction, dt=PERIOD / 160))
+        plant = plants[joint.Ng]
+        vary(plant, joint, friction)
+        for row in rows[:4]:
+            flow = plant.powers([row])
+            assert (flow.dissipated >= 0.0).all(), f"draw {draw}: {flow}"
+            plant.advance([row], 40)
+        balance = balance_of(plant, rows[4:6, None], 160)
+        worst = max(worst, balance.left / balance.exchanged)
+    # The error of the scheme, of order 2, of what went to and fro.
+    assert worst < 1e-3, f"{worst} of what was exchanged came from nowhere"
+
+
+def held_rows(rng: np.random.Generator, plant: Plant, law: Bam, joint: Rotor) -> float:
+    """Bring a joint to rest under a torque inside the cone, and return that torque."""
+    S = joint.Ng * joint.weight
+    share = float(rng.uniform(-0.98, 0.98))
+    way = float(np.sign(share))
+
+    def excess(tau: float) -> float:
+        return way * (tau - S) - law(way, 0.0, tau, S, abs(tau) > abs(S))
+
+    far = S + way * 20.0 * abs(S)
+    end = brentq(excess, S + way * 1e-9 * abs(S), far)
+    torque = S + abs(share) * (end - S)
+    plant.put("test", {"q": [0.0], "v": [0.0], "omega_m": [0.0],
+                       "theta_m": [joint.weight / joint.Kg / joint.Ng]})  # fmt: skip
+    return torque
+
+
+def creep(folder: Path, draws: int, seconds: float) -> None:
+    """Hold random joints for so long at random loads inside the cone: they do not move at all."""
+    rng, dt = np.random.default_rng(94), 0.01
+    plants = dict[tuple[float, str], Plant]()
+    for draw in range(draws):
+        joint, _ = sample_joint(rng)
+        scale, events = abs(joint.Ng) * joint.weight, ("located", "step")[draw % 2]
+        law = sample_bam(rng, scale, 10.0)
+        friction = law.section(0.01 * scale)
+        which = joint.Ng, events
+        if which not in plants:
+            plants[which] = Plant(scene_of(folder, joint, friction, events=events, dt=dt))
+        plant = plants[which]
+        vary(plant, joint, friction)
+        torque = held_rows(rng, plant, law, joint)
+        before = plant.state.theta_m[0]
+        plant.advance(np.array([torque]), round(seconds / dt))
+        assert plant.state.theta_m[0] == before, f"draw {draw} creeps under {torque} N m"
+
+
+def test_a_joint_that_holds_does_not_creep(tmp_path: Path) -> None:
+    creep(tmp_path, draws=20, seconds=60.0)
+
+
+@pytest.mark.slow
+def test_a_thousand_joints_do_not_creep_in_an_hour(tmp_path: Path) -> None:
+    creep(tmp_path, draws=1000, seconds=3600.0)
+
+
+WORM = {"coulomb": 0.005, "load": 1.5}  # of the motor's shaft: 40 % of efficiency forward
+
+
+@pytest.mark.parametrize("events", ["located", "step"])
+@pytest.mark.parametrize(("backward", "locks"), [(-0.3, True), (-0.1, True), (0.25, False)])
+def test_a_worm_holds_without_power_where_its_lead_is_small(
+    tmp_path: Path, events: str, backward: float, locks: bool
+) -> None:
+    """Emergency stop of a weight on its way up, and on its way down: no power, and no brake."""
+    joint = Rotor(Jm=2e-4, Ng=0.02, Kg=2e4, Dg=20.0, mass=MASS, weight=GRAVITY * MASS,
+                  viscous=0.0, law=lambda *_: 0.0)  # fmt: skip
+    friction = {**WORM, "back_load": 1.0 - backward}
+    S = joint.Ng * joint.weight
+    for torque in (3.0 * S, -0.9 * S):
+        plant = Plant(scene_of(tmp_path, joint, friction, events=events, dt=1e-4))
+        plant.advance(np.array([torque]), 1500)
+        moving = plant.state.omega_m[0]
+        assert moving * torque > 0.0, "it shall move when the stop comes"
+        plant.powered = False
+        plant.advance(np.array([0.0]), 5000)
+        at = plant.state.theta_m[0]
+        plant.advance(np.array([0.0]), 50_000)
+        if locks:
+            assert plant.state.theta_m[0] == at and plant.state.omega_m[0] == 0.0, "held exactly"
+        else:
+            assert plant.state.theta_m[0] < at - 1.0, "the weight drives the worm back"
+
+
+def test_an_exponent_without_a_speed_is_refused(tmp_path: Path) -> None:
+    joint, _ = sample_joint(np.random.default_rng(1))
+    with pytest.raises(Refusal, match=r"motor\.friction\.exponent must come with a stribeck speed"):
+        scene_of(tmp_path, joint, {"load": 0.1, "exponent": 1.5})
