@@ -120,6 +120,12 @@ class Coulomb {
       for (const Mask<X>& one : locked) result |= one;
       return any(result);
     }
+    // Whether all joints are locked.
+    bool rest() const {
+      Mask<X> result = X{} == X{};
+      for (const Mask<X>& one : locked) result &= one;
+      return all(result);
+    }
   };
   Modes modes() const {
     Modes modes;
@@ -154,9 +160,7 @@ class Coulomb {
   }
   // The torques of locks alone, with the modes fixed.
   void hold_in(const Modes& modes, auto&& mass, X* x) {
-    Mask<X> all_rest = X{} == X{};
-    for (int j = 0; j < N; ++j) all_rest &= modes.locked[j];
-    if (!all(all_rest)) {
+    if (!modes.rest()) {
       auto M = mass();
       return solve_in(modes, M.at, x);
     }

@@ -52,11 +52,8 @@ class KeptModes {
 
   ARM_APART void determine(const State<S>& x, const Real* u, LinksMemo<S>& memo) {
     modes_ = Modes<S>(n_, x, u, memo.at(n_, x));
-    rest_ = true, locks_ = modes_.friction.lock();
-    for (int j = 0; j < N; ++j) {
-      rest_ = rest_ && modes_.friction.locked[j];
-      regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{};
-    }
+    rest_ = modes_.friction.rest(), locks_ = modes_.friction.lock();
+    for (int j = 0; j < N; ++j) regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{};
   }
 
   // Whether the drive of joint j is in its regular modes, and surely stays there.

@@ -108,7 +108,10 @@ class SmoothTogether {
   Mask<X> locate(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     if constexpr (Friction::present)
       if (!confirmed_) find_friction(x, u, links);
-    method_.step_using_up(memo_.used_up(), modes_, x, u, Method::Past::used);
+    if (rest_)
+      method_.step_at_rest(x, u, links);
+    else
+      method_.step_using_up(memo_.used_up(), modes_, x, u, Method::Past::used);
     Mask<X> smooth = X{} == X{};
     if constexpr (Friction::present) smooth = friction_holds(modes_, x, u);
     follow(x, u);
@@ -121,6 +124,7 @@ class SmoothTogether {
     coulomb_.take(x, x, u, regular_modes);
     coulomb_.decide([&] { return loaded(links); }, x.v, rhs);
     modes_ = coulomb_.modes();
+    rest_ = modes_.rest();
   }
   Mask<X> friction_holds(const typename Friction::Modes& modes, const State<S, X>& y,
                          const X (&u)[row]) {
@@ -237,6 +241,7 @@ class SmoothTogether {
   // Modes of a step, and whether its end calls for them again: then they are those of the next.
   typename Friction::Modes modes_ = {};
   bool confirmed_ = false;
+  bool rest_ = false;  // all links of all lanes
   Machine* machine_[width] = {};
   Mask<X> there_ = {};
 };
