@@ -18,16 +18,16 @@ DRY = {"viscous": 0.5, "coulomb": 3.0, "breakaway": 4.0}
 # Overrides of three_axis: what each of its joints has, and the largest command.
 MACHINES: dict[str, tuple[dict[str, Any], float]] = {
     "loops and progressive gears": (
-        {"motor.current_limit": 8.0, "motor.current_loop": {"bandwidth": 500.0},
+        {"motor.current_limit": 8.0, "motor.current_loop": {"bandwidth": 2000.0},
          "gear.cubic_stiffness": 1e8, "friction": DRY,
-         "brake": {"torque": 0.1, "close_delay": 4e-3, "release_delay": 6e-3}}, 3.0),
+         "brake": {"torque": 0.1, "close_delay": 4e-3, "release_delay": 6e-3}}, 8.0),
+    "rotors that stick, with play": (
+        {"motor.friction": {"coulomb": 0.02, "breakaway": 0.03}, "gear.backlash": 0.002,
+         "friction": DRY}, 5.0),
     "limits without inductance": (
         {"motor.current_limit": 4.0, "motor.inductance": None, "friction": DRY}, 8.0),
     "laws that vary, behind rigid gears": (
         {"gear": {"ratio": 0.01}, "friction": {**DRY, "stribeck": 0.05, "load": 0.1}}, 5.0),
-    "rotors that stick, with play": (
-        {"motor.friction": {"coulomb": 0.02, "breakaway": 0.03}, "gear.backlash": 0.002,
-         "friction": DRY}, 5.0),
     "ideal currents": (
         {"motor": {"kind": "current", "torque_constant": 0.05, "rotor_inertia": 1e-4},
          "friction": DRY}, 3.0),
