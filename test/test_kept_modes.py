@@ -24,13 +24,13 @@ MACHINES: dict[str, tuple[dict[str, Any], float]] = {
     "rotors that stick, with play": (
         {"motor.friction": {"coulomb": 0.02, "breakaway": 0.03}, "gear.backlash": 0.002,
          "friction": DRY}, 5.0),
+    "ideal currents, behind rigid gears": (
+        {"motor": {"kind": "current", "torque_constant": 0.05, "rotor_inertia": 1e-4},
+         "gear": {"ratio": 0.01}, "friction": DRY}, 3.0),
     "limits without inductance": (
         {"motor.current_limit": 4.0, "motor.inductance": None, "friction": DRY}, 8.0),
     "laws that vary, behind rigid gears": (
         {"gear": {"ratio": 0.01}, "friction": {**DRY, "stribeck": 0.05, "load": 0.1}}, 5.0),
-    "ideal currents": (
-        {"motor": {"kind": "current", "torque_constant": 0.05, "rotor_inertia": 1e-4},
-         "friction": DRY}, 3.0),
 }  # fmt: skip
 
 

@@ -32,8 +32,8 @@ class KeptModes {
   // Whether they hold at the end y of a step, which is settled then.
   ARM_INLINE bool end(State<S>& y, const Real* u, LinksMemo<S>& memo) {
     stay_ = false;
-    const bool sure = are_surely_regular(y, u);
-    if (!sure && !drives_hold(y, u)) return false;
+    const Drives unsure = unsure_drives(y, u);
+    if (unsure.any && !drives_hold(unsure, y, u)) return false;
     Friction coulomb(n_);
     if constexpr (Friction::present) {
       for (int j = 0; j < N; ++j)
@@ -42,7 +42,7 @@ class KeptModes {
       for (int j = 0; j < N; ++j)
         if (modes_.friction.locked[j] && coulomb.spare(j) < 0.0) return false;
     }
-    stay_ = sure || settles_nothing(y, u);
+    stay_ = !unsure.any || settle_changes_nothing(unsure, y, u);
     if constexpr (Friction::present) stay_ = stay_ && coulomb.confirms(modes_.friction, y.v);
     return true;
   }
@@ -56,49 +56,51 @@ class KeptModes {
     for (int j = 0; j < N; ++j) regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{};
   }
 
-  // Whether the drive of joint j is in its regular modes, and surely stays there.
-  template <class Drive>
-  ARM_INLINE bool is_sure(const Drive& drive, int j, const State<S>& x, const Real* u) const {
-    if constexpr (Drive::may_follow)
-      if (drive.follows_at_once()) return false;
-    return regular_[j] && drive.is_regular(input_of(drive, j, x, u[j]));
+  struct Drives {
+    bool any = false, at[N] = {};
+  };
+  // Those that are not surely in their regular modes, where they stay.
+  ARM_INLINE Drives unsure_drives(const State<S>& x, const Real* u) const {
+    Drives unsure;
+    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
+      bool sure = regular_[j] && drive.is_regular(input_of(drive, j, x, u[j]));
+      if constexpr (Drive::may_follow) sure = sure && !drive.follows_at_once();
+      unsure.any |= unsure.at[j] = !sure;
+    });
+    return unsure;
   }
-  ARM_INLINE bool are_surely_regular(const State<S>& x, const Real* u) const {
-    bool sure = true;
-    n_.for_each_drive([&](const auto& drive, int j)
-                          __attribute__((always_inline)) { sure &= is_sure(drive, j, x, u); });
-    return sure;
+  // Whether holds(drive, its inputs, its modes) of all these drives.
+  template <class Holds>
+  ARM_APART bool each(const Drives& of, const State<S>& x, const Real* u, Holds&& holds) const {
+    bool all = true;
+    n_.for_each_drive([&](const auto& drive, int j) {
+      if (of.at[j]) all = all && holds(drive, j, input_of(drive, j, x, u[j]), modes_.of(drive, j));
+    });
+    return all;
   }
   // Whether the drives are called into their modes again. An algebraic state follows commands, and
   // with it friction does.
   ARM_INLINE bool are_called_for(const State<S>& x, const Real* u) const {
-    return are_surely_regular(x, u) || each(x, u, [&](const auto& drive, int j, const auto& at) {
-             return !drive.follows_at_once() && drive.modes_at(at) == modes_.of(drive, j);
+    const Drives unsure = unsure_drives(x, u);
+    return !unsure.any ||
+           each(unsure, x, u, [](const auto& drive, int, const auto& at, const auto& now) {
+             return !drive.follows_at_once() && drive.modes_at(at) == now;
            });
   }
-  bool drives_hold(const State<S>& y, const Real* u) const {
-    return each(y, u, [&]<class Drive>(const Drive& drive, int j, const auto& at) {
-      if constexpr (Drive::modes > 0) return !(drive.margin(at, modes_.of(drive, j)) < 0.0);
+  bool drives_hold(const Drives& unsure, const State<S>& y, const Real* u) const {
+    return each(unsure, y, u, [](const auto& drive, int, const auto& at, const auto& now) {
+      return !(drive.margin(at, now) < 0.0);
+    });
+  }
+  bool settle_changes_nothing(const Drives& unsure, State<S>& y, const Real* u) const {
+    bool same = true;
+    each(unsure, y, u, [&]<class Drive>(const Drive& drive, int j, auto at, const auto& now) {
+      drive.settle(at, now);
+      drive.follow(at);
+      for (int k = 0; k < Drive::states; ++k) same = same && at.z[k] == y.z[k][j];
+      put_states(drive, j, 0, at, y);
       return true;
     });
-  }
-  // Whether holds(drive, j, its inputs) of all drives that are not surely regular.
-  template <class Holds>
-  ARM_APART bool each(const State<S>& x, const Real* u, Holds&& holds) const {
-    bool all = true;
-    n_.for_each_drive([&](const auto& drive, int j) {
-      all = all && (is_sure(drive, j, x, u) || holds(drive, j, input_of(drive, j, x, u[j])));
-    });
-    return all;
-  }
-  ARM_APART bool settles_nothing(State<S>& y, const Real* u) const {
-    const State<S> before = y;
-    modes_.settle(y, u);
-    bool same = true;
-    for (int j = 0; j < N; ++j) {
-      for (int k = 0; k < State<S>::K; ++k) same = same && y.z[k][j] == before.z[k][j];
-      same = same && y.v[j] == before.v[j];
-    }
     return same;
   }
 
