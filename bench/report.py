@@ -40,6 +40,7 @@ BY_NAME = (
     "beside_mujoco",
     "portable_arithmetic",
     "shipped_scenes",
+    "at_rest",
     "identification",
     "doubtful_records",
 )
