@@ -36,6 +36,7 @@ BY_NAME = (
     "feedforward",
     "tool_paths",
     "vibration",
+    "published_responses",
     "assumed",
     "beside_mujoco",
     "portable_arithmetic",

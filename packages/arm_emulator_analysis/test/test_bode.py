@@ -10,10 +10,11 @@ import pytest
 from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from test_command_line import run
 
-from arm_emulator import Plant, load_gains, load_scene
+from arm_emulator import Plant, linearise, load_gains, load_scene
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.io.table_file import read_table
 from arm_emulator.motion.model.config import load_motion_config
+from bench.published_responses import ABB, respond
 
 RATIO, STIFFNESS, DAMPING = 0.01, 4e4, np.array([5.0, 8.0, 3.0])
 
@@ -111,3 +112,19 @@ def test_the_modes_under_the_servos_are_lines_of_a_motion_controllers_file(tmp_p
 def test_modes_need_a_servo(file: Path) -> None:
     code, out, errors = run("bode", str(file), "--closed")
     assert code == 2 and "servo parameters must be in" in errors, out
+
+
+def test_the_published_axis_responds_as_its_three_masses() -> None:
+    """The arm's structure is a joint without a motor, on a spring."""
+    scene = load_scene(str(ABB))
+    linear = linearise(scene, scene.start)
+    frequencies = np.geomspace(0.5, 200.0, 50)
+    s = 2j * np.pi * frequencies
+    x = np.linalg.solve(s[:, None, None] * np.eye(len(linear.A)) - linear.A, linear.B[:, [0]])
+    speed = s * (x[..., 0] @ linear.theta_m[0])
+    assert speed == pytest.approx(respond(frequencies), rel=1e-9)
+    code, out, errors = run("bode", str(ABB), "--json", "--high", "100")
+    assert code == 0, errors
+    found = json.loads(out)["joints"]["axis"]
+    # Without damping, by hand: det(K - M w^2) of gear's side and arm, with the motor held.
+    assert found["antiresonances"] == pytest.approx([4.2274, 10.3925], rel=2e-3)
