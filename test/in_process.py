@@ -318,14 +318,15 @@ def in_process(
     scene: str = "three_axis",
     file: Path | None = None,
     servo: Path | None = None,
+    motion: Path | None = None,
 ) -> Iterator[InProcess]:
     """Run the three nodes of a scene in this process, from the first answer on.
 
     Of a scene that is another one only in its numbers, `file` may be given, and for the gains that
-    belong to the scene those of another file, `servo`.
+    belong to the scene those of another file, `servo`, likewise `motion`.
     """
     gains = servo or find_config(scene, ".yaml", "servo")
-    motion = find_config(scene, ".yaml", "motion")
+    motion = motion or find_config(scene, ".yaml", "motion")
     arguments = ["--ros-args", "--params-file", str(gains), "--params-file", str(motion)]
     for node, name, value in (
         ("emulator", "scene", file or scene),
