@@ -5,6 +5,7 @@ python -m bench.published_responses
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,58 @@ from bench.tables import table
 TITLE = "Published frequency responses"
 
 ROOT = Path(__file__).resolve().parents[1] / "config" / "validation"
-ABB = ROOT / "abb_axis_1" / "abb_axis_1.yaml"
 PICTURE = "published_responses"
-# E. Wernholt, S. Gunnarsson, 2006: config/validation/abb_axis_1/SOURCE.md.
-J, SHARES = 0.03291699877416, (0.17910964111956, 0.61206166914114)
-GEAR, ARM = (20.59269827430799, 0.0624181404729), (20.23072060978318, 0.00987527995798)
-VISCOUS = 0.00986346744839
+
+
+@dataclass(frozen=True)
+class Masses:
+    """A published axis as masses in a row, the motor first, all at its side.
+
+    Attributes:
+        inertias: (K,) [kg m2].
+        springs: stiffness and damping between them, (K - 1, 2) [N m/rad, N m s/rad].
+        friction: of each against the ground, viscous (K,) [N m s/rad].
+    """
+
+    name: str
+    inertias: tuple[float, ...]
+    springs: tuple[tuple[float, float], ...]
+    friction: tuple[float, ...]
+
+    @property
+    def scene(self) -> str:
+        """File of our scene of it."""
+        return str(ROOT / self.name / f"{self.name}.yaml")
+
+    def respond(self, frequencies: Array) -> Array:
+        """Return the motor's speed per torque, complex (F,) [rad/s per N m]."""
+        count, out = len(self.inertias), []
+        for w in 2.0 * np.pi * frequencies:
+            s = 1j * w
+            table = np.diag(np.array(self.inertias) * s**2 + s * np.array(self.friction))
+            for k, (stiffness, damping) in enumerate(self.springs):
+                pair = np.ix_((k, k + 1), (k, k + 1))
+                table[pair] += (stiffness + s * damping) * np.array([[1.0, -1.0], [-1.0, 1.0]])
+            out.append(s * np.linalg.solve(table, np.eye(count)[0])[0])
+        return np.array(out)
+
+
+# Sources: SOURCE.md beside the scenes.
+_J, _OF_MOTOR, _OF_GEAR = 0.03291699877416, 0.17910964111956, 0.61206166914114
+ABB = (
+    Masses(
+        "abb_axis_1",
+        (_J * _OF_MOTOR, _J * _OF_GEAR, _J * (1.0 - _OF_MOTOR - _OF_GEAR)),
+        ((20.59269827430799, 0.0624181404729), (20.23072060978318, 0.00987527995798)),
+        (0.00986346744839, 0.0, 0.0),
+    ),
+    Masses(
+        "abb_benchmark",
+        (5e-3, 2e-3, 0.02, 0.02),
+        ((100.0, 0.08), (110.0, 0.06), (80.0, 0.08)),
+        (6e-3, 1e-3, 1e-3, 1e-3),
+    ),
+)
 FREQUENCIES = np.geomspace(1.0, 100.0, 4001)  # Hz
 RUNS = ("A", "B")
 AXES = 3  # of the KR 300 with a known stiffness
@@ -35,39 +82,31 @@ EVERY = 50  # samples from one pose to the next
 
 
 def run(quick: bool) -> dict[str, Any]:
-    """Compute the response of the ABB axis, and the modes of the KR 300 beside its record."""
-    machine = load_scene(str(ABB))
-    linear = linearise(machine, machine.start)
-    theirs, ours = respond(FREQUENCIES), _respond(linear, FREQUENCIES)
+    """Compute the responses of the ABB axes, and the modes of the KR 300 beside its record."""
     spectra = {name: _read_spectrum(name) for name in RUNS}
     scene = load_scene("kuka_kr300")
     plant = Plant(scene)
     stiffness = np.diag([joint.gear.stiffness for joint in scene.joints[:AXES]])
     modes = np.array([_find_locked_modes(plant, stiffness, q) for q in _read_poses()])
     return {
-        "abb": {
-            "theirs": np.abs(theirs).tolist(),
-            "ours": np.abs(ours).tolist(),
-            "off": float(np.abs(ours / theirs - 1.0).max()),
-            "resonances": [_find_peaks(row, 1.0) for row in (theirs, ours)],
-            "antiresonances": [_find_peaks(row, -1.0) for row in (theirs, ours)],
-        },
+        "abb": {axis.name: _compare(axis) for axis in ABB},
         "kr300": {"spectra": spectra, "least": modes.min(axis=0).tolist(),
                   "most": modes.max(axis=0).tolist()},
     }  # fmt: skip
 
 
-def respond(frequencies: Array) -> Array:
-    """Return the published axis's motor speed per torque, complex (K,) [rad/s per N m]."""
-    inertias = J * np.array([*SHARES, 1.0 - sum(SHARES)])
-    out = []
-    for w in 2.0 * np.pi * frequencies:
-        s = 1j * w
-        gear, arm = GEAR[0] + s * GEAR[1], ARM[0] + s * ARM[1]
-        springs = np.array([[gear, -gear, 0.0], [-gear, gear + arm, -arm], [0.0, -arm, arm]])
-        springs[0, 0] += s * VISCOUS
-        out.append(s * np.linalg.solve(np.diag(inertias) * s**2 + springs, [1.0, 0.0, 0.0])[0])
-    return np.array(out)
+def _compare(axis: Masses) -> dict[str, Any]:
+    """Return the published response, ours, and their peaks."""
+    machine = load_scene(axis.scene)
+    theirs = axis.respond(FREQUENCIES)
+    ours = _respond(linearise(machine, machine.start), FREQUENCIES)
+    return {
+        "theirs": np.abs(theirs).tolist(),
+        "ours": np.abs(ours).tolist(),
+        "off": float(np.abs(np.abs(ours / theirs) - 1.0).max()),
+        "resonances": [_find_peaks(row, 1.0) for row in (theirs, ours)],
+        "antiresonances": [_find_peaks(row, -1.0) for row in (theirs, ours)],
+    }
 
 
 def _respond(linear: LinearMachine, frequencies: Array) -> Array:
@@ -109,40 +148,38 @@ def _find_locked_modes(plant: Plant, stiffness: Array, q: Array) -> Array:
 
 def report(figures: dict[str, Any]) -> str:
     """Return the table."""
-    abb, kr300 = figures["abb"], figures["kr300"]
+    kr300 = figures["kr300"]
 
     def show(values: list[float]) -> str:
         return ", ".join(f"{one:.2f}" for one in values) + " Hz"
 
     rows: list[tuple[str, ...]] = []
-    for key in ("antiresonances", "resonances"):
-        theirs, ours = abb[key]
-        off = max(abs(b / a - 1.0) for a, b in zip(theirs, ours, strict=True))
-        rows.append(
-            ("ABB, axis 1, three masses", key, show(theirs), show(ours), f"{100 * off:.2f} %")
-        )
-    off = f"{abb['off']:.1e}"
-    rows.append(("ABB, axis 1, three masses", "response, 1 to 100 Hz", "", "", off))
+    for name, abb in figures["abb"].items():
+        for key in ("antiresonances", "resonances"):
+            theirs, ours = abb[key]
+            off = max(abs(b / a - 1.0) for a, b in zip(theirs, ours, strict=True))
+            rows.append((f"`{name}`", key, show(theirs), show(ours), f"{100 * off:.2f} %"))
+        rows.append((f"`{name}`", "gain, 1 to 100 Hz", "", "", f"{100 * abb['off']:.2g} %"))
     ranges = [f"{a:.1f} to {b:.1f}" for a, b in zip(kr300["least"], kr300["most"], strict=True)]
     for name, spectrum in kr300["spectra"].items():
-        rows.append((f"KUKA KR 300, run {name}", "largest swing of the torques, axes 1 to 3",
+        rows.append((f"`kuka_kr300`, run {name}", "largest swing of the torques, axes 1 to 3",
                      show(spectrum["peaks"]), ", ".join(ranges) + " Hz", ""))  # fmt: skip
     heads = ("arm", "quantity", "published", "ours", "off")
     return table(heads, rows)
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
-    """Draw the ABB axis's response, and the KR 300's torques beside the modes of its scene."""
-    figure = new_figure(9.5, 3.6)
-    left, right = figure.subplots(1, 2)
-    abb = figures["abb"]
-    left.loglog(FREQUENCIES, abb["theirs"], color="C1", lw=3.0, label="published")
-    left.loglog(FREQUENCIES, abb["ours"], "--", color="C0", label="ours")
-    for key, colour in (("antiresonances", "grey"), ("resonances", "black")):
-        for frequency in abb[key][1]:
-            left.axvline(frequency, color=colour, lw=0.6)
-    left.set(title="ABB, axis 1", xlabel="Hz", ylabel="motor's speed, rad/s per N m")
-    left.legend()
+    """Draw the responses of the ABB axes, and torques of the KR 300 beside its first mode."""
+    figure = new_figure(12.0, 3.6)
+    *left, right = figure.subplots(1, 1 + len(ABB))
+    for axes, (name, abb) in zip(left, figures["abb"].items(), strict=True):
+        axes.loglog(FREQUENCIES, abb["theirs"], color="C1", lw=3.0, label="published")
+        axes.loglog(FREQUENCIES, abb["ours"], "--", color="C0", label="ours")
+        for key, colour in (("antiresonances", "grey"), ("resonances", "black")):
+            for frequency in abb[key][1]:
+                axes.axvline(frequency, color=colour, lw=0.6)
+        axes.set(title=name, xlabel="Hz", ylabel="motor's speed, rad/s per N m")
+    left[0].legend()
     kr300 = figures["kr300"]
     for axis in range(AXES):
         for name, line in zip(RUNS, ("-", "--"), strict=True):
@@ -150,7 +187,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
             right.semilogy(spectrum["f"], spectrum["power"][axis], line, color=f"C{axis}", lw=1.0,
                            label=f"axis {axis + 1}" if name == RUNS[0] else None)  # fmt: skip
     right.axvspan(kr300["least"][0], kr300["most"][0], color="grey", alpha=0.3, label="first mode")
-    right.set(title="KUKA KR 300: measured torques", xlabel="Hz",
+    right.set(title="kuka_kr300: measured torques", xlabel="Hz",
               ylabel="(N m)²/Hz at the motors", xlim=(2.0, 40.0), ylim=(1e-4, 1.0))  # fmt: skip
     right.legend()
     save(figure, folder, PICTURE)
