@@ -280,6 +280,11 @@ struct Drive {
   // false, the modes must be determined.
   template <class X>
   ARM_INLINE constexpr Mask<X> is_regular(const Input<X>& x) const {
+    return where(is_ever_regular(), is_regular_where_ever(x));
+  }
+  // The same of a drive that may be so.
+  template <class X>
+  ARM_INLINE constexpr Mask<X> is_regular_where_ever(const Input<X>& x) const {
     Mask<X> regular = X{} == X{};
     if constexpr (may_be_regular && driven && Motor::modes > 0)
       regular &= motor.is_regular(x.z, x.u, felt_speed(x));
@@ -288,7 +293,7 @@ struct Drive {
           if constexpr (may_be_regular && Extra::modes > 0)
             regular &= extra.is_regular(angle_of(extra, x), speed_of(extra, x), x.z + state);
         });
-    return where(is_ever_regular(), regular);
+    return regular;
   }
   // Whether such an x exists.
   constexpr bool is_ever_regular() const {

@@ -53,7 +53,10 @@ class KeptModes {
   ARM_APART void determine(const State<S>& x, const Real* u, LinksMemo<S>& memo) {
     modes_ = Modes<S>(n_, x, u, memo.at(n_, x));
     rest_ = modes_.friction.rest(), locks_ = modes_.friction.lock();
-    for (int j = 0; j < N; ++j) regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{};
+    n_.for_each_drive([&](const auto& drive, int j) {
+      regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{} && drive.is_ever_regular() &&
+                    !drive.follows_at_once();
+    });
   }
 
   struct Drives {
@@ -62,10 +65,9 @@ class KeptModes {
   // Those that are not surely in their regular modes, where they stay.
   ARM_INLINE Drives unsure_drives(const State<S>& x, const Real* u) const {
     Drives unsure;
-    n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) __attribute__((always_inline)) {
-      bool sure = regular_[j] && drive.is_regular(input_of(drive, j, x, u[j]));
-      if constexpr (Drive::may_follow) sure = sure && !drive.follows_at_once();
-      unsure.any |= unsure.at[j] = !sure;
+    n_.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
+      const auto at = input_of(drive, j, x, u[j]);
+      unsure.any |= unsure.at[j] = !(regular_[j] & drive.is_regular_where_ever(at));
     });
     return unsure;
   }
@@ -108,7 +110,7 @@ class KeptModes {
   Modes<S> modes_;
   bool stay_ = false;  // the end of the last step calls for them again
   bool rest_ = false, locks_ = false;
-  bool regular_[N] = {};  // drives in their regular modes
+  bool regular_[N] = {};  // drives in their regular modes, whose states are not algebraic
 };
 
 }  // namespace arm

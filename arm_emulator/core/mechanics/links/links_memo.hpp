@@ -12,14 +12,9 @@ class LinksMemo {
   using Dynamics = typename Links<S, X>::Dynamics;
 
   // The result of the same instructions, whether it is cached or not.
-  const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
-    Mask<X> same = where(is_valid_, X{} == X{});
-    for (int j = 0; j < S::N; ++j) same &= (q_[j] == x.q[j]) & (v_[j] == x.v[j]);
-    if (all(same)) return links_;
-    for (int j = 0; j < S::N; ++j) q_[j] = x.q[j], v_[j] = x.v[j];
-    Links<S, X>::dynamics_apart(n, x.q, x.v, links_);
-    is_valid_ = true;
-    return links_;
+  ARM_INLINE const Dynamics& at(const Numbers<S, X>& n, const State<S, X>& x) {
+    if (is_valid_ && is_at(x)) return links_;
+    return find(n, x);
   }
   // The newest ones, to be changed.
   Dynamics& used_up() {
@@ -30,7 +25,24 @@ class LinksMemo {
   void forget() { is_valid_ = false; }
 
  private:
-  X q_[S::N], v_[S::N];
+  using Row = arm::Row<S::N, X>;
+
+  ARM_INLINE bool is_at(const State<S, X>& x) const {
+    const Row q = Row::load(x.q), v = Row::load(x.v), q_here = Row::load(q_),
+              v_here = Row::load(v_);
+    auto same = typename Row::Vector{} == typename Row::Vector{};
+    for (int g = 0; g < Row::groups; ++g)
+      same &= (q.at[g] == q_here.at[g]) & (v.at[g] == v_here.at[g]);
+    return all(same);
+  }
+  ARM_APART const Dynamics& find(const Numbers<S, X>& n, const State<S, X>& x) {
+    Row::load(x.q).store(q_), Row::load(x.v).store(v_);
+    Links<S, X>::dynamics_apart(n, x.q, x.v, links_);
+    is_valid_ = true;
+    return links_;
+  }
+
+  alignas(64) X q_[State<S, X>::row] = {}, v_[State<S, X>::row] = {};
   Dynamics links_;
   bool is_valid_ = false;
 };
