@@ -37,6 +37,7 @@ BY_NAME = (
     "tool_paths",
     "vibration",
     "published_responses",
+    "bearing_modes",
     "assumed",
     "beside_mujoco",
     "portable_arithmetic",

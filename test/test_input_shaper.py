@@ -320,3 +320,11 @@ def test_the_file_of_parameters_gives_modes_and_shaper(tmp_path: Path) -> None:
     assert config.modes == (ShapedMode(7.5, 0.2),)
     half = 0.5 / (7.5 * math.sqrt(1.0 - 0.04))
     assert config.design_shaper().delay == pytest.approx(half, rel=1e-12)
+
+
+def test_a_shaper_without_modes_is_refused_where_the_controller_is_made() -> None:
+    file = find_scene("three_axis")
+    gains = load_gains(file)
+    motion = dataclasses.replace(gains.motion, method="way", shaper="zv")
+    with pytest.raises(Refusal, match="parameter shaper must come with modes"):
+        OfflineRun(load_scene(file), gains.servo, motion)

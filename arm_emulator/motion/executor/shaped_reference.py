@@ -7,7 +7,8 @@ of earlier ones with positive shares: limits of position, speed, acceleration an
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,31 +19,27 @@ from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
 _APART = 1e-9  # rad or m: rounding between the end of a motion period and the begin of the next
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _ShapedPeriod:
     """The reference of one motion period; in between it is the quintic through both ends."""
 
     begin: Reference
     end: Reference
+    duration: float
+    """[s]."""
     is_end_known: bool
     """Whether `end` was given, not extrapolated."""
     tau: Array | None
 
-    def at(self, share: float, period: float) -> Reference:
-        """Return the motion at a share of it."""
-        if share == 1.0:
-            return self.end
-        T, begin, end = period, self.begin, self.end
+    @cached_property
+    def terms(self) -> Array:
+        """Coefficients of the quintic by share of the period (6, N) [rad or m]."""
+        T, begin, end = self.duration, self.begin, self.end
         v0, a0 = begin.v * T, 0.5 * begin.a * T**2
         q = end.q - begin.q - v0 - a0
         v, a = end.v * T - v0 - 2.0 * a0, 0.5 * end.a * T**2 - a0
-        c3, c4, c5 = 10.0 * q - 4.0 * v + a, 7.0 * v - 15.0 * q - 2.0 * a, 6.0 * q - 3.0 * v + a
-        s = share
-        return Reference(
-            begin.q + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5)))),
-            (v0 + s * (2.0 * a0 + s * (3.0 * c3 + s * (4.0 * c4 + s * 5.0 * c5)))) / T,
-            (2.0 * a0 + s * (6.0 * c3 + s * (12.0 * c4 + s * 20.0 * c5))) / T**2,
-        )
+        rest = 10.0 * q - 4.0 * v + a, 7.0 * v - 15.0 * q - 2.0 * a, 6.0 * q - 3.0 * v + a
+        return np.array([begin.q, v0, a0, *rest])
 
     @property
     def is_resting(self) -> bool:
@@ -109,7 +106,7 @@ class ShapedReference:
         if self._past and (np.abs(self._past[-1].end.q - present.begin.q) > _APART).any():
             self.restart()
         if self._past and not self._past[-1].is_end_known:
-            self._past[-1].end = present.begin
+            self._past[-1] = replace(self._past[-1], end=present.begin)
         if present.is_resting and self.is_settled:
             self.restart()
             self._past.extend([present] * (self._past.maxlen or 1))
@@ -133,7 +130,14 @@ class ShapedReference:
         self._shaper, self._coming = self._coming, None
         back = self._shaper.times / self._period
         self._places = -1 - np.floor(back).astype(int)  # of the impulses, among past periods
-        self._within = 1.0 - (back - np.floor(back))  # and in these, as a share
+        # Terms of the quintics there as place, speed and acceleration, by their shares.
+        within = 1.0 - (back - np.floor(back))
+        powers = np.vander(within, 6, increasing=True)
+        k = np.arange(6.0)
+        slopes = np.column_stack([np.zeros_like(within), k[1:] * powers[:, :-1]])
+        bends = np.column_stack([np.zeros((len(within), 2)), (k * (k - 1.0))[2:] * powers[:, :-2]])
+        parts = powers, slopes / self._period, bends / self._period**2
+        self._weights = self._shaper.shares[:, np.newaxis] * np.array(parts)
         self._past = deque(maxlen=-int(self._places[-1]))
 
     def _read(self, setpoint: JointSetpoint) -> _ShapedPeriod:
@@ -141,19 +145,15 @@ class ShapedReference:
         mean = np.zeros_like(q) if setpoint.v is None else setpoint.v
         now = setpoint.now or Reference(q, mean, np.zeros_like(q))
         then = setpoint.then or now.after(period, q + period * mean)
-        return _ShapedPeriod(now, then, setpoint.then is not None, setpoint.tau)
+        return _ShapedPeriod(now, then, period, setpoint.then is not None, setpoint.tau)
 
     def _sum(self) -> Reference:
         """Return the shaped motion at the end of the newest period."""
         newest = self._past[-1].end
-        q, v, a = newest.q.copy(), np.zeros_like(newest.v), np.zeros_like(newest.a)
-        parts = zip(self._shaper.shares, self._places, self._within, strict=True)
-        for share, place, within in parts:  # exactly at rest where all of them are
-            of = self._past[place].at(within, self._period)
-            q += share * (of.q - newest.q)
-            v += share * of.v
-            a += share * of.a
-        return Reference(q, v, a)
+        terms = np.array([self._past[place].terms for place in self._places])
+        terms[:, 0] -= newest.q  # so that the sum is exactly 0 where all of them rest
+        off, v, a = np.einsum("rki,kin->rn", self._weights, terms)
+        return Reference(newest.q + off, v, a)
 
     def _sum_effort(self) -> Array | None:
         """Return the shaped torques; None where some of them are not known."""

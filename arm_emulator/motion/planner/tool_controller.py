@@ -74,6 +74,7 @@ def make_controller(urdf_xml: str, joint_names: Sequence[str], config: MotionCon
         if name not in kinematics.joint_names:
             joints = ", ".join(kinematics.joint_names)
             raise Refusal(config.where, f"{SECTION}.{name}", "be a joint of the arm", name, joints)
+    config.design_shaper()  # refuses one without modes
     if config.has_collision_stop:
         CollisionGuard(kinematics, config)  # refuses shapes that cannot be read
     if config.method == "way":
