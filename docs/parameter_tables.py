@@ -10,6 +10,7 @@ from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers
 from arm_emulator.base.validation.parameters import list_parameters
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.drive_parameters import DriveParameters
+from arm_emulator.motion.model.input_shaper import ShapedMode
 from arm_emulator.servo.servo_config import SETTABLE, JointServo, ServoConfig
 from emulator_node.node import EmulatorParameters
 from servo_node.node import ServoNodeParameters
@@ -21,12 +22,13 @@ HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
 def parameters() -> str:
     """Return a table for each node."""
     motion = _numbers(DriveParameters, "joints.NAME.", ())
+    modes = _numbers(ShapedMode, "modes.NAME.", ())
     joints = _numbers(JointServo, "joints.NAME.", SETTABLE)
     of_servo = _numbers(ServoConfig, "", SETTABLE)
     nodes = {
         "emulator": _parameters(EmulatorParameters),
         "servo": [*_parameters(ServoNodeParameters), *of_servo, *joints],
-        "motion_controller": [*_parameters(MotionConfig), *motion],
+        "motion_controller": [*_parameters(MotionConfig), *motion, *modes],
     }
     tables = []
     for node, rows in nodes.items():
