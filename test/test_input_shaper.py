@@ -16,6 +16,7 @@ from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.jog import JogCommand
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.executor.shaped_reference import ShapedReference
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
@@ -213,17 +214,20 @@ def test_the_delay_is_reported_and_tolerances_judge_the_shaped_motion() -> None:
 
 
 def test_a_motion_replaced_on_the_way_stays_smooth() -> None:
-    """Goals that come at any time: the targets never jump, and come to rest."""
+    """Goals and jogs that come at any time: the targets never jump, and come to rest."""
     rng = np.random.default_rng(8)
     arm = IdealArm(**SHAPED)
     for k in range(900):
         if k % 37 == 5 and k < 500:
             goal = START + rng.uniform(-0.5, 0.5, 3)
-            if rng.random() < 0.5:
-                R_WT, p_WT = arm.planner.kinematics.forward(goal)
-                arm.executor.add(arm.now_ns, Pose(p_WT, R_WT))
-            else:
-                arm.move(goal)
+            match int(rng.integers(3)):
+                case 0:
+                    R_WT, p_WT = arm.planner.kinematics.forward(goal)
+                    arm.executor.add(arm.now_ns, Pose(p_WT, R_WT))
+                case 1:
+                    arm.move(goal)
+                case _:
+                    arm.executor.jog(JogCommand(arm.now_ns, joints=goal - START))
         expected = arm.q
         assert np.abs(arm.instruct().q - expected).max() < 1e-9, k
     assert arm.executor.restarts == 0 and not arm.v.any()
