@@ -320,6 +320,24 @@ MUTANTS = (
         "test_pmsm.py",
     ),
     Mutant(
+        f"{SCHEMES}/kept_modes.hpp",
+        "if (stay_ && are_called_for(x, u)) return true;",
+        "if (stay_) return true;",
+        "test_kept_modes.py",
+    ),
+    Mutant(
+        f"{SCHEMES}/kept_modes.hpp",
+        "return !(drive.margin(at, now) < 0.0);",
+        "return true;",
+        "test_kept_modes.py",
+    ),
+    Mutant(
+        f"{SCHEMES}/linearly_implicit.hpp",
+        "k1.torque[j] -= k1.torque[j] - links.nle[j];",
+        "",
+        "test_kept_modes.py",
+    ),
+    Mutant(
         f"{SCHEMES}/event_location.hpp",
         "      left -= t;\n",
         "      left = h_ - t;\n",

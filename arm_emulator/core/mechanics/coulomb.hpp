@@ -169,12 +169,14 @@ class Coulomb {
 
   // Whether `decide` finds these modes again at the state of the newest `hold_in` with them, of
   // which v are the speeds. The state alone decides, not the commands.
-  bool confirms(const Modes& modes, const X* v) {
-    begin(v);
+  bool confirms(const Modes& modes, const X* v) const {
     Mask<X> same = X{} == X{};
     for (int j = 0; j < N; ++j) {
-      same &= (direction_[j] == modes.direction[j]) & ~(locked_[j] ^ modes.locked[j]);
-      same &= ~where(locked_[j], magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j]));
+      const auto& locked = modes.locked[j];
+      const X way = modes.direction[j];
+      const auto holds =
+          (v[j] == 0.0) & negated(magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j]));
+      same &= where(locked, holds) | where(negated(locked), (way == 0.0) | (v[j] * way > 0.0));
     }
     return all(same);
   }
