@@ -10,6 +10,8 @@ import math
 import re
 from dataclasses import dataclass
 
+from arm_emulator.design.joint_data import JointData
+
 USABLE = (
     0.45  # of stall torque and no-load speed at a time: 10 % of the supply are left for control
 )
@@ -63,6 +65,18 @@ class JointSheet:
     speed: float  # rad/s
     source: str
     servo: Servo | None = None
+    data: JointData | None = None  # its parts, where they are known, too
+
+    @classmethod
+    def of(cls, data: JointData) -> JointSheet:
+        """Return the figures of a joint with a data file."""
+        return cls(data.torque, data.speed, f"config/joints/{data.name}.yaml", data=data)
+
+    @property
+    def supply(self) -> float | None:
+        """Voltage for which its figures hold [V]; None: any."""
+        known = self.servo or self.data
+        return None if known is None else known.supply
 
 
 @dataclass(frozen=True)

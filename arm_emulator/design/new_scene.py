@@ -22,6 +22,7 @@ from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, 
 from arm_emulator.design.choose_joints import Choice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
 from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
+from arm_emulator.design.joint_data import choose_joint_data
 from arm_emulator.design.mesh_file import move_meshes
 from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
 from arm_emulator.design.robot_file import forget_impossible, read_limits, robot_text, write_limits
@@ -85,6 +86,7 @@ def write_new(
     force: bool = False,
     replace_inertias: bool = False,
     trust_inertias: bool = False,
+    joint_data: Sequence[str] = (),
 ) -> NewScene:
     """Write a scene for a robot.
 
@@ -102,9 +104,11 @@ def write_new(
         force: whether to overwrite existing files.
         replace_inertias: whether impossible and doubtful inertias are computed from shapes.
         trust_inertias: whether they are taken as they are; the scene names their links.
+        joint_data: joints that exist, NAME for all or JOINT=NAME for one, see `joint_data.py`.
 
     Raises:
-        Refusal: a robot that cannot be emulated, or files that exist already or are shipped.
+        Refusal: a robot that cannot be emulated, a joint without a data file, or files that
+            exist already or are shipped.
     """
     if payload is not None and not 0.0 <= payload <= LARGEST_MASS:
         raise Refusal("new", "--payload", f"be from 0 to {LARGEST_MASS:g} kg", payload)
@@ -117,6 +121,10 @@ def write_new(
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)
+    known = {
+        joint: JointSheet.of(data)
+        for joint, data in choose_joint_data(joint_data, choice.joints).items()
+    }
     mended = forget_impossible(description)
     assumed = _assume_missing_bodies(description, robot, choice, density)
     if replace_inertias and trust_inertias:
@@ -140,7 +148,9 @@ def write_new(
             valid = "--force writes over it, --out names another folder"
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
     bodies = assumed, trusted
-    drives, tools, texts = _make_texts(robot, text, description, choice, payload, bodies, kind)
+    drives, tools, texts = _make_texts(
+        robot, text, description, choice, payload, bodies, kind, known
+    )
     with tempfile.TemporaryDirectory() as trial:
         made = Path(trial) / f"{name}.yaml"
         _write(Path(trial), {place.format(name): one for place, one in texts.items()})
@@ -253,11 +263,12 @@ def _make_texts(
     payload: float | None,
     bodies: tuple[list[Assumed], list[str]],
     kind: type[Motor],
+    known: Mapping[str, JointSheet],
 ) -> tuple[list[Sized], list[RatedTool], dict[str, str]]:
     """Return the drives, the tools that they are sized for, and the files to write by their places.
 
     The `description` gets limits; `bodies` are links whose body is assumed, and those whose inertia
-    is trusted.
+    is trusted; `known` has the drives of joints that exist.
 
     The servo is not among them: its gains are those of the scene as it is written.
     """
@@ -272,7 +283,15 @@ def _make_texts(
         seen = survey(_load_links(text, robot.name, choice, payload), kinematics)
     limits = read_limits(description)
     count = len(links.joints)
-    sheets = published(description.get("name", ""), count) or (None,) * count
+    of_arm = published(description.get("name", ""), count) or (None,) * count
+    for joint in links.chain.joints:
+        if joint.name in known and joint.kind != "revolute":
+            rule = "be of a joint that turns"
+            raise Refusal("new", "--joint", rule, f"{joint.name}, a {joint.kind} one")
+    sheets = tuple(
+        known.get(joint.name, sheet)
+        for joint, sheet in zip(links.chain.joints, of_arm, strict=True)
+    )
     speeds = {
         joint.name: full_speed(joint.kind, limits[joint.name]["velocity"], sheet)[0]
         for joint, sheet in zip(links.chain.joints, sheets, strict=True)

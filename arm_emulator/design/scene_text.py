@@ -15,6 +15,7 @@ from arm_emulator.design.rated_tool import RatedTool
 from arm_emulator.design.sizing import Demand, Sized, rounded
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.motion.model.drive_parameters import SECTION, DriveParameters
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
@@ -35,7 +36,8 @@ _RULES = """\
 # Made by `arm_emulator new` from {robot}. Links are the description's.
 # Motors, gears, friction and encoders are not in it: all numbers under `motor`, `gear`, `friction`
 # and `encoder` are guesses of the right size, by these rules (docs/tutorials/your_robot.md), from
-# the peak torque and the speed beside each joint (motor and ratio of a published servo: its own):
+# the peak torque and the speed beside each joint (motor and ratio of a published servo: its own;
+# joints with sources, [1] and so on, are those of a data file, by --joint):
 #   torque       where none is given: 1.3 times the weight and full speed in 0.25 s, with a tool
 #   ratio        the joint's full speed at 3000 rpm of the motor
 #   motor        rotor accelerates with 14 000 rad/s2, at least 1/20 of the heaviest link's inertia;
@@ -82,7 +84,7 @@ def scene_text(
         f"tool: {_quote_text(choice.tool)}",
         "gravity: [0.0, 0.0, -9.81]  # m/s2, z up",
         f"supply_voltage: {supply:g}  # V, "
-        + ("of the servos" if any(one.sheet and one.sheet.servo for one in demands) else "guess"),
+        + ("of the servos" if any(one.sheet and one.sheet.supply for one in demands) else "guess"),
     ]
     if given.payload:
         lines.append(f"payload: {{mass: {given.payload!r}}}  # kg, at the tool")
@@ -127,8 +129,8 @@ def _format_joint(demand: Demand, drive: Sized) -> list[str]:
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
     joint = drive.joint
     assert joint.motor is not None and joint.encoder is not None
-    gear = joint.gear
     least, most = demand.inertia
+    parts = drive.text or _format_parts(joint, (torque, speed, angle), ratio)
     return [
         f"  # {drive.peak_torque:.3g} {torque} ({drive.notes['torque']}),",
         f"  # {drive.speed:.3g} {speed} ({drive.notes['speed']});",
@@ -136,15 +138,31 @@ def _format_joint(demand: Demand, drive: Sized) -> list[str]:
         f"{demand.gravity_torque:.3g} {torque}",
         f"  {_quote_text(joint.name)}:",
         f"    start: {joint.start!r}  # {angle}",
+        *parts,
+        f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
+        *(_format_end_stops(most, drive.speed, slide) if demand.limited else ()),
+    ]
+
+
+def _format_parts(joint: Joint, units: tuple[str, str, str], ratio: str) -> tuple[str, ...]:
+    """Return the sections of motor, gear and friction of a drive that was sized.
+
+    Args:
+        joint: the joint.
+        units: of torque, speed and angle.
+        ratio: what the gear's ratio is.
+    """
+    torque, _, angle = units
+    gear = joint.gear
+    assert joint.motor is not None
+    return (
         *_format_motor(joint.motor, joint.decorators),
         "    gear:",
         f"      ratio: {gear.ratio!r}  # {ratio}",
         f"      stiffness: {gear.stiffness!r}  # {torque}/{angle}",
         f"      damping: {gear.damping!r}  # {torque} s/{angle}",
         f"    friction: {{viscous: {joint.friction.viscous!r}}}  # {torque} s/{angle}",
-        f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
-        *(_format_end_stops(most, drive.speed, slide) if demand.limited else ()),
-    ]
+    )
 
 
 def _format_motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:

@@ -88,6 +88,7 @@ class Sized:
     acceleration: float  # rad/s2, for motion control
     notes: dict[str, str]
     """Sources of `torque` and `speed`, as text."""
+    text: tuple[str, ...] = ()  # of its parts, where a data file has them
 
 
 def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, list[Sized]]:
@@ -146,8 +147,8 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
 
 def _choose_supply(demands: list[Demand], power: float) -> float:
     """Return the supply voltage of drives whose strongest has a power [W]."""
-    servos = [demand.sheet.servo for demand in demands if demand.sheet is not None]
-    known = [servo.supply for servo in servos if servo is not None]
+    supplies = [demand.sheet.supply for demand in demands if demand.sheet is not None]
+    known = [supply for supply in supplies if supply is not None]
     return max(known) if known else next(volts for watts, volts in SUPPLIES if power <= watts)
 
 
@@ -267,6 +268,11 @@ def _size_drive(
         friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
         decorators=tuple(_round_part(one) for one in around if one is not None),
     )
+    if demand.sheet is not None and (data := demand.sheet.data) is not None:
+        known = dataclasses.replace(
+            data.joint, name=joint.name, start=joint.start, sensors=joint.sensors
+        )
+        return Sized(known, torque, speed, acceleration, notes, data.text)
     return Sized(joint, torque, speed, acceleration, notes)
 
 

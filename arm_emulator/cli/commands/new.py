@@ -33,6 +33,7 @@ def new(
     payload: Annotated[float | None, Parameter(metavar="KG")] = None,
     density: Annotated[float, Parameter(metavar="KG/M3")] = 1200.0,
     motor: Annotated[str | None, Parameter(metavar="KIND")] = None,
+    joint: Annotated[list[str] | None, Parameter(metavar="[JOINT=]NAME ...")] = None,
     out: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     replace_inertias: bool = False,
     trust_inertias: bool = False,
@@ -51,6 +52,7 @@ def new(
             tool by the arm's mass).
         density: density of bodies without inertia in the description.
         motor: kind of all motors, as `motor.kind` in scenes (default: that of scenes).
+        joint: joints that exist, by a data file of config/joints: NAME for all, JOINT=NAME for one.
         out: folder of the scene's files (default: the robot's name, here).
         replace_inertias: compute impossible and doubtful inertias from shapes.
         trust_inertias: take them as they are, such as regrouped or identified parameters.
@@ -70,6 +72,7 @@ def new(
     written = write_new(
         robot, out, tool, joints, given, payload=payload, density=density, motor=motor, tree=tree,
         force=force, replace_inertias=replace_inertias, trust_inertias=trust_inertias,
+        joint_data=joint or (),
     )  # fmt: skip
     facts = _report(written)
     if export is not None:
@@ -104,7 +107,13 @@ def _report(written: NewScene) -> dict[str, Any]:
         )
     for source in sources:
         report(f"taken    torques and speeds that are published: {source}")
-    report("guessed  all motors, gears, friction, encoders: rules are in the scene's heading")
+    others = [drive.joint.name for drive in written.drives if not drive.text]
+    if others:
+        of_some = "" if len(others) == len(written.drives) else f" of {', '.join(others)}"
+        report(
+            f"guessed  all motors, gears, friction, encoders{of_some}: "
+            "rules are in the scene's heading"
+        )
     for one in written.assumed:
         report(f"assumed  body of {one.link}: {one.how}")
     for overload in written.overloads:

@@ -49,10 +49,18 @@ class Coulomb {
           const auto at = [&](const State<S, X>& state) {
             return drive.with(input_in_lane(drive, j, state, u[j], lane), now);
           };
+          const Real v = lane_of(x.v[j], lane);
           for (int side = 0; side < Taken::sides; ++side) {
-            const Real way = side == 0 ? 1.0 : -1.0;
+            // One that slides does so in one direction, and nothing holds it.
+            const bool slides = directed && v != 0.0;
+            if (slides && side == 1) {
+              set_lane(of_.Dc[1][j], lane, lane_of(of_.Dc[0][j], lane));
+              break;
+            }
+            const Real way = slides ? sign_of(v) : side == 0 ? Real{1.0} : Real{-1.0};
             set_lane(of_.Dc[side][j], lane, drive.sliding(at(x), now.active(), way));
-            set_lane(of_.Ds[side][j], lane, drive.holding(at(pulled), now.active(), way));
+            if (!slides)
+              set_lane(of_.Ds[side][j], lane, drive.holding(at(pulled), now.active(), way));
           }
           set_lane(of_.dry[j], lane, drive.is_dry());
         });

@@ -181,11 +181,22 @@ def read_joints(
                 "nothing",
                 "a section, or its position under `locked`",
             )
-        joints.append(_read_joint(name, kind, one, limits.get(name)))
+        joints.append(read_joint(name, kind, one, limits.get(name)))
     return tuple(joints)
 
 
-def _read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
+def read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
+    """Read the section of a joint.
+
+    Args:
+        name: of the joint.
+        kind: revolute or prismatic.
+        one: its section.
+        limits: in the description [rad or m]; None: it has none.
+
+    Raises:
+        Refusal: it breaks a rule.
+    """
     motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
     of_rotor = None if motor is None else motor.section("friction")
     brake = one.section(Brake.section)

@@ -87,16 +87,18 @@ struct DirectedLoadFriction {
   template <class X>
   ARM_INLINE constexpr X remaining(X w) const {
     if (!(vs > 0.0)) return X{};
+    X share{};
+    for (int lane = 0; lane < kWidth<X>; ++lane)
+      set_lane(share, lane, remaining_at(magnitude(lane_of(w, lane)) / vs));
+    return share;
+  }
+  // Nothing where it is below rounding: e^-40 and less, for which most speeds need no functions.
+  ARM_INLINE constexpr Real remaining_at(const Real& ratio) const {
     if constexpr (square) {
-      return exponential(-(w / vs) * (w / vs));
+      return ratio > 6.4 ? Real{0.0} : exponential(-ratio * ratio);
     } else {
-      X share{};
-      for (int lane = 0; lane < kWidth<X>; ++lane) {
-        const Real speed = magnitude(lane_of(w, lane));
-        set_lane(share, lane,
-                 speed > 0.0 ? exponential(-exponential(alpha * logarithm(speed / vs))) : 1.0);
-      }
-      return share;
+      if (ratio > (alpha >= 2.0 ? 6.4 : alpha >= 1.0 ? 40.0 : 1600.0)) return 0.0;
+      return ratio > 0.0 ? exponential(-exponential(alpha * logarithm(ratio))) : Real{1.0};
     }
   }
 };

@@ -1,0 +1,217 @@
+"""Data files of joints that exist, and new scenes with them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from draws import some
+from lossy_joint import Bam
+from machines import CONFIG
+from test_new_drives import untuned
+
+from arm_emulator import Plant, Refusal, load_scene
+from arm_emulator.analysis.torque_terms import TorqueTerms
+from arm_emulator.cli.command_line import main
+from arm_emulator.design.joint_data import JointData, list_joint_names, load_joint_data
+from arm_emulator.design.new_scene import write_new
+from arm_emulator.machine.parts.frictions.friction import Friction
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from bench.origins import origins
+
+# At the output, from bam/params of Rhoban/bam (Apache-2.0): base and Stribeck's friction, load
+# friction of motor and outside, the same at rest, and their squares, speed, exponent, viscous.
+PUBLISHED = {
+    "erob80_50": (3.25894, 0.320431, 0.0356619, 0.000843166, 0.00377099, 0.041438, 0.00187212,
+                  0.0015991, 2.83039, 1.78644, 1.40339),
+    "erob80_100": (0.000477967, 5.22642, 0.0488877, 7.62632e-08, 8.82328e-06, 0.0511666,
+                   0.00270292, 0.00255626, 2.03303, 2.99992, 9.70933),
+    "mx64": (6.21792e-07, 0.122695, 0.311472, 2.0462e-08, 0.187744, 0.0140659, 0.00690851,
+             0.00999998, 2.57528, 0.840902, 0.025337),
+    "mx106": (1.02325e-05, 0.121954, 0.198006, 0.0222155, 0.1986, 0.0871033, 0.00999993,
+              7.32692e-05, 1.74633, 1.14283, 0.0507157),
+    "xl320": (4.33378e-07, 0.0163055, 3.08821e-06, 0.158325, 5.96572e-09, 0.245483, 0.00361641,
+              0.00471093, 2.30105, 1.70674, 0.00722517),
+    "xl330": (0.00477118, 0.00467635, 0.266786, 8.51587e-06, 1.07229e-05, 0.0807793, 0.00997247,
+              0.00490257, 2.89037, 8.68326, 0.00535967),
+    # M1: Coulomb's and viscous friction alone
+    "sts3215": (0.0523929, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 0.0590852),
+}  # fmt: skip
+# N m/A, kg m2 and A or V/ohm at the output.
+MOTORS = {
+    "erob80_50": (4.89677, 0.36174), "erob80_100": (9.3963, 1.1351), "mx64": (1.60168, 0.0122659),
+    "mx106": (2.20983, 0.0260162), "xl320": (1.00883, 0.00116299), "xl330": (0.366013, 0.00180774),
+    "sts3215": (1.21164, 0.0284034),
+}  # fmt: skip
+
+__all__ = ["untuned"]  # a fixture
+
+TWO = """<robot name="two"><link name="base"/>{}</robot>"""
+LINK = """
+<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/>
+<origin xyz="0 0 {z}"/><axis xyz="0 1 0"/></joint>
+<link name="{name}_link"><inertial><origin xyz="0 0 {com}"/><mass value="{mass}"/>
+<inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+
+
+def robot_of(folder: Path, kind: str = "continuous", mass: float = 0.5) -> Path:
+    """Write a description of an upper arm and a forearm."""
+    links = LINK.format(name="shoulder", kind="continuous", parent="base", z=0.0, com=0.1,
+                        mass=2.0 * mass, i=0.01 * mass)  # fmt: skip
+    links += LINK.format(name="elbow", kind=kind, parent="shoulder_link", z=0.2, com=0.1,
+                         mass=mass, i=0.01 * mass)  # fmt: skip
+    file = folder / "two.urdf"
+    file.write_text(TWO.format(links))
+    return file
+
+
+def law_of(name: str) -> tuple[Bam, float]:
+    """Return the budget of a joint at its output, and its viscous friction."""
+    Kc, Kcs, Km, Ke, Kms, Kes, Kmq, Keq, speed, alpha, viscous = PUBLISHED[name]
+    return Bam(Kc, Kcs, Km, Ke, Kms, Kes, Kmq, Keq, speed, alpha), viscous
+
+
+def test_the_joints_are_those_of_the_source() -> None:
+    assert list_joint_names() == sorted(PUBLISHED)
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_every_figure_of_a_joint_has_a_source_or_a_range(name: str) -> None:
+    figures = origins(CONFIG / "joints" / f"{name}.yaml")
+    assert {figure.section for figure in figures} >= {"motor", "motor.friction", "gear"}
+    published = {figure.key for figure in figures if figure.assumed is None}
+    assert {"torque_constant", "rotor_inertia", "coulomb", "viscous"} <= published
+    assert "Apache-2.0" in (CONFIG / "joints" / f"{name}.yaml").read_text(), "the licence"
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_a_joint_has_the_published_friction_and_motor(name: str) -> None:
+    """Behind the gear, at rest, in motion, driving and driven."""
+    joint = load_joint_data(name).joint
+    (law, viscous), Ng, friction = law_of(name), joint.gear.ratio, joint.rotor_friction
+    assert isinstance(friction, Friction)
+    rng = np.random.default_rng(7)
+    size = 50.0 if name.startswith("erob") else 2.0
+    tau, outside = rng.uniform(-size, size, (2, 300))
+    speed = rng.choice([-1.0, 1.0], 300) * 10 ** rng.uniform(-3.0, 1.0, 300)
+    none = np.zeros(300)
+    at = ShaftMotion(none, none, speed / Ng, none, Ng * outside, Ng * tau, Ng)
+    budget = [
+        float(np.sign(w) * (law(1.0, w, A, S, abs(A) > abs(S)) + viscous * abs(w)))
+        for w, A, S in zip(speed, tau, outside, strict=True)
+    ]
+    # The figures have six digits.
+    assert friction.effort(at) / Ng == pytest.approx(np.array(budget), rel=2e-5)
+    numbers = vars(joint.motor)
+    constant, inertia = MOTORS[name]
+    assert numbers["torque_constant"] / Ng == pytest.approx(constant, rel=2e-5)
+    assert numbers["back_emf_constant"] == numbers["torque_constant"], "SI"
+    assert numbers["rotor_inertia"] / Ng**2 == pytest.approx(inertia, rel=2e-5)
+
+
+@pytest.mark.usefixtures("untuned")
+@pytest.mark.parametrize("name", some(["erob80_100", "mx106", "sts3215", *PUBLISHED], 2))
+def test_a_new_arm_of_such_joints_moves_with_their_friction(tmp_path: Path, name: str) -> None:
+    written = write_new(robot_of(tmp_path, mass=0.1), tmp_path / "arm", joint_data=[name])
+    scene = load_scene(written.file)
+    data = load_joint_data(name)
+    assert scene.supply_voltage == data.supply
+    for joint in scene.joints:
+        assert (joint.motor, joint.gear, joint.rotor_friction, joint.decorators) == (
+            data.joint.motor, data.joint.gear, data.joint.rotor_friction, data.joint.decorators,
+        )  # fmt: skip
+    text = written.file.read_text()
+    assert "Apache-2.0" in text, "the licence comes along"
+    assert f"stiffness: {data.joint.gear.stiffness}  # N m/rad; assumed " in text, "and the marks"
+    plant, terms, rng = Plant(scene), TorqueTerms(scene), np.random.default_rng(8)
+    law, viscous = law_of(name)
+    Ng, K = data.joint.gear.ratio, data.joint.gear.stiffness
+    assert K is not None
+    units = 1.0 / data.joint.torque_per_command
+    for _ in range(40):
+        tau, gear = rng.uniform(-1.0, 1.0, (2, 2)) * 0.3 * data.torque
+        w = rng.choice([-1.0, 1.0], 2) * 10 ** rng.uniform(-2.0, 0.0, 2)
+        plant.reset()
+        q = plant.state.q.copy()
+        # Currents as the torques call for; voltages beyond the induced ones.
+        current = tau * Ng / vars(data.joint.motor)["torque_constant"]
+        plant.put("test", {"q": q, "v": w, "theta_m": (q + gear / K) / Ng, "omega_m": w / Ng,
+                           "current": current})  # fmt: skip
+        command = tau * units
+        if data.joint.unit == "V":
+            command = command + vars(data.joint.motor)["back_emf_constant"] * w / Ng
+        now = terms.of(plant.save(), command).rotor["friction"] / Ng
+        for j in range(2):
+            budget = law(1.0, w[j], tau[j], gear[j], abs(tau[j]) > abs(gear[j]))
+            expected = -np.sign(w[j]) * (budget + viscous * abs(w[j]))
+            assert now[j] == pytest.approx(expected, rel=1e-4), f"{name}: {tau}, {gear}, {w}"
+    plant.reset()
+    plant.run(np.zeros((200, 2)), 2)
+    assert plant.diverged is None and np.isfinite(plant.state.q).all()
+
+
+@pytest.mark.usefixtures("untuned")
+def test_one_joint_may_be_another_one(tmp_path: Path) -> None:
+    written = write_new(robot_of(tmp_path), tmp_path / "arm", joint_data=["mx64", "elbow=mx106"])
+    shoulder, elbow = load_scene(written.file).joints
+    assert shoulder.gear.ratio == 1 / 200 and elbow.gear.ratio == 1 / 225
+    # A joint that is not named is sized by the rules.
+    written = write_new(robot_of(tmp_path), tmp_path / "one", joint_data=["elbow=mx64"])
+    shoulder, elbow = load_scene(written.file).joints
+    assert elbow.gear.ratio == 1 / 200 and shoulder.rotor_friction is None
+
+
+def test_a_joint_is_asked_for_what_its_motor_gives() -> None:
+    for name in list_joint_names():
+        data: JointData = load_joint_data(name)
+        motor: dict[str, Any] = vars(data.joint.motor)
+        Ng = data.joint.gear.ratio
+        at_speed = data.supply - motor["back_emf_constant"] * data.speed / Ng
+        current = data.torque * Ng / motor["torque_constant"]
+        assert 0.0 < current * motor["resistance"] <= at_speed, f"{name}: volts for both at a time"
+        assert current <= (motor["current_limit"] or np.inf)
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "refusal"),
+    [
+        (["mx65"], "continuous",
+         "--joint must name a joint with a data file, got mx65; valid: erob80_100"),
+        (["wrist=mx64"], "continuous",
+         "--joint must be JOINT=NAME of a moving joint, got wrist=mx64; valid: shoulder, elbow"),
+        (["mx64", "elbow=xl330"], "continuous",
+         "--joint must name joints for one supply voltage, got mx64 for 15 V, xl330 for 7.5 V"),
+        (["elbow=mx64"], "prismatic",
+         "--joint must be of a joint that turns, got elbow, a prismatic one"),
+    ],
+)  # fmt: skip
+def test_joints_that_do_not_fit_are_refused(
+    tmp_path: Path, given: list[str], kind: str, refusal: str
+) -> None:
+    robot = robot_of(tmp_path, kind)
+    robot.write_text(robot.read_text().replace(
+        '<axis xyz="0 1 0"/></joint>',
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>',
+    ))  # fmt: skip
+    with pytest.raises(Refusal) as caught:
+        write_new(robot, tmp_path / "arm", joint_data=given)
+    assert refusal in str(caught.value)
+
+
+@pytest.mark.usefixtures("untuned")
+def test_the_command_takes_joints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, out = robot_of(tmp_path), tmp_path / "arm"
+    words = ["new", str(robot), "--joint", "mx64", "--out", str(out), "--json"]
+    monkeypatch.setattr("sys.argv", ["arm_emulator", *words])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code in (0, None)
+    text = capsys.readouterr().out
+    assert json.loads(text)["sources"] == ["config/joints/mx64.yaml"]
+    assert yaml.safe_load((out / "two.yaml").read_text())["supply_voltage"] == 15.0
