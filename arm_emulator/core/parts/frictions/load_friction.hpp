@@ -92,13 +92,13 @@ struct DirectedLoadFriction {
       set_lane(share, lane, remaining_at(magnitude(lane_of(w, lane)) / vs));
     return share;
   }
-  // Nothing where it is below rounding: e^-40 and less, for which most speeds need no functions.
+  // Nothing where it is below rounding: e^-37 and less, for which most speeds need no functions.
   ARM_INLINE constexpr Real remaining_at(const Real& ratio) const {
     if constexpr (square) {
-      return ratio > 6.4 ? Real{0.0} : exponential(-ratio * ratio);
+      return ratio > 6.1 ? Real{0.0} : exponential(-ratio * ratio);
     } else {
-      if (ratio > (alpha >= 2.0 ? 6.4 : alpha >= 1.0 ? 40.0 : 1600.0)) return 0.0;
-      return ratio > 0.0 ? exponential(-exponential(alpha * logarithm(ratio))) : Real{1.0};
+      if (ratio > (alpha >= 2.0 ? 6.1 : alpha >= 1.0 ? 37.0 : 1400.0)) return 0.0;
+      return ratio > 0.0 ? exponential(-power(ratio, alpha)) : Real{1.0};
     }
   }
 };
