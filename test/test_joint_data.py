@@ -125,8 +125,10 @@ def test_a_new_arm_of_such_joints_moves_with_their_friction(tmp_path: Path, name
             data.joint.motor, data.joint.gear, data.joint.rotor_friction, data.joint.decorators,
         )  # fmt: skip
     text = written.file.read_text()
-    assert "Apache-2.0" in text, "the licence comes along"
-    assert f"stiffness: {data.joint.gear.stiffness}  # N m/rad; assumed " in text, "and the marks"
+    assert "Apache-2.0" in text, "the licence is in the scene"
+    assert f"stiffness: {data.joint.gear.stiffness}  # N m/rad; assumed " in text, (
+        "its mark is in the scene"
+    )
     plant, terms, rng = Plant(scene), TorqueTerms(scene), np.random.default_rng(8)
     law, viscous = law_of(name)
     Ng, K = data.joint.gear.ratio, data.joint.gear.stiffness

@@ -69,7 +69,7 @@ def load_joint_data(name: str) -> JointData:
     """Return the joint of a name.
 
     Raises:
-        Refusal: there is none of this name.
+        Refusal: no file has this name.
     """
     if name not in (names := list_joint_names()):
         raise Refusal("new", "--joint", "name a joint with a data file", name, ", ".join(names))
