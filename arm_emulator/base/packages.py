@@ -24,7 +24,7 @@ COMMANDS_OF = {
     "fieldbus": ("canopen", "ethercat", "modbus"),
     "firmware": ("firmware",),
     "fmu": ("fmu",),
-    "identification": ("identify", "validate"),
+    "identification": ("accuracy", "identify", "validate"),
     "page": ("look",),
 }
 

@@ -9,10 +9,14 @@ from arm_emulator.analysis.servo_loop import poses as draw_poses
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.analysis.stability import explain as explain_divergence
 from arm_emulator.analysis.vibration_modes import VibrationMode, find_vibration_modes
+from arm_emulator.base.calibration.deviation import Deviation
+from arm_emulator.base.calibration.joint_path import JointPath
+from arm_emulator.base.calibration.joint_path import find_path as find_joint_path
 from arm_emulator.base.urdf.frames import Frame
+from arm_emulator.base.urdf.joint_tree import MOVING_KINDS, UrdfJoint, list_element_names
 from arm_emulator.base.urdf.joint_tree import find_root as find_root_link
-from arm_emulator.base.urdf.joint_tree import list_element_names
 from arm_emulator.base.urdf.joint_tree import read_joints as read_urdf_joints
+from arm_emulator.base.urdf.urdf_text import parse_urdf
 from arm_emulator.design.assumed_bodies import inertial_of
 from arm_emulator.machine.chain import Body, ChainJoint
 from arm_emulator.machine.cxx_literals import format_number as cxx_number
@@ -104,6 +108,7 @@ __all__ = [
     "KNOWN_SCHEMES",
     "LARGEST_SEED",
     "LARGEST_STEPS",
+    "MOVING_KINDS",
     "NO_WRENCH",
     "OUTPUT_AXES",
     "PARTS",
@@ -122,6 +127,7 @@ __all__ = [
     "Change",
     "Commands",
     "ControlCode",
+    "Deviation",
     "Diverged",
     "DuplicateCommand",
     "ExternalWrench",
@@ -130,6 +136,7 @@ __all__ = [
     "Input",
     "Integrator",
     "Joint",
+    "JointPath",
     "LoopMode",
     "Measured",
     "MeasuredFields",
@@ -147,6 +154,7 @@ __all__ = [
     "ShaftMotion",
     "SmallMotions",
     "ToolChain",
+    "UrdfJoint",
     "Varied",
     "VibrationMode",
     "WrenchChange",
@@ -163,6 +171,7 @@ __all__ = [
     "draw_poses",
     "explain_divergence",
     "find_input",
+    "find_joint_path",
     "find_reference_end",
     "find_root_link",
     "find_varied",
@@ -191,6 +200,7 @@ __all__ = [
     "move_to_moving_link",
     "order_by_joint",
     "override_keys",
+    "parse_urdf",
     "read_urdf_joints",
     "select_values",
     "varied_of_child",

@@ -5,7 +5,7 @@ from arm_emulator.motion.executor.goal_status import State as MotionState
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.breakpoint import Breakpoint
-from arm_emulator.runs.gains import check_fit, check_servo, load_gains
+from arm_emulator.runs.gains import Gains, check_fit, check_servo, load_gains
 from arm_emulator.runs.goal import find_last_target, find_missed_target
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.recorder import Recorder
@@ -27,6 +27,7 @@ __all__ = [
     "NANOSECONDS",
     "Breakpoint",
     "DemoPlan",
+    "Gains",
     "MotionConfig",
     "MotionState",
     "OfflineRun",

@@ -27,6 +27,7 @@ setup(
     zip_safe=False,
     entry_points={
         "arm_emulator.commands": [
+            "accuracy = arm_emulator_identification.commands.accuracy",
             "identify = arm_emulator_identification.commands.identify",
             "validate = arm_emulator_identification.commands.validate",
         ],

@@ -1,0 +1,1 @@
+"""Pose accuracy of an arm, and its true kinematics from measured poses of the tool."""

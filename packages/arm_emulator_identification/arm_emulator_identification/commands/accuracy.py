@@ -1,0 +1,174 @@
+"""Measure an arm's accuracy and repeatability by ISO 9283, before and after a calibration."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from arm_emulator.extension.base import Array, Number, Refusal, find_scene
+from arm_emulator.extension.commands import SceneName, command, output
+from arm_emulator.extension.machine import Scene, find_joint_path, load_scene, parse_urdf
+from arm_emulator.extension.runs import load_gains
+from arm_emulator_identification.calibration.accuracy import (
+    Accuracy,
+    AccuracyTest,
+    Calibrated,
+    measure_accuracy,
+)
+from arm_emulator_identification.calibration.drawn_deviations import draw_deviations
+
+CYCLES = Number("--cycles", at_least=2, at_most=10_000, whole=True)
+CENTRE = Number.within("--centre", "m", 1e3)
+EDGE = Number("--edge", "m", above=0.0, at_most=10.0)
+DWELL = Number("--dwell", "s", above=0.0, at_most=100.0)
+POSES = Number("--fit", at_least=0, at_most=100_000, whole=True)
+HELD = Number("--held", at_least=0, at_most=100_000, whole=True)
+TRACKER = Number("--tracker", "m", above=0.0, at_most=0.1)
+TRACKER_ANGLE = Number("--tracker-angle", "rad", above=0.0, at_most=0.1)
+SEED = Number("seed", at_least=0, at_most=2**53, whole=True)
+
+
+@command(
+    keys=(
+        "`scene`, `edge`, `cycles`, `before` and `after` (`AP`, `RP`, `vAP` and the five `poses`), "
+        "`numbers`, `rank`, `alike`, `held` (rms and largest misses `before` and `after`), "
+        "`calibration`"
+    ),
+)
+def accuracy(
+    scene: SceneName,
+    /,
+    *,
+    cycles: int = 30,
+    centre: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None,
+    edge: Annotated[float | None, Parameter(metavar="M")] = None,
+    dwell: Annotated[float, Parameter(metavar="S")] = 1.0,
+    directions: bool = False,
+    draw: Annotated[int | None, Parameter(metavar="SEED")] = None,
+    fit: Annotated[int, Parameter(metavar="POSES")] = 0,
+    held: Annotated[int, Parameter(metavar="POSES")] = 20,
+    tracker: Annotated[float, Parameter(metavar="M")] = 15e-6,
+    tracker_angle: Annotated[float, Parameter(metavar="RAD")] = 1.7e-4,
+    positions: bool = False,
+    seed: int = 0,
+    out: Annotated[Path, Parameter(metavar="FILE")] = Path("calibration.yaml"),
+) -> int:
+    """Measure accuracy and repeatability by ISO 9283, before and after a calibration.
+
+    Args:
+        scene: scene file or name.
+        cycles: of the five poses.
+        centre: of the cube (m, in the world; default: where the tool is at the start).
+        edge: of the cube (default: the largest that the arm reaches).
+        dwell: time at rest before a pose is measured.
+        directions: approach P1, P2 and P4 from three directions too.
+        draw: draw the machine's deviations, where the scene has none.
+        fit: random poses from which the true kinematics is found.
+        held: further poses that judge it.
+        tracker: standard deviation of measured positions, per axis.
+        tracker_angle: standard deviation of measured turns, per axis.
+        positions: measure positions alone.
+        seed: of random poses and of the tracker's noise.
+        out: the calibration that is found.
+    """
+    for number, value in ((CYCLES, cycles), (DWELL, dwell), (POSES, fit), (HELD, held),
+                          (TRACKER, tracker), (TRACKER_ANGLE, tracker_angle),
+                          (SEED.named("--seed"), seed)):  # fmt: skip
+        number.take("accuracy", value)
+    if edge is not None:
+        EDGE.take("accuracy", edge)
+    for coordinate in centre or ():
+        CENTRE.take("accuracy", coordinate)
+    if fit and out.suffix != ".yaml":
+        raise Refusal("accuracy", "--out", "end in .yaml", out)
+    file = find_scene(scene)
+    machine, gains = load_scene(file), load_gains(file)
+    if draw is not None:
+        machine = _draw(machine, file, int(SEED.named("--draw").take("accuracy", draw)))
+    angle = math.inf if positions else tracker_angle
+    test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
+    with _show_stages() as stage:
+        size, before, found, after = measure_accuracy(machine, gains, test, stage, out)
+    output.facts({"scene": machine.name, "edge": size, "cycles": cycles})
+    console = output.console(110)
+    console.print(f"{machine.name}: {cycles} cycles of 5 poses in a cube of {size:g} m")
+    _print("before the calibration" if found else "as it is", "before", before)
+    if found is None or after is None:
+        return 0
+    _print_fit(found, fit, held)
+    _print("after the calibration", "after", after)
+    console.print(f"calibration: {found.file}")
+    output.facts({"calibration": found.file})
+    return 0
+
+
+def _draw(scene: Scene, file: Path, seed: int) -> Scene:
+    """Return the scene with deviations of the joints to its tool."""
+    if scene.calibration.deviations:
+        raise Refusal("accuracy", "--draw", "stand with a scene without calibration", scene.where)
+    path = find_joint_path(parse_urdf(scene.urdf, scene.where), scene.where, "", scene.tool,
+                           scene.tool)  # fmt: skip
+    drawn = draw_deviations(path.moving + path.behind[:1], np.random.default_rng(seed))
+    joints = {name: one.given for name, one in drawn.items()}
+    return load_scene(file, {"calibration": {"joints": joints}})
+
+
+@contextlib.contextmanager
+def _show_stages() -> Iterator[Callable[[str], None]]:
+    """Show the stage that runs; give what begins another one."""
+    columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
+    progress = Console(stderr=True)  # not for JSON, and erased at the end
+    hidden = not progress.is_terminal
+    with Progress(*columns, console=progress, transient=True, disable=hidden) as bar:
+        task = bar.add_task("", total=None)
+        yield lambda stage: bar.update(task, description=stage)
+
+
+def _print(title: str, key: str, result: Accuracy) -> None:
+    heads = "pose", "AP [mm]", "RP [mm]", "AP, turn [mrad]", "RP, turn [mrad]"
+    rows = (
+        (f"P{k}", f"{1e3 * one.AP:.4f}", f"{1e3 * one.RP:.4f}", f"{1e3 * _length(one.AP_abc):.4f}",
+         f"{1e3 * max(one.RP_abc):.4f}")
+        for k, one in enumerate(result.poses, start=1)
+    )  # fmt: skip
+    output.table(heads, rows, title=title)
+    if result.vAP is not None:
+        output.line(f"vAP, three directions of approach: {1e3 * result.vAP:.4f} mm")
+    poses = [{"AP": one.AP, "RP": one.RP, "AP_abc": one.AP_abc, "RP_abc": one.RP_abc}
+             for one in result.poses]  # fmt: skip
+    output.facts({key: {"AP": result.AP, "RP": result.RP, "vAP": result.vAP, "poses": poses}})
+
+
+def _print_fit(found: Calibrated, poses: int, held: int) -> None:
+    fit = found.fit
+    output.line(
+        f"fit: {fit.count} numbers from {poses} poses; {fit.rank} or combinations of them act alone"
+    )
+    for name, others in fit.alike.items():
+        alike = f"moves the tool as {' with '.join(others)}: cannot be distinguished"
+        output.line(f"  {name} {alike if others else 'does not move what is measured'}")
+    what = f"{held} held poses" if held else "the poses of the fit"
+    facts: dict[str, Any] = {}
+    for key, (off, turns) in (("before", found.before), ("after", found.after)):
+        facts[key] = {"p": _rms(off), "p_largest": off.max(), "R": _rms(turns)}
+        output.line(
+            f"{what}, {key}: {1e3 * _rms(off):.4f} mm rms, {1e3 * off.max():.4f} mm at most, "
+            f"{1e3 * _rms(turns):.4f} mrad rms"
+        )
+    output.facts({"numbers": fit.count, "rank": fit.rank, "alike": fit.alike, "held": facts})
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _length(values: Sequence[float]) -> float:
+    return math.hypot(*values)
