@@ -121,6 +121,18 @@ MUTANTS = (
         "test_dynamics.py test_scene.py",
     ),
     Mutant(
+        "arm_emulator/base/calibration/denavit_hartenberg.py",
+        "there.inverse @ link @ screw(2,",
+        "there.inverse @ screw(2,",
+        "test_calibration.py",
+    ),
+    Mutant(
+        "arm_emulator/core/mechanics/scene.hpp",
+        "sy * sp * cr - cy * sr",
+        "sy * sp * cr + cy * sr",
+        "test_varied_places.py",
+    ),
+    Mutant(
         "arm_emulator/base/urdf/joint_tree.py",
         "for axis in (2, 1, 0)",
         "for axis in (0, 1, 2)",

@@ -91,11 +91,10 @@ def displaced_urdf(urdf: str, deltas: Mapping[str, Mapping[str, float]]) -> str:
         if one is None:
             continue
         origin = joint.find("origin")
-        read = lambda key, at: np.array(at.get(key, "0 0 0").split(), float)  # noqa: E731
-        place = (
-            np.eye(4) if origin is None else from_origin(read("xyz", origin), read("rpy", origin))
-        )
-        place = place @ from_origin(
+        if origin is None:
+            origin = ET.SubElement(joint, "origin")
+        xyz, rpy = (np.array(origin.get(key, "0 0 0").split(), float) for key in ("xyz", "rpy"))
+        place = from_origin(xyz, rpy) @ from_origin(
             [one.get(key, 0.0) for key in "xyz"],
             [one.get(key, 0.0) for key in ("roll", "pitch", "yaw")],
         )

@@ -28,6 +28,7 @@ from arm_emulator.machine.plant.core_calls import SENSITIVITY
 from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.scene import Scene, coerce_scene
 from arm_emulator.machine.varied import Varied, choose
+from arm_emulator.machine.varied_places import SECTION as CALIBRATION
 
 WHERE = "sensitivities"
 MASS = "payload.mass"
@@ -201,7 +202,8 @@ def numbers_of(scene: Scene) -> dict[str, Varied]:
         number.name: number
         for number in list_variable_numbers(_remove_sensors(scene).joints, scene.chain, ())
     }
-    return here | {one.name: one for one in scene.varied if one.name == MASS}
+    listed = (MASS, f"{CALIBRATION}.")
+    return here | {one.name: one for one in scene.varied if one.name.startswith(listed)}
 
 
 def _remove_sensors(scene: Scene) -> Scene:

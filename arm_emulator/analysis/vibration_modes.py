@@ -56,7 +56,7 @@ def find_vibration_modes(
         Refusal: see `linearise`, `LinearServo`.
     """
     scene, period = plant.scene, servo.period
-    kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    kinematics = Kinematics(scene.true_urdf, scene.joint_names, scene.tool)
     linear = linearise(plant, q)
     known = {joint.name: joint for joint in servo.joints}
     joints = [known[name] for name in scene.joint_names]

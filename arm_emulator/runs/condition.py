@@ -109,7 +109,7 @@ class WatchedCondition:
             q=self._offset(record["q"]),
         )
         if any(kind == "TOOL" for kind, _ in self._inputs):
-            self._tool = ToolChain(plant.scene)
+            self._tool = ToolChain(plant.scene, plant.parameters)
             self.struct.tool = self._tool.struct
 
     def holds(self) -> bool:

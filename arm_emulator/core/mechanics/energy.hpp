@@ -23,7 +23,7 @@ __attribute__((noinline)) Energy energy_of(const Numbers<S>& n, const State<S>& 
                                            int* greediest = nullptr) {
   typename Links<S>::Kinematics k;
   typename Links<S>::MassMatrix M;
-  Links<S>::kinematics(x.q, k);
+  Links<S>::kinematics(n, x.q, k);
   Links<S>::mass_matrix(n, k, M);
   Energy E = {0.0, Links<S>::potential_energy(n, k), 0.0};
   Real most = -1.0;

@@ -38,7 +38,7 @@ EnergyFlow<S> powers_of(const Numbers<S>& n, const State<S>& x, const Real* u,
   if constexpr (S::external_wrench) {
     typename Links<S>::Kinematics kinematics;
     Real torque[S::N];
-    Links<S>::kinematics(x.q, kinematics);
+    Links<S>::kinematics(n, x.q, kinematics);
     Links<S>::external_torques(n, kinematics, torque);
     for (int j = 0; j < S::N; ++j) power.supplied[j] += torque[j] * x.v[j];
   }

@@ -59,7 +59,7 @@ void link_motions(const Numbers<S>& n, const double* q, const double* v, const d
                   LinkMotion* motions) {
   using Tree = LinkTree<S>;
   typename Tree::Kinematics k;
-  Links<S>::kinematics(q, k);
+  Links<S>::kinematics(n, q, k);
   [[maybe_unused]] double of_joints[2][S::L];
   if constexpr (kCoupled<S>) {
     Links<S>::joints(v, of_joints[0]), Links<S>::joints(a, of_joints[1]);

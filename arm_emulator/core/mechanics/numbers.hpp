@@ -16,17 +16,30 @@ inline constexpr bool kFieldVaries = requires(const Real* p) { S::field(p); };
 template <class S>
 inline constexpr bool kSupplyVaries = requires(const Real* p) { S::supply(p); };
 
+struct Nothing {};
+
+// The links' places at some values of the varied numbers, where they vary.
+template <class S>
+constexpr auto places_of([[maybe_unused]] const Real* p) {
+  if constexpr (kPlacesVary<S>)
+    return S::places(p);
+  else
+    return Nothing();
+}
+
 // All numbers that follow from the varied ones.
 template <class S>
 struct Sheet {
   decltype(S::drives(nullptr)) drives;
+  [[no_unique_address]] decltype(places_of<S>(nullptr)) places;
   BaseParameters<S> base;
   Real carried[S::N] = {};  // inertia of the rotors that turn with their links, at the links
   Real Dc[S::N] = {}, Ds[S::N] = {};
   Vec3<Real> gravity = S::gravity;
   Real supply = S::supply_voltage;
 
-  constexpr explicit Sheet(const Real* p) : drives(S::drives(p)), base(S::links(p).at) {
+  constexpr explicit Sheet(const Real* p)
+      : drives(S::drives(p)), places(places_of<S>(p)), base(base_parameters_of(p)) {
     [&]<int... j>(std::integer_sequence<int, j...>) {
       (set(j, std::get<j>(drives)), ...);
     }(std::make_integer_sequence<int, S::N>{});
@@ -35,6 +48,12 @@ struct Sheet {
   }
 
  private:
+  constexpr BaseParameters<S> base_parameters_of(const Real* p) const {
+    if constexpr (kPlacesVary<S>)
+      return BaseParameters<S>(S::links(p).at, places.at);
+    else
+      return BaseParameters<S>(S::links(p).at);
+  }
   constexpr void set(int j, const auto& drive) {
     carried[j] = drive.carried();
     Dc[j] = drive.sliding(drive.at_rest_behind(0.0, 0.0), 0, Real{1.0});
@@ -131,7 +150,6 @@ struct ChangedDrives {
 
 template <class S, class X = Real>
 class Numbers;
-struct Nothing {};
 
 // Numbers of one machine.
 template <class S>
@@ -184,6 +202,13 @@ class Numbers<S, Real> {
       return Constants<S>::sheet.base.body[i];
   }
   constexpr const Body<Real>& fixed() const { return now().base.fixed; }
+  template <class Index>
+  ARM_INLINE constexpr const auto& place(Index i) const {
+    if constexpr (kPlacesVary<S>)
+      return sheet_.places.at[i];
+    else
+      return kLinks<S>.at[i];
+  }
 
   ARM_INLINE constexpr const ExternalWrench<Real>& external_wrench(int i) const {
     return outside_.on[i];
@@ -254,6 +279,11 @@ class Numbers {
         for_each_number_of([lane](X& to, const Real& number) { set_lane(to, lane, number); },
                            bodies_[j], from);
       }
+      if constexpr (kPlacesVary<S>)
+        for (int j = 0; j < S::L; ++j)
+          for_each_number_of_place(
+              [lane](X& to, const Real& number) { set_lane(to, lane, number); }, places_.at[j],
+              one.place(j));
       for (int j = 0; j < N; ++j) {
         set_lane(rotor_[j], lane, one.carried(j));
         set_lane(coulomb_[j], lane, one.Dc(j)), set_lane(breakaway_[j], lane, one.Ds(j));
@@ -292,6 +322,14 @@ class Numbers {
       return Constants<S>::body(i, bodies_[i]);
     else
       return Constants<S>::sheet.base.body[i];
+  }
+
+  template <class Index>
+  ARM_INLINE constexpr const auto& place(Index i) const {
+    if constexpr (kPlacesVary<S>)
+      return places_.at[i];
+    else
+      return kLinks<S>.at[i];
   }
 
   // Take what acts on the links of a machine.
@@ -339,6 +377,8 @@ class Numbers {
   const Numbers<S>* of_[width] = {};
   Mask<X> open_ = {};
   Body<Number> bodies_[varied ? S::L : 1] = {};
+  [[no_unique_address]] std::conditional_t<kPlacesVary<S>, LinkPlaces<S::L, X>, Nothing> places_ =
+      {};
   Row rotor_ = {}, coulomb_ = {}, breakaway_ = {};
   [[no_unique_address]] std::conditional_t<kFieldVaries<S>, Vec3<X>, Nothing> field_ = {};
   [[no_unique_address]] std::conditional_t<kSupplyVaries<S>, X, Nothing> supply_ = {};

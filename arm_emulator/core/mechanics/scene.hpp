@@ -52,16 +52,68 @@ struct Link {
   Body<Real> body;
 };
 
-// A field g as seen from a base that is turned by an angle [rad], at most 1, about a unit vector.
-constexpr Vec3<Real> turned(const Vec3<Real>& g, const Vec3<Real>& axis, Real angle) {
-  Real sin = 1.0, cos = 1.0;
-  for (int k = 17; k > 0; k -= 2) {  // Horner's scheme of both series
+// Columns of a rotation.
+template <class X>
+struct Axes {
+  Vec3<X> x, y, z;
+
+  ARM_INLINE constexpr auto apply(const auto& u) const { return u.x * x + u.y * y + u.z * z; }
+  ARM_INLINE constexpr auto apply_transposed(const auto& u) const {
+    return Vec3<decltype(dot(x, u))>{dot(x, u), dot(y, u), dot(z, u)};
+  }
+};
+
+// Where a link's frame stands in its parent's with its joint at 0.
+template <class X>
+struct LinkPlace {
+  Axes<X> axes;
+  Vec3<X> p;
+};
+
+// number(...) of each of their numbers in turn, for places side by side.
+ARM_INLINE constexpr void for_each_number_of_place(auto&& number, auto&... place) {
+  const auto vector = [&](auto&... v) { number(v.x...), number(v.y...), number(v.z...); };
+  vector(place.axes.x...), vector(place.axes.y...), vector(place.axes.z...), vector(place.p...);
+}
+
+template <int L, class X = Real>
+struct LinkPlaces {
+  LinkPlace<X> at[L] = {};
+};
+
+// Sine and cosine of an angle [rad] of at most 1, by Horner's scheme of both series.
+constexpr void small_sincos(Real angle, Real& sin, Real& cos) {
+  sin = 1.0, cos = 1.0;
+  for (int k = 17; k > 0; k -= 2) {
     sin = 1.0 - sin * angle * angle / ((k + 1) * (k + 2));
     cos = 1.0 - cos * angle * angle / (k * (k + 1));
   }
   sin *= angle;
+}
+
+// A field g as seen from a base that is turned by an angle [rad], at most 1, about a unit vector.
+constexpr Vec3<Real> turned(const Vec3<Real>& g, const Vec3<Real>& axis, Real angle) {
+  Real sin = 0.0, cos = 0.0;
+  small_sincos(angle, sin, cos);
   const Vec3<Real> across = cross(axis, g);
   return dot(axis, g) * axis + cos * (g + (-dot(axis, g)) * axis) + (-sin) * across;
+}
+
+// A link whose joint's frame is displaced, as seen from that of the description: by x y z [m] and
+// by roll, pitch and yaw [rad] as in a URDF. `described`: that frame in the parent's; `own`: turns
+// its vectors into the link's axes.
+constexpr LinkPlace<Real> displaced(const LinkPlace<Real>& described, const Axes<Real>& own,
+                                    const Vec3<Real>& xyz, const Vec3<Real>& rpy) {
+  Real sr = 0.0, cr = 0.0, sp = 0.0, cp = 0.0, sy = 0.0, cy = 0.0;
+  small_sincos(rpy.x, sr, cr), small_sincos(rpy.y, sp, cp), small_sincos(rpy.z, sy, cy);
+  const Axes<Real> turn = {{cy * cp, sy * cp, -sp},
+                           {cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr},
+                           {cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr}};
+  const auto column = [&](Vec3<Real> axis) {
+    return described.axes.apply(turn.apply(own.apply_transposed(axis)));
+  };
+  return {{column({1.0, 0.0, 0.0}), column({0.0, 1.0, 0.0}), column({0.0, 0.0, 1.0})},
+          described.axes.apply(xyz) + described.p};
 }
 
 template <int L>
@@ -94,6 +146,9 @@ template <class S>
 inline constexpr auto kDrives = S::drives(SomeValues<S>().p);
 template <class S>
 inline constexpr auto kLinks = S::links(SomeValues<S>().p);
+// Whether joints' places are data of each machine.
+template <class S>
+inline constexpr bool kPlacesVary = requires(const Real* p) { S::places(p); };
 
 // Whether joints go with several drives or a drive with several joints (links.hpp).
 template <class S>

@@ -75,7 +75,7 @@ class TorqueTerms {
     modes.accelerations(x, u, links, a, coulomb);
     if constexpr (S::external_wrench) {
       typename Links<S>::Kinematics kinematics;
-      Links<S>::kinematics(x.q, kinematics);
+      Links<S>::kinematics(n, x.q, kinematics);
       Links<S>::external_torques(n, kinematics, external);
     }
     n.for_each_drive([&]<class Drive>(const Drive& drive, int j) {

@@ -88,7 +88,7 @@ class LinearlyImplicit {
     past() = {};
     if constexpr (!extrapolates) return;
     typename Links<S, X>::Kinematics kinematics;
-    Links<S, X>::kinematics(x.q, kinematics);
+    Links<S, X>::kinematics(n_, x.q, kinematics);
     Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past().torque);
   }
   const Memory& memory() const { return past_[newest_]; }
@@ -329,7 +329,7 @@ class LinearlyImplicit {
       q[j] = fma(h_, fma(gamma * h_, k1.a[j], x.v[j]), x.q[j]);
       v[j] = fma(h_, k1.a[j], x.v[j]);
     });
-    Links<S, X>::kinematics(q, kinematics);
+    Links<S, X>::kinematics(n_, q, kinematics);
     Links<S, X>::inverse_dynamics(n_, kinematics, v, k1.a, change);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       change[j] = fma(-n_.carried(j), k1.a[j], k1.torque[j] - change[j]);

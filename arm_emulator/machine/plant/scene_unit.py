@@ -27,6 +27,8 @@ from arm_emulator.machine.plant.outputs import list_readings
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import AXES, TENSOR, Varied, write_expressions
+from arm_emulator.machine.varied_places import SECTION as CALIBRATION
+from arm_emulator.machine.varied_places import write_place
 
 
 def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> str:
@@ -79,6 +81,7 @@ def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> s
     return {{{{
 {links}}}}};
   }}
+{_write_places(scene, places)}\
   static constexpr auto drives([[maybe_unused]] const arm::Real* p) {{
     return std::tuple{{
 {drives}}};
@@ -264,6 +267,21 @@ def _write_link(geometry: ChainJoint, body: str) -> str:
        {format_fields(numbers)},
        .p = {format_vector(geometry.p)},
        .body = {body}}}"""
+
+
+def _write_places(scene: Scene, places: Mapping[str, str]) -> str:
+    """Return the links' places where numbers of the calibration vary."""
+    if not any(name.startswith(f"{CALIBRATION}.") for name in places):
+        return ""
+    rows = ",\n".join(
+        f"      {write_place(link, scene.calibration, places)}" for link in scene.chain.links
+    )
+    return f"""\
+  static constexpr arm::LinkPlaces<L> places([[maybe_unused]] const arm::Real* p) {{
+    return {{{{
+{rows}}}}};
+  }}
+"""
 
 
 def _write_brakes(scene: Scene) -> str:

@@ -39,6 +39,8 @@ from arm_emulator.machine.scene.payload import MASS, Load
 from arm_emulator.machine.scene.scene_links import SceneLinks
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from arm_emulator.machine.varied import Varied, choose
+from arm_emulator.machine.varied_places import SECTION as CALIBRATION
+from arm_emulator.machine.varied_places import vary_places
 
 MASS_NAME = "payload.mass"
 LARGEST_SEED = 2**53  # whole numbers up to here are exact
@@ -219,7 +221,10 @@ def _build(root: Section, file: Path) -> Scene:
     if unfit is not None:
         raise root.refusal(*unfit)
     imus = _read_imus(root, chain)
-    varied = _read_varied(root, list_variable_numbers(joints, chain, imus), mass, numbers["seed"])
+    variable = list_variable_numbers(joints, chain, imus)
+    if root.has(CALIBRATION):
+        variable += vary_places(chain, links.calibration)
+    varied = _read_varied(root, variable, mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
     if root.has("faults"):
         names = {one.name for one in varied}

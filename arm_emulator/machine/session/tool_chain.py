@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.formula_rows import TOOL_POSITION, formula_library
 from arm_emulator.machine.scene.scene import Scene
+from arm_emulator.machine.varied_places import displace_joint
 from arm_emulator.toolchain.c_header import pointer
 
 TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
@@ -25,9 +28,10 @@ class ToolChain:
 
     Args:
         scene: whose tool a joint carries.
+        values: of varied numbers, by their name; others are the scene's.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, values: Mapping[str, float] | None = None) -> None:
         chain = scene.chain
         last, frame = chain.place_of(scene.tool)
         way = chain.way_to(last)[::-1]
@@ -35,7 +39,7 @@ class ToolChain:
         self._joints = TOOL_POSITION.rows("tool_joint", len(way))
         first, stride = self._shares.__array_interface__["data"][0], self._shares.strides[0]
         for place, (row, number) in enumerate(zip(self._joints, way, strict=True)):
-            link = chain.links[number]
+            link = displace_joint(chain.links[number], scene.calibration, values or {})
             row["share"] = first + place * stride
             row["q_0"] = chain.coupling.offset[number]
             for name in ("theta_0", "cos_alpha", "sin_alpha", "cos_gamma", "sin_gamma", "p"):

@@ -151,7 +151,9 @@ class BatchSimulator:
         rows = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
         every = [row.bound for row in rows]
         fleet.powered = True
-        fleet.set_parameters(np.array([row.numbers for row in rows]))
+        numbers = np.array([row.numbers for row in rows])
+        fleet.set_parameters(numbers)
+        self._sampler.place_joints(numbers)
         fleet.reset(q=np.array([one.scenario.start for one in every]))
         for arm, one in enumerate(every):
             if one.servo is not self._tuned[arm]:

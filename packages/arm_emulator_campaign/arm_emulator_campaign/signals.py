@@ -82,8 +82,8 @@ class Samples:
             for place, name in enumerate(TOOL_SIGNALS_NAME)
             if name in wanted
         }
+        self._scene, self._chains = scene, [ToolChain(scene)] if self._tool else []
         if self._tool:
-            self._chain = ToolChain(scene)
             wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
         self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
         own = {one.name: one for one in list_columns(scene)}
@@ -116,6 +116,13 @@ class Samples:
             **more,
         )
 
+    def place_joints(self, numbers: Array) -> None:
+        """Let tools be where joints stand by varied numbers of machines (arms, P)."""
+        names = [one.name for one in self._scene.varied]
+        if self._tool and any(name.startswith("calibration.") for name in names):
+            rows = (dict(zip(names, map(float, row), strict=True)) for row in numbers)
+            self._chains = [ToolChain(self._scene, row) for row in rows]
+
     def forget(self) -> None:
         """Forget the samples so far."""
         self._taken[:] = 0
@@ -126,10 +133,12 @@ class Samples:
         self._taken[:] = 0
         if self._tool:
             most = int(counts.max())
-            q = np.moveaxis(self._samples[:, self._q, :most], 1, 0)
-            p_WT = self._chain.positions(q.reshape(len(self._q), -1))
-            for row, axis in self._tool.items():
-                self._samples[:, row, :most] = p_WT[axis].reshape(len(counts), most)
+            arms = np.array_split(np.arange(len(counts)), len(self._chains))
+            for chain, some in zip(self._chains, arms, strict=True):
+                q = np.moveaxis(self._samples[some][:, self._q, :most], 1, 0)
+                p_WT = chain.positions(q.reshape(len(self._q), -1))
+                for row, axis in self._tool.items():
+                    self._samples[some, row, :most] = p_WT[axis].reshape(len(some), most)
         return self._samples, counts
 
 

@@ -136,9 +136,14 @@ class Simulator:
             raise Refusal(where, no.quantity, no.rule, no.got, no.valid) from None
         if self._sensed and "seed" not in values:
             session.plant.set_parameter("seed", case.seed)
+        self._place_joints()
         session.plant.reset(self._scenario.start)
         if isinstance(self._run, OfflineRun):
             self._send(self._run)
+
+    def _place_joints(self) -> None:
+        """Let the tool be where the joints stand by this run's numbers."""
+        self._sampler.place_joints(np.array([[*self.session.plant.parameters.values()]]))
 
     def _restart(self, servo: ServoConfig) -> None:
         drives = self._run.drives if isinstance(self._run, OfflineRun) else self._drives

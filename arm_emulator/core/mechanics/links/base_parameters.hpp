@@ -18,7 +18,10 @@ struct BaseParameters {
   Body<Real> body[L];
   Body<Real> fixed = {};  // with the base
 
-  constexpr explicit BaseParameters(const Link (&link)[L]) : body() {
+  // `place`: of each link, where these vary.
+  constexpr explicit BaseParameters(const Link (&link)[L],
+                                    [[maybe_unused]] const LinkPlace<Real>* place = nullptr)
+      : body() {
     for (int j = 0; j < L; ++j) body[j] = link[j].body;
     for (int j = L - 1; j >= 0; --j) {
       const bool is_revolute = link[j].kind == JointKind::revolute;
@@ -34,9 +37,16 @@ struct BaseParameters {
         own.I = {};
       }
       // The moved part is invariant under turns about z, the tensor alone under shifts along it.
-      const Real sin = is_revolute ? 0.0 : link[j].sin_theta_0,
-                 cos = is_revolute ? 1.0 : link[j].cos_theta_0;
-      const auto at = PlacementIn<S, Real>::of(link[j], sin, cos, link[j].p);
+      const auto at = [&] {
+        using Placement = PlacementIn<S, Real>;
+        if constexpr (kPlacesVary<S>) {
+          return Placement::of(place[j], 0.0, 1.0, place[j].p);
+        } else {
+          const Real sin = is_revolute ? 0.0 : link[j].sin_theta_0,
+                     cos = is_revolute ? 1.0 : link[j].cos_theta_0;
+          return Placement::of(link[j], sin, cos, link[j].p);
+        }
+      }();
       Body<Real>& parent = link[j].parent < 0 ? fixed : body[link[j].parent];
       parent = joined(parent, at, moving);
     }

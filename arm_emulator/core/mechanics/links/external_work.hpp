@@ -37,7 +37,7 @@ class ExternalWork {
  private:
   static void torques(const Numbers<S>& n, const Real* q, Real* tau) {
     typename Links<S>::Kinematics kinematics;
-    Links<S>::kinematics(q, kinematics);
+    Links<S>::kinematics(n, q, kinematics);
     Links<S>::external_torques(n, kinematics, tau);
   }
 

@@ -67,7 +67,7 @@ class LinkSlopes {
  private:
   static ARM_APART void nle_apart(const Numbers<S>& n, const Real* q, const Real* v, Real* nle) {
     typename Links<S>::Kinematics kinematics;
-    Links<S>::kinematics(q, kinematics);
+    Links<S>::kinematics(n, q, kinematics);
     Links<S>::inverse_dynamics(n, kinematics, v, nullptr, nle);
   }
 

@@ -45,15 +45,16 @@ struct LinkTree {
     return kLinks<S>.at[i].kind == JointKind::revolute;
   }
 
-  static ARM_INLINE void kinematics(const X* q, Kinematics& k) {
+  static ARM_INLINE void kinematics([[maybe_unused]] const Numbers& n, const X* q, Kinematics& k) {
     X theta[N];
     SinCos<X> turn[N];
     for_each<N>([&](auto i) __attribute__((always_inline)) {
-      theta[i] = (revolute(i) ? q[i] : X{}) + kLinks<S>.at[i].theta_0;
+      theta[i] = revolute(i) ? q[i] : X{};
+      if constexpr (!kPlacesVary<S>) theta[i] = theta[i] + kLinks<S>.at[i].theta_0;
     });
     sines(theta, turn);
     for_each<N>([&](auto i) __attribute__((always_inline)) {
-      const Link& joint = kLinks<S>.at[i];
+      const auto& joint = n.place(i);
       const X d = revolute(i) ? X{} : q[i];
       k.link[i] =
           Placement::of(joint, turn[i].sin, turn[i].cos, joint.p + d * Placement::axis(joint));
@@ -79,7 +80,7 @@ struct LinkTree {
   // for its last result.
   static ARM_INLINE void dynamics(const Numbers& n, const X* q, const X* v, Dynamics& links) {
     Kinematics k;
-    kinematics(q, k);
+    kinematics(n, q, k);
     if constexpr (!unrolled) {
       inverse_dynamics(n, k, v, nullptr, links.nle);
       mass_matrix(n, k, links.M);

@@ -25,12 +25,12 @@ struct CoupledLinks {
   using MassMatrix = arm::MassMatrix<N, X>;
   using Dynamics = LinkDynamics<N, X>;
 
-  static ARM_INLINE void kinematics(const X* p, Kinematics& k) {
+  static ARM_INLINE void kinematics(const Numbers& n, const X* p, Kinematics& k) {
     X q[L];
     joints(p, q);
     for_each<L>([&](auto i)
                     __attribute__((always_inline)) { q[i] = q[i] + S::coupling_offset[i]; });
-    Tree::kinematics(q, k);
+    Tree::kinematics(n, q, k);
   }
 
   static ARM_INLINE void inverse_dynamics(const Numbers& n, const Kinematics& k, const X* v,
@@ -50,7 +50,7 @@ struct CoupledLinks {
 
   static ARM_INLINE void dynamics(const Numbers& n, const X* p, const X* v, Dynamics& links) {
     Kinematics k;
-    kinematics(p, k);
+    kinematics(n, p, k);
     inverse_dynamics(n, k, v, nullptr, links.nle);
     mass_matrix(n, k, links.M);
   }
@@ -118,7 +118,7 @@ using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkTree<S, X>
 template <class S, class X>
 void torques_for(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
   typename Links<S, X>::Kinematics kinematics;
-  Links<S, X>::kinematics(q, kinematics);
+  Links<S, X>::kinematics(n, q, kinematics);
   Links<S, X>::inverse_dynamics(n, kinematics, v, a, torque);
   for (int j = 0; j < S::N; ++j) torque[j] += n.carried(j) * a[j];
 }

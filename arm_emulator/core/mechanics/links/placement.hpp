@@ -93,8 +93,40 @@ struct TurnedPlacement {
   }
 };
 
+// A placement whose turn at 0 is any rotation.
+template <class X>
+struct FreePlacement {
+  Axes<X> axes;  // of the link, in the parent's
+  Vec3<X> p;     // origin, in the parent's frame
+
+  template <class N>
+  ARM_INLINE static constexpr FreePlacement of(const LinkPlace<N>& link, const X& sin, const X& cos,
+                                               const Vec3<X>& p) {
+    const auto& [x, y, z] = link.axes;
+    return {{cos * x + sin * y, cos * y - sin * x, Vec3<X>{} + z}, p};
+  }
+  template <class N>
+  ARM_INLINE static constexpr const Vec3<N>& axis(const LinkPlace<N>& link) {
+    return link.axes.z;
+  }
+
+  ARM_INLINE constexpr Vec3<X> to_child(const Vec3<X>& u) const { return axes.apply_transposed(u); }
+  ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u) const { return axes.apply(u); }
+  ARM_INLINE constexpr Vec3<X> to_parent(const Vec3<X>& u, const Vec3<X>& c) const {
+    return axes.apply(u) + c;
+  }
+  ARM_INLINE constexpr Sym3<X> to_parent(const Sym3<X>& a) const {
+    const Vec3<X> x = {axes.x.x, axes.y.x, axes.z.x}, y = {axes.x.y, axes.y.y, axes.z.y},
+                  z = {axes.x.z, axes.y.z, axes.z.z};
+    const Vec3<X> ax = a * x, ay = a * y, az = a * z;
+    return {dot(x, ax), dot(y, ay), dot(z, az), dot(x, ay), dot(x, az), dot(y, az)};
+  }
+};
+
 template <class S, class X>
-using PlacementIn = std::conditional_t<kTree<S>.forks, TurnedPlacement<X>, Placement<X>>;
+using PlacementIn =
+    std::conditional_t<kPlacesVary<S>, FreePlacement<X>,
+                       std::conditional_t<kTree<S>.forks, TurnedPlacement<X>, Placement<X>>>;
 
 template <class X, class B>
 ARM_INLINE constexpr Body<X> over(const Body<B>& body) {
