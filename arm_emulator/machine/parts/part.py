@@ -45,6 +45,7 @@ class PartNumber(Number):
         varied: whether a scene may list it as varied, unless it is whole or follows another one.
         sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
             "unknown".
+        shown: what a record must have to show it, in a few words, where not every motion does.
         absent: what holds where it is left out and its default is None, in a few words.
     """
 
@@ -52,6 +53,7 @@ class PartNumber(Number):
     follows: str | None = None
     varied: bool = True
     sought: str = ""
+    shown: str = ""
     absent: str = "none"
 
 

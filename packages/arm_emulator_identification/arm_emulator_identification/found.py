@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +11,11 @@ from arm_emulator.extension.base import Array
 from arm_emulator.extension.machine import VARIED_NAMES, Body, ChainJoint, Scene, varied_of_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.torque_fit import IDENTIFIED, TorqueFit
+from arm_emulator_identification.torque_model import Unknown
 
 UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
+MIXED = 0.5  # correlation from which a number is named beside another
+MOST_MIXED = 2  # of such names
 
 
 @dataclass(frozen=True)
@@ -27,15 +30,31 @@ class Found:
     identified: bool  # by the record; otherwise it is close to its prior
     width: float = np.inf  # standard deviation of its prior
     left: str = ""  # reason for keeping its value
+    shown: str = ""  # what a record must have to show it
+    mixed: tuple[str, ...] = ()  # numbers from which this record does not distinguish it
 
     @property
-    def remark(self) -> str:
-        """A remark on it, if any."""
+    def brief(self) -> str:
+        """A remark on it without its reason, if any."""
         if self.left:
             return self.left
         if self.deviation == 0.0:
             return "held"
         return "" if self.identified else "not identifiable"
+
+    @property
+    def reason(self) -> str:
+        """Why this record does not identify it, where that is known."""
+        if self.brief != "not identifiable":
+            return ""
+        if self.mixed:
+            return f"this record does not distinguish it from {' and '.join(self.mixed)}"
+        return f"it needs {self.shown}" if self.shown else ""
+
+    @property
+    def remark(self) -> str:
+        """A remark on it, if any."""
+        return ": ".join(one for one in (self.brief, self.reason) if one)
 
     @property
     def far(self) -> float:
@@ -64,6 +83,7 @@ def list_bodies(scene: Scene, fit: TorqueFit) -> list[Body]:
 def list_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     """Return the sought numbers: links as mass, first moment and inertia of the URDF's links."""
     n, found = inertia.NUMBERS, list[Found]()
+    mixed = list_mixed(fit)
     for k, joint in enumerate(scene.chain.links):
         if fit.fitted[n * k : n * k + n].any():
             found += _list_link(joint, fit, n * k)
@@ -73,11 +93,70 @@ def list_found(scene: Scene, fit: TorqueFit) -> list[Found]:
             value, deviation = float(fit.values[u]), float(fit.deviations[u])
             identified = deviation < IDENTIFIED * one.width
             found.append(
-                Found(one.name, one.unit, one.value, value, deviation, identified, one.width)
-            )
+                Found(
+                    one.name, one.unit, one.value, value, deviation, identified, one.width,
+                    shown=one.shown, mixed=mixed.get(u, ()),
+                )
+            )  # fmt: skip
         elif u in fit.left:
             left = fit.left[u]
             found.append(Found(one.name, one.unit, one.value, one.value, np.nan, False, left=left))
+    return found
+
+
+def list_mixed(fit: TorqueFit) -> dict[int, tuple[str, ...]]:
+    """Return which numbers the record shows only together with others, and with which.
+
+    Such a number would be identified if the others were known: its deviation under that condition
+    is small, that of its own is not.
+    """
+    sought = np.flatnonzero(fit.fitted & (fit.deviations > 0.0))
+    widths = np.array([fit.unknowns[u].width for u in sought])
+    share = fit.covariance[np.ix_(sought, sought)] / np.outer(widths, widths)
+    own = np.sqrt(np.diag(share))
+    alone = 1.0 / np.sqrt(np.diag(np.linalg.pinv(share, hermitian=True)))
+    alike = np.abs(share / np.outer(own, own)) - 2.0 * np.eye(len(own))
+    found = dict[int, tuple[str, ...]]()
+    for k in np.flatnonzero((own >= IDENTIFIED) & (alone < IDENTIFIED)):
+        near = [m for m in np.argsort(-alike[k])[:MOST_MIXED] if alike[k][m] > MIXED]
+        names = (fit.unknowns[sought[m]].name for m in near)
+        found[int(sought[k])] = tuple(dict.fromkeys(_name_whole(one) for one in names))
+    return found
+
+
+def _name_whole(name: str) -> str:
+    """Return the name of a number, of a link's that of the link: its parameters are logarithms."""
+    return name.rpartition(".")[0] if name.startswith("links.") else name
+
+
+def list_kept(scene: Scene, unknowns: Sequence[Unknown], is_asked: Callable[[str], bool],
+              ) -> list[Found]:  # fmt: skip
+    """Return numbers of parts that no record of torques determines, or beside another one.
+
+    Args:
+        scene: the nominal machine.
+        unknowns: all that could be sought.
+        is_asked: whether a number of this name is asked for.
+    """
+    sought = {one.name for one in unknowns if one.width > 0.0}
+    found = list[Found]()
+    for joint in scene.joints:
+        known = [name for name in sought if name.startswith(f"joints.{joint.name}.")]
+        for part in joint.parts:
+            for key, one in part.numbers().items():
+                name, value = f"joints.{joint.name}.{part.section}.{key}", getattr(part, key)
+                if value is None or name in sought or not is_asked(name):
+                    continue
+                beside = tuple(other for other in known if other.rpartition(".")[2] == key)
+                if one.sought and value and beside:
+                    found.append(Found(name, one.unit, value, value, np.nan, False, mixed=beside))
+                elif one.shown and one.sought:
+                    left = "held: 0 in the scene, which has no relative deviation"
+                    found.append(Found(name, one.unit, value, value, np.nan, False, left=left))
+                elif one.shown:
+                    found.append(
+                        Found(name, one.unit, value, value, np.nan, False, shown=one.shown)
+                    )
     return found
 
 

@@ -32,6 +32,7 @@ FARTHEST = 20.0  # factor by which a number above 0 may differ from the scene's
 TRIED = 0.1  # of its width: perturbation of a number in the test of linearity
 LINEAR = 1e-9  # relative tolerance of a part's linearity
 SMALL = 1e-4  # of its width: perturbation for differences
+LOADED = 4  # turns, from measured torques of motors to those that the scene's numbers take
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Unknown:
     width: float  # standard deviation of its prior
     least: float = -np.inf
     most: float = np.inf
+    shown: str = ""  # what a record must have to show it, if not every motion does
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class TorqueModel:
                 if least < 0.0 and value:  # a pulling spring does not push
                     least, most = (0.0, most) if value > 0.0 else (least, 0.0)
                 name = f"{place}.{part.section}.{key}"
-                self.unknowns.append(Unknown(name, one.unit, value, width, least, most))
+                self.unknowns.append(Unknown(name, one.unit, value, width, least, most, one.shown))
             self.pieces.append(piece)
 
     def choose(self, patterns: Sequence[str], where: str) -> Mask:
@@ -168,8 +170,11 @@ class TorqueModel:
         Gears transmit the torques of the scene's links, see `MotionTorques.under`.
         """
         Y = self.regressor(data.q, data.v, data.a)
-        empty = MotionTorques(self, data, Y, np.zeros_like(data.fine.q), [])
-        return empty.under(self.start).under(self.start)
+        at_link = data.fine.tau / self.scene.gear_ratios
+        motion = MotionTorques(self, data, Y, np.zeros_like(at_link), at_link, [])
+        for _ in range(LOADED):
+            motion = motion.under(self.start)
+        return motion
 
     def bodies(self, unknowns: Array) -> Array:
         """Return the ten numbers of each link (L, 10), without the payload."""
@@ -226,22 +231,28 @@ class MotionTorques:
     data: Filtered
     Y: Array  # (K, N, 10 L), see `LinkRegressor`
     load: Array  # N m or N, of the gears on the links, at the samples of `data.fine`
+    motor: Array  # N m or N, of the motors, at the links and the same samples
     efforts: list[_Effort]
 
     def under(self, unknowns: Array) -> MotionTorques:
-        """Return the torques at these unknowns, of gears that transmit the links' torques."""
-        carried = self._links(unknowns)
-        for one in self.efforts:
-            if one.piece.part.shaft == "link":
-                carried[:, one.piece.joint] += self._effort(one, unknowns)
-        rigid = [joint.gear.stiffness is None for joint in self.model.scene.joints]
-        carried[:, rigid] = self.data.tau[:, rigid]  # there, the full motor torque
+        """Return the torques at these unknowns, of gears and motors that drive these links.
+
+        The measured torque of a motor is no measure of its own friction: its noise would stand on
+        both sides.
+        """
         # Below the low-pass, a curve through the rows reproduces the samples.
         t = np.clip(self.data.fine.t, self.data.t[0], self.data.t[-1])
-        load = CubicSpline(self.data.t, carried)(t)
-        return dataclasses.replace(
-            self, load=load, efforts=[self._look(one, load) for one in self.model.pieces]
-        )
+        load = CubicSpline(self.data.t, self._links(unknowns))(t)
+        of_rotors = np.zeros_like(load)
+        for piece in self.model.pieces:
+            into = of_rotors if piece.part.shaft == "rotor" else load
+            into[:, piece.joint] += self._act(piece, piece.numbers(unknowns))
+        motor = load + of_rotors
+        rigid = [joint.gear.stiffness is None for joint in self.model.scene.joints]
+        load[:, rigid] = motor[:, rigid]  # there, the full motor torque
+        loaded = dataclasses.replace(self, load=load, motor=motor)
+        efforts = [loaded.examine(piece) for piece in self.model.pieces]
+        return dataclasses.replace(loaded, efforts=efforts)
 
     def torques(self, unknowns: Array) -> Array:
         """Return the torques (K, N) [N m or N]."""
@@ -279,7 +290,7 @@ class MotionTorques:
     def _effort(self, effort: _Effort, unknowns: Array) -> Array:
         piece = effort.piece
         if effort.columns is None:
-            return self._asked(piece, self.load, piece.numbers(unknowns))
+            return self._ask(piece, piece.numbers(unknowns))
         here = unknowns[piece.first : piece.first + len(piece.keys)]
         found: Array = effort.constant + effort.columns @ here
         return found
@@ -292,42 +303,45 @@ class MotionTorques:
             one = self.model.unknowns[piece.first + k]
             by = SMALL * one.width
             ends = [min(value + by, one.most), max(value - by, one.least)]
-            up, down = (
-                self._asked(piece, self.load, piece.numbers(unknowns) | {key: end}) for end in ends
-            )
+            up, down = (self._ask(piece, piece.numbers(unknowns) | {key: end}) for end in ends)
             columns.append((up - down) / (ends[0] - ends[1]))
         return np.column_stack(columns)
 
-    def _look(self, piece: Piece, load: Array) -> _Effort:
+    def examine(self, piece: Piece) -> _Effort:
         """Determine whether a part is linear in its unknowns."""
         known = {key: float(getattr(piece.part, key)) for key in piece.keys}
         by = {
             key: TRIED * self.model.unknowns[piece.first + k].width
             for k, key in enumerate(piece.keys)
         }
-        base = self._asked(piece, load, known)
+        base = self._ask(piece, known)
         nothing = np.zeros((len(base), 0))
         columns = [
-            (self._asked(piece, load, known | {key: known[key] + by[key]}) - base) / by[key]
+            (self._ask(piece, known | {key: known[key] + by[key]}) - base) / by[key]
             for key in piece.keys
         ]
         X = np.column_stack(columns) if columns else nothing
-        twice = self._asked(piece, load, {key: known[key] + 2.0 * by[key] for key in piece.keys})
+        twice = self._ask(piece, {key: known[key] + 2.0 * by[key] for key in piece.keys})
         expected = base + 2.0 * (X @ np.array(list(by.values())) if columns else 0.0)
         size = np.abs(twice).max() + np.abs(base).max()
         if np.abs(twice - expected).max() > LINEAR * size:
             return _Effort(piece, base, None)
         return _Effort(piece, base - X @ np.array(list(known.values())), X)
 
-    def _asked(self, piece: Piece, load: Array, numbers: Mapping[str, float]) -> Array:
+    def _ask(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
         """Return the torque of a part with given numbers at the link (K,), low-passed."""
+        return self.data.settle(self._act(piece, numbers))
+
+    def _act(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
+        """Return the torque of a part with given numbers at the link, at every sample."""
         fine, j = self.data.fine, piece.joint
         ratio = self.model.scene.joints[j].gear.ratio
         per = ratio if piece.part.shaft == "rotor" else 1.0
         at = ShaftMotion(
             fine.t, fine.q[:, j] / per, fine.v[:, j] / per, fine.a[:, j] / per,
-            load[:, j] * per, fine.tau[:, j] * per / ratio, ratio,
+            self.load[:, j] * per, self.motor[:, j] * per, ratio,
         )  # fmt: skip
         effort = piece.part.with_numbers(**numbers).effort(at)
         assert effort is not None, "checked at the beginning"
-        return self.data.settle(effort) / per
+        found: Array = effort / per
+        return found

@@ -94,6 +94,10 @@ def list_stiffness(
         name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
         if before is None or name not in wanted or has_match(name, hold):
             continue
+        if any(part.section == "gear.hysteresis" for part in joint.parts):
+            left = "left as it was: the gear's hysteresis bends with its spring"
+            numbers.append(Found(name, "N m/rad", before, before, np.nan, False, left=left))
+            continue
         reported = bool(np.isfinite(of.stiffness[j]))
         value = float(of.stiffness[j]) if reported else before
         numbers.append(Found(name, "N m/rad", before, value, float(of.deviation[j]), reported))

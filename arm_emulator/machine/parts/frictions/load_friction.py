@@ -23,6 +23,13 @@ DIRECTED = (
     "exponent",
 )  # keys of the law that knows the direction of power
 
+# Needs of a record that shows its numbers.
+UNDER_LOAD = "motion under loads of many sizes"
+DRIVEN = "motion in which the link drives the motor, under loads of many sizes"
+OF_MOTOR = "motion in which the motor's torque differs from the gear's, behind an elastic gear"
+SLOW = "motion slower than its `stribeck` speed; without one only breaking away shows it"
+SLOWLY_DRIVEN = f"the link driving the motor in {SLOW}"
+
 
 class LoadFriction(Friction):
     """Further friction: `load` times the gear's torque on that shaft, and more of its kind.
@@ -40,16 +47,20 @@ class LoadFriction(Friction):
         "rad/s",
         above=0.0,
         sought="known",
+        shown=SLOW,
         default=None,
         absent="Coulomb friction",
         text="vs, see [Stribeck friction](stribeck.md)",
     )
-    load: float = number("mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", text="mu")
+    load: float = number(
+        "mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", shown=UNDER_LOAD, text="mu"
+    )
     back_load: float | None = number(
         "mu_back",
         "N m/(N m)",
         ends=(0.0, 10.0),
         sought="known",
+        shown=DRIVEN,
         default=None,
         absent="`load`",
         text="mu where the link drives the motor",
@@ -59,6 +70,7 @@ class LoadFriction(Friction):
         "N m/(N m)",
         ends=(0.0, 10.0),
         sought="known",
+        shown=SLOW,
         default=None,
         absent="0",
         text="nu, as mu, at rest",
@@ -68,6 +80,7 @@ class LoadFriction(Friction):
         "N m/(N m)",
         ends=(0.0, 10.0),
         sought="known",
+        shown=SLOWLY_DRIVEN,
         default=None,
         absent="`rest_load`",
         text="nu where the link drives the motor",
@@ -77,6 +90,7 @@ class LoadFriction(Friction):
         "N m/(N m)",
         ends=(0.0, 10.0),
         sought="known",
+        shown=OF_MOTOR,
         default=None,
         absent="0",
         text="m, per torque of the motor",
@@ -86,6 +100,7 @@ class LoadFriction(Friction):
         "N m/(N m)",
         ends=(0.0, 10.0),
         sought="known",
+        shown=SLOW,
         default=None,
         absent="0",
         text="n, as m, at rest",
@@ -95,6 +110,7 @@ class LoadFriction(Friction):
         "1/(N m)",
         at_least=0.0,
         sought="known",
+        shown=SLOW,
         default=None,
         absent="0",
         text="q, per square of the gear's torque, at rest, where the motor drives",
@@ -104,6 +120,7 @@ class LoadFriction(Friction):
         "1/(N m)",
         at_least=0.0,
         sought="known",
+        shown=SLOWLY_DRIVEN,
         default=None,
         absent="0",
         text="q', per square of the motor's torque, at rest, where the link drives",
@@ -112,6 +129,8 @@ class LoadFriction(Friction):
         "alpha",
         "1",
         ends=(0.5, 20.0),
+        sought="known",
+        shown=SLOW,
         default=None,
         absent="2",
         text="α, of the speed in Stribeck's term",

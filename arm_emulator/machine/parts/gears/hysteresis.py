@@ -15,6 +15,7 @@ from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
+TWISTED = "loads that twist the gear both ways, and an encoder at the link"
 # The count is a part of the C++ type, no number of it.
 _ELEMENTS = Number(
     "elements", "elements", at_least=1, at_most=16, whole=True, default=4, text="n, their count"
@@ -30,8 +31,12 @@ class Hysteresis(GearStage):
     cxx = "Hysteresis"
     keys = (_ELEMENTS,)
 
-    torque: float = number("F", "N m", above=0.0, text="F at the link, when all elements slip")
-    twist: float = number("twist", "rad", above=0.0, text="at the link, beyond which all slip")
+    torque: float = number(
+        "F", "N m", above=0.0, shown=TWISTED, text="F at the link, when all elements slip"
+    )
+    twist: float = number(
+        "twist", "rad", above=0.0, shown=TWISTED, text="at the link, beyond which all slip"
+    )
     elements: int = 4
 
     @classmethod

@@ -17,7 +17,7 @@ from arm_emulator.extension.base import Refusal, find_scene
 from arm_emulator.extension.base import given_warnings as given
 from arm_emulator.extension.commands import SceneName, command, output, plain
 from arm_emulator.extension.machine import Scene, compute_count_angle, load_scene
-from arm_emulator_identification.found import Found, list_bodies, list_found
+from arm_emulator_identification.found import Found, list_bodies, list_found, list_kept
 from arm_emulator_identification.identified import (
     Asked,
     Identified,
@@ -96,6 +96,10 @@ def identify(
         # Gears wind up under the load of the fitted links.
         springs = [one for one in list_gears(nominal) if has_match(one, wanted)]
         numbers += list_stiffness(load_scene(out), found.run, springs, kept)
+        numbers += list_kept(
+            nominal, found.fit.unknowns,
+            lambda name: has_match(name, wanted) and not has_match(name, kept),
+        )  # fmt: skip
         _write(out, file, nominal, found.fit, numbers, doubts, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
@@ -105,10 +109,13 @@ def identify(
     heads = "number", "unit", "before", "found", "+-", ""
     rows = (
         (one.name, one.unit, f"{one.before:.5g}", f"{one.value:.5g}", f"{one.deviation:.2g}",
-         one.remark)
+         one.brief)
         for one in numbers
     )  # fmt: skip
     output.table(heads, rows, title="Found, with standard deviations", left=2)
+    for reason in dict.fromkeys(one.reason for one in numbers if one.reason):
+        names = ", ".join(one.name for one in numbers if one.reason == reason)
+        console.print(f"not identifiable: {names}: {reason}", markup=False, highlight=False)
     for doubt in doubts:
         console.print(f"warning: {doubt}", markup=False, highlight=False)
     console.print(f"scene: {out}\npicture: {picture}")
@@ -179,7 +186,8 @@ def _write_heading(found: Identified, delays: dict[str, float], low_pass: float)
 
 def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
            doubts: Sequence[str], record: str) -> None:  # fmt: skip
-    values = {one.name: one.value for one in numbers if one.name.startswith("joints.")}
+    changed = [one for one in numbers if not np.isnan(one.deviation)]
+    values = {one.name: one.value for one in changed if one.name.startswith("joints.")}
     values = {name: value for name, value in values.items() if "measured_torque" not in name}
     heading = [f"Made of {scene.where} by `arm_emulator identify`, of the record {record}.", ""]
     heading += [one.line for one in numbers]
