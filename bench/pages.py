@@ -104,6 +104,7 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
     "live_page.png": _bench("page_picture", "live"),
     "look.png": _bench("page_picture", "look"),
     "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),
+    "published_joints.png": _section("published_joints", "published_joints.png"),
     "published_responses.png": _section("published_responses", "published_responses.png"),
     "tool_paths.png": _bench("tool_paths"),
     "vibration.png": _section("vibration", "vibration.png"),

@@ -36,6 +36,7 @@ BY_NAME = (
     "feedforward",
     "tool_paths",
     "vibration",
+    "published_joints",
     "published_responses",
     "bearing_modes",
     "assumed",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +23,10 @@ from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.parts.frictions.friction import Friction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from bench.origins import origins
+from bench.published_joints import JOINTS
 
-# At the output, from bam/params of Rhoban/bam (Apache-2.0): base and Stribeck's friction, load
-# friction of motor and outside, the same at rest, and their squares, speed, exponent, viscous.
-PUBLISHED = {
-    "erob80_50": (3.25894, 0.320431, 0.0356619, 0.000843166, 0.00377099, 0.041438, 0.00187212,
-                  0.0015991, 2.83039, 1.78644, 1.40339),
-    "erob80_100": (0.000477967, 5.22642, 0.0488877, 7.62632e-08, 8.82328e-06, 0.0511666,
-                   0.00270292, 0.00255626, 2.03303, 2.99992, 9.70933),
-    "mx64": (6.21792e-07, 0.122695, 0.311472, 2.0462e-08, 0.187744, 0.0140659, 0.00690851,
-             0.00999998, 2.57528, 0.840902, 0.025337),
-    "mx106": (1.02325e-05, 0.121954, 0.198006, 0.0222155, 0.1986, 0.0871033, 0.00999993,
-              7.32692e-05, 1.74633, 1.14283, 0.0507157),
-    "xl320": (4.33378e-07, 0.0163055, 3.08821e-06, 0.158325, 5.96572e-09, 0.245483, 0.00361641,
-              0.00471093, 2.30105, 1.70674, 0.00722517),
-    "xl330": (0.00477118, 0.00467635, 0.266786, 8.51587e-06, 1.07229e-05, 0.0807793, 0.00997247,
-              0.00490257, 2.89037, 8.68326, 0.00535967),
-    # M1: Coulomb's and viscous friction alone
+# At the output; of the servo of model M1 Coulomb's and viscous friction alone.
+PUBLISHED = {name: astuple(joint)[1:] for name, joint in JOINTS.items()} | {
     "sts3215": (0.0523929, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 0.0590852),
 }  # fmt: skip
 # N m/A, kg m2 and A or V/ohm at the output.
