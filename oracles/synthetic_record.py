@@ -19,7 +19,7 @@ AROUND = 0.6  # rad or m: amplitude of the joints
 def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.0,
                 torque_noise: float = 0.0, numbers: Mapping[str, float] | None = None,
                 drift: Callable[[float], Mapping[str, float]] | None = None,
-                ) -> MeasuredRun:  # fmt: skip
+                link_noise: float | None = None) -> MeasuredRun:  # fmt: skip
     """Drive a scene's torque motors along a smooth motion and record what drives would measure.
 
     A stiff controller of each motor's angle computes its torques, without knowledge of the
@@ -33,6 +33,7 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
         torque_noise: of torques, as a share of their standard deviation.
         numbers: values of the scene's varied numbers.
         drift: of varied numbers, from 0 at the beginning to 1 at the end of the record.
+        link_noise: standard deviation of encoders at the links [rad or m]; None: no encoder.
     """
     rng = np.random.default_rng(seed)
     N, period = len(scene.joints), scene.servo_period
@@ -45,13 +46,13 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
         plant.set_parameter(name, value)
     plant.reset(target[0], rate[0])
     stiff = _gains(scene)
-    q, tau = np.empty((len(t), N)), np.zeros((len(t), N))
+    q, tau, at_link = (np.zeros((len(t), N)) for _ in range(3))
     for k in range(len(t)):
         if drift is not None and k % 25 == 0:
             for name, value in drift(k / len(t)).items():
                 plant.set_parameter(name, value)
         state = plant.state
-        q[k] = state.theta_m * ratio
+        q[k], at_link[k] = state.theta_m * ratio, state.q
         position, speed = target[k] - q[k], rate[k] - state.omega_m * ratio
         tau[k] = ratio * (stiff[0] * position + stiff[1] * speed)
         plant.advance(tau[k], scene.steps_per_period)
@@ -64,6 +65,7 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
         t=t,
         q_motor=q + angle_noise * rng.standard_normal(q.shape),
         tau=applied + torque_noise * spread * rng.standard_normal(q.shape),
+        q_link=None if link_noise is None else at_link + link_noise * rng.standard_normal(q.shape),
     )
 
 

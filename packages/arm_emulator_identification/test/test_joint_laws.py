@@ -39,8 +39,10 @@ def write_arm(folder: Path, friction: dict[str, Any], **gear: Any) -> Path:
 
 def answer(file: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, Any]]:
     """The answer of `identify` to programs, by the number below the joint."""
-    record, data = make_record(load_scene(file), 1, 10.0, 2e-6, 0.05), file.with_suffix(".npz")
-    np.savez(data, t=record.t, q_mot=record.q_motor, tau=record.tau)
+    record = make_record(load_scene(file), 1, 10.0, 2e-6, 0.05, link_noise=1e-6)
+    data, at_link = file.with_suffix(".npz"), record.q_link
+    assert at_link is not None
+    np.savez(data, t=record.t, q_mot=record.q_motor, tau=record.tau, q_link=at_link)
     capsys.readouterr()
     with output.printed(as_json=True):
         assert identify(str(file), data, fit="joints.*", out=file.parent / "out.yaml") == 0
@@ -62,6 +64,9 @@ def test_numbers_that_a_record_does_not_show_keep_their_values_and_state_their_n
         one = found[f"gear.hysteresis.{key}"]
         assert one["value"] == value and not one["identified"]
         assert "encoder at the link" in one["remark"]
+    # A line through the loop has neither the stiffness of small loads nor that of large ones.
+    assert found["gear.stiffness"]["value"] == 1e4
+    assert "hysteresis" in found["gear.stiffness"]["remark"]
     # Link and rotor turn together: the same friction at either takes the same torque.
     assert found["friction.load"]["mixed"] == ["joints.joint.motor.friction.load"]
     assert found["friction.load"]["value"] == 0.05

@@ -15,7 +15,7 @@ from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
-TWISTED = "loads that twist the gear both ways, and an encoder at the link"
+TWISTED = "a loop of torque over twist, by an encoder at the link, which `identify` does not fit"
 # The count is a part of the C++ type, no number of it.
 _ELEMENTS = Number(
     "elements", "elements", at_least=1, at_most=16, whole=True, default=4, text="n, their count"
