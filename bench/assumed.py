@@ -105,12 +105,13 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
             run = OfflineRun(scene, gains.servo, gains.motion)
             for name, value in arm.items():
                 run.session.set_varied(name, value)
-            found.append(_demo(run, file, instructions))
+            found.append(make_demo(run, file, instructions))
             done()
     return np.stack(found)
 
 
-def _demo(run: OfflineRun, file: Path, instructions: int | None) -> Array:
+def make_demo(run: OfflineRun, file: Path, instructions: int | None) -> Array:
+    """Return target minus tool before each instruction (K + 1, 3) [m]; NaN once it diverges."""
     kinematics, period_ns = run.controller.kinematics, run.session.period_ns
     plan = DemoPlan.load(file, run.motion_ticks * period_ns)
     R_WT, p_WT = kinematics.forward(run.session.scene.start)

@@ -40,6 +40,7 @@ BY_NAME = (
     "published_responses",
     "bearing_modes",
     "assumed",
+    "left_out",
     "beside_mujoco",
     "portable_arithmetic",
     "shipped_scenes",
