@@ -84,6 +84,7 @@ class Part(Declared):
     cxx: ClassVar[str]  # and its name
     keys: ClassVar[tuple[Key | Number, ...]] = ()  # beside its numbers
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
+    bends_with_gear: ClassVar[bool] = False  # beside the gear's spring, not in proportion to it
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
 

@@ -94,8 +94,9 @@ def list_stiffness(
         name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
         if before is None or name not in wanted or has_match(name, hold):
             continue
-        if any(part.section == "gear.hysteresis" for part in joint.parts):
-            left = "left as it was: the gear's hysteresis bends with its spring"
+        beside = [part.section for part in joint.parts if part.bends_with_gear]
+        if beside:
+            left = f"left as it was: {', '.join(beside)} bends with the gear's spring"
             numbers.append(Found(name, "N m/rad", before, before, np.nan, False, left=left))
             continue
         reported = bool(np.isfinite(of.stiffness[j]))

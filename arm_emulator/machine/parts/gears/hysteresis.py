@@ -30,6 +30,7 @@ class Hysteresis(GearStage):
     header = "gears/hysteresis.hpp"
     cxx = "Hysteresis"
     keys = (_ELEMENTS,)
+    bends_with_gear = True
 
     torque: float = number(
         "F", "N m", above=0.0, shown=TWISTED, text="F at the link, when all elements slip"
