@@ -31,6 +31,7 @@ from arm_emulator.machine.parts.joint_effects.cogging import Cogging
 from arm_emulator.machine.parts.joint_effects.counterbalance import Counterbalance
 from arm_emulator.machine.parts.joint_effects.drag import Drag
 from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
+from arm_emulator.machine.parts.joint_effects.gear_temperature import GearTemperature
 from arm_emulator.machine.parts.joint_effects.torque_table import LEAST, TorqueTable
 from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
@@ -60,6 +61,14 @@ USUAL: dict[type[Part], dict[str, tuple[float, float]]] = {
         "stiffness": (20.0, 200.0),
     },
     Hysteresis: {"torque": (1.0, 20.0), "twist": (3e-4, 3e-3)},
+    # A small body, which friction heats by some K in the seconds of a test.
+    GearTemperature: {
+        "heat_capacity": (0.05, 0.5),
+        "thermal_resistance": (0.5, 5.0),
+        "viscous_floor": (0.1, 0.5),
+        "viscous_decay": (10.0, 50.0),
+        "dry_coefficient": (-0.01, 0.01),
+    },
     Drag: {"coefficient": (0.1, 10.0)},
 }
 

@@ -296,6 +296,8 @@ typedef struct arm_truth {
 int arm_get_truth(const arm_machine* machine, arm_truth* out);
 /* Temperatures of the windings, an entry per joint [degC]; NaN where the scene has none. */
 void arm_get_winding_temperatures(const arm_machine* machine, double* out);
+/* The same of the gears. */
+void arm_get_gear_temperatures(const arm_machine* machine, double* out);
 /* Set currents, motors and links; a null array stays as it is. Time, energy, torque and fault of
  * the struct are ignored. Motor states that contradict a rigid gear or an absent motor are refused.
  * The scheme starts without a past. */

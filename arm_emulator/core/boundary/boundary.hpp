@@ -277,6 +277,10 @@ void arm_get_winding_temperatures(const arm_machine* machine, double* out) {
   if (machine && out) machine->machine.winding_temperatures(out);
 }
 
+void arm_get_gear_temperatures(const arm_machine* machine, double* out) {
+  if (machine && out) machine->machine.gear_temperatures(out);
+}
+
 ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   constexpr int N = arm_machine::N;
   if (!machine || machine->check_size(truth)) return ARM_REFUSED;

@@ -243,6 +243,12 @@ class Machine {
       temperature[j] = drive.winding_temperature(input_of(drive, j, x_, 0.0));
     });
   }
+  // The temperatures of the gears [degC], NaN where none is known.
+  void gear_temperatures(Real* temperature) const {
+    numbers_.for_each_drive([&](const auto& drive, int j) {
+      temperature[j] = drive.gear_temperature(input_of(drive, j, x_, 0.0));
+    });
+  }
   void too_hot(bool* hot) const {
     numbers_.for_each_drive(
         [&](const auto& drive, int j) { hot[j] = drive.too_hot(input_of(drive, j, x_, 0.0)); });

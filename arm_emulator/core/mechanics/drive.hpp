@@ -91,7 +91,8 @@ struct Drive {
   template <class X>
   ARM_INLINE constexpr DriveRates<states, X> rates(const Input<X>& x, unsigned active) const {
     DriveRates<states, X> r;
-    r.g = -friction.Dv * x.v;
+    const Warmth<X> warmth = warmth_at(x);
+    r.g = -viscous_torque(friction, x.v, warmth);
     X shaft{};  // torque on the rotor, without its friction and the gear
     if constexpr (driven) {
       motor.rates(x.z, x.u, motor_angle(x), felt_speed(x), x.offset[0], is_motor_active(active),
@@ -112,18 +113,55 @@ struct Drive {
       const X T = gear_on_link(x, active);
       r.f[tm] = x.z[wm];
       if constexpr (Rotor::modes > 0)
-        r.f[wm] = is_active(active, of_rotor)
-                      ? -x.z[wm]
-                      : shaft - on_rotor(x, T) -
-                            rotor.against(x.z[wm], on_rotor(x, T), shaft, x.offset[of_rotor]);
+        r.f[wm] = is_active(active, of_rotor) ? -x.z[wm]
+                                              : shaft - on_rotor(x, T) -
+                                                    rotor.against(x.z[wm], on_rotor(x, T), shaft,
+                                                                  x.offset[of_rotor], warmth);
       else
         r.f[wm] = shaft - on_rotor(x, T);
       r.g += T;
     } else if constexpr (driven) {
-      if constexpr (Rotor::modes > 0) shaft -= rotor.law.Dv * motor_speed(x);
+      if constexpr (Rotor::modes > 0) shaft -= viscous_torque(rotor.law, motor_speed(x), warmth);
       r.g += shaft / gear.Ng;
     }
+    if constexpr (warms) add_heat(x, active, warmth, r.f);
     return r;
+  }
+
+  // Whether friction heats an extra that changes it (gear_temperature.hpp), and the factors of
+  // that.
+  static constexpr int warming = [] {
+    int e = 0, at = -1;
+    ((at = ChangesFriction<Extras> ? e : at, ++e), ...);
+    return at;
+  }();
+  static constexpr bool warms = warming >= 0;
+  static constexpr int warm_state() { return place_of(warming, own, {Extras::states...}); }
+  template <class X>
+  ARM_INLINE constexpr Warmth<X> warmth_at(const Input<X>& x) const {
+    if constexpr (warms)
+      return std::get<warming>(extras).warmth(x.z[warm_state()]);
+    else
+      return {};
+  }
+  // Power of the friction of link and rotor [W].
+  template <class X>
+  ARM_INLINE constexpr X friction_power(const Input<X>& x, unsigned active,
+                                        const Warmth<X>& warmth) const {
+    const X T = load_on_link(x, active);
+    X P = viscous_torque(friction, x.v, warmth) * x.v +
+          sliding_under(x, T, sign_of(x.v)) * magnitude(x.v);
+    if constexpr (elastic && Rotor::modes > 0)
+      P += rotor.dissipated(x.z[wm], on_rotor(x, T), drive_torque(x, active), x.offset[of_rotor],
+                            warmth);
+    if constexpr (carries_rotor && Rotor::modes > 0)
+      P += viscous_torque(rotor.law, motor_speed(x), warmth) * motor_speed(x);
+    return P;
+  }
+  // The temperature of the gear [degC].
+  constexpr Real gear_temperature(const Input<Real>& x) const {
+    if constexpr (warms) return std::get<warming>(extras).ambient + x.z[warm_state()];
+    return no_number();
   }
 
   static constexpr int extra_count = sizeof...(Extras);
@@ -183,18 +221,18 @@ struct Drive {
   // Sliding torque under the torque T of the gear on its link.
   template <class X>
   ARM_INLINE constexpr X sliding_under(const Input<X>& x, X T, X way) const {
-    X dry = friction.sliding(x.v, on_link<LinkFriction>(T, way));
+    X dry = friction.sliding(x.v, on_link<LinkFriction>(x, T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.sliding(motor_speed(x), on_link<Rotor>(gear.Ng * T, turn(way))) /
+      dry += rotor.law.sliding(motor_speed(x), on_link<Rotor>(x, gear.Ng * T, turn(way))) /
              magnitude(gear.Ng);
     return dry;
   }
   template <class X>
   ARM_INLINE constexpr X holding(const Input<X>& x, unsigned active, X way) const {
     const X T = load_on_link(x, active);
-    X dry = friction.holding(on_link<LinkFriction>(T, way));
+    X dry = friction.holding(on_link<LinkFriction>(x, T, way));
     if constexpr (carries_rotor && Rotor::modes > 0)
-      dry += rotor.law.holding(on_link<Rotor>(gear.Ng * T, turn(way))) / magnitude(gear.Ng);
+      dry += rotor.law.holding(on_link<Rotor>(x, gear.Ng * T, turn(way))) / magnitude(gear.Ng);
     return dry;
   }
 
@@ -464,7 +502,7 @@ struct Drive {
     const Input<Real> x = with(at, now);
     const unsigned active = now.active();
     OnRotor on = {drive_torque(x, active), on_rotor(x, gear_on_link(x, active)),
-                  kRounding * magnitude(gear.Ng * gear.Kg * x.q)};
+                  kRounding * magnitude(gear.Ng * gear.Kg * x.q), warmth_at(x)};
     on.torque -= on.of_gear;
     return on;
   }
@@ -476,9 +514,24 @@ struct Drive {
   }
   // Torques for the friction of a link, and of a rotor that turns with it.
   template <class Law, class X>
-  ARM_INLINE static constexpr ShaftTorques<X> on_link(X T, X way) {
-    if constexpr (!Law::directed) return {T, T, X{}};
-    return {way * T, way * T, way * T};
+  ARM_INLINE constexpr ShaftTorques<X> on_link(const Input<X>& x, X T, X way) const {
+    if constexpr (!Law::directed) return {T, T, X{}, warmth_at(x)};
+    return {way * T, way * T, way * T, warmth_at(x)};
+  }
+
+  // What friction and the winding add to the rates of temperatures.
+  template <class X>
+  ARM_INLINE constexpr void add_heat(const Input<X>& x, unsigned active, const Warmth<X>& warmth,
+                                     X* f) const {
+    const auto& gear_body = std::get<warming>(extras);
+    X P = friction_power(x, active, warmth);
+    if constexpr (heats) {
+      const X flow =
+          gear_body.power_from(motor.winding.ambient + x.z[Motor::rise], x.z[warm_state()]);
+      P += flow;
+      f[Motor::rise] -= flow;
+    }
+    f[warm_state()] += gear_body.heating(P);
   }
 
   // `first` and the counts of so many extras.

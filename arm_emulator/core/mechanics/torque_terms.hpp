@@ -19,7 +19,8 @@ struct DriveTorques {
 template <class Drive, int n, int M>
 constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
   DriveTorques<Drive::extra_count> on = {};
-  on.viscous = -drive.friction.Dv * x.v;
+  const auto warmth = drive.warmth_at(x);
+  on.viscous = -viscous_torque(drive.friction, x.v, warmth);
   Real shaft = 0.0;
   if constexpr (Drive::driven) on.motor = shaft = drive.motor.torque(x.z, drive.motor_angle(x));
   int which = 0;
@@ -36,10 +37,10 @@ constexpr auto torques_in(const Drive& drive, const DriveInput<n, M, Real>& x, u
       on.rotor_friction = is_active(active, Drive::of_rotor)
                               ? -(shaft + on.gear_on_rotor)
                               : -drive.rotor.against(x.z[Drive::wm], -on.gear_on_rotor, shaft,
-                                                     x.offset[Drive::of_rotor]);
+                                                     x.offset[Drive::of_rotor], warmth);
   } else if constexpr (Drive::driven) {
     if constexpr (Drive::rotor_modes > 0)
-      on.rotor_friction = -drive.rotor.law.Dv * drive.motor_speed(x);
+      on.rotor_friction = -viscous_torque(drive.rotor.law, drive.motor_speed(x), warmth);
     on.gear = (shaft + on.rotor_friction) / drive.gear.Ng;
   }
   return on;

@@ -2,6 +2,8 @@
 // inputs.
 #pragma once
 
+#include "numerics/real.hpp"
+
 namespace arm {
 
 enum class Place { rotor, link };
@@ -9,5 +11,9 @@ enum class Place { rotor, link };
 // Whether a part has an energy that may become negative.
 template <class Part>
 concept HasPotential = requires(const Part& part) { part.potential(0.0); };
+
+// Whether a part has a temperature that friction follows.
+template <class Part>
+concept ChangesFriction = requires(const Part& part, Real rise) { part.warmth(rise); };
 
 }  // namespace arm

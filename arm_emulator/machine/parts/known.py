@@ -17,6 +17,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import list_kinds
 
 KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
+AnyFriction = TypeVar("AnyFriction", bound=Friction)
 
 # The first is meant where a scene gives no `motor.kind`.
 MOTORS = tuple(sorted(list_kinds(Motor), key=lambda one: not one.is_default))
@@ -107,7 +108,12 @@ def link_friction_of(**numbers: float) -> LinkFriction:
     return next(one for one in LINK_FRICTIONS if set(one.named_by) <= set(numbers))(**numbers)
 
 
-def read_friction(section: Section, kinds: Sequence[type[Friction]]) -> Friction:
+def rotor_friction_of(**numbers: float) -> OfRotor:
+    """Return the friction of a rotor that has these numbers."""
+    return next(one for one in ROTOR_FRICTIONS if set(one.named_by) <= set(numbers))(**numbers)
+
+
+def read_friction(section: Section, kinds: Sequence[type[AnyFriction]]) -> AnyFriction:
     """Return the friction that a section describes, of a link or of a rotor."""
     return next(one for one in kinds if all(map(section.has, one.named_by))).read(section)
 

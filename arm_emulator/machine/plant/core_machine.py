@@ -254,6 +254,14 @@ class CoreMachine(Synchronized):
         self.core.arm_get_winding_temperatures(self.machine, pointer(temperatures))
         return temperatures
 
+    @property
+    @synchronized
+    def gear_temperatures(self) -> Array:
+        """Temperatures of the gears (N,) [degC]; NaN where the scene has no `gear.thermal`."""
+        temperatures = np.empty(self._N)
+        self.core.arm_get_gear_temperatures(self.machine, pointer(temperatures))
+        return temperatures
+
     @synchronized
     def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
         """Return the linear part of each joint's drive, base to tool.

@@ -14,6 +14,7 @@ from arm_emulator.machine.chain import Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import format_fields, format_number, format_vector
 from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.parts.drive_stages.drive_stage import Supply
+from arm_emulator.machine.parts.known import rotor_friction_of
 from arm_emulator.machine.parts.line import write_lines
 from arm_emulator.machine.parts.measuring.sensors import (
     list_measured_kinds,
@@ -301,11 +302,22 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
     def part(one: Part) -> str:
         return one.write_initialiser(joint.name, places)
 
+    def wrap_law(kind: str, values: str) -> tuple[str, str]:
+        for extra in joint.extras:
+            if extra.friction_wrapper:
+                kind = f"arm::{extra.friction_wrapper}<{kind}>"
+                values = f"{kind}{{{values}}}"
+        return kind, values
+
     rotor = joint.rotor_friction
-    kind, values = (rotor.cxx_type, part(rotor)) if rotor else ("arm::FreeRotor", "{}")
-    if joint.brake:
-        closed = places[f"joints.{joint.name}.brake.closed"]
-        kind, values = joint.brake.rotor(rotor, joint.name, places, closed)
+    kind, values = "arm::FreeRotor", "{}"
+    if joint.brake or rotor:
+        law, of_law = wrap_law(*(rotor or rotor_friction_of()).law(joint.name, places))
+        if joint.brake:
+            closed = places[f"joints.{joint.name}.brake.closed"]
+            law, of_law = joint.brake.wrap_law(law, of_law, part(joint.brake), closed)
+        kind, values = f"arm::RotorFriction<{law}>", f"{{{of_law}}}"
+    friction = wrap_law(joint.friction.cxx_type, part(joint.friction))
     motor = CxxMotor("arm::NoMotor", "arm::NoMotor{}")
     if joint.motor is not None:
         motor = CxxMotor(joint.motor.cxx_type, part(joint.motor))
@@ -319,7 +331,7 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
     kinds = [
         motor.type,
         gear[0],
-        joint.friction.cxx_type,
+        friction[0],
         kind,
         *(extra.cxx_type for extra in joint.extras),
     ]
@@ -328,7 +340,7 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
       arm::Drive<{", ".join(kinds)}>{{
           .motor = {motor.value},
           .gear = {gear[1]},
-          .friction = {part(joint.friction)},
+          .friction = {friction[1]},
           .rotor = {values},
           .extras = {{{extras}}}}}"""
 

@@ -13,7 +13,7 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
-from arm_emulator.machine.parts.frictions.friction import Friction
+from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor
 from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.gears.gear_stage import GearStage
 from arm_emulator.machine.parts.input import VOLTAGE, Input
@@ -54,7 +54,7 @@ class Joint:
     gear_stages: tuple[GearStage, ...] = ()  # within its gear
     sensors: JointSensors
     friction: Friction
-    rotor_friction: Friction | None = None
+    rotor_friction: OfRotor | None = None
     decorators: tuple[DriveStage, ...] = ()  # around its motor, innermost first
     brake: Brake | None = None
     extras: tuple[JointEffect, ...] = ()  # that stand in sections of their own
@@ -220,6 +220,8 @@ def read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] |
         extras=read_extras(one, limits),
     )
     one.finish()
+    for extra in joint.extras:
+        extra.check_parts(joint.parts, one)
     for stage in joint.gear_stages:
         stage.check_gear(joint.gear, one)
     if joint.motor is not None:

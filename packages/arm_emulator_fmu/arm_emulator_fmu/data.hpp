@@ -55,7 +55,7 @@ struct Shown {
 // The true state, as last requested.
 struct Truth {
   double q[N], v[N], gear_torque[N], motor_angle[N], motor_speed[N], current[N];
-  double energy, winding_temperature[N];
+  double energy, winding_temperature[N], gear_temperature[N];
 };
 
 struct Data {

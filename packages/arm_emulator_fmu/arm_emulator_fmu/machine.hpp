@@ -90,6 +90,7 @@ class Machine {
     truth.gear_torque = to.gear_torque;
     arm_get_truth(at_.machine, &truth);
     arm_get_winding_temperatures(at_.machine, to.winding_temperature);
+    arm_get_gear_temperatures(at_.machine, to.gear_temperature);
   }
 
   arm_refusal why() const {

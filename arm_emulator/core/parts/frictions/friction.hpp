@@ -9,6 +9,14 @@
 
 namespace arm {
 
+// Factors of viscous and of dry torques by the temperature (gear_temperature.hpp).
+template <class X>
+struct Warmth {
+  constexpr bool operator==(const Warmth&) const = default;
+
+  X viscous = X{} + 1.0, dry = X{} + 1.0;
+};
+
 // Torques on a shaft [N m]. A law that asks for the direction of power gets them as they are in the
 // direction in which the shaft moves, or would move: positive where the motor drives.
 template <class X>
@@ -16,7 +24,17 @@ struct ShaftTorques {
   X of_gear;   // on the link, seen at this shaft
   X of_motor;  // what drives the shaft; at a link that of the gear
   X lead;      // above 0: the motor's torque is the greater one; at a link its sign alone
+  Warmth<X> warmth = {};
 };
+
+// Viscous torque of a law against the speed w.
+template <class Law, class X>
+ARM_INLINE constexpr X viscous_torque(const Law& law, X w, const Warmth<X>& warmth) {
+  if constexpr (requires { Law::warms; })
+    return law.Dv * warmth.viscous * w;
+  else
+    return law.Dv * w;
+}
 
 struct Friction {
   constexpr bool operator==(const Friction&) const = default;

@@ -18,6 +18,7 @@ struct OnRotor {
   Real torque;    // N m, of all
   Real of_gear;   // N m, of the gear alone
   Real rounding;  // N m, uncertainty by rounding of angles
+  Warmth<Real> warmth = {};
 
   constexpr Real of_motor() const { return torque + of_gear; }
 };
@@ -38,17 +39,20 @@ struct RotorFriction {
   // the gear and of the motor.
   template <class X>
   ARM_INLINE constexpr X against(X wm, [[maybe_unused]] X of_gear, [[maybe_unused]] X of_motor,
-                                 X offset) const {
+                                 X offset, const Warmth<X>& warmth = {}) const {
     if constexpr (varies) {
-      const X dry = law.sliding(wm, on_shaft(of_gear, of_motor, offset));
-      return law.Dv * wm + select(offset < 0.0, -dry, select(offset > 0.0, dry, X{}));
+      const X dry = law.sliding(wm, on_shaft(of_gear, of_motor, offset, warmth));
+      return viscous_torque(law, wm, warmth) +
+             select(offset < 0.0, -dry, select(offset > 0.0, dry, X{}));
     } else {
       return law.Dv * wm + offset;
     }
   }
   template <class X>
-  ARM_INLINE constexpr X dissipated(X wm, X of_gear, X of_motor, X offset) const {
-    return law.Dv * wm * wm + law.sliding(wm, on_shaft(of_gear, of_motor, offset)) * magnitude(wm);
+  ARM_INLINE constexpr X dissipated(X wm, X of_gear, X of_motor, X offset,
+                                    const Warmth<X>& warmth = {}) const {
+    return viscous_torque(law, wm, warmth) * wm +
+           law.sliding(wm, on_shaft(of_gear, of_motor, offset, warmth)) * magnitude(wm);
   }
 
   constexpr bool is_regular() const { return is_free(); }
@@ -92,13 +96,14 @@ struct RotorFriction {
     return select(magnitude(offset) > 1.5, X{} - 1.0, X{} + 1.0);
   }
   template <class X>
-  ARM_INLINE static constexpr ShaftTorques<X> on_shaft(X of_gear, X of_motor, X offset) {
-    if constexpr (!directed) return {of_gear, of_motor, X{}};
+  ARM_INLINE static constexpr ShaftTorques<X> on_shaft(X of_gear, X of_motor, X offset,
+                                                       const Warmth<X>& warmth) {
+    if constexpr (!directed) return {of_gear, of_motor, X{}, warmth};
     const X way = select(offset < 0.0, X{} - 1.0, X{} + 1.0);
-    return {way * of_gear, way * of_motor, lead_of(offset)};
+    return {way * of_gear, way * of_motor, lead_of(offset), warmth};
   }
   static constexpr ShaftTorques<Real> toward(Real way, const OnRotor& on) {
-    return on_shaft(on.of_gear, on.of_motor(), offset_of(way, on));
+    return on_shaft(on.of_gear, on.of_motor(), offset_of(way, on), on.warmth);
   }
   static constexpr Real offset_of(Real way, const OnRotor& on) {
     const Real number = lead(on.of_gear, on.of_motor()) < 0.0 ? 2.0 : 1.0;

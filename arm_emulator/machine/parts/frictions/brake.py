@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.fault import Fault, bound_share, declare_fall
-from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor, RotorFriction
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
@@ -81,20 +78,14 @@ class Brake(Part):
         """Its numbers, and whether it is closed, as it is before the drives get power."""
         return {**super().list_fault_numbers(), "closed": 1.0}
 
-    def rotor(
-        self, friction: Friction | None, joint: str, places: Mapping[str, str], closed: str
-    ) -> tuple[str, str]:
-        """Return type and initialiser of the rotor's friction with this brake, in C++.
+    def wrap_law(self, kind: str, law: str, own: str, closed: str) -> tuple[str, str]:
+        """Return type and initialiser of a law of friction with this brake, in C++.
 
         Args:
-            friction: of the rotor without it.
-            joint: the joint's name.
-            places: where the values of varied numbers stand, by their name.
+            kind: type of the law.
+            law: its initialiser.
+            own: initialiser of the brake.
             closed: where the number stands that is 1 while the brake is closed.
         """
-        friction = friction or RotorFriction()
-        assert isinstance(friction, OfRotor)
-        law, values = friction.law(joint, places)
-        kind = f"arm::Braked<{law}>"
-        brake = self.write_initialiser(joint, places)
-        return f"arm::RotorFriction<{kind}>", f"{{{kind}{{{values}, {brake}, {closed}}}}}"
+        braked = f"arm::Braked<{kind}>"
+        return braked, f"{braked}{{{law}, {own}, {closed}}}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 from arm_emulator.base.validation.section import Section
@@ -18,6 +19,7 @@ class JointEffect(Part):
 
     rank: ClassVar[float] = math.inf
     of_angle: ClassVar[bool] = False  # whether the angle alone determines its torque
+    friction_wrapper: ClassVar[str] = ""  # C++ template around the joint's laws of friction
 
     @classmethod
     def put_limits(cls, section: Section, limits: tuple[float, float] | None) -> None:
@@ -25,6 +27,13 @@ class JointEffect(Part):
 
         Raises:
             Refusal: it asks for what is not there.
+        """
+
+    def check_parts(self, parts: Sequence[Part], joint: Section) -> None:
+        """Refuse a joint whose other parts do not go with it.
+
+        Raises:
+            Refusal: see above.
         """
 
     @property
