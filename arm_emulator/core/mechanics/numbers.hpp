@@ -110,7 +110,7 @@ struct Constants {
 // `Numbers`.
 template <class Drive>
 constexpr Drive in_lanes(Drive drive) {
-  if constexpr (requires { drive.friction.without_torques(); })
+  if constexpr (!decltype(drive.friction)::varies)
     drive.friction = drive.friction.without_torques();
   return drive;
 }
