@@ -61,14 +61,6 @@ USUAL: dict[type[Part], dict[str, tuple[float, float]]] = {
         "stiffness": (20.0, 200.0),
     },
     Hysteresis: {"torque": (1.0, 20.0), "twist": (3e-4, 3e-3)},
-    # A small body, which friction heats by some K in the seconds of a test.
-    GearTemperature: {
-        "heat_capacity": (0.05, 0.5),
-        "thermal_resistance": (0.5, 5.0),
-        "viscous_floor": (0.1, 0.5),
-        "viscous_decay": (10.0, 50.0),
-        "dry_coefficient": (-0.01, 0.01),
-    },
     Drag: {"coefficient": (0.1, 10.0)},
 }
 
@@ -110,6 +102,17 @@ def _draw_current_loop(_: type[Part], rng: Rng) -> Numbers:
         "proportional_gain": draw_scaled(rng, 1.0, 10.0),
         "integral_gain": draw_scaled(rng, 100.0, 5e3),
         "emf_feedforward": share,
+    }
+
+
+def _draw_gear_temperature(_: type[Part], rng: Rng) -> Numbers:
+    """A small body, which friction heats by some K in the seconds of a test."""
+    return {
+        "heat_capacity": draw_scaled(rng, 0.05, 0.5),
+        "thermal_resistance": draw_scaled(rng, 0.5, 5.0),
+        "viscous_floor": float(rng.uniform(0.0, 0.5)),
+        "viscous_decay": draw_scaled(rng, 10.0, 50.0),
+        "dry_coefficient": float(rng.uniform(-0.01, 0.01)),
     }
 
 
@@ -268,6 +271,7 @@ SAMPLERS: dict[type, Callable[[type[Part], Rng], Numbers]] = {
     CurrentLoop: _draw_current_loop,
     TorqueRipple: _draw_torque_ripple,
     Brake: _draw_brake,
+    GearTemperature: _draw_gear_temperature,
     Friction: _draw_friction,
     Stribeck: _draw_stribeck,
     LoadFriction: _draw_load_friction,

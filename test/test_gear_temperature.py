@@ -120,7 +120,9 @@ def test_every_scheme_keeps_its_order(
     expected = solve_motion(joint, voltages)
 
     errors = []
-    for steps in STEPS:
+    # The first scheme needs steps that are short against the gear's resonance.
+    finer = 32 if KNOWN[scheme].order == 1 else 1
+    for steps in (finer * count for count in STEPS):
         plant = Plant(scene_of(tmp_path, joint, steps, scheme))
         of_motor = {} if not elastic else {"omega_m": [START["omega_m"]]}
         plant.put("the test", {"current": [START["current"]], "v": [START["v"]], **of_motor})
