@@ -207,8 +207,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/drive.hpp",
-        "dry += rotor.law.holding(on_link<Rotor>(gear.Ng * T, turn(way))) / magnitude(gear.Ng);",
-        "dry += rotor.law.holding(on_link<Rotor>(T, turn(way))) / magnitude(gear.Ng);",
+        "dry += rotor.law.holding(on_link<Rotor>(x, gear.Ng * T, turn(way))) / magnitude(gear.Ng);",
+        "dry += rotor.law.holding(on_link<Rotor>(x, T, turn(way))) / magnitude(gear.Ng);",
         "test_load_friction.py test_rotor_friction.py",
     ),
     Mutant(
@@ -290,9 +290,27 @@ MUTANTS = (
         "test_backlash.py",
     ),
     Mutant(
+        f"{CORE_PARTS}/gears/hysteresis.hpp",
+        "anchors[i] = w - bend(i, w, anchors);",
+        "anchors[i] = w;",
+        "test_hysteresis.py",
+    ),
+    Mutant(
+        f"{CORE_PARTS}/joint_effects/gear_temperature.hpp",
+        "return power / C;",
+        "return power / (2.0 * C);",
+        "test_gear_temperature.py",
+    ),
+    Mutant(
+        f"{MECHANICS}/drive.hpp",
+        "f[Motor::rise] -= flow;",
+        "f[Motor::rise] += flow;",
+        "test_gear_temperature.py",
+    ),
+    Mutant(
         f"{CORE_PARTS}/frictions/brake.hpp",
-        "return Law::sliding(w, T) + closed * brake.torque;",
-        "return Law::sliding(w, T);",
+        "return Law::sliding(w, on) + closed * brake.torque;",
+        "return Law::sliding(w, on);",
         "test_brake.py",
     ),
     Mutant(
@@ -369,8 +387,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/coulomb.hpp",
-        "return Ds(j) * (1.0 + kRounding) - magnitude(lock_torque_[j]);",
-        "return Dc(j) * (1.0 + kRounding) - magnitude(lock_torque_[j]);",
+        "return Ds(j, lock_torque_[j]) * (1.0 + kRounding) - magnitude(lock_torque_[j]);",
+        "return Dc(j, lock_torque_[j]) * (1.0 + kRounding) - magnitude(lock_torque_[j]);",
         "test_breakaway.py test_located.py",
     ),
     Mutant(
