@@ -64,7 +64,10 @@ def everything(folder: Path, **more: Any) -> Scene:
     elbow = {
         "start": 0.7,
         "motor": {**PMSM, **heated},
-        "gear": {"ratio": 0.05, "stiffness": 2e3, "damping": 2.0, "cubic_stiffness": 1e5},
+        "gear": {
+            "ratio": 0.05, "stiffness": 2e3, "damping": 2.0, "cubic_stiffness": 1e5,
+            "thermal": {"heat_capacity": 20.0, "thermal_resistance": 2.0, "viscous_decay": 20.0},
+        },
         "lugre": {"coulomb": 0.2, "bristle_stiffness": 1e3, "bristle_damping": 10.0},
         "brake": {"torque": 0.5},
         **encoders, **sensors,
@@ -72,7 +75,10 @@ def everything(folder: Path, **more: Any) -> Scene:
     further = {
         kind.section: draw_part(kind, rng)
         for kind in EXTRAS
-        if kind.faults() and kind.shaft == "link" and kind.section not in {**shoulder, **elbow}
+        if kind.faults()
+        and kind.shaft == "link"
+        and "." not in kind.section
+        and kind.section not in {**shoulder, **elbow}
     }
     wrist = {
         "start": -0.7,
