@@ -519,7 +519,7 @@ struct Drive {
     return {way * T, way * T, way * T, warmth_at(x)};
   }
 
-  // What friction and the winding add to the rates of temperatures.
+  // Adds the heat of friction and of the winding to the rates of temperatures.
   template <class X>
   ARM_INLINE constexpr void add_heat(const Input<X>& x, unsigned active, const Warmth<X>& warmth,
                                      X* f) const {
