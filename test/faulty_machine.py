@@ -51,7 +51,10 @@ def everything(folder: Path, **more: Any) -> Scene:
             **MOTOR, **around, **heated, "current_limit": 8.0,
             "friction": {"viscous": 1e-4, "coulomb": 0.01, "load": 0.01},
         },
-        "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 5.0, "backlash": 1e-3},
+        "gear": {
+            "ratio": 0.02, "stiffness": 3e3, "damping": 5.0, "backlash": 1e-3,
+            "thermal": {"heat_capacity": 20.0, "thermal_resistance": 2.0, "viscous_decay": 20.0},
+        },
         "friction": friction,
         "brake": {"torque": 1.0},
         "end_stops": {"lower": -0.5, "upper": 6e-3, "stiffness": 1e4, "damping": 10.0},
@@ -64,10 +67,7 @@ def everything(folder: Path, **more: Any) -> Scene:
     elbow = {
         "start": 0.7,
         "motor": {**PMSM, **heated},
-        "gear": {
-            "ratio": 0.05, "stiffness": 2e3, "damping": 2.0, "cubic_stiffness": 1e5,
-            "thermal": {"heat_capacity": 20.0, "thermal_resistance": 2.0, "viscous_decay": 20.0},
-        },
+        "gear": {"ratio": 0.05, "stiffness": 2e3, "damping": 2.0, "cubic_stiffness": 1e5},
         "lugre": {"coulomb": 0.2, "bristle_stiffness": 1e3, "bristle_damping": 10.0},
         "brake": {"torque": 0.5},
         **encoders, **sensors,
