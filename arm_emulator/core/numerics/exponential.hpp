@@ -28,6 +28,13 @@ constexpr double exponential(double x) {
   return y * std::bit_cast<double>(exponent << 52);
 }
 
+template <class X>
+  requires(kWidth<X> > 1)
+ARM_INLINE X exponential(X x) {
+  for (int lane = 0; lane < kWidth<X>; ++lane) x[lane] = exponential(double{x[lane]});
+  return x;
+}
+
 // The series of artanh, exact to some 1e-16 for |s| < 0.18 and to some 1e-12 for |s| < 1/3.
 constexpr double artanh(double s) {
   const double z = s * s;

@@ -57,6 +57,8 @@ def compilers(kind: str) -> list[str]:
 
 # Parts that hold another part as their base, by the type of the base.
 DECORATORS = {
+    "HystereticGear": "HystereticGear<ElasticGear, 4>",
+    "Warm": "Warm<Friction>",
     "Braked": "Braked<Friction>",
     "CurrentLoop": "CurrentLoop<DcMotor>",
     "FieldOrientedLoop": "FieldOrientedLoop<Pmsm>",
@@ -228,7 +230,7 @@ def test_parts_that_differ_in_their_base_are_different(compiler: str, tmp_path: 
     assert based == set(DECORATORS)
     lines = [f'#include "{file.relative_to(CORE)}"' for file in sorted(parts.rglob("*.hpp"))]
     for name, type_ in DECORATORS.items():
-        number = "Dv" if name == "Braked" else "R"
+        number = {"Braked": "Dv", "Warm": "Dv", "HystereticGear": "Kg"}.get(name, "R")
         lines += [
             f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{{}};",
             f"constexpr auto other_{name} = [] {{",

@@ -62,10 +62,8 @@ struct GearTemperature : NoTorque<Place::link> {
   template <class X>
   ARM_INLINE constexpr Warmth<X> warmth(X rise) const {
     const X above = ambient - reference + rise, dry = 1.0 + c * above;
-    X viscous = X{} + 1.0;
-    for (int lane = 0; Tv > 0.0 && lane < kWidth<X>; ++lane)
-      set_lane(viscous, lane, r + (1.0 - r) * exponential(-lane_of(above, lane) / Tv));
-    return {viscous, select(dry > 0.0, dry, X{})};
+    return {Tv > 0.0 ? r + (1.0 - r) * exponential(-above / Tv) : X{} + 1.0,
+            select(dry > 0.0, dry, X{})};
   }
 };
 

@@ -22,8 +22,8 @@ UNREADABLE = '<visual><geometry><mesh filename="file:///no/such.stl"/></geometry
     ("shape", "words"), [("", "the robot description has none"), (UNREADABLE, "/no/such.stl")]
 )
 def test_an_arm_without_readable_shapes_is_shown_by_its_tool(shape: str, words: str) -> None:
-    scene = dataclasses.replace(SCENE, urdf=VISUAL.sub(shape, SCENE.urdf))
-    assert scene.urdf != SCENE.urdf
+    scene = dataclasses.replace(SCENE, true_urdf=VISUAL.sub(shape, SCENE.true_urdf))
+    assert scene.true_urdf != SCENE.true_urdf
     whole, bare = (ArmScene(MagicMock(), one) for one in (SCENE, scene))
     assert whole.missing == "" and words in bare.missing
     assert bare.size == pytest.approx(whole.size, rel=0.5)
