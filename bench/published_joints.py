@@ -141,12 +141,12 @@ class Stand:
 
     @property
     def speed(self) -> float:
-        """Of the rotor, at the output [rad/s]."""
+        """Return the speed of the rotor, seen at the output [rad/s]."""
         return float(self.plant.state.omega_m[0]) * self.ratio
 
     @property
     def torque(self) -> float:
-        """Of the motor, at the output, by its current [N m]."""
+        """Return the torque of the motor by its current, seen at the output [N m]."""
         return float(self.plant.state.current[0]) * self.constant
 
     def advance(self, torque: float, load: float) -> None:

@@ -320,7 +320,7 @@ struct Drive {
   ARM_INLINE constexpr Mask<X> is_regular(const Input<X>& x) const {
     return where(is_ever_regular(), is_regular_where_ever(x));
   }
-  // The same of a drive that may be so.
+  // Whether a drive that may be regular surely is at x.
   template <class X>
   ARM_INLINE constexpr Mask<X> is_regular_where_ever(const Input<X>& x) const {
     Mask<X> regular = X{} == X{};

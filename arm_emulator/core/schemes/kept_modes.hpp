@@ -62,7 +62,7 @@ class KeptModes {
   struct Drives {
     bool any = false, at[N] = {};
   };
-  // Those that are not surely in their regular modes, where they stay.
+  // The drives of which it is not sure that they are in their regular modes and stay there.
   ARM_INLINE Drives unsure_drives(const State<S>& x, const Real* u) const {
     Drives unsure;
     n_.for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {

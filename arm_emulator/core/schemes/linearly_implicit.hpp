@@ -132,7 +132,7 @@ class LinearlyImplicit {
     prescribed_ = {};
   }
 
-  // The same where all links rest under these torques: nothing is left to solve.
+  // A step in which all links rest under these torques: nothing is left to solve.
   void step_at_rest(State<S, X>& x, const X (&u)[row], const Dynamics& links) {
     static_assert(stages == 2);
     Inputs in;

@@ -25,7 +25,6 @@ struct Hysteresis {
   Real F;      // N m at the link, when all elements slip
   Real twist;  // rad at the link, beyond which all slip
 
-  static constexpr int elements = n;
   // Stiffness while none slips, and of each [N m/rad].
   constexpr Real stiffness() const { return 2.0 * F / twist; }
   constexpr Real stiffness_of_each() const { return stiffness() / n; }
@@ -110,7 +109,7 @@ struct HystereticGear : Gear {
   }
 
  private:
-  // Of a gear whose teeth have errors, its own (kinematic_error.hpp).
+  // The twist; a gear whose teeth have errors states its own (kinematic_error.hpp).
   template <class X>
   ARM_INLINE constexpr X twist(X tm, X q) const {
     if constexpr (requires(const Gear& gear) { gear.twist(tm, q); })

@@ -31,7 +31,7 @@ struct GearTemperature : NoTorque<Place::link> {
 
   static constexpr int states = 1;
 
-  // The same body, apart from friction and winding.
+  // The body as it cools, which neither friction nor a winding heats.
   struct Cooling : NoTorque<Place::link> {
     constexpr bool operator==(const Cooling&) const = default;
 

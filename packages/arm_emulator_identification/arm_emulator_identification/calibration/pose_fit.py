@@ -119,7 +119,7 @@ class PoseFit:
 
     @property
     def deviations(self) -> dict[str, Deviation]:
-        """The same as deviations of joints."""
+        """The displacements, as deviations of joints."""
         return {name: Deviation.of_frame(one) for name, one in self.displacements.items()}
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from arm_emulator.extension.base import Array, Number, Refusal, find_scene
 from arm_emulator.extension.commands import SceneName, command, output
@@ -24,6 +21,7 @@ from arm_emulator_identification.calibration.accuracy import (
     measure_accuracy,
 )
 from arm_emulator_identification.calibration.drawn_deviations import draw_deviations
+from arm_emulator_identification.stages import show_stages
 
 CYCLES = Number("--cycles", at_least=2, at_most=10_000, whole=True)
 CENTRE = Number.within("--centre", "m", 1e3)
@@ -95,7 +93,7 @@ def accuracy(
         machine = _draw(machine, file, int(SEED.named("--draw").take("accuracy", draw)))
     angle = math.inf if positions else tracker_angle
     test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
-    with _show_stages() as stage:
+    with show_stages() as stage:
         size, before, found, after = measure_accuracy(machine, gains, test, stage, out)
     output.facts({"scene": machine.name, "edge": size, "cycles": cycles})
     console = output.console(110)
@@ -119,17 +117,6 @@ def _draw(scene: Scene, file: Path, seed: int) -> Scene:
     drawn = draw_deviations(path.moving + path.behind[:1], np.random.default_rng(seed))
     joints = {name: one.given for name, one in drawn.items()}
     return load_scene(file, {"calibration": {"joints": joints}})
-
-
-@contextlib.contextmanager
-def _show_stages() -> Iterator[Callable[[str], None]]:
-    """Show the stage that runs; give what begins another one."""
-    columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
-    progress = Console(stderr=True)  # not for JSON, and erased at the end
-    hidden = not progress.is_terminal
-    with Progress(*columns, console=progress, transient=True, disable=hidden) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda stage: bar.update(task, description=stage)
 
 
 def _print(title: str, key: str, result: Accuracy) -> None:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Parameter
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from arm_emulator.extension.bags import Bag, RecordedTopics
 from arm_emulator.extension.base import Refusal, find_scene
@@ -30,6 +27,7 @@ from arm_emulator_identification.identified import (
 )
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.read_run import make_run, read_run
+from arm_emulator_identification.stages import show_stages
 from arm_emulator_identification.torque_fit import TorqueFit
 from arm_emulator_identification.torque_model import has_match
 from arm_emulator_identification.wind_up import list_stiffness
@@ -84,7 +82,7 @@ def identify(
         raise Refusal("identify", "--out", "be another file than the scene", out)
     wanted, kept = ([one for one in names.split(",") if one] for names in (fit, hold))
     late = _read_delays(delay or ())
-    with _show_stages() as stage:
+    with show_stages() as stage:
         stage("read")
         record = _record(data, nominal, angles, side).shift_back(late)
         asked = Asked(wanted, kept, low_pass, trust, as_is)
@@ -122,17 +120,6 @@ def identify(
     given.extend(doubts)
     output.facts(_list_facts(found, numbers, nominal) | {"scene": out, "picture": picture})
     return 0
-
-
-@contextlib.contextmanager
-def _show_stages() -> Iterator[Callable[[str], None]]:
-    """Show the stage that runs; give what begins another one."""
-    columns = TextColumn("{task.description}"), SpinnerColumn(), TimeElapsedColumn()
-    progress = Console(stderr=True)  # not for JSON, and erased at the end
-    hidden = not progress.is_terminal
-    with Progress(*columns, console=progress, transient=True, disable=hidden) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda stage: bar.update(task, description=stage)
 
 
 def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
