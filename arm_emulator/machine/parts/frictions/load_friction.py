@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from arm_emulator.base.arrays import Array
+from arm_emulator.base.validation.number import Ends
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.frictions.stribeck import compute_stribeck_torque
@@ -31,6 +34,21 @@ SLOW = "motion slower than its `stribeck` speed; without one only breaking away 
 SLOWLY_DRIVEN = f"the link driving the motor in {SLOW}"
 
 
+def _declare_optional(
+    symbol: str,
+    text: str,
+    shown: str,
+    *,
+    unit: str = "N m/(N m)",
+    ends: Ends = (0.0, 10.0),
+    absent: str = "0",
+) -> Any:
+    """Return a number that a scene may leave out; arguments as of `number`."""
+    return number(
+        symbol, unit, ends=ends, sought="known", shown=shown, default=None, absent=absent, text=text
+    )
+
+
 class LoadFriction(Friction):
     """Further friction: `load` times the gear's torque on that shaft, and more of its kind.
 
@@ -55,85 +73,36 @@ class LoadFriction(Friction):
     load: float = number(
         "mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", shown=UNDER_LOAD, text="mu"
     )
-    back_load: float | None = number(
-        "mu_back",
-        "N m/(N m)",
-        ends=(0.0, 10.0),
-        sought="known",
-        shown=DRIVEN,
-        default=None,
-        absent="`load`",
-        text="mu where the link drives the motor",
+    back_load: float | None = _declare_optional(
+        "mu_back", "mu where the link drives the motor", DRIVEN, absent="`load`"
     )
-    rest_load: float | None = number(
-        "nu",
-        "N m/(N m)",
-        ends=(0.0, 10.0),
-        sought="known",
-        shown=SLOW,
-        default=None,
-        absent="0",
-        text="nu, as mu, at rest",
+    rest_load: float | None = _declare_optional("nu", "nu, as mu, at rest", SLOW)
+    rest_back_load: float | None = _declare_optional(
+        "nu_back", "nu where the link drives the motor", SLOWLY_DRIVEN, absent="`rest_load`"
     )
-    rest_back_load: float | None = number(
-        "nu_back",
-        "N m/(N m)",
-        ends=(0.0, 10.0),
-        sought="known",
-        shown=SLOWLY_DRIVEN,
-        default=None,
-        absent="`rest_load`",
-        text="nu where the link drives the motor",
-    )
-    motor_load: float | None = number(
-        "m",
-        "N m/(N m)",
-        ends=(0.0, 10.0),
-        sought="known",
-        shown=OF_MOTOR,
-        default=None,
-        absent="0",
-        text="m, per torque of the motor",
-    )
-    rest_motor_load: float | None = number(
-        "n",
-        "N m/(N m)",
-        ends=(0.0, 10.0),
-        sought="known",
-        shown=SLOW,
-        default=None,
-        absent="0",
-        text="n, as m, at rest",
-    )
-    rest_load_square: float | None = number(
+    motor_load: float | None = _declare_optional("m", "m, per torque of the motor", OF_MOTOR)
+    rest_motor_load: float | None = _declare_optional("n", "n, as m, at rest", SLOW)
+    rest_load_square: float | None = _declare_optional(
         "q",
-        "1/(N m)",
-        at_least=0.0,
-        sought="known",
-        shown=SLOW,
-        default=None,
-        absent="0",
-        text="q, per square of the gear's torque, at rest, where the motor drives",
+        "q, per square of the gear's torque, at rest, where the motor drives",
+        SLOW,
+        unit="1/(N m)",
+        ends=(0.0, None),
     )
-    rest_motor_square: float | None = number(
+    rest_motor_square: float | None = _declare_optional(
         "q_back",
-        "1/(N m)",
-        at_least=0.0,
-        sought="known",
-        shown=SLOWLY_DRIVEN,
-        default=None,
-        absent="0",
-        text="q', per square of the motor's torque, at rest, where the link drives",
+        "q', per square of the motor's torque, at rest, where the link drives",
+        SLOWLY_DRIVEN,
+        unit="1/(N m)",
+        ends=(0.0, None),
     )
-    exponent: float | None = number(
+    exponent: float | None = _declare_optional(
         "alpha",
-        "1",
+        "α, of the speed in Stribeck's term",
+        SLOW,
+        unit="1",
         ends=(0.5, 20.0),
-        sought="known",
-        shown=SLOW,
-        default=None,
         absent="2",
-        text="α, of the speed in Stribeck's term",
     )
 
     @property
