@@ -27,6 +27,7 @@ SECTIONS = (
     "fleet",
     "stability_map",
     "sticking",
+    "self_locking",
     "threads",
     "clocks",
     "first_use",
@@ -160,9 +161,10 @@ def _read_figures(folder: Path) -> dict[str, Any]:
 def _renewed(published: dict[str, Any], measured: dict[str, Any]) -> dict[str, Any]:
     """Return a published report's figures with the sections that were measured anew."""
     anew = {"date": measured["date"], "machine": measured["machine"]}
+    sections = published["sections"] | measured["sections"]
     return published | {
         "seconds": published["seconds"] | measured["seconds"],
-        "sections": published["sections"] | measured["sections"],
+        "sections": {name: sections[name] for name in SECTIONS if name in sections},
         "failed": measured["failed"],
         "anew": published.get("anew", {}) | dict.fromkeys(measured["sections"], anew),
     }

@@ -369,6 +369,38 @@ def test_a_worm_holds_without_power_where_its_lead_is_small(
             assert plant.state.theta_m[0] < at - 1.0, "the weight drives the worm back"
 
 
+@pytest.mark.parametrize("events", ["located", "step"])
+def test_a_worm_without_power_stops_where_the_closed_form_states(
+    tmp_path: Path, events: str
+) -> None:
+    """Random worms that lock, on their way up and down: both equations of a rigid hoist."""
+    rng, plant = np.random.default_rng(96), None
+    for _ in range(10):
+        lead = np.radians(rng.uniform(2.0, 8.0))
+        rub = lead * rng.uniform(1.1, 2.0)
+        load = float(np.tan(lead + rub) / np.tan(lead) - 1.0)
+        back_load = float(1.0 - np.tan(lead - rub) / np.tan(lead))
+        carried = MASS * back_load * rng.uniform(1.0, 3.0)
+        joint = Rotor(Jm=carried * 0.02**2, Ng=0.02, Kg=3e6, Dg=800.0, mass=MASS,
+                      weight=GRAVITY * MASS, viscous=0.0, law=lambda *_: 0.0)  # fmt: skip
+        friction = {"coulomb": 0.0, "load": load, "back_load": back_load}
+        if plant is None:
+            plant = Plant(scene_of(tmp_path, joint, friction, events=events, dt=2e-4))
+        vary(plant, joint, friction)
+        for speed in (0.2, -0.2):
+            # The rotor's equation is carried a = -share T, the load's T = MASS (GRAVITY + a).
+            share = 1.0 + load if speed > 0.0 else 1.0 - back_load
+            a = share * joint.weight / (carried + share * MASS)
+            at_rest = joint.weight / joint.Kg / joint.Ng
+            plant.put("test", {"q": [0.0], "v": [speed], "omega_m": [speed / joint.Ng],
+                               "theta_m": [at_rest]})  # fmt: skip
+            plant.advance(np.array([0.0]), 5000)
+            assert plant.state.omega_m[0] == 0.0
+            way = 0.02 * (plant.state.theta_m[0] - at_rest)
+            # The gear swings at 1 kHz and more, and stops take 5 ms and more.
+            assert way == pytest.approx(np.sign(speed) * speed**2 / (2.0 * abs(a)), rel=0.02)
+
+
 def test_an_exponent_without_a_speed_is_refused(tmp_path: Path) -> None:
     joint, _ = sample_joint(np.random.default_rng(1))
     with pytest.raises(Refusal, match=r"motor\.friction\.exponent must come with a stribeck speed"):
