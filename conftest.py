@@ -20,6 +20,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # So that their bare assertions state what was compared, too.
 pytest.register_assert_rewrite(
+    "devices",
     "doors",
     "faults_at_doors",
     "fuzz",
