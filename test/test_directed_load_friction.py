@@ -38,14 +38,18 @@ EROB80_50 = Bam(
 VISCOUS = 9.709332392870175  # N m s/rad, of eRob80:100
 
 
-def scene_of(folder: Path, joint: Rotor, friction: dict[str, float], **integrator: Any) -> Scene:
-    """Return the machine of the joint."""
+def scene_of(folder: Path, joint: Rotor, friction: dict[str, float], at_rotor: bool = False,
+             **integrator: Any) -> Scene:  # fmt: skip
+    """Return the machine of the joint; `at_rotor`: friction of the link is given for the rotor."""
     motor: dict[str, Any] = {"kind": "torque", "rotor_inertia": joint.Jm}
     gear = {"ratio": joint.Ng}
     if joint.Kg:
         gear |= {"stiffness": joint.Kg, "damping": joint.Dg}
     section: dict[str, Any] = {"motor": motor, "gear": gear}
-    (section if joint.at_link else motor)["friction"] = friction
+    if at_rotor:
+        motor["friction"] = at_motor(joint, friction)
+    else:
+        (section if joint.at_link else motor)["friction"] = friction
     file = write_scene(
         folder, slides_urdf(["joint"]), {"joint": section}, servo_period=PERIOD,
         gravity=[-joint.weight / MASS, 0.0, 0.0], energy_flow=True,
@@ -115,7 +119,7 @@ def sample_case(kind: str, seed: int) -> tuple[Rotor, Array, dict[str, float]]:
     """A joint with its commands, and its section of friction."""
     rng = np.random.default_rng([seed, 91])
     joint, rows = sample_joint(rng, at_link=kind.endswith(("link", "rigid")))
-    if kind.endswith("rigid"):
+    if is_rigid := kind.endswith("rigid"):
         joint = replace(joint, Kg=0.0, Dg=0.0)
     scale, speed = abs(joint.Ng) * joint.weight, 10.0
     if joint.at_link:
@@ -124,15 +128,28 @@ def sample_case(kind: str, seed: int) -> tuple[Rotor, Array, dict[str, float]]:
     law: Law
     if kind.startswith("budget"):
         law = sample_bam(rng, scale, speed)
+        if is_rigid:  # where the motor's torque is the gear's
+            law = replace(law, Ke=law.Ke + law.Km, Kes=law.Kes + law.Kms, Km=0.0, Kms=0.0)
         friction = law.section(viscous)
     else:
         law, friction = (sample_driven if joint.at_link else sample_lossy)(rng, scale)
         friction["viscous"] = viscous
+    if is_rigid:
+        friction = {key: value for key, value in friction.items() if "motor_load" not in key}
     return replace(joint, law=law, viscous=viscous), rows, friction
 
 
+def at_motor(joint: Rotor, friction: dict[str, float]) -> dict[str, float]:
+    """Return a friction of the link as one of the rotor that turns with it."""
+    torque = abs(joint.Ng)
+    by = {"viscous": torque**2, "coulomb": torque, "breakaway": torque, "stribeck": 1.0 / torque,
+          "rest_load_square": 1.0 / torque, "rest_motor_square": 1.0 / torque}  # fmt: skip
+    return {key: value * by.get(key, 1.0) for key, value in friction.items()}
+
+
 KINDS = ("budget of a rotor", "lossy gear of a rotor", "budget of a link", "lossy gear of a link",
-         "budget, rigid", "lossy gear, rigid")  # fmt: skip
+         "budget, rigid", "lossy gear, rigid", "budget of a rotor, rigid",
+         "lossy gear of a rotor, rigid")  # fmt: skip
 SEEDS = {kind: some(range(10), 2) for kind in KINDS}
 
 
@@ -141,6 +158,7 @@ def test_motion_is_that_of_the_published_law_with_order_two(
     tmp_path: Path, kind: str, seed: int
 ) -> None:
     joint, rows, friction = sample_case(kind, seed)
+    at_rotor = kind.endswith("rotor, rigid")
     start = np.zeros(4)
     truth, stops = joint.run(rows, PERIOD, start)
     assert stops, "the joint shall stop on its way"
@@ -148,7 +166,8 @@ def test_motion_is_that_of_the_published_law_with_order_two(
     size = np.abs(truth[:, [0, 2]]).max(axis=0)
     errors = []
     for steps in (40, 80, 160, 320, 640):
-        plant = Plant(scene_of(tmp_path, joint, friction, scheme=scheme, dt=PERIOD / steps))
+        scene = scene_of(tmp_path, joint, friction, at_rotor, scheme=scheme, dt=PERIOD / steps)
+        plant = Plant(scene)
         off = np.abs(states(plant, rows, steps) - truth[:, [0, 2]]) / size
         errors.append(float(off.max()))
     # A constant pull and no spring: the scheme has no error, but that of its event times.
@@ -399,6 +418,29 @@ def test_a_worm_without_power_stops_where_the_closed_form_states(
             way = 0.02 * (plant.state.theta_m[0] - at_rest)
             # The gear swings at 1 kHz and more, and stops take 5 ms and more.
             assert way == pytest.approx(np.sign(speed) * speed**2 / (2.0 * abs(a)), rel=0.02)
+
+
+@pytest.mark.parametrize(("friction", "at_rotor", "line"), [
+    ({"load": 0.1, "motor_load": 0.1}, True,
+     r"motor\.friction\.motor_load must come with an elastic gear .*: load\), got 0\.1"),
+    ({"load": 0.1, "rest_motor_load": 0.0}, True,
+     r"motor\.friction\.rest_motor_load must come with an elastic gear .*: rest_load\), got 0"),
+    ({"load": 1.0}, True, r"motor\.friction\.load must be below 1 behind a rigid gear"),
+    ({"load": 1.5, "back_load": 1.7}, False,
+     r"joint\.friction\.load must be below 1 behind .* efficiency is 1 - load, got 1\.5"),
+])  # fmt: skip
+def test_loads_that_a_rigid_gear_has_not_are_refused(
+    tmp_path: Path, friction: dict[str, float], at_rotor: bool, line: str
+) -> None:
+    joint = replace(sample_joint(np.random.default_rng(2), at_link=True)[0], Kg=0.0, Dg=0.0)
+    with pytest.raises(Refusal, match=line):
+        scene_of(tmp_path, joint, friction, at_rotor)
+
+
+def test_load_friction_of_a_joint_without_a_motor_is_refused(tmp_path: Path) -> None:
+    file = write_scene(tmp_path, slides_urdf(["joint"]), {"joint": {"friction": {"load": 0.1}}})
+    with pytest.raises(Refusal, match=r"friction\.load must belong to a joint with a motor"):
+        load_scene(file)
 
 
 def test_an_exponent_without_a_speed_is_refused(tmp_path: Path) -> None:

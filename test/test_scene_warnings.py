@@ -43,6 +43,18 @@ def test_a_joint_that_sticks_is_warned_of_by_name_unless_located(place: str, law
                 )
 
 
+@pytest.mark.parametrize("place", ["elbow.friction", "shoulder.motor.friction"])
+def test_load_friction_behind_a_rigid_gear_is_warned_of_by_name(place: str) -> None:
+    joint = place.split(".", maxsplit=1)[0]
+    keys: dict[str, Any] = {f"joints.{place}": {"load": 0.2}, "integrator.events": "located"}
+    assert load_scene("three_axis", keys).warnings == []
+    gear = f"joints.{joint}.gear"
+    rigid = {f"{gear}.stiffness": None, f"{gear}.damping": None}
+    assert f"a rigid gear ({joint})" in load_scene("three_axis", keys | rigid).warnings[0]
+    without = keys | rigid | {f"joints.{place}": {"coulomb": 0.2}}
+    assert load_scene("three_axis", without).warnings == []
+
+
 def test_every_law_of_friction_is_tried() -> None:
     keys = {key for kind in (*LINK_FRICTIONS, *ROTOR_FRICTIONS) for key in kind.named_by}
     assert keys <= {key for section, _ in LAWS.values() for key in section}, keys

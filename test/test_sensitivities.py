@@ -109,11 +109,12 @@ def test_derivatives_by_every_number_of_friction_that_knows_the_direction_of_pow
     of_rotor = {**directed, "coulomb": 5e-3, "breakaway": 8e-3, "stribeck": 6.0}
     motor = {"kind": "torque", "rotor_inertia": 1e-4, "torque_limit": 0.3, "bandwidth": 100.0}
     elastic = {"ratio": 0.02, "stiffness": 2e4, "damping": 20.0}
+    rigid = {key: value for key, value in of_rotor.items() if "motor_load" not in key}
     sections = (
         {"motor": {**motor, "friction": of_rotor}, "gear": elastic},
         {"motor": motor, "gear": {**elastic, "ratio": -0.02},
          "friction": {**directed, "coulomb": 0.5, "breakaway": 0.7, "stribeck": 0.2}},
-        {"motor": {**motor, "friction": of_rotor}, "gear": {"ratio": -0.02}},
+        {"motor": {**motor, "friction": rigid}, "gear": {"ratio": -0.02}},
     )  # fmt: skip
     joints = dict(zip(GANTRY, sections, strict=True))
     file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)

@@ -224,6 +224,9 @@ def read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] |
         extra.check_parts(joint.parts, one)
     for stage in joint.gear_stages:
         stage.check_gear(joint.gear, one)
+    for law in (joint.friction, joint.rotor_friction):
+        if law is not None:
+            law.check_gear(joint.gear if driven else None, one)
     if joint.motor is not None:
         for decorator in joint.decorators:
             decorator.check_motor(joint.motor, one)

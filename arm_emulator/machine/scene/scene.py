@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from arm_emulator.base.validation.number import Number, list_numbers, number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.faults.scene_faults import SceneFault
+from arm_emulator.machine.parts.frictions.load_friction import LoadFriction
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.measuring.sensors import SENSOR_PARTS
 from arm_emulator.machine.scene.encoder_zeros import put_zeros
@@ -148,16 +149,28 @@ class Scene(ArrayEquality, SharedObject):
     @property
     def warnings(self) -> list[str]:
         """Warnings about this scene, one line each."""
+        return [*self._warn_of_late_events(), *self._warn_of_loads_of_motors()]
+
+    def _warn_of_late_events(self) -> Iterator[str]:
         now = self.integrator
         sticking = [joint.name for joint in self.joints if any(part.sticks for part in joint.parts)]
-        if not sticking or now.events == "located" or now.scheme not in LOCATING_SCHEMES:
-            return []
-        names = ", ".join(sticking)
-        return [
-            f"{self.where}: integrator.events is step, but joints stick ({names}): "
-            f"when one stops or breaks away is known to one step of {now.dt:g} s, and errors there "
-            "are of first order; located keeps order 2, `arm_emulator advise` compares the two"
-        ]
+        if sticking and now.events != "located" and now.scheme in LOCATING_SCHEMES:
+            yield (
+                f"{self.where}: integrator.events is step, but joints stick "
+                f"({', '.join(sticking)}): when one stops or breaks away is known to one step of "
+                f"{now.dt:g} s, and errors there are of first order; located keeps order 2, "
+                "`arm_emulator advise` compares the two"
+            )
+
+    def _warn_of_loads_of_motors(self) -> Iterator[str]:
+        rigid = [joint for joint in self.joints if joint.gear.stiffness is None]
+        names = [joint.name for joint in rigid if joint.find(LoadFriction) is not None]
+        if names:
+            yield (
+                f"{self.where}: load friction behind a rigid gear ({', '.join(names)}) takes the "
+                "motor's torque for the load: it is 0 without a command, and no gear locks itself; "
+                "behind an elastic gear (gear.stiffness) the load is that of the teeth"
+            )
 
     @property
     def steps_per_period(self) -> int:

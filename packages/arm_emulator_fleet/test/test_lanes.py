@@ -22,8 +22,9 @@ COUNT = 9  # more than a group
 ELASTIC = {"ratio": 0.02, "stiffness": 2e4, "damping": 20.0}
 DRY = {"coulomb": 0.5, "breakaway": 0.7, "viscous": 0.2}
 ROTOR_DRY = {"coulomb": 5e-3, "breakaway": 8e-3, "viscous": 1e-5}
-DIRECTED = {"load": 0.1, "back_load": 0.3, "rest_load": 0.2, "motor_load": 0.1, "stribeck": 3.0,
-            "rest_load_square": 0.5, "rest_motor_square": 0.2, "exponent": 1.6}  # fmt: skip
+RIGID_DIRECTED = {"load": 0.1, "back_load": 0.3, "rest_load": 0.2, "stribeck": 3.0,
+                  "rest_load_square": 0.5, "rest_motor_square": 0.2, "exponent": 1.6}  # fmt: skip
+DIRECTED = {**RIGID_DIRECTED, "motor_load": 0.1}
 WINDING = {"heat_capacity": 0.05, "thermal_resistance": 4.0, "magnet_coefficient": -0.002}
 RIPPLE = {"waves": [[5.0, 0.2, 0.3], [12.0, -0.1, 1.0]]}
 # Joints of two gantries, with every part at least once and gears of either sign; and what each
@@ -49,7 +50,7 @@ JOINTS: dict[str, list[tuple[dict[str, Any], float | None]]] = {
           "gear": {**ELASTIC, "ratio": -0.02},
           "friction": {**DRY, **DIRECTED, "stribeck": 0.1}}, 0.4),
         ({"motor": {"kind": "torque", "rotor_inertia": 1e-4, "torque_limit": 0.3,
-                    "friction": {**ROTOR_DRY, **DIRECTED}}, "gear": {"ratio": -0.02}}, 0.4),
+                    "friction": {**ROTOR_DRY, **RIGID_DIRECTED}}, "gear": {"ratio": -0.02}}, 0.4),
     ],
     "gears that are not linear": [
         ({"motor": {**DC, "current_limit": 4.0, "winding": WINDING, "ripple": RIPPLE},

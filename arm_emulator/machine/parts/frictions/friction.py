@@ -9,6 +9,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -54,6 +55,14 @@ class Friction(Part):
     def check(self, section: Section) -> None:  # noqa: D102
         if self.breakaway > 0.0 and self.coulomb == 0.0:
             raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
+
+    def check_gear(self, gear: Gear | None, joint: Section) -> None:
+        """Refuse a law whose torque depends on a torque that this joint's gear does not have.
+
+        Args:
+            gear: of the joint; None: it has no motor.
+            joint: its section.
+        """
 
 
 @register_part

@@ -11,6 +11,7 @@ from arm_emulator.base.validation.number import Ends
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
 from arm_emulator.machine.parts.frictions.stribeck import compute_stribeck_torque
+from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
@@ -25,6 +26,7 @@ DIRECTED = (
     "rest_motor_square",
     "exponent",
 )  # keys of the law that knows the direction of power
+OF_MOTOR_TORQUE = ("motor_load", "rest_motor_load")  # not distinguished where that is the gear's
 
 # Needs of a record that shows its numbers.
 UNDER_LOAD = "motion under loads of many sizes"
@@ -120,6 +122,21 @@ class LoadFriction(Friction):
         super().check(section)
         if self.exponent is not None and self.stribeck is None:
             raise section.refusal("exponent", "come with a stribeck speed", self.exponent)
+
+    def check_gear(self, gear: Gear | None, joint: Section) -> None:  # noqa: D102
+        if gear is None:
+            rule = "belong to a joint with a motor, whose gear is the load"
+            raise joint.refusal(f"{self.section}.load", rule, self.load)
+        if gear.stiffness is not None:
+            return
+        if self.load >= 1.0:
+            rule = "be below 1 behind a rigid gear, whose efficiency is 1 - load"
+            raise joint.refusal(f"{self.section}.load", rule, self.load)
+        for key in OF_MOTOR_TORQUE if self.shaft == "rotor" else ():
+            if getattr(self, key) is not None:
+                instead = key.replace("motor_", "")
+                rule = f"come with an elastic gear (a rigid one has the motor's torque: {instead})"
+                raise joint.refusal(f"{self.section}.{key}", rule, getattr(self, key))
 
     def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
         dry = super().sliding(motion)
