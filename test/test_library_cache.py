@@ -74,7 +74,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     compiler = fake_compiler(folder, f'{which}\ncp {folder}/$name "$out"')
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CXX", compiler)
-        name = unit._name_library(build_machine_unit(scene), "native")
+        name = unit._name_library(build_machine_unit(scene), "native", unit.HOST)
     return Sound(at, scene, name, (folder / "one_link").read_bytes(), compiler)
 
 

@@ -15,7 +15,7 @@ def find_compiler() -> list[str]:
     Raises:
         Refusal: no compiler was found, or $CXX is no command.
     """
-    named = _read_variable()
+    named = read_command("CXX")
     for words in [named] if named else [["c++"], ["g++"], ["clang++"]]:
         if shutil.which(words[0]):
             return words
@@ -34,7 +34,7 @@ def is_compiler_named() -> bool:
     Raises:
         Refusal: $CXX is no command.
     """
-    return bool(_read_variable())
+    return bool(read_command("CXX"))
 
 
 def identify_compiler(command: list[str]) -> str:
@@ -49,11 +49,16 @@ def identify_compiler(command: list[str]) -> str:
     return shlex.join([file, *command[1:]])
 
 
-def _read_variable() -> list[str]:
-    text = os.environ.get("CXX", "")
+def read_command(variable: str) -> list[str]:
+    """Return the words of a command that an environment variable names; none if it is not set.
+
+    Raises:
+        Refusal: it is no command.
+    """
+    text = os.environ.get(variable, "")
     try:
         return shlex.split(text)
     except ValueError as error:
         raise Refusal(
-            "arm_emulator", "CXX", "be the words of a command", f"{text} ({error})"
+            "arm_emulator", variable, "be the words of a command", f"{text} ({error})"
         ) from None

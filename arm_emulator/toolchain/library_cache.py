@@ -38,7 +38,7 @@ SEAL = b"arm_emulator"
 SEAL_SIZE = len(SEAL) + hashlib.sha256().digest_size
 
 # Only files with such a name are ever removed, so that a cache may share a folder with other files.
-LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.(so|cdef)", re.ASCII)
+LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.(so|cdef|ptx|cubin)", re.ASCII)
 LEFT_OVER = re.compile(r"(?P<library>[\w-]+-[0-9a-f]{20})\.(lock|building-\w+)", re.ASCII)
 
 

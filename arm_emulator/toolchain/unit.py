@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.toolchain import library_cache
@@ -69,6 +70,24 @@ class Unit:
         return (*(name for header in self.headers for name in header.functions), *self.more)
 
 
+@dataclass(frozen=True)
+class UnitCompiler:
+    """A program that makes a file of a unit.
+
+    Attributes:
+        suffix: of the file.
+        find: returns the words of its command, or raises a `Refusal`.
+        is_named: returns whether the user has named it; if so, no cached file of another compiler
+            is taken.
+        build: makes the file of a unit for a target in a folder, and returns its content.
+    """
+
+    suffix: str
+    find: Callable[[], list[str]]
+    is_named: Callable[[], bool]
+    build: Callable[[list[str], Unit, str, Path], bytes]
+
+
 def load_library(unit: Unit) -> Library:
     """Return a unit as a library, compiling it if no cached one fits.
 
@@ -78,17 +97,73 @@ def load_library(unit: Unit) -> Library:
     for folder in library_cache.list_cache_folders():
         for target in ("native", *PORTABLE_TARGETS):
             if target == "native" or _is_supported_here(target):
-                for file in _list_candidates(unit, target, folder):
-                    try:
-                        return _load(file, unit)
-                    except FileNotFoundError:
-                        continue
-                    except library_cache.Damaged as error:
-                        _report_damaged(file, error)
+                library = _load_cached(unit, target, folder, HOST, _load)
+                if library is not None:
+                    return library
+    return _load_compiled(unit, "native", HOST, _load)
+
+
+def load_file(unit: Unit, target: str, compiler: UnitCompiler) -> bytes:
+    """Return the file that a compiler makes of a unit, from the cache if one fits.
+
+    Args:
+        unit: the unit.
+        target: as `compiler` knows it.
+        compiler: for example one for cards.
+
+    Raises:
+        Refusal: there is neither a sound cached file nor a working compiler.
+    """
+    for folder in library_cache.list_cache_folders():
+        content = _load_cached(unit, target, folder, compiler, _read)
+        if content is not None:
+            return content
+    return _load_compiled(unit, target, compiler, _read)
+
+
+def compile_file(unit: Unit, target: str, compiler: UnitCompiler, folder: Path | None) -> Path:
+    """Return where the file that a compiler makes of a unit is, see `load_file`.
+
+    Args:
+        unit: see there.
+        target: see there.
+        compiler: see there.
+        folder: folder for a copy; None: only the cache.
+
+    Raises:
+        Refusal: the compiler is missing or fails, or no folder is writable.
+    """
+    cache = next(library_cache.list_writable_caches())
+    return _compile_ahead(unit, target, cache, folder, compiler)
+
+
+_Loaded = TypeVar("_Loaded", bytes, Library)
+
+
+def _load_cached(
+    unit: Unit,
+    target: str,
+    folder: Path,
+    compiler: UnitCompiler,
+    load: Callable[[Path, Unit], _Loaded],
+) -> _Loaded | None:
+    for file in _list_candidates(unit, target, folder, compiler):
+        try:
+            return load(file, unit)
+        except FileNotFoundError:
+            continue
+        except library_cache.Damaged as error:
+            _report_damaged(file, error)
+    return None
+
+
+def _load_compiled(
+    unit: Unit, target: str, compiler: UnitCompiler, load: Callable[[Path, Unit], _Loaded]
+) -> _Loaded:
     for folder in library_cache.list_writable_caches():
-        with _ensure_compiled(unit, "native", folder) as file:
+        with _ensure_compiled(unit, target, folder, compiler) as file:
             try:
-                return _load(file, unit)
+                return load(file, unit)
             except (library_cache.Damaged, FileNotFoundError) as error:
                 _report_damaged(file, error)
     raise AssertionError("list_writable_caches ends with a refusal")
@@ -102,6 +177,10 @@ def compile_once(unit: Callable[[], Unit]) -> Callable[[], Library]:
         unit: makes the unit, at the first call.
     """
     return cache(lambda: load_library(unit()))
+
+
+def _read(file: Path, _: Unit) -> bytes:
+    return library_cache.read_library(file)
 
 
 def _load(file: Path, unit: Unit) -> Library:
@@ -130,7 +209,7 @@ def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> li
     if target not in targets:
         raise Refusal("compile", "target", "be known", target, ", ".join(targets))
     cache = next(library_cache.list_writable_caches())
-    return [_compile_ahead(unit, target, cache, folder) for unit in units]
+    return [_compile_ahead(unit, target, cache, folder, HOST) for unit in units]
 
 
 def compile_bytes(unit: Unit, target: str) -> bytes:
@@ -166,8 +245,10 @@ def compute_sources_digest(unit: Unit) -> str:
     return digest.hexdigest()[:12]
 
 
-def _compile_ahead(unit: Unit, target: str, cache: Path, folder: Path | None) -> Path:
-    with _ensure_compiled(unit, target, cache) as library:
+def _compile_ahead(
+    unit: Unit, target: str, cache: Path, folder: Path | None, compiler: UnitCompiler
+) -> Path:
+    with _ensure_compiled(unit, target, cache, compiler) as library:
         if folder is None:
             return library
         try:
@@ -188,8 +269,10 @@ def _compile_ahead(unit: Unit, target: str, cache: Path, folder: Path | None) ->
 
 
 @contextlib.contextmanager
-def _ensure_compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
-    """Yield the path of a unit's library in a folder of ours, compiled if missing.
+def _ensure_compiled(
+    unit: Unit, target: str, folder: Path, compiler: UnitCompiler
+) -> Iterator[Path]:
+    """Yield the path of a unit's library or file in a folder of ours, compiled if missing.
 
     Several processes may do this at once: one compiles, the others wait for it. While the lock is
     held, the library is not removed.
@@ -197,28 +280,25 @@ def _ensure_compiled(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
     Raises:
         Refusal: the compiler is missing or fails, or the folder cannot store its output.
     """
-    library = folder / _name_library(unit, target)
+    library = folder / _name_library(unit, target, compiler)
     with contextlib.ExitStack() as held:
         try:
             held.enter_context(library_cache.lock_library(library))
             try:
                 library_cache.read_library(library)
             except (library_cache.Damaged, FileNotFoundError):
-                _compile(unit, target, library)
+                _compile(unit, target, library, compiler)
         except OSError as error:
             raise Refusal(unit.where, f"cache folder {folder}", "take the compiled library",
                           f"{error.strerror} ({error.filename})") from None  # fmt: skip
         yield library
 
 
-def _compile(unit: Unit, target: str, library: Path) -> None:
-    # Most processes find their library compiled, and need no module that starts processes.
-    from arm_emulator.toolchain.cxx import run_compiler
-
-    compiler = find_compiler()
+def _compile(unit: Unit, target: str, library: Path, compiler: UnitCompiler) -> None:
+    command = compiler.find()
     largest = library_cache.read_largest_size()
     print(
-        f"compiling {unit.about} with {identify_compiler(compiler)} ... ",
+        f"compiling {unit.about} with {identify_compiler(command)} ... ",
         end="",
         file=sys.stderr,
         flush=True,
@@ -227,21 +307,36 @@ def _compile(unit: Unit, target: str, library: Path) -> None:
     end = "failed"
     try:
         with library_cache.make_scratch(library) as scratch:
-            source, built = scratch / "unit.cpp", scratch / "unit.so"
-            source.write_text(unit.source, encoding="utf-8")
-            command = [*compiler, *unit.flags, f"-march={target}"]
-            command += [f"-I{folder}" for folder in unit.folders]
-            command.append(f"-DARM_FINGERPRINT={compute_fingerprint(unit)}")
-            if unit.beside:
-                beside = scratch / "beside.cpp"
-                beside.write_text(unit.beside, encoding="utf-8")
-                command.append(str(beside))
-            run_compiler([*command, str(source), "-o", str(built)], scratch, unit.where, unit.part)
-            library_cache.store_file(library, _read_built(built, compiler[0], unit), scratch)
+            content = compiler.build(command, unit, target, scratch)
+            library_cache.store_file(library, content, scratch)
             library_cache.make_room(library, largest)
         end = f"{time.perf_counter() - started:.1f} s"
     finally:
         print(end, file=sys.stderr)
+
+
+def _build_library(command: list[str], unit: Unit, target: str, scratch: Path) -> bytes:
+    # Most processes find their library compiled, and need no module that starts processes.
+    from arm_emulator.toolchain.cxx import run_compiler
+
+    source, built = scratch / "unit.cpp", scratch / "unit.so"
+    source.write_text(unit.source, encoding="utf-8")
+    words = [*command, *unit.flags, f"-march={target}", *list_definitions(unit)]
+    if unit.beside:
+        beside = scratch / "beside.cpp"
+        beside.write_text(unit.beside, encoding="utf-8")
+        words.append(str(beside))
+    run_compiler([*words, str(source), "-o", str(built)], scratch, unit.where, unit.part)
+    return _read_built(built, command[0], unit)
+
+
+HOST = UnitCompiler("so", find_compiler, is_compiler_named, _build_library)
+
+
+def list_definitions(unit: Unit) -> list[str]:
+    """Return the words of a command that name a unit's folders, and define its fingerprint."""
+    folders = [f"-I{folder}" for folder in unit.folders]
+    return [*folders, f"-DARM_FINGERPRINT={compute_fingerprint(unit)}"]
 
 
 def _read_built(file: Path, compiler: str, unit: Unit) -> bytes:
@@ -261,19 +356,22 @@ def _read_built(file: Path, compiler: str, unit: Unit) -> bytes:
     return body
 
 
-def _list_candidates(unit: Unit, target: str, folder: Path) -> Iterator[Path]:
+def _list_candidates(
+    unit: Unit, target: str, folder: Path, compiler: UnitCompiler
+) -> Iterator[Path]:
     """Yield possible paths of a unit's library in a folder, the preferred one first.
 
-    First that of the compiler in use; then, unless $CXX names it, those of other compilers, made
-    here or elsewhere.
+    First that of the compiler in use; then, unless the user has named it, those of other compilers,
+    made here or elsewhere.
     """
     own = None
     with contextlib.suppress(Refusal):  # no compiler, or no command in $CXX
-        own = folder / _name_library(unit, target)
+        own = folder / _name_library(unit, target, compiler)
         yield own
-        if is_compiler_named():
+        if compiler.is_named():
             return
-    others = sorted(folder.glob(f"{_name_stem(unit, target)}{'[0-9a-f]' * OF_COMPILER}.so"))
+    any_compiler = "[0-9a-f]" * OF_COMPILER
+    others = sorted(folder.glob(f"{_name_stem(unit, target)}{any_compiler}.{compiler.suffix}"))
     yield from (file for file in others if file != own)
 
 
@@ -281,9 +379,9 @@ def _report_damaged(file: Path, error: Exception) -> None:
     library_cache.report_once(f"arm_emulator: cached library {file} is not used: {error}")
 
 
-def _name_library(unit: Unit, target: str) -> str:
-    compiler = hashlib.sha256(identify_compiler(find_compiler()).encode()).hexdigest()
-    return f"{_name_stem(unit, target)}{compiler[:OF_COMPILER]}.so"
+def _name_library(unit: Unit, target: str, compiler: UnitCompiler) -> str:
+    digest = hashlib.sha256(identify_compiler(compiler.find()).encode()).hexdigest()
+    return f"{_name_stem(unit, target)}{digest[:OF_COMPILER]}.{compiler.suffix}"
 
 
 def name_stem(name: str) -> str:
