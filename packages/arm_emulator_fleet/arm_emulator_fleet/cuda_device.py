@@ -293,7 +293,12 @@ class CudaModule(Module):
         return Memory(self.device, int(pointer), int(size[0]), self)
 
     def _look_up(self, kernel: str) -> Any:
-        return self._get("cuModuleGetFunction", "CUfunction *", self._module, kernel.encode())
+        function = self._get("cuModuleGetFunction", "CUfunction *", self._module, kernel.encode())
+        if function is None:
+            return None
+        with self._card.current():
+            most = self._attribute(function, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
+        return function, most
 
     def _get(self, function: str, kind: str, *arguments: Any) -> Any:
         """Return what the module has of a name, or None."""
@@ -305,37 +310,40 @@ class CudaModule(Module):
                     raise
                 return None
 
-    def _describe(self, found: CData) -> dict[str, int]:
+    def _describe(self, found: tuple[CData, int]) -> dict[str, int]:
+        function, most = found
         with self._card.current():
             return {
-                "registers": self._attribute(found, "CU_FUNC_ATTRIBUTE_NUM_REGS"),
-                "stack": self._attribute(found, "CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES"),
-                "shared": self._attribute(found, "CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES"),
-                "block": self._attribute(found, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK"),
+                "registers": self._attribute(function, "CU_FUNC_ATTRIBUTE_NUM_REGS"),
+                "stack": self._attribute(function, "CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES"),
+                "shared": self._attribute(function, "CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES"),
+                "block": most,
             }
 
-    def _attribute(self, found: CData, name: str) -> int:
-        return int(self._driver.get("cuFuncGetAttribute", "int *", DRIVER.constant(name), found))
+    def _attribute(self, function: CData, name: str) -> int:
+        return int(self._driver.get("cuFuncGetAttribute", "int *", DRIVER.constant(name), function))
 
     def _launch(
-        self, found: CData, threads: int, packed: ctypes.Array[Any], block: int, shared: int
+        self,
+        found: tuple[CData, int],
+        threads: int,
+        packed: ctypes.Array[Any],
+        block: int,
+        shared: int,
     ) -> None:
-        ffi = DRIVER.ffi
+        function, most = found
+        if block > most:
+            rule = f"be at most {most} threads, by the registers that the kernel uses"
+            raise Refusal("Module.launch", "block", rule, block)
         count = ctypes.c_int64(threads)
         pointers = (ctypes.c_void_p * (1 + len(packed)))(ctypes.addressof(count), *packed)
-        parameters = ffi.cast("void **", ctypes.addressof(pointers))
-        grid = -(-threads // block), 1, 1
+        parameters = DRIVER.ffi.cast("void **", ctypes.addressof(pointers))
+        grid = -(-threads // block), 1, 1, block, 1, 1
         with self._card.current():
-            most = self._attribute(found, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
-            if block > most:
-                rule = f"be at most {most} threads, by the registers that the kernel uses"
-                raise Refusal("Module.launch", "block", rule, block)
             if shared > FEW:
                 name = "CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES"
-                self._driver.call("cuFuncSetAttribute", found, DRIVER.constant(name), shared)
-            self._driver.call(
-                "cuLaunchKernel", found, *grid, block, 1, 1, shared, C_NULL, parameters, C_NULL
-            )
+                self._driver.call("cuFuncSetAttribute", function, DRIVER.constant(name), shared)
+            self._driver.call("cuLaunchKernel", function, *grid, shared, C_NULL, parameters, C_NULL)
 
 
 def _host_pointer(address: int) -> CData:

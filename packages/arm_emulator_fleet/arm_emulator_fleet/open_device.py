@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 
 from arm_emulator.extension.base import Refusal
 from arm_emulator_fleet.device import Device
 from arm_emulator_fleet.processor_device import ProcessorDevice
 
+PROCESSOR = cache(ProcessorDevice)
+
 GPU = re.compile(r"gpu(?::(\d{1,4}))?", re.ASCII)
 
 
 def open_device(where: str, name: str) -> Device:
-    """Return a device.
+    """Return a device; the same object for the same name.
 
     Args:
         where: name in refusals.
@@ -22,7 +25,7 @@ def open_device(where: str, name: str) -> Device:
         Refusal: no such name, no driver of NVIDIA, or no such card.
     """
     if name == "processor":
-        return ProcessorDevice()
+        return PROCESSOR()
     found = GPU.fullmatch(name) if isinstance(name, str) else None
     if found is None:
         raise Refusal(where, "device", "be known", name, '"processor", "gpu", "gpu:1"')

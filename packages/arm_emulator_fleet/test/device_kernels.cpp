@@ -13,9 +13,10 @@ typedef long long int64;
 #else
 #include <cstdint>
 using int64 = std::int64_t;
+#define EXPORTED extern "C" __attribute__((visibility("default")))
 #define KERNEL(name, Given)                                                  \
   static void name##_thread(int64 thread, const Given& given);               \
-  extern "C" void name(int64 first, int64 threads, void** arguments) {       \
+  EXPORTED void name(int64 first, int64 threads, void** arguments) {         \
     const Given& given = *static_cast<const Given*>(arguments[0]);           \
     for (int64 k = first; k < first + threads; ++k) name##_thread(k, given); \
   }                                                                          \
@@ -43,7 +44,7 @@ KERNEL(scale, Scaled) {
 
 #ifndef __CUDA__
 // Adds the arguments that a launch hands over.
-extern "C" void take(int64 first, int64 threads, void** arguments) {
+EXPORTED void take(int64 first, int64 threads, void** arguments) {
   double* result = *static_cast<double**>(arguments[0]);
   const float single = *static_cast<float*>(arguments[3]);
   for (int64 k = first; k < first + threads; ++k)

@@ -424,6 +424,11 @@ def test_a_card_is_opened_once(cards: SimpleNamespace) -> None:
     assert len(retained) == 2
 
 
+def test_the_processor_is_one_device() -> None:
+    """So that arrays of several fleets are shared among them."""
+    assert open_device("Fleet", "processor") is open_device("Fleet", "processor")
+
+
 def test_no_such_card(cards: SimpleNamespace) -> None:
     with pytest.raises(Refusal) as refused:
         open_device("Fleet", "gpu:2")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 import shutil
+import struct
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from draws import some
 from fake_compiler import fake_compiler
@@ -16,6 +19,7 @@ from arm_emulator.extension.compiler import ARITHMETIC, SHARED_FLAGS, Unit, comp
 from arm_emulator.toolchain.flags import CPP_FLAGS
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, LIBRARY, SEAL_SIZE
 from arm_emulator_fleet import gpu_compiler
+from arm_emulator_fleet.device_array import as_device_array
 from arm_emulator_fleet.gpu_compiler import (
     ARCHITECTURES,
     NAMES,
@@ -24,6 +28,10 @@ from arm_emulator_fleet.gpu_compiler import (
     load_cubin,
     load_ptx,
 )
+from arm_emulator_fleet.load_kernels import load_kernels
+from arm_emulator_fleet.processor_device import ProcessorDevice
+
+pytest_plugins = ["devices"]
 
 KERNELS = Path(__file__).with_name("device_kernels.cpp")
 HAS_CLANG = any(map(shutil.which, NAMES))
@@ -124,7 +132,8 @@ def test_kernels_restore_what_the_processor_has_saved() -> None:
     unit = make_unit('\nextern "C" { unsigned long long mark = ARM_FINGERPRINT; }\n')
     source = unit.source.replace("unsigned", "__attribute__((device)) unsigned")
     text = load_ptx(replace(unit, source=source, saves_as=unit), "sm_90").decode()
-    assert f"mark = {int(compute_fingerprint(unit).rstrip('u'), 16)}" in text
+    mark = re.search(r" mark = (-?\d+);", text)
+    assert mark and int(mark[1]) % 2**64 == int(compute_fingerprint(unit).rstrip("u"), 16)
 
 
 def test_the_flags_are_those_of_the_processor_but_for_libraries() -> None:
@@ -225,3 +234,29 @@ def test_ptxas_gets_the_ptx_of_the_kernels(monkeypatch: pytest.MonkeyPatch, tmp_
     assert made.startswith(b"\x7fELF--fmad=false -arch=sm_120 ") and b".version 7.8\n" in made
     kinds = [file.suffix for file in compile_for_card(make_unit(), "sm_120")]
     assert kinds == [".ptx", ".cubin"]
+
+
+@needs_clang
+def test_one_source_is_loaded_by_either_device(
+    cards: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unit = replace(make_unit(), more=("scale", "take"))
+    module = load_kernels(ProcessorDevice(1), unit)
+    array = as_device_array(module.device, np.ones(3))
+    module.launch("scale", 3, struct.pack("Qdq", array.pointer, 2.0, 1))
+    assert array.numpy().tolist() == [3.5, 3.25, 3.125]
+    monkeypatch.setattr(gpu_compiler, "PTXAS", replace(gpu_compiler.PTXAS, find=find_nothing))
+    loaded: list[bytes] = []
+    card = cards.open()
+    monkeypatch.setattr(card, "load", loaded.append)
+    load_kernels(card, unit)
+    assert loaded == [load_ptx(unit, "sm_90")], "the driver compiles it where there is no ptxas"
+    monkeypatch.setattr(
+        gpu_compiler, "load_cubin", lambda *given: b"cubin for " + given[1].encode()
+    )
+    load_kernels(card, unit)
+    assert loaded[1:] == [b"cubin for sm_90"]
+
+
+def find_nothing() -> list[str]:
+    raise Refusal("test", "ptxas", "be installed", "none")
