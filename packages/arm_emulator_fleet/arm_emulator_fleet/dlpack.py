@@ -5,6 +5,7 @@ Source of the layouts: dlpack.h of DLPack 1.0, and the protocol of the Python ar
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -166,7 +167,8 @@ def read_capsule(capsule: object) -> Handed | None:
             stride *= shape[axis]
     dtype = None
     if tensor.kind in LETTERS and tensor.lanes == 1:
-        dtype = np.dtype(f"{LETTERS[tensor.kind]}{tensor.bits // 8}")
+        with contextlib.suppress(TypeError):  # for example integers of 4 bits
+            dtype = np.dtype(f"{LETTERS[tensor.kind]}{tensor.bits / 8:g}")
     pointer = (tensor.data or 0) + tensor.byte_offset
     device = tensor.device_kind, tensor.device_index
     return Handed(pointer, dtype, shape, device, in_order, bool(managed.flags & READ_ONLY))

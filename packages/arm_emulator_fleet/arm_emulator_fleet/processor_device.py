@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import ctypes
 import os
+import tempfile
+import weakref
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from arm_emulator.extension.base import Refusal, check_count
+from arm_emulator.extension.compiler import CData, Header, Library, c_text
 from arm_emulator_fleet.device import LARGEST_MEMORY, Device, Memory, Module
 from arm_emulator_fleet.work_threads import WorkThreads
 
 ALIGNMENT = 256  # bytes, as a card aligns memory
 PROCESSOR = 1, 0  # kDLCPU
 MOST_COUNTS = 8  # numbers of threads whose shares are remembered
-SYMBOL_ENTRY = 1  # RTLD_DL_SYMENT of <dlfcn.h>
+KERNEL = "void (*)(int64_t, int64_t, void **)"
 
 
 class ProcessorDevice(Device):
@@ -85,7 +89,9 @@ class ProcessorDevice(Device):
 
 
 class ProcessorModule(Module):
-    """A shared library of kernels. It stays loaded.
+    """A shared library of kernels, unloaded when nothing refers to them any more.
+
+    Each module has variables of its own, as on a card, even if another is of the same file.
 
     Args:
         device: the processor.
@@ -98,59 +104,70 @@ class ProcessorModule(Module):
     def __init__(self, device: ProcessorDevice, image: bytes | Path) -> None:
         super().__init__(device)
         self._processor = device
-        if isinstance(image, bytes):
-            # It stays open: libraries are known by their path, which holds its number.
-            opened = os.memfd_create("kernels")
-            with open(opened, "wb", closefd=False) as file:
-                file.write(image)
-            image = Path(f"/proc/self/fd/{opened}")
         try:
-            self._library = ctypes.CDLL(str(image))
+            content = image if isinstance(image, bytes) else image.read_bytes()
+            self._library = _load_copy(content)
         except OSError as error:
             rule = "be a shared library of kernels"
             raise Refusal("Device.load", "image", rule, error) from None
+        weakref.finalize(self, _load_loader().dlclose, self._library).atexit = False
 
     def global_memory(self, name: str) -> Memory:  # noqa: D102
-        try:
-            found = ctypes.addressof(ctypes.c_char.in_dll(self._library, name))
-        except ValueError:
-            raise Refusal("Module.global_memory", "name", "be in the module", name) from None
-        return Memory(self.device, found, _measure_symbol(found), self)
+        address = _load_loader().dlsym(self._library, name.encode())
+        if not address:
+            raise Refusal("Module.global_memory", "name", "be in the module", name)
+        place = int(_LOADER.ffi.cast("uintptr_t", address))
+        return Memory(self.device, place, _measure_symbol(address), self)
 
     def _look_up(self, kernel: str) -> Any:
-        try:
-            found = self._library[kernel]
-        except AttributeError:
-            return None
-        found.restype = None
-        found.argtypes = ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p
-        return found
+        address = _load_loader().dlsym(self._library, kernel.encode())
+        return _LOADER.ffi.cast(KERNEL, address) if address else None
 
     def _launch(
-        self, found: Any, threads: int, packed: ctypes.Array[Any], block: int, shared: int
+        self, found: CData, threads: int, packed: ctypes.Array[Any], block: int, shared: int
     ) -> None:
-        self._processor.share(threads).do(
-            threads, lambda first, count: found(first, count, ctypes.addressof(packed))
-        )
+        arguments = _LOADER.ffi.cast("void **", ctypes.addressof(packed))
+        work = self._processor.share(threads)
+        work.do(threads, lambda first, count: found(first, count, arguments))
 
 
-class _Symbol(ctypes.Structure):
-    """Elf64_Sym of <elf.h>."""
-
-    _fields_ = (
-        ("name", ctypes.c_uint32),
-        ("info", ctypes.c_uint8),
-        ("other", ctypes.c_uint8),
-        ("section", ctypes.c_uint16),
-        ("value", ctypes.c_uint64),
-        ("size", ctypes.c_uint64),
-    )
+_LOADER = Header(Path(__file__).with_name("dynamic_loader.h"))
 
 
-def _measure_symbol(address: int) -> int:
+@cache
+def _load_loader() -> Library:
+    return Library("libc.so.6", [_LOADER])
+
+
+def _load_copy(content: bytes) -> CData:
+    """Return a library that shares nothing with others of the same content.
+
+    The loader knows libraries by path and by inode, so both are new. The copy is in memory, since
+    temporary folders may forbid to run what is in them.
+
+    Raises:
+        OSError: it is no library.
+    """
+    loader = _load_loader()
+    copy = os.memfd_create("kernels")
+    try:
+        with open(copy, "wb", closefd=False) as file:
+            file.write(content)
+        with tempfile.TemporaryDirectory() as folder:
+            link = Path(folder, "kernels.so")
+            link.symlink_to(f"/proc/self/fd/{copy}")
+            library = loader.dlopen(bytes(link), _LOADER.constant("RTLD_NOW"))
+            if not library:
+                raise OSError(c_text(loader.dlerror()))
+            return library
+    finally:
+        os.close(copy)
+
+
+def _measure_symbol(address: CData) -> int:
     """Return the size of a variable of a loaded library [bytes]."""
-    symbol = ctypes.POINTER(_Symbol)()
-    about = (ctypes.c_void_p * 4)()  # Dl_info
-    find = ctypes.CDLL(None).dladdr1
-    found = find(ctypes.c_void_p(address), about, ctypes.byref(symbol), SYMBOL_ENTRY)
-    return symbol.contents.size if found and symbol else 0
+    about, entry = _LOADER.ffi.new("Dl_info *"), _LOADER.ffi.new("void **")
+    loader, kind = _load_loader(), _LOADER.constant("RTLD_DL_SYMENT")
+    if not loader.dladdr1(address, about, entry, kind) or not entry[0]:
+        return 0
+    return int(_LOADER.ffi.cast("Elf64_Sym *", entry[0]).st_size)

@@ -287,9 +287,36 @@ def test_a_variable_of_the_source_is_read_and_written(device: Device, kernels: P
     array[:] = np.zeros(7)
     module.launch("scale", 7, scaled(array, 1.0, 0))
     np.testing.assert_array_equal(array.numpy(), 8.0 + OFFSETS[np.arange(7) % 3])
-    device.write(offsets, OFFSETS)  # modules of one file may share it
     with pytest.raises(Refusal, match="name must be in the module, got nothing"):
         module.global_memory("nothing")
+
+
+def test_modules_of_one_file_have_variables_of_their_own(device: Device, kernels: Path) -> None:
+    for image in (kernels, kernels.read_bytes()):
+        modules = [device.load(image) for _ in range(3)]
+        places = [module.global_memory("offsets") for module in modules]
+        for k, place in enumerate(places):
+            device.write(place, np.full(3, float(k)))
+        for k, (module, place) in enumerate(zip(modules, places, strict=True)):
+            array = DeviceArray(3, "f8", device)
+            array[:] = np.zeros(3)
+            module.launch("scale", 3, scaled(array, 1.0, 0))
+            assert array.numpy().tolist() == device.read(place, "f8", (3,)).tolist() == 3 * [k]
+
+
+def test_a_library_of_the_processor_is_unloaded(kernels: Path) -> None:
+    def count() -> int:
+        return Path("/proc/self/maps").read_text().count("memfd:kernels")
+
+    before, files = count(), len(os.listdir("/proc/self/fd"))
+    device = ProcessorDevice(1)
+    for _ in range(50):
+        module = device.load(kernels)
+        offsets = module.global_memory("offsets")
+        del module
+        np.testing.assert_array_equal(device.read(offsets, "f8", (3,)), OFFSETS)
+    del offsets
+    assert count() == before and len(os.listdir("/proc/self/fd")) == files
 
 
 def test_a_module_lives_as_long_as_its_memory(cards: SimpleNamespace, kernels: Path) -> None:

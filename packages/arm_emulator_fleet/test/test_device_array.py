@@ -488,6 +488,16 @@ def test_cuda_arrays_are_on_cards_alone(cards: SimpleNamespace) -> None:
     assert not hasattr(place(ProcessorDevice(1), np.zeros(3)), "__cuda_array_interface__")
 
 
+def test_numbers_that_numpy_has_not_are_no_array() -> None:
+    """bfloat16, integers of 4 and 128 bits, vectors of 4 numbers."""
+    for kind, bits, lanes in ((4, 16, 1), (0, 4, 1), (0, 128, 1), (2, 8, 1), (2, 32, 4), (7, 8, 1)):
+        capsule = np.zeros(3).__dlpack__()
+        tensor = dlpack._find_managed(capsule).tensor
+        tensor.kind, tensor.bits, tensor.lanes = kind, bits, lanes
+        handed = dlpack.read_capsule(capsule)
+        assert handed is not None and handed.dtype is None and handed.shape == (3,)
+
+
 def test_a_capsule_of_something_else_is_no_array() -> None:
     assert dlpack.read_capsule(np.zeros(3).__array_struct__) is None
     used = copy.copy(np.zeros(3)).__dlpack__()
