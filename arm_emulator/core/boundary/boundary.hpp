@@ -7,73 +7,6 @@
 
 #pragma GCC visibility push(default)
 
-// Periods of the scene. No code depends on them, and scenes that differ in them alone share a
-// library: the numbers are written into a copy for use outside of the cache (compiler.py).
-extern "C" {
-struct arm_periods {
-  double servo_period, step;
-  std::int64_t steps_per_period;
-};
-__attribute__((visibility("protected"))) volatile arm_periods arm_scene_periods = {
-    -1.0, -1.0, -1};  // in the file, as no zeros would be
-}
-
-int arm_describe(arm_description* out) {
-  if (!out || out->size < offsetof(arm_description, imus)) return ARM_REFUSED;
-  arm_description all = {};
-  all.size = out->size;
-  all.version = ARM_VERSION;
-  all.joints = arm_machine::N;
-  all.parameters = Scene::parameters;
-  all.fingerprint = ARM_FINGERPRINT;
-  all.supply_voltage = Scene::supply_voltage;
-  all.imus = arm_machine::Sensors::M;
-  all.readings = Scene::readings;
-  all.inputs = Scene::inputs;
-  all.arithmetic = ARM_ARITHMETIC;
-  if (arm_scene_periods.steps_per_period > 0) {
-    all.servo_period = arm_scene_periods.servo_period;
-    all.step = arm_scene_periods.step;
-    all.steps_per_period = arm_scene_periods.steps_per_period;
-  }
-  return fill(out, all);
-}
-
-int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
-  if (!out || out->size < offsetof(arm_joint_description, encoder_wrap) || joint < 0 ||
-      joint >= arm_machine::N)
-    return ARM_REFUSED;
-  arm_joint_description all = {};
-  all.size = out->size;
-  all.name = Scene::device[joint].name;
-  all.kind = arm::kind_of<Scene>(joint) == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
-  all.counts_per_rad = Scene::device[joint].counts_per_rad;
-  arm::for_each_drive<Scene>([&](const auto& drive, int j) {
-    if (j != joint) return;
-    all.modes = drive.driven ? arm::kModes.at[j] : 0;
-    all.gear_ratio = drive.gear.Ng;
-    all.current_limit = drive.motor.largest_current();
-  });
-  arm_machine::describe<arm_machine::Sensors>(joint, all);
-  return fill(out, all);
-}
-
-int arm_describe_reading(std::int32_t reading, std::int32_t joint, arm_reading* out) {
-  if (!out || out->size < sizeof *out || reading < 0 || reading >= Scene::readings || joint < 0 ||
-      joint >= arm_machine::N)
-    return ARM_REFUSED;
-  return arm::describe_reading<Scene>(reading, joint, out);
-}
-
-int arm_describe_input(std::int32_t input, std::int32_t joint, arm_reading* out) {
-  if (!out || out->size < sizeof *out || input < 0 || input >= Scene::inputs || joint < 0 ||
-      joint >= arm_machine::N)
-    return ARM_REFUSED;
-  const arm::FurtherInput<arm_machine::N>& row = Scene::input[input];
-  *out = {out->size, row.of[joint] >= 0, row.name, row.unit[joint]};
-  return ARM_OK;
-}
-
 namespace {
 
 bool within_bounds(int k, double value) {
@@ -172,14 +105,6 @@ int place_of(const char* name) {
 }
 
 }  // namespace
-
-int arm_describe_parameter(std::int32_t index, arm_parameter* out) {
-  if (!out || out->size < sizeof *out || index < 0 || index >= Scene::parameters)
-    return ARM_REFUSED;
-  const arm::Parameter& one = Scene::parameter[index];
-  *out = {out->size, 0, one.name, one.least, one.most};
-  return ARM_OK;
-}
 
 int arm_get_parameter(const arm_machine* machine, const char* name, double* value) {
   if (!machine || machine->check_there(value, "value")) return ARM_REFUSED;
@@ -290,7 +215,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   double* const to[] = {current, angle, speed, x.q, x.v};
   const double* const from[] = {truth->current, truth->motor_angle, truth->motor_speed, truth->q,
                                 truth->v};
-  const char* const names[] = {"current", "motor angle", "motor speed", "q", "v"};
+  static constexpr char names[][12] = {"current", "motor angle", "motor speed", "q", "v"};
   for (int row = 0; row < 5; ++row) {
     if (!from[row]) continue;
     if (machine->check_finite(from[row], names[row])) return ARM_REFUSED;
@@ -342,5 +267,8 @@ int arm_run(arm_machine* machine, const double* command, std::int64_t rows, std:
 
 #pragma GCC visibility pop
 
+#ifndef __CUDA__  // cards compute; processors describe and meter
+#include "boundary/description.hpp"
 #include "boundary/metered_machine.hpp"
+#endif
 #include "boundary/saved_machine.hpp"

@@ -38,23 +38,17 @@ struct Words {
 
 }  // namespace
 
-ARM_ONCE std::int64_t arm_saved_size(void) {
-  static const std::int64_t size = [] {
-    const arm::SomeValues<Scene> some;
-    arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
-    arm_machine::Machine::FullState full_state = {};
-    arm_machine::Values values = {};
-    std::int64_t words = 2;  // the fingerprint, the sum
-    arm_machine::for_each_saved_number(none, full_state, values, [&](const auto&) { ++words; });
-    return words * kWord;
-  }();
-  return size;
+namespace {
+
+std::int64_t saved_size_of(arm_machine& machine) {
+  arm_machine::Machine::FullState full_state = {};
+  arm_machine::Values values = {};
+  std::int64_t words = 2;  // the fingerprint, the sum
+  arm_machine::for_each_saved_number(machine, full_state, values, [&](const auto&) { ++words; });
+  return words * kWord;
 }
 
-ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
-  if (!machine || machine->check_there(out, "out")) return ARM_REFUSED;
-  if (size != arm_saved_size())
-    return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
+void write_saved(const arm_machine* machine, void* out) {
   Words words = {static_cast<unsigned char*>(out)};
   words.write(std::uint64_t{ARM_FINGERPRINT});
   auto full_state = machine->machine.full_state();
@@ -63,13 +57,10 @@ ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) 
   arm_machine::for_each_saved_number(const_cast<arm_machine&>(*machine), full_state, values,
                                      [&](const auto& number) { words.write(number); });
   words.write(std::uint64_t{words.sum});
-  return ARM_OK;
 }
 
-namespace {
-
 // ARM_OK if a machine can go on from saved bytes.
-int check_saved(const arm_machine* machine, const void* saved) {
+int check_saved(const arm_machine* machine, const void* saved, std::int64_t size) {
   const auto* begin = static_cast<const unsigned char*>(saved);
   Words words = {const_cast<unsigned char*>(begin)};
   std::uint64_t fingerprint = 0, sum = 0;
@@ -85,7 +76,7 @@ int check_saved(const arm_machine* machine, const void* saved) {
   if (steps_per_period != machine->steps_per_period)
     return machine->refuse(-1, "saved machine", "have as many steps per period",
                            static_cast<double>(steps_per_period));
-  while (words.at != begin + arm_saved_size() - kWord) words.pass();
+  while (words.at != begin + size - kWord) words.pass();
   const std::uint64_t expected = words.sum;
   words.read(sum);
   return sum == expected ? ARM_OK : machine->refuse(-1, "saved machine", "be as it was saved", 0.0);
@@ -106,13 +97,32 @@ void take_saved(arm_machine* machine, const void* saved) {
 
 }  // namespace
 
+#ifndef __CUDA__  // functions of a card have no static variables
+ARM_ONCE std::int64_t arm_saved_size(void) {
+  static const std::int64_t size = [] {
+    const arm::SomeValues<Scene> some;
+    arm_machine none({sizeof(arm_options), -1, 1.0, 1, some.p});
+    return saved_size_of(none);
+  }();
+  return size;
+}
+
+ARM_ONCE int arm_save(const arm_machine* machine, void* out, std::int64_t size) {
+  if (!machine || machine->check_there(out, "out")) return ARM_REFUSED;
+  if (size != arm_saved_size())
+    return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
+  write_saved(machine, out);
+  return ARM_OK;
+}
+
 ARM_ONCE int arm_restore(arm_machine* machine, const void* saved, std::int64_t size) {
   if (!machine || machine->check_there(saved, "saved machine")) return ARM_REFUSED;
   if (size != arm_saved_size())
     return machine->refuse(-1, "size", "be arm_saved_size()", static_cast<double>(size));
-  if (check_saved(machine, saved)) return ARM_REFUSED;
+  if (check_saved(machine, saved, size)) return ARM_REFUSED;
   take_saved(machine, saved);
   return ARM_OK;
 }
+#endif
 
 #pragma GCC visibility pop

@@ -84,7 +84,8 @@ struct Drive {
   constexpr Linear linear() const {
     static_assert(Linear::states == states && Linear::modes == modes);
     return {motor.linear(), gear.linear(), friction.linear(), rotor.linear(),
-            std::apply([](const auto&... extra) { return std::tuple{extra.linear()...}; }, extras)};
+            std::apply([](const auto&... extra) { return std::make_tuple(extra.linear()...); },
+                       extras)};
   }
 
   // f and g, eq. (1), (2) and the drive's part of (4), without the friction of coulomb.hpp.

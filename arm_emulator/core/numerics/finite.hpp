@@ -15,6 +15,15 @@ inline constexpr std::int64_t kExponent = 0x7ff0000000000000;
 // that it has seen computed (clang does since version 18). This hides a number from it.
 template <class Bits>
 ARM_INLINE Bits unforeseen(Bits bits) {
+#if defined(__CUDA__)
+  // A card's registers hold no lanes.
+  if constexpr (std::is_arithmetic_v<Bits>)
+    asm("" : "+l"(bits));
+  else
+    for (unsigned lane = 0; lane < sizeof bits / sizeof bits[0]; ++lane)
+      bits[lane] = unforeseen(bits[lane]);
+  return bits;
+#else
   if constexpr (std::is_arithmetic_v<Bits>) asm("" : "+r"(bits));
 #if defined(__AVX512F__)
   else if constexpr (sizeof bits == kNativeLanes * sizeof(double))
@@ -26,6 +35,7 @@ ARM_INLINE Bits unforeseen(Bits bits) {
   else
     asm("" : "+m"(bits));  // lanes, for which one register need not be enough
   return bits;
+#endif
 }
 
 ARM_INLINE bool is_finite(double x) {

@@ -16,7 +16,11 @@ inline constexpr int kUnrollLimit = 24;
 // The limit of loops with long loops inside.
 inline constexpr int kUnrollNested = 12;
 
+#ifdef TRYINL
+#define ARM_INLINE inline
+#else
 #define ARM_INLINE __attribute__((always_inline)) inline
+#endif
 
 // Neither inlined nor cloned (which clang never does): every caller runs the same instructions and
 // gets the same bits.
@@ -24,6 +28,13 @@ inline constexpr int kUnrollNested = 12;
 #define ARM_APART __attribute__((noinline))
 #else
 #define ARM_APART __attribute__((noinline, noclone))
+#endif
+
+// Inlined on processors. A card's assembler takes more than linear time for long functions.
+#ifdef __CUDA__
+#define ARM_INLINE_ON_HOST ARM_APART
+#else
+#define ARM_INLINE_ON_HOST ARM_INLINE
 #endif
 
 // For code outside of steps: compiled for size, and once, not for each joint with its constants, to

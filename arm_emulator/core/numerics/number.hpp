@@ -30,8 +30,10 @@ inline constexpr int kWidth = sizeof(X) / sizeof(double);
 template <int directions>
 inline constexpr int kWidth<Dual<directions>> = 1;
 
-// As many lanes as a vector register of this processor has.
-#if defined(__AVX512F__)
+// As many lanes as a vector register of this processor has, or as a thread of a card advances.
+#if defined(ARM_LANES)
+inline constexpr int kNativeLanes = ARM_LANES;
+#elif defined(__AVX512F__)
 inline constexpr int kNativeLanes = 8;
 #elif defined(__AVX__)
 inline constexpr int kNativeLanes = 4;

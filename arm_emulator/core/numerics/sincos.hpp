@@ -50,6 +50,27 @@ inline constexpr std::uint64_t kTwoOverPi[] = {
     0x1ff897ffde05980f, 0xef2f118b5a0a6d1f, 0x6d367ecf27cb09b7, 0x4f463f669e5fea2d,
     0x7527bac7ebe5f17b, 0x3d0739f78a5292ea, 0x6bfb5fb11f8d5d08, 0x56033046fc7b6bab};
 
+// Whole numbers of 128 bits as the nearest double, and doubles without a fraction as such numbers:
+// cards have no conversions of them.
+ARM_ONCE inline double nearest_double(SignedWide whole) {
+  const Wide size = whole < 0 ? -static_cast<Wide>(whole) : static_cast<Wide>(whole);
+  int shift = 0;  // up to the upper half alone is left
+  while (size >> shift >> 64) ++shift;
+  // The lowest bit stands for all that are lost: the sum is rounded once.
+  const std::uint64_t kept =
+      static_cast<std::uint64_t>(size >> shift) | (size != size >> shift << shift);
+  const double scale = std::bit_cast<double>(static_cast<std::int64_t>(1023 + shift) << 52);
+  const double result = static_cast<double>(kept) * scale;
+  return whole < 0 ? -result : result;
+}
+ARM_ONCE inline SignedWide whole_number(double x) {
+  const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);
+  const Wide m = (bits & 0xfffffffffffff) | 0x10000000000000;
+  const int shift = static_cast<int>(bits >> 52 & 0x7ff) - 1075;
+  const Wide size = shift >= 0 ? m << shift : shift > -53 ? m >> -shift : 0;
+  return static_cast<SignedWide>(bits >> 63 ? -size : size);
+}
+
 // By Payne and Hanek (1983), for any finite angle: x 2/pi modulo 4 in whole numbers, without those
 // bits of 2/pi whose product with x is a multiple of 4.
 ARM_ONCE inline Reduced<double> reduced_anywhere(double x) {
@@ -67,8 +88,8 @@ ARM_ONCE inline Reduced<double> reduced_anywhere(double x) {
   const Wide right_angles = Wide{high} << 64 | static_cast<std::uint64_t>(middle);
   const auto fraction = static_cast<SignedWide>(right_angles << 2 | (low >> 62 & 3));
   const std::int64_t quadrant = static_cast<std::int64_t>(right_angles >> 126) + (fraction < 0);
-  const double leading = static_cast<double>(fraction);
-  const double trailing = static_cast<double>(fraction - static_cast<SignedWide>(leading));
+  const double leading = nearest_double(fraction);
+  const double trailing = nearest_double(fraction - whole_number(leading));
   const double angle = 0x1p-128 * (leading * 1.5707963267948966 + (leading * 6.123233995736766e-17 +
                                                                    trailing * 1.5707963267948966));
   return x < 0.0 ? Reduced<double>{-angle, -quadrant} : Reduced<double>{angle, quadrant};

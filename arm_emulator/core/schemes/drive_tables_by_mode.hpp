@@ -242,7 +242,8 @@ class ServedDrives {
     }
   }
   static auto linear_of(const auto& drives) {
-    return std::apply([](const auto&... drive) { return std::tuple{drive.linear()...}; }, drives);
+    return std::apply([](const auto&... drive) { return std::make_tuple(drive.linear()...); },
+                      drives);
   }
 
   void put_offsets(int j) {

@@ -420,8 +420,8 @@ class LinearlyImplicit {
   }
 
   // From x to y in the modes that the tables serve.
-  ARM_INLINE void attempt(const State<S>& x, const Real (&u)[row], Dynamics links, Inputs& in,
-                          State<S>& y) {
+  ARM_INLINE_ON_HOST void attempt(const State<S>& x, const Real (&u)[row], Dynamics links,
+                                  Inputs& in, State<S>& y) {
     Accelerations k1;
     y = x;
     tables_.put_modes(in);
@@ -431,7 +431,7 @@ class LinearlyImplicit {
     move_drives(y, in);
   }
 
-  void halve(State<S>& x, const Real (&u)[row]) {
+  ARM_ONCE void halve(State<S>& x, const Real (&u)[row]) {
     if (!half_) {
       half_ = new LinearlyImplicit(0.5 * h_, n_);
       half_->halvings_ = halvings_ + 1;

@@ -60,4 +60,8 @@ SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {
   return bound(value, -limit, limit);
 }
 
+#ifdef SERVO_IS_FINITE /* of code that is compiled for finite numbers alone */
+SERVO_INLINE servo_mask is_finite(servo_real value) { return SERVO_IS_FINITE(value); }
+#else
 SERVO_INLINE servo_mask is_finite(servo_real value) { return value - value == 0; }
+#endif

@@ -1,6 +1,7 @@
 #include "servo.h"
 
-#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#if !defined(SERVO_IS_FINITE) && \
+    (defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__))
 #error "the servo looks whether its numbers are finite: compile without -ffast-math"
 #endif
 

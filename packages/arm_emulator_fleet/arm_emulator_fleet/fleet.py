@@ -65,9 +65,13 @@ class Fleet(CoreMachines):
         q: link positions, (N,) for all or (count, N) [rad or m]; the scene's start if None.
         v: link speeds alike [rad/s or m/s]; zero if None.
         workers: threads; None: as many as there are processor cores for this process.
+        device: where the arms are, a thread for each few of them: "gpu" (the first card of NVIDIA),
+            "gpu:1" (the second), or "processor", on which the kernels of cards run as loops; None:
+            in the lanes of the processor.
 
     Raises:
-        Refusal: the scene's core cannot be compiled, or an argument that makes no sense.
+        Refusal: the scene's core cannot be compiled, no such device, a scene that it cannot
+            advance, or an argument that makes no sense.
     """
 
     def __init__(
@@ -79,15 +83,17 @@ class Fleet(CoreMachines):
         q: ArrayLike | None = None,
         v: ArrayLike | None = None,
         workers: int | None = None,
+        device: str | None = None,
     ) -> None:
         if workers is None:
-            workers = len(os.sched_getaffinity(0))
+            workers = len(os.sched_getaffinity(0)) if device is None else 1
         workers = check_count("Fleet", "workers", workers, 1, 4096)
-        super().__init__(coerce_scene(scene, "Fleet"), count)
+        super().__init__(coerce_scene(scene, "Fleet"), count, device)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = WorkThreads(self._count, self.lanes, workers)
         self._period_worth = self._count * self.scene.steps_per_period
-        self._longest = max(1, PIECE * self.lanes // self._period_worth)  # periods of a piece
+        self._abreast = self.lanes if device is None else self._count
+        self._longest = max(1, PIECE * self._abreast // self._period_worth)  # periods of a piece
         self._commands = np.tile(make_commands(self.scene), (self._count, 1))
         self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
         self.reset(q=q, v=v, varied=varied)
@@ -101,10 +107,11 @@ class Fleet(CoreMachines):
         return f"<Fleet of {self._count} {self.scene.name}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restore_fleet, (self.scene, self._count, self._shares.workers), self.__getstate__()
+        of = self.scene, self._count, self._shares.workers, self.device
+        return _restore_fleet, of, self.__getstate__()
 
     def __copy__(self) -> Fleet:
-        fleet = Fleet(self.scene, self._count, workers=self._shares.workers)
+        fleet = _restore_fleet(self.scene, self._count, self._shares.workers, self.device)
         fleet.__setstate__(self.__getstate__())
         return fleet
 
@@ -130,7 +137,14 @@ class Fleet(CoreMachines):
     def __getitem__(self, arm: slice) -> list[Plant]: ...
     @synchronized
     def __getitem__(self, arm: int | slice) -> Plant | list[Plant]:
-        """Return one of the arms as a `Plant`, or a list of them; they share the state."""
+        """Return one of the arms as a `Plant`, or a list of them; they share the state.
+
+        Raises:
+            Refusal: no such arm, or the arms are on a device.
+        """
+        if self.device is not None:
+            rule = "be in lanes of the processor for a single arm"
+            raise Refusal("Fleet", "arms", rule, f"arms on {self.device}", "copy_arm")
         if isinstance(arm, slice):
             return [self[k] for k in range(self._count)[arm]]
         arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1) % self._count
@@ -139,6 +153,22 @@ class Fleet(CoreMachines):
         machine = self.core.arm_fleet_machine(self._fleet, arm)
         plant = self._arms[arm] = Plant(self.scene, of=BorrowedMachine(self, self.core, machine))
         weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm)
+        return plant
+
+    @synchronized
+    def copy_arm(self, arm: int) -> Plant:
+        """Return a `Plant` of its own that continues from where an arm is, to the last bit.
+
+        Args:
+            arm: its index.
+
+        Raises:
+            Refusal: no such arm.
+        """
+        arm = check_count("Fleet.copy_arm", "arm", arm, -self._count, self._count - 1) % self._count
+        plant = Plant(self.scene)
+        size = self.core.arm_saved_size()
+        plant.restore(self.save()[arm * size : (arm + 1) * size])
         return plant
 
     def _give_back(self, arm: int) -> None:
@@ -278,10 +308,15 @@ class Fleet(CoreMachines):
             if not fits or links.dtype != np.float64 or not links.flags.carray:
                 rule = f"be a contiguous array {shape} of float64"
                 raise Refusal(where, "links", rule, getattr(links, "shape", links))
+        if control.device != self.device:
+            rule = f"run where the fleet is, on {self.device or 'the processor'}"
+            raise Refusal(where, "control", rule, f"on {control.device or 'the processor'}")
         control.begin(self.scene, self._count)
         of = self.scene, self._count
         if way is not None and (not isinstance(way, FleetWay) or way.of != of):
             raise Refusal(where, "way", "be a FleetWay for this fleet", way)
+        if way is not None and self.device is not None and way.struct.look != NULL:
+            raise Refusal(where, "look", "be none on a device", "a function of the processor")
         by = FLEET.new("arm_fleet_way") if way is None else way.struct
         if arms is not None:
             arms = check_count(where, "arms", arms, 1, self._count)
@@ -353,7 +388,8 @@ class Fleet(CoreMachines):
     @synchronized
     def diverged(self) -> dict[int, Diverged]:
         """Reasons for which arms have stopped, by their index."""
-        found = {int(arm): self[int(arm)].diverged for arm in np.flatnonzero(self.faults >= 0)}
+        one = self.__getitem__ if self.device is None else self.copy_arm
+        found = {int(arm): one(int(arm)).diverged for arm in np.flatnonzero(self.faults >= 0)}
         return {arm: why for arm, why in found.items() if why is not None}
 
     def _run(self, rows: Array, steps: int) -> Array:
@@ -362,7 +398,7 @@ class Fleet(CoreMachines):
             ANY_COMMANDS.check("Fleet.run", rows)
         rows = np.ascontiguousarray(rows)
         q = np.empty_like(rows)
-        longest = max(1, PIECE * self.lanes // self._count)  # steps between checks for Ctrl-C
+        longest = max(1, PIECE * self._abreast // self._count)  # steps between checks for Ctrl-C
         if steps > longest:
             for row, after in zip(rows, q, strict=True):
                 for done in range(0, steps, longest):
@@ -381,9 +417,9 @@ class Fleet(CoreMachines):
         self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
 
 
-def _restore_fleet(scene: Scene, count: int, workers: int) -> Fleet:
+def _restore_fleet(scene: Scene, count: int, workers: int, device: str | None) -> Fleet:
     """Return a fleet like one that was pickled, before its state."""
-    return Fleet(scene, count, workers=workers)
+    return Fleet(scene, count, workers=workers, device=device)
 
 
 def _give_back(way: weakref.WeakMethod[Callable[[int], None]], arm: int) -> None:

@@ -26,7 +26,8 @@ class FleetControl(NonCopyable):
 
     Attributes:
         functions: it, by the name of its field in `arm_fleet_control`.
-        with_: address that it gets as its first argument.
+        with_: address that it gets as its first argument, on the device if it runs there.
+        device: where it runs; None: in lanes of the processor.
 
     Args:
         step: address of the function, as ``ctypes.cast(f, ctypes.c_void_p).value``. Its library
@@ -39,6 +40,7 @@ class FleetControl(NonCopyable):
     """
 
     instead = "a new one for the fleet's copy"
+    device: str | None = None
 
     def __init__(self, step: int, with_: int = 0, *, in_lanes: bool = False) -> None:
         step = check_count("FleetControl", "step", step, 1, _LARGEST)

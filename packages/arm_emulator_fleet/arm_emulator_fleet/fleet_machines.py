@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from arm_emulator.extension.base import (
     synchronized,
 )
 from arm_emulator.extension.compiler import C_NULL as NULL
-from arm_emulator.extension.compiler import CData
+from arm_emulator.extension.compiler import CData, Library
 from arm_emulator.extension.compiler import c_pointer as pointer
 from arm_emulator.extension.machine import ARM_HEADER as ARM
 from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
@@ -44,6 +44,9 @@ from arm_emulator.extension.machine import (
 )
 from arm_emulator_fleet.unit import FLEET, load_fleet
 
+if TYPE_CHECKING:
+    from arm_emulator_fleet.device_core import DeviceCore
+
 LARGEST_FLEET = 10**6  # arms; some 10 kB each
 
 
@@ -55,24 +58,27 @@ class CoreMachines(Synchronized):
     Attributes:
         scene: of all machines.
         core: the compiled core (core/arm_fleet.h).
+        device: where the machines are; None: in lanes of the processor.
         lanes: machines that advance together.
         compute_count_angle: meaning of one encoder count at the link (N,) [rad or m].
 
     Args:
         scene: of all machines.
         count: of machines.
+        device: see there.
 
     Raises:
-        Refusal: the scene's core cannot be compiled, or no such count.
+        Refusal: the scene's core cannot be compiled, no such device, or no such count.
     """
 
-    def __init__(self, scene: Scene, count: int) -> None:
+    def __init__(self, scene: Scene, count: int, device: str | None = None) -> None:
         super().__init__()
         self.scene = scene
         self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
         self._N = len(scene.joints)
         self._arguments = FleetArguments(scene, self._count)
-        self.core = load_fleet(scene)
+        self.device = device
+        self.core: Any = load_core(scene, device)  # the functions of core/arm_fleet.h
         self.lanes = int(self.core.arm_fleet_lanes())
         self.link_angle_per_count = compute_count_angle(scene)
         values = np.tile([one.value for one in scene.varied], (self._count, 1))
@@ -306,6 +312,21 @@ class CoreMachines(Synchronized):
         why = build_refusal(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
         self.core.arm_fleet_give_back(self._fleet, arm)
         return why
+
+
+def load_core(scene: Scene, device: str | None) -> Library | DeviceCore:
+    """Return the core of many machines of a scene, for a device or for the processor's lanes.
+
+    Raises:
+        Refusal: it cannot be compiled, or no such device.
+    """
+    if device is None:
+        return load_fleet(scene)
+    # Nothing of it is loaded for the processor's lanes.
+    from arm_emulator_fleet.device_core import DeviceCore
+    from arm_emulator_fleet.open_device import open_device
+
+    return DeviceCore(scene, open_device("Fleet", device))
 
 
 def get_mask_bytes(mask: NDArray[np.bool_]) -> CData:

@@ -6,7 +6,7 @@ import weakref
 from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,7 @@ from arm_emulator.extension.base import (
 )
 from arm_emulator.extension.compiler import BOUNDARY_FOLDER as BOUNDARY
 from arm_emulator.extension.compiler import C_NULL as NULL
-from arm_emulator.extension.compiler import SERVO_FOLDER, CData, Header, Library, Unit
+from arm_emulator.extension.compiler import SERVO_FOLDER, CData, Library, Unit
 from arm_emulator.extension.compiler import SHARED_FLAGS as SHARED
 from arm_emulator.extension.compiler import c_pointer as pointer
 from arm_emulator.extension.compiler import compiled_library as library
@@ -40,18 +40,29 @@ from arm_emulator.extension.runs import ServoDrives as ServoArm
 from arm_emulator_fleet.fleet import Fleet
 from arm_emulator_fleet.fleet_control import FleetControl
 from arm_emulator_fleet.fleet_machines import choose_arms
-from arm_emulator_fleet.unit import FOLDER
+from arm_emulator_fleet.unit import FOLDER, SERVOS
 
-SERVOS = Header(FOLDER / "servo_fleet.h", (BOUNDARY, SERVO_FOLDER))
 _MOST_PERIODS = 10**9
+
+if TYPE_CHECKING:
+    from arm_emulator_fleet.device_servos import DeviceServos
 
 
 # The bits are those of the servo in C, see `arm_emulator.toolchain.flags.C_FLAGS`.
 _FLAGS = (*"-std=c++20 -O2 -ffp-contract=off -fno-semantic-interposition".split(), *SHARED)
 
 
+def _load_servos(fleet: Fleet) -> Library | DeviceServos:
+    if isinstance(fleet.core, Library):
+        return _load_library(fleet.lanes)
+    # Nothing of it is loaded for the processor's lanes.
+    from arm_emulator_fleet.device_servos import DeviceServos
+
+    return DeviceServos(fleet.core)
+
+
 @cache
-def _load_servos(lanes: int) -> Library:
+def _load_library(lanes: int) -> Library:
     return library(build_servo_unit(lanes))
 
 
@@ -102,7 +113,8 @@ class ServoFleet(FleetControl):
         self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
         drives = [ServoArm(one) for one in read]
         self._drives = drives  # they own the numbers
-        N, count, self._calls = self._N, self._count, _load_servos(fleet.lanes)
+        N, count = self._N, self._count
+        self._calls: Library | DeviceServos = _load_servos(fleet)
         self._arms = SERVOS.ffi.new("servo[]", count)
         for k in range(count):
             self._arms[k] = drives[k % len(drives)].servo.arm[0]
@@ -117,8 +129,11 @@ class ServoFleet(FleetControl):
         )
         self._calls.servo_fleet_begin(self.struct, count)
         weakref.finalize(self, self._calls.servo_fleet_end, self.struct)
-        step = int(SERVOS.ffi.cast("uintptr_t", self._calls.servo_fleet_step))
-        super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)), in_lanes=True)
+        if isinstance(self._calls, Library):
+            step = int(SERVOS.ffi.cast("uintptr_t", self._calls.servo_fleet_step))
+            super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)), in_lanes=True)
+        else:
+            self.device, self.functions, self.with_ = fleet.device, {}, self._calls.pointer
 
     def __repr__(self) -> str:
         return f"<ServoFleet of {self._count} {self._scene.name}>"

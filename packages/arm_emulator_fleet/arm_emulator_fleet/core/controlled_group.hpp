@@ -44,6 +44,8 @@ class ControlledGroup {
     if (glides) fleet_.note(g_, rows_.value, -1);
     return sound;
   }
+  // The arm whose command was refused.
+  int refused() const { return refused_; }
 
  private:
   struct alignas(64) Rows {
@@ -73,7 +75,7 @@ class ControlledGroup {
     return true;
   }
   template <class OfLanes>
-  bool all_finite() const {
+  bool all_finite() {
     auto finite = typename OfLanes::type{} == typename OfLanes::type{};
     for (int j = 0; j < N; ++j) finite &= arm::is_finite(OfLanes::load(rows_.value + j * lanes));
     if (arm::all(finite)) return true;
@@ -81,7 +83,7 @@ class ControlledGroup {
       double given[N];
       for (int j = 0; j < N; ++j) given[j] = rows_.value[j * lanes + k - first_];
       if (fleet_.machine[k]->check_finite(given, "command")) {
-        fleet_.put_refused(k);
+        fleet_.put_refused(refused_ = k);
         return false;
       }
     }
@@ -97,7 +99,7 @@ class ControlledGroup {
                     control_.joint);
     for (int k = first_; k < end_; ++k)
       if (fleet_.machine[k]->check_commands(control_.joint + k * N, nullptr)) {
-        fleet_.put_refused(k);
+        fleet_.put_refused(refused_ = k);
         return false;
       }
     fleet_.exchange(g_, control_.joint, nullptr, -1);
@@ -131,7 +133,7 @@ class ControlledGroup {
   }
 
   arm_fleet& fleet_;
-  int g_, first_, end_;
+  int g_, first_, end_, refused_ = -1;
   const arm_fleet_control& control_;
   const arm_fleet_measurement& measured_;
   const arm_fleet_way& way_;

@@ -21,28 +21,30 @@ struct arm_fleet {
   static constexpr bool has_current_d =
       arm::any_drive<Scene>([](const auto& drive) { return drive.has_current_d; });
 
+  // Places for so many arms, which `build` fills.
   arm_fleet(const arm_options& options, int count)
       : arms(count),
         step(options.step),
         steps_per_period(options.steps_per_period),
-        machine(new arm_machine*[count]),
-        lent(new std::int32_t[count]()) {
-    arm_options own = options;
-    for (int k = 0; k < arms; ++k, own.parameters += Scene::parameters) machine[k] = arm_new(&own);
-    for (int k = 0; k < arms; ++k) sound = sound && machine[k];
-    if (!sound) return;
-    group = new Group*[groups()];
-    known = new Known[groups()];
-    for (int k = 0; k < groups(); ++k) {
-      Machine* members[lanes];
-      int of_group = 0;
-      for (; of_group < lanes && k * lanes + of_group < arms; ++of_group)
-        members[of_group] = &machine[k * lanes + of_group]->machine;
-      group[k] = new Group(options.step, members, of_group);
+        machine(new arm_machine*[count]()),
+        lent(new std::int32_t[count]()),
+        group(new Group*[groups()]()),
+        known(new Known[groups()]) {}
+  // Make the arms of a group; false if the options make no sense.
+  bool build(int g, const arm_options& options) {
+    Machine* members[lanes];
+    for (int k = g * lanes; k < end_of(g); ++k) {
+      arm_options own = options;
+      own.parameters += std::int64_t{k} * Scene::parameters;
+      machine[k] = arm_new(&own);
+      if (!machine[k]) return false;
+      members[k % lanes] = &machine[k]->machine;
     }
+    group[g] = new Group(options.step, members, end_of(g) - g * lanes);
+    return true;
   }
   ~arm_fleet() {
-    for (int k = 0; group && k < groups(); ++k) delete group[k];
+    for (int k = 0; k < groups(); ++k) delete group[k];
     delete[] group;
     delete[] known;
     for (int k = 0; k < arms; ++k) arm_delete(machine[k]);
@@ -375,7 +377,7 @@ struct arm_fleet {
     });
   }
   template <class Number>
-  static Number* row_of(Number* rows, int first) {
+  static Number* row_of(Number* rows, std::int64_t first) {
     return rows ? rows + first : nullptr;
   }
 
@@ -438,9 +440,8 @@ struct arm_fleet {
   std::int64_t steps_per_period;
   arm_machine** machine;
   std::int32_t* lent;  // users of a single arm; while > 0 it leaves its lane after every call
-  Group** group = nullptr;
-  Known* known = nullptr;
-  bool sound = true;
+  Group** group;
+  Known* known;
 
  private:
   mutable std::int32_t refused_ = -1;

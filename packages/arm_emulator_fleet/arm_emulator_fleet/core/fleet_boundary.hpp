@@ -13,7 +13,9 @@ arm_fleet* arm_fleet_new(const arm_options* options, std::int32_t count) {
       (Scene::parameters && !options->parameters))
     return nullptr;
   arm_fleet* fleet = new arm_fleet(*options, count);
-  if (fleet->sound) return fleet;
+  bool sound = true;
+  for (int g = 0; g < fleet->groups() && sound; ++g) sound = fleet->build(g, *options);
+  if (sound) return fleet;
   delete fleet;
   return nullptr;
 }
@@ -130,8 +132,9 @@ int arm_fleet_restore(arm_fleet* fleet, const std::uint8_t* mask, const void* sa
   const std::int64_t each = arm_saved_size();
   if (!fleet || !saved || size != each * fleet->arms) return ARM_REFUSED;
   const auto* bytes = static_cast<const unsigned char*>(saved);
-  if (fleet->check_all(
-          mask, [&](const arm_machine* arm, int k) { return check_saved(arm, bytes + k * each); }))
+  if (fleet->check_all(mask, [&](const arm_machine* arm, int k) {
+        return check_saved(arm, bytes + k * each, each);
+      }))
     return ARM_REFUSED;
   fleet->for_all(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * each); });
   return ARM_OK;
@@ -181,7 +184,10 @@ int arm_fleet_follow(arm_fleet* fleet, std::int32_t first, std::int32_t arms,
     return ARM_REFUSED;
   constexpr arm_fleet_way nothing = {};
   const arm_fleet_way& by = way ? *way : nothing;
-  if (check_changes(*fleet, first, arms, by)) return ARM_REFUSED;
+  if (const int arm = find_refused_change(*fleet, first, arms, by); arm >= 0) {
+    fleet->put_refused(arm);
+    return ARM_REFUSED;
+  }
   int result = ARM_OK;
   for (std::int32_t k = first; k < first + arms; k += lanes)
     if (!ControlledGroup(*fleet, k / lanes, *control, *measurement, by).follow(periods))

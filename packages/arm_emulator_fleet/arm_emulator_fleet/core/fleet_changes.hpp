@@ -23,15 +23,12 @@ int check_change(const arm_machine* arm, const arm_fleet_change& change) {
   }
 }
 
-// OK if all changes of these arms can be.
-int check_changes(const arm_fleet& fleet, int first, int arms, const arm_fleet_way& way) {
+// The first of these arms with a change that it refuses; -1: none.
+int find_refused_change(const arm_fleet& fleet, int first, int arms, const arm_fleet_way& way) {
   for (int k = first; way.change && k < first + arms; ++k)
     for (std::int64_t c = way.first_change[k]; c < way.first_change[k + 1]; ++c)
-      if (check_change(fleet.machine[k], way.change[c])) {
-        fleet.put_refused(k);
-        return ARM_REFUSED;
-      }
-  return ARM_OK;
+      if (check_change(fleet.machine[k], way.change[c])) return k;
+  return -1;
 }
 
 // The changes of a group of arms, in their order.

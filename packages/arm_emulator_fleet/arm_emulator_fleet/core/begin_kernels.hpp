@@ -1,0 +1,21 @@
+// Included first in the unit of kernels. For a card, clang then compiles all functions for it:
+// those of the core, and of the standard library those that are templates.
+#pragma once
+
+#ifdef __CUDA__
+#include <time.h>
+
+#include <array>
+#include <atomic>
+#include <bit>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <new>
+#include <optional>
+#include <type_traits>
+#include <utility>
+#pragma clang force_cuda_host_device begin
+#include <tuple>
+#include <vector>
+#endif

@@ -1,0 +1,163 @@
+/* Arguments of the kernels of a fleet, which are functions of a card: see fleet_kernels.hpp. Every
+ * kernel has the name of its struct without `_call`, and a thread for each group of arms. Pointers
+ * are addresses of the card. Rows and masks are of the whole fleet, as in arm_fleet.h.
+ */
+#ifndef FLEET_KERNELS_H
+#define FLEET_KERNELS_H
+
+#include "arm_fleet.h"
+#include "servo_fleet.h"
+
+/* Arms that refused: `*refused` becomes the lowest number of one, and is INT32_MAX without any.
+ * Kernels that have this pointer do nothing if there is one. */
+#define FLEET_NONE_REFUSED 2147483647
+
+/* Room that a fleet of `count` arms needs; one thread. */
+typedef struct fleet_measure_room_call {
+  int32_t count;
+  int32_t reserved;
+  /* Bytes: of the fleet, of its places, of a group with its arms, of a step's half; its lanes. */
+  int64_t* bytes;
+} fleet_measure_room_call;
+
+/* Make a fleet without arms; one thread. Then make its arms. */
+typedef struct fleet_begin_call {
+  arm_fleet* fleet; /* room for it */
+  arm_options options;
+  int32_t count;
+  int32_t reserved;
+} fleet_begin_call;
+typedef struct fleet_build_call {
+  arm_fleet* fleet;
+  arm_options options;
+  int64_t* saved_size; /* bytes of a saved arm */
+} fleet_build_call;
+/* Give back what processors have in their heap; one thread. */
+typedef struct fleet_end_call {
+  arm_fleet* fleet;
+} fleet_end_call;
+
+typedef struct fleet_reset_call {
+  arm_fleet* fleet;
+  const uint8_t* mask;
+  const double *q, *v;
+} fleet_reset_call;
+
+/* Varied numbers: all of them in rows, or number `place` alone if it is not negative. */
+typedef struct fleet_get_parameters_call {
+  const arm_fleet* fleet;
+  int64_t place;
+  double* values;
+} fleet_get_parameters_call;
+typedef struct fleet_check_parameters_call {
+  arm_fleet* fleet;
+  const uint8_t* mask;
+  int64_t place;
+  const double* values;
+  int32_t* refused;
+} fleet_check_parameters_call;
+typedef fleet_check_parameters_call fleet_set_parameters_call;
+
+typedef struct fleet_set_wrench_call {
+  arm_fleet* fleet;
+  const uint8_t* mask;
+  int64_t link;
+  const arm_wrench* wrench;
+} fleet_set_wrench_call;
+
+typedef struct fleet_power_call {
+  arm_fleet* fleet;
+  const uint8_t* on;
+} fleet_power_call;
+
+typedef struct fleet_save_call {
+  const arm_fleet* fleet;
+  uint8_t* saved;
+  int64_t size; /* of each arm */
+} fleet_save_call;
+typedef struct fleet_check_saved_call {
+  arm_fleet* fleet;
+  const uint8_t* mask;
+  const uint8_t* saved;
+  int64_t size;
+  int32_t* refused;
+} fleet_check_saved_call;
+typedef fleet_check_saved_call fleet_restore_call;
+
+/* Why arm `arm` refused; one thread. */
+typedef struct fleet_tell_why_call {
+  const arm_fleet* fleet;
+  int64_t arm;
+  arm_refusal* why;
+} fleet_tell_why_call;
+
+/* Steps under rows of commands. */
+typedef struct fleet_run_call {
+  arm_fleet* fleet;
+  const double* command;
+  int64_t rows, steps;
+  double* q;
+} fleet_run_call;
+
+/* Servo periods under held commands, then measurements and true states. */
+typedef struct fleet_check_commands_call {
+  arm_fleet* fleet;
+  const arm_joint_command* joint;
+  const double* further;
+  int64_t tick, periods;
+  arm_fleet_measurement measurement;
+  arm_fleet_truth truth;
+  int32_t* refused;
+} fleet_check_commands_call;
+typedef fleet_check_commands_call fleet_step_call;
+
+/* Measurements and true states alone. */
+typedef struct fleet_show_call {
+  const arm_fleet* fleet;
+  arm_fleet_measurement measurement;
+  arm_fleet_truth truth;
+} fleet_show_call;
+
+/* Values of commands, where the arms' commands are. */
+typedef struct fleet_put_commands_call {
+  arm_fleet* fleet;
+  const double* value;
+  arm_joint_command* joint;
+} fleet_put_commands_call;
+
+/* Servo periods under control code, then measurements and true states; `joint` and `powered` of the
+ * measurement must be there. */
+typedef struct fleet_check_changes_call {
+  arm_fleet* fleet;
+  arm_joint_command* joint;
+  void* with;
+  int64_t periods;
+  arm_fleet_way way;
+  arm_fleet_measurement measurement;
+  arm_fleet_truth truth;
+  int32_t* refused;
+} fleet_check_changes_call;
+typedef fleet_check_changes_call fleet_follow_call;
+
+/* Servos of a fleet: room for a group of arms, its joints and the struct of both; then as
+ * servo_fleet.h. */
+typedef struct servos_measure_room_call {
+  int64_t* bytes;
+} servos_measure_room_call;
+typedef struct servos_begin_call {
+  servo_fleet* servos;
+  int64_t arms;
+} servos_begin_call;
+typedef struct servos_reset_call {
+  servo_fleet* servos;
+  int64_t arms;
+  const uint8_t* mask;
+} servos_reset_call;
+typedef servos_begin_call servos_aim_call;
+typedef struct servos_retune_call {
+  servo_fleet* servos;
+  int64_t arm;
+  const servo_joint* joint;
+} servos_retune_call;
+
+#endif

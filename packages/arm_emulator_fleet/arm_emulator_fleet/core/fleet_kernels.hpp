@@ -1,0 +1,198 @@
+// The kernels of a fleet. Included last in a scene's unit, for a card or for its stand-in on a
+// processor.
+#pragma once
+
+#include <new>
+
+#include "controlled_group.hpp"
+#include "fleet_kernels.h"
+#include "kernel.hpp"
+#include "numerics/finite.hpp"
+#define SERVO_IS_FINITE arm::is_finite
+#include "servo_group.hpp"
+
+namespace {
+
+// act(machine, arm) for the arms of a group and of a mask, out of their lanes.
+template <class Act>
+void for_arms_of(arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask, Act&& act) {
+  const int g = static_cast<int>(group);
+  for (int k = g * arm_fleet::lanes; k < fleet->end_of(g); ++k)
+    if (!mask || mask[k]) fleet->settle(k), act(fleet->machine[k], k);
+}
+
+// The lowest arm of all that refuse is known, whichever thread is first.
+void note_refusal(std::int32_t* refused, int arm) {
+  std::int32_t lowest = __atomic_load_n(refused, __ATOMIC_RELAXED);
+  while (arm < lowest && !__atomic_compare_exchange_n(refused, &lowest, arm, true, __ATOMIC_RELAXED,
+                                                      __ATOMIC_RELAXED)) {
+  }
+}
+
+// Note the first arm of a group and of a mask that check(machine, arm) refuses.
+template <class Check>
+void check_arms_of(const arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask,
+                   std::int32_t* refused, Check&& check) {
+  const int g = static_cast<int>(group);
+  for (int k = g * arm_fleet::lanes; k < fleet->end_of(g); ++k)
+    if ((!mask || mask[k]) && check(fleet->machine[k], k) != ARM_OK)
+      return note_refusal(refused, k);
+}
+
+}  // namespace
+
+ARM_KERNEL(fleet_measure_room) {
+  const std::int64_t groups = (call.count + arm_fleet::lanes - 1) / arm_fleet::lanes;
+  call.bytes[0] = sizeof(arm_fleet);
+  call.bytes[1] = call.count * (sizeof(arm_machine*) + sizeof(std::int32_t)) +
+                  groups * (sizeof(arm_fleet::Group*) + sizeof(arm_fleet::Known));
+  call.bytes[2] = sizeof(arm_fleet::Group) + arm_fleet::lanes * sizeof(arm_machine);
+  call.bytes[3] = sizeof(arm_fleet::Machine::Method);
+  call.bytes[4] = arm_fleet::lanes;
+}
+
+ARM_KERNEL(fleet_begin) { new (call.fleet) arm_fleet(call.options, call.count); }
+ARM_KERNEL(fleet_build) {
+  call.fleet->build(static_cast<int>(thread), call.options);
+  if (thread == 0) *call.saved_size = saved_size_of(*call.fleet->machine[0]);
+}
+ARM_KERNEL(fleet_end) { call.fleet->~arm_fleet(); }
+
+ARM_KERNEL(fleet_reset) {
+  constexpr int N = arm_fleet::N;
+  for_arms_of(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+    arm_reset(arm, call.q + std::int64_t{k} * N, call.v + std::int64_t{k} * N);
+  });
+}
+
+ARM_KERNEL(fleet_get_parameters) {
+  const int g = static_cast<int>(thread);
+  for (int k = g * arm_fleet::lanes; k < call.fleet->end_of(g); ++k)
+    call.values[k] = call.fleet->machine[k]->machine.parameter(static_cast<int>(call.place));
+}
+ARM_KERNEL(fleet_check_parameters) {
+  constexpr std::int64_t count = Scene::parameters;
+  check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
+    for (int p = 0; p < count; ++p) {
+      if (call.place >= 0 && p != call.place) continue;
+      const double value = call.values[call.place < 0 ? k * count + p : k];
+      if (!within_bounds(p, value))
+        return arm->refuse(-1, "parameter", "be within its bounds", value);
+    }
+    return int{ARM_OK};
+  });
+}
+ARM_KERNEL(fleet_set_parameters) {
+  if (*call.refused != FLEET_NONE_REFUSED) return;
+  constexpr std::int64_t count = Scene::parameters;
+  for_arms_of(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+    if (call.place < 0)
+      arm->machine.set_parameters(call.values + k * count);
+    else
+      arm->machine.set_parameter(static_cast<int>(call.place), call.values[k]);
+  });
+}
+
+ARM_KERNEL(fleet_set_wrench) {
+  for_arms_of(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
+    arm_set_external_wrench(arm, static_cast<int>(call.link), call.wrench + k);
+  });
+}
+
+ARM_KERNEL(fleet_power) {
+  for_arms_of(call.fleet, thread, nullptr,
+              [&](arm_machine* arm, int k) { arm_power(arm, call.on[k] != 0); });
+}
+
+ARM_KERNEL(fleet_save) {
+  for_arms_of(const_cast<arm_fleet*>(call.fleet), thread, nullptr,
+              [&](arm_machine* arm, int k) { write_saved(arm, call.saved + k * call.size); });
+}
+ARM_KERNEL(fleet_check_saved) {
+  check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
+    return check_saved(arm, call.saved + k * call.size, call.size);
+  });
+}
+ARM_KERNEL(fleet_restore) {
+  if (*call.refused != FLEET_NONE_REFUSED) return;
+  for_arms_of(call.fleet, thread, call.mask,
+              [&](arm_machine* arm, int k) { take_saved(arm, call.saved + k * call.size); });
+}
+
+ARM_KERNEL(fleet_tell_why) { *call.why = call.fleet->machine[call.arm]->why; }
+
+ARM_KERNEL(fleet_run) {
+  constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
+  const std::int64_t first = thread * lanes * N;
+  call.fleet->follow(static_cast<int>(thread), call.command + first,
+                     std::int64_t{call.fleet->arms} * N, call.rows, call.steps, call.q + first);
+}
+
+ARM_KERNEL(fleet_check_commands) {
+  check_arms_of(call.fleet, thread, nullptr, call.refused, [&](const arm_machine* arm, int k) {
+    return arm->check_commands(
+        call.joint + std::int64_t{k} * arm_fleet::N,
+        arm_fleet::row_of(call.further, std::int64_t{k} * Scene::inputs * arm_fleet::N));
+  });
+}
+ARM_KERNEL(fleet_step) {
+  if (*call.refused != FLEET_NONE_REFUSED) return;
+  const int g = static_cast<int>(thread);
+  if (call.periods > 0) call.fleet->hold(g, call.joint, call.further, call.tick, call.periods);
+  call.fleet->show(g, call.measurement.size ? &call.measurement : nullptr,
+                   call.truth.size ? &call.truth : nullptr);
+}
+ARM_KERNEL(fleet_show) {
+  call.fleet->show(static_cast<int>(thread), call.measurement.size ? &call.measurement : nullptr,
+                   call.truth.size ? &call.truth : nullptr);
+}
+
+ARM_KERNEL(fleet_put_commands) {
+  const int g = static_cast<int>(thread);
+  const std::int64_t first = thread * arm_fleet::lanes * arm_fleet::N;
+  for (std::int64_t k = first; k < std::int64_t{call.fleet->end_of(g)} * arm_fleet::N; ++k)
+    call.joint[k].value = call.value[k];
+}
+
+ARM_KERNEL(fleet_check_changes) {
+  const int g = static_cast<int>(thread), first = g * arm_fleet::lanes;
+  if (const int arm =
+          find_refused_change(*call.fleet, first, call.fleet->end_of(g) - first, call.way);
+      arm >= 0)
+    note_refusal(call.refused, arm);
+}
+ARM_KERNEL(fleet_follow) {
+  if (*call.refused != FLEET_NONE_REFUSED) return;
+  const int g = static_cast<int>(thread);
+  arm_fleet_control control = {};
+  control.step_rows = servo_fleet_step, control.with = call.with, control.joint = call.joint;
+  ControlledGroup group(*call.fleet, g, control, call.measurement, call.way);
+  if (!group.follow(call.periods)) note_refusal(call.refused, group.refused());
+  call.fleet->show(g, &call.measurement, call.truth.size ? &call.truth : nullptr);
+}
+
+ARM_KERNEL(servos_measure_room) {
+  call.bytes[0] = sizeof(Group);
+  call.bytes[1] = sizeof(Joint);
+  call.bytes[2] = sizeof(servo_joints_abreast);
+}
+ARM_KERNEL(servos_begin) {
+  begin_servos(*call.servos, static_cast<int32_t>(thread), static_cast<int32_t>(call.arms));
+}
+// The arms of a group of servos, of so many.
+template <class Act>
+static void for_servos_of(std::int64_t group, std::int64_t arms, Act&& act) {
+  for (std::int64_t k = group * L; k < (group + 1) * L && k < arms; ++k)
+    act(static_cast<int32_t>(k));
+}
+ARM_KERNEL(servos_reset) {
+  for_servos_of(thread, call.arms, [&](int32_t k) {
+    if (call.mask[k]) reset_servo(*call.servos, k);
+  });
+}
+ARM_KERNEL(servos_aim) {
+  for_servos_of(thread, call.arms, [&](int32_t k) { aim_servo(*call.servos, k); });
+}
+ARM_KERNEL(servos_retune) {
+  retune_servo(*call.servos, static_cast<int32_t>(call.arm), call.joint);
+}

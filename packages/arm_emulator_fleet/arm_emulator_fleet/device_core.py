@@ -1,0 +1,446 @@
+"""The functions of core/arm_fleet.h for arms that stay on a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.compiler import C_NULL as NULL
+from arm_emulator.extension.compiler import CData
+from arm_emulator.extension.machine import ARM_HEADER as ARM
+from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
+from arm_emulator.extension.machine import Scene, list_rows
+from arm_emulator_fleet.device import Device, Memory
+from arm_emulator_fleet.unit import FLEET, KERNELS, LANES_OF_THREAD, NATIVE, load_kernels
+
+OK = ARM.constant("ARM_OK")
+NONE_REFUSED = KERNELS.constant("FLEET_NONE_REFUSED")
+ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
+HALVED = 8  # one arm in so many may halve its steps
+LEAST_HALVED = 4096  # arms that may, in any fleet
+STACK = 96 * 1024  # bytes of a thread: 80 kB for panda with located events
+
+
+@dataclass
+class DeviceFleet:
+    """Arms on a device.
+
+    Attributes:
+        count: of arms.
+        groups: of arms, a thread each.
+        memory: the `arm_fleet`.
+        pool: what it has allocated.
+        refused: the arm that refused the newest call; -1: none.
+        rooms: memory that calls reuse, by its purpose.
+    """
+
+    count: int
+    groups: int
+    memory: Memory
+    pool: Memory
+    refused: int
+    rooms: dict[str, Memory]
+
+
+class DeviceCore:
+    """The calls of core/arm_fleet.h that `Fleet` makes, carried out by kernels.
+
+    Pointers in arguments are of the processor: numbers are copied to the device and back. Frames of
+    the device are filled where they are.
+
+    Attributes:
+        device: where the arms are.
+
+    Args:
+        scene: of all arms.
+        device: see there.
+
+    Raises:
+        Refusal: the scene cannot be compiled for it.
+    """
+
+    def __init__(self, scene: Scene, device: Device) -> None:
+        if scene.threads > 1:
+            rule = "be 1 on a device: its arms are its threads"
+            raise Refusal(scene.where, "integrator.threads", rule, scene.threads)
+        self.device = device
+        self._scene = scene
+        self._N = len(scene.joints)
+        self._saved_size = 0
+        self._module = load_kernels(scene, device)
+        device.set_stack(STACK)
+
+    def read_sizes(self, kernel: str, numbers: int, **values: Any) -> list[int]:
+        """Return the numbers that a kernel writes to its `bytes`."""
+        room = self.device.allocate(8 * numbers)
+        self.launch(kernel, 1, bytes=room, **values)
+        return [int(size) for size in self.device.read(room, np.int64, (numbers,))]
+
+    def count_groups(self, arms: int) -> int:
+        """Return how many threads advance so many arms."""
+        return -(-arms // LANES_OF_THREAD)
+
+    def arm_fleet_lanes(self) -> int:
+        """Return how many arms a thread advances."""
+        return LANES_OF_THREAD
+
+    def arm_fleet_new(self, options: CData, count: int) -> DeviceFleet:
+        """Return arms at rest at q = 0.
+
+        Raises:
+            Refusal: the device has no room for them.
+        """
+        sizes = self.read_sizes("fleet_measure_room", 4, count=count)
+        of_fleet, of_places, of_group, of_half = sizes
+        groups, lanes = self.count_groups(count), LANES_OF_THREAD
+        halved = min(count, max(LEAST_HALVED, count // HALVED)) * of_half
+        size = of_places + groups * (of_group + ALIGNMENT * (lanes + 2)) + halved + 8 * ALIGNMENT
+        memory, pool = self.device.allocate(of_fleet), self.device.allocate(size)
+        if self.device.architecture != NATIVE:  # a processor has its heap
+            ends = np.array([pool.pointer, pool.pointer + size], np.uint64)
+            self.device.write(self._module.global_memory("arm_pool"), ends)
+        own = ARM.new("arm_options")
+        own[0] = options[0]
+        numbers = self.copy_in(options.parameters, 8 * count * len(self._scene.varied))
+        own.parameters = cast_pointer(numbers)
+        fleet = DeviceFleet(count, groups, memory, pool, -1, {})
+        saved = self.device.allocate(8)
+        self.launch("fleet_begin", 1, fleet=memory, options=own[0], count=count)
+        self.launch("fleet_build", groups, fleet=memory, options=own[0], saved_size=saved)
+        self._saved_size = int(self.device.read(saved, np.int64, (1,))[0])
+        return fleet
+
+    def arm_fleet_delete(self, fleet: DeviceFleet) -> None:
+        """Free the arms."""
+        if self.device.architecture == NATIVE:
+            self.launch("fleet_end", 1, fleet=fleet.memory)
+
+    def arm_fleet_machine(self, fleet: DeviceFleet, arm: int) -> tuple[DeviceFleet, int]:
+        """Return what `arm_why` takes for an arm."""
+        return fleet, arm
+
+    def arm_fleet_give_back(self, fleet: DeviceFleet, arm: int) -> None:
+        """Do nothing: no arm leaves the device."""
+
+    def arm_why(self, arm: tuple[DeviceFleet, int], why: CData) -> int:
+        """Write why an arm refused the newest call."""
+        fleet, index = arm
+        room = self.device.allocate(ARM.sizeof("arm_refusal"))
+        self.launch("fleet_tell_why", 1, fleet=fleet.memory, arm=index, why=room)
+        self._copy_out(room, why, room.size)
+        return OK
+
+    def arm_fleet_refused(self, fleet: DeviceFleet) -> int:
+        """Return the arm that refused the newest call; -1: none."""
+        return fleet.refused
+
+    def arm_fleet_reset(self, fleet: DeviceFleet, mask: CData, q: CData, v: CData) -> int:
+        """See core/arm_fleet.h; the numbers are finite."""
+        rows = 8 * fleet.count * self._N
+        mask, q, v = self._mask(fleet, mask), self.copy_in(q, rows), self.copy_in(v, rows)
+        self._launch_on(fleet, "fleet_reset", mask=mask, q=q, v=v)
+        return OK
+
+    def arm_fleet_get_parameter(self, fleet: DeviceFleet, name: bytes, values: CData) -> int:
+        """See core/arm_fleet.h; the name is known."""
+        room = self.device.allocate(8 * fleet.count)
+        self._launch_on(fleet, "fleet_get_parameters", place=self._place(name), values=room)
+        self._copy_out(room, values, room.size)
+        return OK
+
+    def arm_fleet_set_parameter(
+        self, fleet: DeviceFleet, mask: CData, name: bytes, values: CData
+    ) -> int:
+        """See core/arm_fleet.h; the name is known."""
+        return self._set_parameters(fleet, mask, self._place(name), values, 1)
+
+    def arm_fleet_set_parameters(self, fleet: DeviceFleet, mask: CData, values: CData) -> int:
+        """See core/arm_fleet.h."""
+        return self._set_parameters(fleet, mask, -1, values, len(self._scene.varied))
+
+    def _set_parameters(
+        self, fleet: DeviceFleet, mask: CData, place: int, values: CData, columns: int
+    ) -> int:
+        return self._check_and_do(
+            fleet,
+            ("fleet_check_parameters", "fleet_set_parameters"),
+            mask=self._mask(fleet, mask),
+            place=place,
+            values=self.copy_in(values, 8 * fleet.count * columns),
+        )
+
+    def arm_fleet_set_external_wrench(
+        self, fleet: DeviceFleet, mask: CData, link: int, wrench: CData
+    ) -> int:
+        """See core/arm_fleet.h; the link is one, and the wrench finite."""
+        given = self.copy_in(wrench, fleet.count * ARM.sizeof("arm_wrench"))
+        mask = self._mask(fleet, mask)
+        self._launch_on(fleet, "fleet_set_wrench", mask=mask, link=link, wrench=given)
+        return OK
+
+    def arm_fleet_power(self, fleet: DeviceFleet, on: CData) -> None:
+        """See core/arm_fleet.h."""
+        self._launch_on(fleet, "fleet_power", on=self.copy_in(on, fleet.count))
+
+    def arm_saved_size(self) -> int:
+        """Return the bytes of an arm that is saved; 0 before there is a fleet."""
+        return self._saved_size
+
+    def arm_fleet_save(self, fleet: DeviceFleet, out: CData, size: int) -> int:
+        """See core/arm_fleet.h."""
+        room = self.device.allocate(size)
+        self._launch_on(fleet, "fleet_save", saved=room, size=self._saved_size)
+        self._copy_out(room, out, size)
+        return OK
+
+    def arm_fleet_restore(
+        self, fleet: DeviceFleet, mask: CData, saved: bytes | CData, size: int
+    ) -> int:
+        """See core/arm_fleet.h; there are as many bytes."""
+        return self._check_and_do(
+            fleet,
+            ("fleet_check_saved", "fleet_restore"),
+            mask=self._mask(fleet, mask),
+            saved=self.copy_in(FLEET.ffi.from_buffer(saved), size),
+            size=self._saved_size,
+        )
+
+    def arm_fleet_run(
+        self,
+        fleet: DeviceFleet,
+        first: int,
+        arms: int,
+        command: CData,
+        rows: int,
+        steps: int,
+        q: CData,
+    ) -> int:
+        """See core/arm_fleet.h; of all arms, and the commands are finite."""
+        size = 8 * rows * fleet.count * self._N
+        given, reached = self.copy_in(command, size), self.device.allocate(size)
+        self._launch_on(fleet, "fleet_run", command=given, rows=rows, steps=steps, q=reached)
+        self._copy_out(reached, q, size)
+        return OK
+
+    def arm_fleet_exchange(self, fleet: DeviceFleet, first: int, arms: int, command: CData) -> int:
+        """See core/arm_fleet.h; of all arms."""
+        return self.arm_fleet_step(fleet, first, arms, command, 1, NULL, NULL)
+
+    def arm_fleet_step(
+        self,
+        fleet: DeviceFleet,
+        first: int,
+        arms: int,
+        command: CData,
+        periods: int,
+        measurement: CData,
+        truth: CData,
+    ) -> int:
+        """See core/arm_fleet.h; of all arms. Frames of the processor are copied."""
+        size = fleet.count * self._N * ARM.sizeof("arm_joint_command")
+        joint = self.copy_in(command.joint, size)
+        further = NULL
+        if command.further != NULL:
+            further = self.copy_in(
+                command.further, 8 * fleet.count * self._N * self._count_inputs()
+            )
+        return self._show(
+            fleet,
+            measurement,
+            truth,
+            ("fleet_check_commands", "fleet_step"),
+            joint=joint,
+            further=further,
+            tick=command.tick,
+            periods=periods,
+        )
+
+    def arm_fleet_measure(self, fleet: DeviceFleet, measurement: CData) -> int:
+        """See core/arm_fleet.h."""
+        return self._show(fleet, measurement, NULL, ("fleet_show",))
+
+    def arm_fleet_get_truth(self, fleet: DeviceFleet, truth: CData) -> int:
+        """See core/arm_fleet.h."""
+        return self._show(fleet, NULL, truth, ("fleet_show",))
+
+    def arm_fleet_follow(
+        self,
+        fleet: DeviceFleet,
+        first: int,
+        arms: int,
+        control: CData,
+        periods: int,
+        way: CData,
+        measurement: CData,
+        truth: CData,
+    ) -> int:
+        """See core/arm_fleet.h; nobody looks on a device."""
+        size = fleet.count * self._N * ARM.sizeof("arm_joint_command")
+        joints = self.copy_in(control.joint, size)
+        own = FLEET.new("arm_fleet_way")
+        links = None
+        if way.links != NULL:
+            links = self.device.allocate(8 * periods * fleet.count * self._N)
+            own.links = cast_pointer(links)
+        self._put_changes(fleet, way, own)
+        result = self._show(
+            fleet,
+            measurement,
+            truth,
+            ("fleet_check_changes", "fleet_follow"),
+            threads=self.count_groups(arms),
+            joint=joints,
+            **{"with": getattr(control, "with")},
+            periods=periods,
+            way=own[0],
+        )
+        if links is not None:
+            self._copy_out(links, way.links, links.size)
+        self._copy_out(joints, control.joint, joints.size)
+        return result
+
+    def _put_changes(self, fleet: DeviceFleet, way: CData, own: CData) -> None:
+        """Copy changes of arms, and the wrenches that they point to."""
+        if way.change == NULL:
+            return
+        count = int(way.first_change[fleet.count])
+        size = count * FLEET.sizeof("arm_fleet_change")
+        changes = view_bytes(way.change, size).view(FLEET.dtype("arm_fleet_change")).copy()
+        pushes = np.flatnonzero(changes["wrench"])
+        each = ARM.sizeof("arm_wrench")
+        wrenches = [
+            view_bytes(ARM.ffi.cast("arm_wrench *", int(host)), each)
+            for host in changes["wrench"][pushes]
+        ]
+        given = self._keep(fleet, "wrenches", np.concatenate([*wrenches, np.zeros(each, np.uint8)]))
+        changes["wrench"][pushes] = given.pointer + each * np.arange(len(pushes))
+        own.change = cast_pointer(self._keep(fleet, "changes", changes.view(np.uint8)))
+        first = view_bytes(way.first_change, 8 * (fleet.count + 1))
+        own.first_change = cast_pointer(self._keep(fleet, "first_change", first))
+
+    def _keep(self, fleet: DeviceFleet, purpose: str, array: NDArray[Any]) -> Memory:
+        """Copy numbers to memory that lives until the next ones for the same purpose."""
+        memory = fleet.rooms[purpose] = self.device.allocate(array.nbytes)
+        self.device.write(memory, array)
+        return memory
+
+    def _show(
+        self,
+        fleet: DeviceFleet,
+        measurement: CData,
+        truth: CData,
+        kernels: tuple[str, ...],
+        **values: Any,
+    ) -> int:
+        """Launch kernels, and copy what they show to structs of the processor."""
+        back: list[tuple[Memory, CData, int]] = []
+        for name, struct, sizes in (
+            ("measurement", measurement, self._sizes_of_measurement(fleet.count)),
+            ("truth", truth, self._sizes_of_truth(fleet.count)),
+        ):
+            own = FLEET.new(f"arm_fleet_{name}")
+            if struct == NULL:
+                own.size = 0
+            else:
+                for field, size in sizes.items():
+                    host = getattr(struct, field)
+                    if host != NULL and size:
+                        room = self._room(fleet, field, size)
+                        setattr(own, field, cast_pointer(room))
+                        back.append((room, host, size))
+            values[name] = own[0]
+        if len(kernels) == 1:
+            self._launch_on(fleet, kernels[0], **values)
+        elif self._check_and_do(fleet, kernels, **values) == REFUSED:
+            return REFUSED
+        for room, host, size in back:
+            self._copy_out(room, host, size)
+        return OK
+
+    def _sizes_of_measurement(self, count: int) -> dict[str, int]:
+        rows = count * self._N
+        return {
+            "powered": count,
+            "tick": 8 * count,
+            "answered": 8 * count,
+            "joint": rows * ARM.sizeof("arm_joint_measurement"),
+            "sensors": rows * ARM.sizeof("arm_joint_sensors"),
+            "imu": count * len(self._scene.imus) * ARM.sizeof("arm_imu_measurement"),
+            "current_d": 8 * rows,
+            "readings": 8 * rows * self._count_readings(),
+            "further": 8 * rows * self._count_inputs(),
+        }
+
+    def _sizes_of_truth(self, count: int) -> dict[str, int]:
+        rows = dict.fromkeys(
+            ("encoder", "current", "motor_angle", "motor_speed", "q", "v", "gear_torque"),
+            8 * count * self._N,
+        )
+        return {"fault": 4 * count, "time": 8 * count, "energy": 8 * count, **rows}
+
+    def _count_readings(self) -> int:
+        return len(list_rows(self._scene)["readings"])
+
+    def _count_inputs(self) -> int:
+        return len(list_rows(self._scene)["further"])
+
+    def _place(self, name: bytes) -> int:
+        return [one.name for one in self._scene.varied].index(name.decode())
+
+    def _mask(self, fleet: DeviceFleet, mask: CData) -> Memory | CData:
+        return mask if mask == NULL else self.copy_in(mask, fleet.count)
+
+    def _check_and_do(self, fleet: DeviceFleet, kernels: tuple[str, ...], **values: Any) -> int:
+        """Launch a kernel that checks, and one that does nothing if an arm has refused."""
+        refused = self._room(fleet, "refused", 4)
+        self.device.write(refused, np.array([NONE_REFUSED], np.int32))
+        for kernel in kernels:
+            self._launch_on(fleet, kernel, refused=refused, **values)
+        lowest = int(self.device.read(refused, np.int32, (1,))[0])
+        fleet.refused = -1 if lowest == NONE_REFUSED else lowest
+        return OK if fleet.refused < 0 else REFUSED
+
+    def _launch_on(
+        self, fleet: DeviceFleet, kernel: str, threads: int | None = None, **values: Any
+    ) -> None:
+        self.launch(
+            kernel, fleet.groups if threads is None else threads, fleet=fleet.memory, **values
+        )
+
+    def launch(self, kernel: str, threads: int, **values: Any) -> None:
+        """Launch a kernel of core/fleet_kernels.h, with values of its struct."""
+        places = {
+            name: cast_pointer(value) if isinstance(value, Memory) else value
+            for name, value in values.items()
+        }
+        call = KERNELS.new(f"{kernel}_call", **places)
+        self._module.launch(kernel, threads, bytes(KERNELS.ffi.buffer(call)))
+
+    def _room(self, fleet: DeviceFleet, purpose: str, size: int) -> Memory:
+        if purpose not in fleet.rooms:
+            fleet.rooms[purpose] = self.device.allocate(size)
+        return fleet.rooms[purpose]
+
+    def copy_in(self, host: CData, size: int) -> Memory:
+        """Return a copy of bytes of the processor."""
+        memory = self.device.allocate(size)
+        if size:
+            self.device.write(memory, view_bytes(host, size))
+        return memory
+
+    def _copy_out(self, memory: Memory, host: CData, size: int) -> None:
+        view_bytes(host, size)[:] = self.device.read(memory, np.uint8, (size,))
+
+
+def view_bytes(host: CData, size: int) -> NDArray[np.uint8]:
+    """Return bytes of the processor as an array that shares them."""
+    return np.frombuffer(FLEET.ffi.buffer(FLEET.ffi.cast("char *", host), size), np.uint8)
+
+
+def cast_pointer(memory: Memory) -> CData:
+    """Return the address of memory of a device."""
+    return FLEET.ffi.cast("void *", memory.pointer)
