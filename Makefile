@@ -16,6 +16,7 @@ help:
 	@echo 'make test-slow          run the long tests that make test leaves out'
 	@echo 'make test-in-full       run the tests with every case of each class'
 	@echo 'make test-peers         run the tests with masters, compilers and simulators of others'
+	@echo 'make test-gpu           run the tests of fleets on a card of NVIDIA'
 	@echo 'make test-under-load    run the tests of the network 20 times beside eight busy processes'
 	@echo 'make fuzz               random scenes, files, messages, machines and frames, for ten minutes'
 	@echo 'make bench              measure speed and accuracy'
@@ -218,6 +219,10 @@ test-peers: setup .venv/.robots .venv/.peers test-slow
 	@sh test/peers/install.sh
 	@$(RUN) && $(PYTEST) -n 2 $(wildcard test/peers packages/test/peers packages/*/test/peers) $(ARGS)
 
+# Without a card every test is skipped, with a line.
+test-gpu: setup
+	@$(RUN) && $(PYTEST) -n 0 -s $(wildcard packages/*/test/gpu) $(ARGS)
+
 NETWORK_TESTS := test/test_network.py test/test_lockstep.py
 
 test-under-load: setup .venv/.robots
@@ -271,4 +276,4 @@ distclean: clean
 	rm -rf .venv out
 
 FORCE:
-.PHONY: help setup core page robots demo test test-slow test-in-full test-peers test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE
+.PHONY: help setup core page robots demo test test-slow test-in-full test-peers test-gpu test-under-load fuzz bench pages tables docs lint tidy format clean distclean FORCE

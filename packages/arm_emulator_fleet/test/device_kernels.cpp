@@ -26,6 +26,8 @@ using int64 = std::int64_t;
 extern "C" {
 #ifdef __CUDA__
 __attribute__((device))
+#else
+__attribute__((visibility("default")))
 #endif
 double offsets[3] = {0.5, 0.25, 0.125};
 }
