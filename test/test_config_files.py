@@ -90,7 +90,7 @@ def test_shipped_scenes_find_theirs_installed_without_links(
     monkeypatch.setattr(config_files, "__file__", str(tmp_path / "lib" / "x" / "config_files.py"))
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
     monkeypatch.chdir(tmp_path)
-    for name in ("three_axis", "ur5", "panda"):
+    for name in ("three_axis", "ur5", "panda", "so_arm100"):
         for kind in BESIDE:
             result = find_beside(find_scene(name), kind)
             assert result == tmp_path / "share/arm_emulator/config" / kind / f"{name}.yaml"

@@ -204,7 +204,7 @@ def test_examples_have_the_numbers_of_the_scene() -> None:
     assert unit["TARGET"][1:].tolist() == list(scene.start[1:]), "simulate_fmu.py: TARGET"
 
 
-@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda"])
+@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda", "so_arm100"])
 def test_a_servo_has_the_data_sheet_of_its_scene(name: str) -> None:
     scene = yaml.safe_load((ROOT / "config" / f"{name}.yaml").read_text())
     (servo,) = yaml.safe_load((ROOT / "config" / "servo" / f"{name}.yaml").read_text()).values()

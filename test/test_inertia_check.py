@@ -179,7 +179,9 @@ def test_a_scene_with_an_impossible_link_is_refused_unless_it_trusts_it(tmp_path
         scene_of(tmp_path, arm([good()]), trust_inertias=True, replace_inertias=True)
 
 
-@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300"])
+@pytest.mark.parametrize(
+    "name", ["three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300", "so_arm100"]
+)
 def test_shipped_scenes_say_which_inertias_are_not_of_bodies(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -121,7 +121,7 @@ def test_parameter_files_may_name_the_node_or_all_nodes(tmp_path: Path, node: st
     assert load_motion_config(motion).weight == 0.25
 
 
-@pytest.mark.parametrize("scene", ["three_axis", "ur5", "panda"])
+@pytest.mark.parametrize("scene", ["three_axis", "ur5", "panda", "so_arm100"])
 def test_drives_know_the_motors_of_their_scene(scene: str) -> None:
     config = load_servo_config(CONFIG / "servo" / f"{scene}.yaml")
     machine = yaml.safe_load((CONFIG / f"{scene}.yaml").read_text())

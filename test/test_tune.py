@@ -38,7 +38,7 @@ def other_gains(servo: ServoConfig, rng: np.random.Generator, rigid: bool) -> Se
 
 
 @pytest.mark.parametrize("rigid", [False, True])
-@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda"])
+@pytest.mark.parametrize("name", ["three_axis", "ur5", "panda", "so_arm100"])
 def test_gains_are_written_and_nothing_else_changes(name: str, rigid: bool, tmp_path: Path) -> None:
     rng = np.random.default_rng([rigid, len(name)])
     file = tmp_path / "servo.yaml"
