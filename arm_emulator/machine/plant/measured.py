@@ -32,11 +32,19 @@ class Measured(ArrayEquality):
     rows: dict[str, tuple[str, ...]]
 
     def __getattr__(self, name: str) -> NDArray[Any]:
+        values = self.find(name)
+        return values.astype(np.int64) if values.dtype.kind == "u" else values
+
+    def find(self, name: str) -> NDArray[Any]:
+        """Return an output by its name, as a view of the arrays.
+
+        Raises:
+            AttributeError: there is no such output.
+        """
         output = KNOWN.get(name)
         if output is None:
             raise AttributeError(f"Measured has no {name}", name=name, obj=self)
-        values = self.place(output)
-        return values.astype(np.int64) if output.kind in ("flag", "bits") else values
+        return self.place(output)
 
     def place(self, output: Output) -> NDArray[Any]:
         """Return an output as a view of the arrays."""

@@ -253,6 +253,40 @@ def as_device_array(device: Device, values: object, dtype: DTypeLike | None = No
     return copied
 
 
+def is_device_array(values: object) -> bool:
+    """Return whether numbers are an array of this module, or of a library with devices."""
+    if isinstance(values, np.ndarray):
+        return False
+    return hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__")
+
+
+def take_array(
+    where: str,
+    name: str,
+    device: Device,
+    values: object,
+    shape: tuple[int, ...],
+    dtype: DTypeLike | None,
+) -> DeviceArray:
+    """Return an argument as an array on a device, see `as_device_array`.
+
+    Args:
+        where: name of the refusal.
+        name: of the argument.
+        device: where to.
+        values: see there.
+        shape: that it must have.
+        dtype: of the numbers; None: theirs.
+
+    Raises:
+        Refusal: another shape, or no numbers of this type.
+    """
+    array = as_device_array(device, values, dtype)
+    if array.shape != shape:
+        raise Refusal(where, name, f"have shape {shape}", array.shape)
+    return array
+
+
 def _share_array(device: Device, values: object, to_write: bool) -> DeviceArray | None:
     """Return an array that shares the memory of values on a device; None if it cannot.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +14,13 @@ from arm_emulator.extension.compiler import C_NULL as NULL
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import ARM_HEADER as ARM
 from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
-from arm_emulator.extension.machine import Scene, list_rows
-from arm_emulator_fleet.device import Device, Memory
+from arm_emulator.extension.machine import Scene, bound_start, list_rows, make_commands
+from arm_emulator_fleet.device import Device, DevicePointer, Memory
+from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.unit import FLEET, KERNELS, LANES_OF_THREAD, NATIVE, load_kernels
 
 OK = ARM.constant("ARM_OK")
+_COMMAND = ARM.sizeof("arm_joint_command")
 NONE_REFUSED = KERNELS.constant("FLEET_NONE_REFUSED")
 ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
 HALVED = 8  # one arm in so many may halve its steps
@@ -139,11 +142,11 @@ class DeviceCore:
         return fleet.refused
 
     def arm_fleet_reset(self, fleet: DeviceFleet, mask: CData, q: CData, v: CData) -> int:
-        """See core/arm_fleet.h; the numbers are finite."""
+        """See core/arm_fleet.h."""
         rows = 8 * fleet.count * self._N
-        mask, q, v = self._mask(fleet, mask), self.copy_in(q, rows), self.copy_in(v, rows)
-        self._launch_on(fleet, "fleet_reset", mask=mask, q=q, v=v)
-        return OK
+        kernels, bounds = ("fleet_check_start", "fleet_reset"), self._bounds(fleet)
+        places = {"q": self.copy_in(q, rows), "v": self.copy_in(v, rows), "bounds": bounds}
+        return self._check_and_do(fleet, kernels, mask=self._mask(fleet, mask), **places)
 
     def arm_fleet_get_parameter(self, fleet: DeviceFleet, name: bytes, values: CData) -> int:
         """See core/arm_fleet.h; the name is known."""
@@ -228,7 +231,17 @@ class DeviceCore:
 
     def arm_fleet_exchange(self, fleet: DeviceFleet, first: int, arms: int, command: CData) -> int:
         """See core/arm_fleet.h; of all arms."""
-        return self.arm_fleet_step(fleet, first, arms, command, 1, NULL, NULL)
+        rows = fleet.count * self._N
+        self._keep_commands(fleet, view_bytes(command.joint, rows * _COMMAND))
+        further = NULL
+        if command.further != NULL:
+            further = self.copy_in(command.further, 8 * rows * self._count_inputs())
+        return self._step(fleet, 1, further=further, tick=command.tick)
+
+    def put_commands(self, fleet: DeviceFleet, values: DeviceArray) -> None:
+        """Set the commands that are held (count, N) [V, N m, A]."""
+        joint = self._joint_commands(fleet)
+        self._launch_on(fleet, "fleet_put_commands", value=cast_pointer(values), joint=joint)
 
     def arm_fleet_step(
         self,
@@ -240,32 +253,66 @@ class DeviceCore:
         measurement: CData,
         truth: CData,
     ) -> int:
-        """See core/arm_fleet.h; of all arms. Frames of the processor are copied."""
-        size = fleet.count * self._N * ARM.sizeof("arm_joint_command")
-        joint = self.copy_in(command.joint, size)
-        further = NULL
-        if command.further != NULL:
-            further = self.copy_in(
-                command.further, 8 * fleet.count * self._N * self._count_inputs()
-            )
-        return self._show(
-            fleet,
-            measurement,
-            truth,
-            ("fleet_check_commands", "fleet_step"),
-            joint=joint,
-            further=further,
-            tick=command.tick,
-            periods=periods,
+        """See core/arm_fleet.h; of all arms, under the commands that were put.
+
+        Measurement and truth have pointers of the device.
+        """
+        return self._step(fleet, periods, tick=-1, measurement=measurement[0], truth=truth[0])
+
+    def _step(self, fleet: DeviceFleet, periods: int, **values: Any) -> int:
+        kernels = "fleet_check_commands", "fleet_step"
+        joint = self._joint_commands(fleet)
+        return self._check_and_do(fleet, kernels, joint=joint, periods=periods, **values)
+
+    def _joint_commands(self, fleet: DeviceFleet) -> Memory:
+        if "joint commands" not in fleet.rooms:
+            commands = np.tile(make_commands(self._scene), (fleet.count, 1))
+            self._keep_commands(fleet, commands.view(np.uint8))
+        return fleet.rooms["joint commands"]
+
+    def _keep_commands(self, fleet: DeviceFleet, commands: NDArray[np.uint8]) -> None:
+        room = self._room(fleet, "joint commands", commands.size)
+        self.device.write(room, commands)
+
+    def reset_in_place(
+        self,
+        fleet: DeviceFleet,
+        mask: DeviceArray,
+        start: tuple[DeviceArray, DeviceArray],
+        columns: Mapping[str, DeviceArray],
+    ) -> int:
+        """Reset arms; all numbers are on the device.
+
+        Args:
+            fleet: the arms.
+            mask: a byte for each arm.
+            start: link positions and speeds (count, N); those of other arms are not read.
+            columns: varied numbers by name (count,), alike.
+
+        Returns:
+            ARM_REFUSED if a number is out of its range; then nothing has changed.
+        """
+        q, v = map(cast_pointer, start)
+        rows = [
+            {"place": self._place(name.encode()), "values": cast_pointer(values)}
+            for name, values in columns.items()
+        ]
+        starts = {"q": q, "v": v, "bounds": self._bounds(fleet)}
+        calls = [
+            *(("fleet_check_parameters", row) for row in rows),
+            ("fleet_check_start", starts),
+            *(("fleet_set_parameters", row) for row in rows),
+            ("fleet_reset", starts),
+        ]
+        return self._check_and_do_each(
+            fleet, [(kernel, {"mask": cast_pointer(mask), **values}) for kernel, values in calls]
         )
 
-    def arm_fleet_measure(self, fleet: DeviceFleet, measurement: CData) -> int:
-        """See core/arm_fleet.h."""
-        return self._show(fleet, measurement, NULL, ("fleet_show",))
-
-    def arm_fleet_get_truth(self, fleet: DeviceFleet, truth: CData) -> int:
-        """See core/arm_fleet.h."""
-        return self._show(fleet, NULL, truth, ("fleet_show",))
+    def _bounds(self, fleet: DeviceFleet) -> Memory:
+        if "bounds" not in fleet.rooms:
+            bounds = [np.broadcast_to(one.most, self._N) for one in bound_start(self._scene)]
+            self._keep(fleet, "bounds", np.concatenate(bounds))
+        return fleet.rooms["bounds"]
 
     def arm_fleet_follow(
         self,
@@ -278,29 +325,29 @@ class DeviceCore:
         measurement: CData,
         truth: CData,
     ) -> int:
-        """See core/arm_fleet.h; nobody looks on a device."""
-        size = fleet.count * self._N * ARM.sizeof("arm_joint_command")
-        joints = self.copy_in(control.joint, size)
+        """See core/arm_fleet.h; nobody looks on a device.
+
+        Measurement and truth have pointers of the device.
+        """
         own = FLEET.new("arm_fleet_way")
         links = None
         if way.links != NULL:
             links = self.device.allocate(8 * periods * fleet.count * self._N)
             own.links = cast_pointer(links)
         self._put_changes(fleet, way, own)
-        result = self._show(
+        result = self._check_and_do(
             fleet,
-            measurement,
-            truth,
             ("fleet_check_changes", "fleet_follow"),
             threads=self.count_groups(arms),
-            joint=joints,
+            joint=self._joint_commands(fleet),
             **{"with": getattr(control, "with")},
             periods=periods,
             way=own[0],
+            measurement=measurement[0],
+            truth=truth[0],
         )
         if links is not None:
             self._copy_out(links, way.links, links.size)
-        self._copy_out(joints, control.joint, joints.size)
         return result
 
     def _put_changes(self, fleet: DeviceFleet, way: CData, own: CData) -> None:
@@ -328,35 +375,27 @@ class DeviceCore:
         self.device.write(memory, array)
         return memory
 
-    def _show(
-        self,
-        fleet: DeviceFleet,
-        measurement: CData,
-        truth: CData,
-        kernels: tuple[str, ...],
-        **values: Any,
-    ) -> int:
-        """Launch kernels, and copy what they show to structs of the processor."""
+    def arm_fleet_measure(self, fleet: DeviceFleet, measurement: CData) -> int:
+        """See core/arm_fleet.h."""
+        return self._show(
+            fleet, "measurement", measurement, self._sizes_of_measurement(fleet.count)
+        )
+
+    def arm_fleet_get_truth(self, fleet: DeviceFleet, truth: CData) -> int:
+        """See core/arm_fleet.h."""
+        return self._show(fleet, "truth", truth, self._sizes_of_truth(fleet.count))
+
+    def _show(self, fleet: DeviceFleet, name: str, struct: CData, sizes: dict[str, int]) -> int:
+        """Fill a struct of the processor."""
+        own = FLEET.new(f"arm_fleet_{name}")
         back: list[tuple[Memory, CData, int]] = []
-        for name, struct, sizes in (
-            ("measurement", measurement, self._sizes_of_measurement(fleet.count)),
-            ("truth", truth, self._sizes_of_truth(fleet.count)),
-        ):
-            own = FLEET.new(f"arm_fleet_{name}")
-            if struct == NULL:
-                own.size = 0
-            else:
-                for field, size in sizes.items():
-                    host = getattr(struct, field)
-                    if host != NULL and size:
-                        room = self._room(fleet, field, size)
-                        setattr(own, field, cast_pointer(room))
-                        back.append((room, host, size))
-            values[name] = own[0]
-        if len(kernels) == 1:
-            self._launch_on(fleet, kernels[0], **values)
-        elif self._check_and_do(fleet, kernels, **values) == REFUSED:
-            return REFUSED
+        for field, size in sizes.items():
+            host = getattr(struct, field)
+            if host != NULL and size:
+                room = self.device.allocate(size)
+                setattr(own, field, cast_pointer(room))
+                back.append((room, host, size))
+        self._launch_on(fleet, "fleet_show", **{name: own[0]})
         for room, host, size in back:
             self._copy_out(room, host, size)
         return OK
@@ -396,9 +435,14 @@ class DeviceCore:
 
     def _check_and_do(self, fleet: DeviceFleet, kernels: tuple[str, ...], **values: Any) -> int:
         """Launch a kernel that checks, and one that does nothing if an arm has refused."""
+        return self._check_and_do_each(fleet, [(kernel, values) for kernel in kernels])
+
+    def _check_and_do_each(
+        self, fleet: DeviceFleet, calls: Sequence[tuple[str, Mapping[str, Any]]]
+    ) -> int:
         refused = self._room(fleet, "refused", 4)
         self.device.write(refused, np.array([NONE_REFUSED], np.int32))
-        for kernel in kernels:
+        for kernel, values in calls:
             self._launch_on(fleet, kernel, refused=refused, **values)
         lowest = int(self.device.read(refused, np.int32, (1,))[0])
         fleet.refused = -1 if lowest == NONE_REFUSED else lowest
@@ -441,6 +485,11 @@ def view_bytes(host: CData, size: int) -> NDArray[np.uint8]:
     return np.frombuffer(FLEET.ffi.buffer(FLEET.ffi.cast("char *", host), size), np.uint8)
 
 
-def cast_pointer(memory: Memory) -> CData:
+def cast_pointer(memory: DevicePointer) -> CData:
     """Return the address of memory of a device."""
-    return FLEET.ffi.cast("void *", memory.pointer)
+    return cast_address(memory.pointer)
+
+
+def cast_address(address: int) -> CData:
+    """Return an address as the structs of kernels take it."""
+    return FLEET.ffi.cast("void *", address)

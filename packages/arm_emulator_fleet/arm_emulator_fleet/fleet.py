@@ -251,18 +251,32 @@ class Fleet(CoreMachines):
                 has changed.
         """
         where = "Fleet.step"
-        rows = self._arguments.commands(command, where)
         periods = check_count(where, "periods", periods, 0, 10**9)
         out = self._frame(where, out)
-        self._commands["value"] = rows
+        self._put_commands(where, command)
         step, fleet, given = self.core.arm_fleet_step, self._fleet, self._held
-        places = out.measurement, out.truth
+        places, results = (out.measurement, out.truth), []
         for _, some in self._pieces(periods):
             self._shares.do(
                 self._period_worth * some,
-                lambda *share, n=some: step(fleet, *share, given, n, *places),
+                lambda *share, n=some: results.append(step(fleet, *share, given, n, *places)),
             )
+            if REFUSED in results:  # of a device, whose commands nobody else checks
+                raise self._refusal(where, "")
         return out
+
+    def _put_commands(self, where: str, command: Any) -> None:
+        """Set the commands that are held."""
+        if self.device is None:
+            self._commands["value"] = self._arguments.commands(command, where)
+            return
+        from arm_emulator_fleet.device_array import is_device_array, take_array
+
+        if not is_device_array(command):
+            command = self._arguments.commands(command, where)
+        shape, name = (self._count, self._N), ANY_COMMAND.name
+        rows = take_array(where, name, self.core.device, command, shape, np.float64)
+        self.core.put_commands(self._fleet, rows)
 
     @synchronized
     def follow(
@@ -350,13 +364,18 @@ class Fleet(CoreMachines):
 
     def _frame(self, where: str, out: FleetFrame | None) -> FleetFrame:
         out = self.frame() if out is None else out
-        if not isinstance(out, FleetFrame) or out.of != (self.scene, self._count):
+        of = self.scene, self._count, self.device
+        if not isinstance(out, FleetFrame) or out.of != of:
             raise Refusal(where, "out", "be a frame of this fleet", out)
         return out
 
     def frame(self) -> FleetFrame:
-        """Return arrays for `step` and `follow` to fill."""
-        return FleetFrame(self.scene, self._count)
+        """Return arrays for `step` and `follow` to fill; on a device, a `DeviceFrame`."""
+        if self.device is None:
+            return FleetFrame(self.scene, self._count)
+        from arm_emulator_fleet.device_frame import DeviceFrame
+
+        return DeviceFrame(self.scene, self._count, self.device, self.core)
 
     @synchronized
     def run(self, commands: ArrayLike, steps: int) -> Array:

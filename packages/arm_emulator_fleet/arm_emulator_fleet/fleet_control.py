@@ -64,7 +64,7 @@ class FleetFrame:
     The arrays are reused in every step; copy them to keep values.
 
     Attributes:
-        of: scene and count.
+        of: scene, count, and device of the fleet.
         measured: what the sensors give, as `Fleet.measured`, in place.
         powered: whether the drives have power (count,).
         faults: the joint at which each arm diverged (count,); -1: it goes on.
@@ -81,7 +81,7 @@ class FleetFrame:
     """
 
     def __init__(self, scene: Scene, count: int) -> None:
-        self.of = scene, count
+        self.of: tuple[Scene, int, str | None] = scene, count, None
         shape = count, len(scene.joints)
         place = MeasuredPlace(scene, count)
         self.measured: Measured = place.view()
@@ -105,7 +105,7 @@ class FleetFrame:
         self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return FleetFrame, self.of, self.__getstate__()
+        return FleetFrame, self.of[:2], self.__getstate__()
 
     def __getstate__(self) -> list[NDArray[Any]]:
         return [rows.copy() for rows in self._rows]

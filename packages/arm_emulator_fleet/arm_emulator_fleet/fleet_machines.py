@@ -128,12 +128,15 @@ class CoreMachines(Synchronized):
             Refusal: wrong shape, not finite, out of range or too far away to be computed with; the
                 arms are as before.
         """
-        where, mask = "Fleet.reset", choose_arms("Fleet.reset", arms, self._count)
+        where = "Fleet.reset"
+        if not isinstance(varied, Mapping | None):
+            raise Refusal(where, "varied", "be values by name", varied)
+        if self.device is not None and self._reset_in_place(where, arms, q, v, varied or {}):
+            return
+        mask = choose_arms(where, arms, self._count)
         of_q, of_v = bound_start(self.scene)
         at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
         speed = self._arguments.rows(np.zeros(self._N) if v is None else v, mask, where, of_v)
-        if not isinstance(varied, Mapping | None):
-            raise Refusal(where, "varied", "be values by name", varied)
         columns = {
             n: self._arguments.column(where, n, values, mask)
             for n, values in (varied or {}).items()
@@ -141,6 +144,35 @@ class CoreMachines(Synchronized):
         for name, column in columns.items():
             self._set_parameter(name, column, mask)
         self.core.arm_fleet_reset(self._fleet, get_mask_bytes(mask), pointer(at), pointer(speed))
+
+    def _reset_in_place(
+        self, where: str, arms: Any, q: Any, v: Any, varied: Mapping[str, Any]
+    ) -> bool:
+        """Reset arms of a device with numbers that are there, and whether there are any."""
+        from arm_emulator_fleet.device_array import is_device_array, take_array
+
+        if not any(map(is_device_array, (arms, q, v, *varied.values()))):
+            return False
+        device, count, shape = self.core.device, self._count, (self._count, self._N)
+        if not is_device_array(arms):
+            arms = choose_arms(where, arms, count).view(np.uint8)
+        mask = take_array(where, "arms", device, arms, (count,), None)
+        if mask.dtype.itemsize != 1:
+            raise Refusal(where, "arms", "be a mask of bool or uint8", mask.dtype)
+        starts = (("q", q, self.scene.start), ("v", v, np.zeros(self._N)))
+        rows = [
+            take_array(where, name, device, _row_of_each(given, at, count), shape, np.float64)
+            for name, given, at in starts
+        ]
+        for name in varied:
+            find_varied(self.scene.varied, name, where)
+        columns = {
+            name: take_array(where, name, device, values, (count,), np.float64)
+            for name, values in varied.items()
+        }
+        if self.core.reset_in_place(self._fleet, mask, (rows[0], rows[1]), columns) == REFUSED:
+            raise self._refusal(where, "another value")
+        return True
 
     @property
     @synchronized
@@ -312,6 +344,15 @@ class CoreMachines(Synchronized):
         why = build_refusal(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
         self.core.arm_fleet_give_back(self._fleet, arm)
         return why
+
+
+def _row_of_each(given: Any, otherwise: Array, count: int) -> Any:
+    """Return numbers with a row for each arm, as they are if they are on a device."""
+    if given is not None and not isinstance(given, np.ndarray):
+        return given
+    return np.ascontiguousarray(
+        np.broadcast_to(otherwise if given is None else given, (count, len(otherwise))), np.float64
+    )
 
 
 def load_core(scene: Scene, device: str | None) -> Library | DeviceCore:

@@ -37,11 +37,14 @@ typedef struct fleet_end_call {
   arm_fleet* fleet;
 } fleet_end_call;
 
-typedef struct fleet_reset_call {
+typedef struct fleet_check_start_call {
   arm_fleet* fleet;
   const uint8_t* mask;
   const double *q, *v;
-} fleet_reset_call;
+  const double* bounds; /* largest q of each joint, then largest v */
+  int32_t* refused;
+} fleet_check_start_call;
+typedef fleet_check_start_call fleet_reset_call;
 
 /* Varied numbers: all of them in rows, or number `place` alone if it is not negative. */
 typedef struct fleet_get_parameters_call {
@@ -117,6 +120,15 @@ typedef struct fleet_show_call {
   arm_fleet_measurement measurement;
   arm_fleet_truth truth;
 } fleet_show_call;
+
+/* One number of each joint, which lie apart, one after the other; a thread for each of them. Whole
+ * numbers of `size` bytes become int64_t. */
+typedef struct fleet_gather_call {
+  const uint8_t* given;
+  int64_t size;
+  int64_t shape[3], stride[3];
+  void* to;
+} fleet_gather_call;
 
 /* Values of commands, where the arms' commands are. */
 typedef struct fleet_put_commands_call {

@@ -58,11 +58,24 @@ ARM_KERNEL(fleet_build) {
 }
 ARM_KERNEL(fleet_end) { call.fleet->~arm_fleet(); }
 
-ARM_KERNEL(fleet_reset) {
-  constexpr int N = arm_fleet::N;
-  for_arms_of(call.fleet, thread, call.mask, [&](arm_machine* arm, int k) {
-    arm_reset(arm, call.q + std::int64_t{k} * N, call.v + std::int64_t{k} * N);
+ARM_KERNEL(fleet_check_start) {
+  constexpr std::int64_t N = arm_fleet::N;
+  check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
+    for (int j = 0; j < N; ++j) {
+      const double q = call.q[k * N + j], v = call.v[k * N + j];
+      if (!arm::is_finite(q) || arm::magnitude(q) > call.bounds[j])
+        return arm->refuse(j, "q", "be finite, and not too far away", q);
+      if (!arm::is_finite(v) || arm::magnitude(v) > call.bounds[N + j])
+        return arm->refuse(j, "v", "be finite, and not too fast", v);
+    }
+    return int{ARM_OK};
   });
+}
+ARM_KERNEL(fleet_reset) {
+  if (*call.refused != FLEET_NONE_REFUSED) return;
+  constexpr std::int64_t N = arm_fleet::N;
+  for_arms_of(call.fleet, thread, call.mask,
+              [&](arm_machine* arm, int k) { arm_reset(arm, call.q + k * N, call.v + k * N); });
 }
 
 ARM_KERNEL(fleet_get_parameters) {
@@ -145,6 +158,17 @@ ARM_KERNEL(fleet_step) {
 ARM_KERNEL(fleet_show) {
   call.fleet->show(static_cast<int>(thread), call.measurement.size ? &call.measurement : nullptr,
                    call.truth.size ? &call.truth : nullptr);
+}
+
+ARM_KERNEL(fleet_gather) {
+  std::int64_t left = thread, at = 0;
+  for (int axis = 2; axis >= 0; --axis) {
+    at += left % call.shape[axis] * call.stride[axis];
+    left /= call.shape[axis];
+  }
+  auto* to = static_cast<std::int64_t*>(call.to) + thread;
+  *to = 0;
+  __builtin_memcpy(to, call.given + at, call.size == 8 ? 8 : 4);
 }
 
 ARM_KERNEL(fleet_put_commands) {
