@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -131,8 +131,9 @@ class CoreMachines(Synchronized):
         where = "Fleet.reset"
         if not isinstance(varied, Mapping | None):
             raise Refusal(where, "varied", "be values by name", varied)
-        if self.device is not None and self._reset_in_place(where, arms, q, v, varied or {}):
-            return
+        numbers = arms, q, v, *(varied or {}).values()
+        if self.device is not None and has_device_array(numbers):
+            return self._reset_in_place(where, arms, q, v, varied or {})
         mask = choose_arms(where, arms, self._count)
         of_q, of_v = bound_start(self.scene)
         at = self._arguments.rows(self.scene.start if q is None else q, mask, where, of_q)
@@ -147,12 +148,10 @@ class CoreMachines(Synchronized):
 
     def _reset_in_place(
         self, where: str, arms: Any, q: Any, v: Any, varied: Mapping[str, Any]
-    ) -> bool:
-        """Reset arms of a device with numbers that are there, and whether there are any."""
+    ) -> None:
+        """Reset arms of a device with numbers that are there."""
         from arm_emulator_fleet.device_array import is_device_array, take_array
 
-        if not any(map(is_device_array, (arms, q, v, *varied.values()))):
-            return False
         device, count, shape = self.core.device, self._count, (self._count, self._N)
         if not is_device_array(arms):
             arms = choose_arms(where, arms, count).view(np.uint8)
@@ -172,7 +171,6 @@ class CoreMachines(Synchronized):
         }
         if self.core.reset_in_place(self._fleet, mask, (rows[0], rows[1]), columns) == REFUSED:
             raise self._refusal(where, "another value")
-        return True
 
     @property
     @synchronized
@@ -344,6 +342,13 @@ class CoreMachines(Synchronized):
         why = build_refusal(self.core, machine, self.scene, f"{where}: arm {arm}", otherwise)
         self.core.arm_fleet_give_back(self._fleet, arm)
         return why
+
+
+def has_device_array(numbers: Sequence[object]) -> bool:
+    """Return whether one of these is an array of a library with devices."""
+    from arm_emulator_fleet.device_array import is_device_array
+
+    return any(map(is_device_array, numbers))
 
 
 def _row_of_each(given: Any, otherwise: Array, count: int) -> Any:
