@@ -27,6 +27,15 @@ struct CurrentControl {
   Real bandwidth = 0.0;    // Hz; 0: gains are given
   Real P = 0.0, I = 0.0;   // V/A, V/(A s)
   Real feedforward = 1.0;  // share of the induced voltage
+
+  // With the gains for this winding, which follow from a bandwidth once and not in every step.
+  constexpr CurrentControl tuned(Real R, Real L) const {
+    CurrentControl control = *this;
+    if (!(bandwidth > 0.0)) return control;
+    const Real rate = 1.0 / time_constant(bandwidth);
+    control.P = rate * L, control.I = rate * R;
+    return control;
+  }
 };
 
 // R, L and Kb may vary with faults and heat; the gains follow from the data sheet.
@@ -44,8 +53,11 @@ struct CurrentLoop : Motor {
     return Motor::operator==(other) && control == other.control && nominal == other.nominal;
   }
 
-  CurrentControl control;
+  CurrentControl control;  // tuned
   DataSheet nominal;
+
+  constexpr CurrentLoop(const Motor& motor, const CurrentControl& stated, const DataSheet& sheet)
+      : Motor(motor), control(stated.tuned(sheet.R, sheet.L)), nominal(sheet) {}
 
   static constexpr int states = 2;  // i [A], x [V]
   static constexpr int modes = 1;
@@ -64,7 +76,7 @@ struct CurrentLoop : Motor {
   ARM_INLINE constexpr void rates(const X* z, X u, X, X wm, X offset, bool active, X* f) const {
     const X V = active ? offset : requested(z, u, wm);
     f[0] = V - this->R_circuit() * z[0] - this->Kb * wm;
-    f[1] = active ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);
+    f[1] = active ? control.I / control.P * (V - z[1] - E() * wm) : control.I * (u - z[0]);
   }
   // The integral is set to hold a current that is set by hand.
   constexpr void put_current(Real* z, Real current) const {
@@ -104,13 +116,10 @@ struct CurrentLoop : Motor {
   }
 
  private:
-  constexpr Real P() const { return control.bandwidth > 0.0 ? rate() * nominal.L : control.P; }
-  constexpr Real I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
   constexpr Real E() const { return control.feedforward * nominal.Kb; }
-  constexpr Real rate() const { return 1.0 / time_constant(control.bandwidth); }
   template <class X>
   ARM_INLINE constexpr X requested(const X* z, X u, X wm) const {
-    return P() * (u - z[0]) + z[1] + E() * wm;
+    return control.P * (u - z[0]) + z[1] + E() * wm;
   }
 };
 
