@@ -39,15 +39,28 @@ struct FieldOrientedLoop : Motor {
     return Motor::operator==(other) && control == other.control && nominal == other.nominal;
   }
 
-  CurrentControl control;
+  CurrentControl control;  // tuned
   SynchronousDataSheet nominal;
+  Real Pd, Pq;  // V/A
+
+  constexpr FieldOrientedLoop(const Motor& motor, const CurrentControl& stated,
+                              const SynchronousDataSheet& sheet)
+      : Motor(motor),
+        control(stated.tuned(sheet.R, sheet.Lq)),
+        nominal(sheet),
+        Pd(P(sheet.Ld)),
+        Pq(P(sheet.Lq)) {}
+  // Around another motor.
+  template <class Other, bool limits>
+  constexpr FieldOrientedLoop(const Motor& motor, const FieldOrientedLoop<Other, limits>& other)
+      : Motor(motor), control(other.control), nominal(other.nominal), Pd(other.Pd), Pq(other.Pq) {}
 
   static constexpr int states = 5;  // id, iq [A], ud [A], which rests, xd, xq [V]
   static constexpr Command takes = Command::current;
 
   constexpr auto linear() const {
     auto motor = Motor::linear();
-    return FieldOrientedLoop<decltype(motor), false>{motor, control, nominal};
+    return FieldOrientedLoop<decltype(motor), false>(motor, *this);
   }
 
   constexpr Real inertia(int k, bool active) const {
@@ -58,8 +71,8 @@ struct FieldOrientedLoop : Motor {
     const Voltages<X> requested = this->requested(z, u, wm), V = within(requested);
     const X across[] = {z[0], z[1], V.d};
     Motor::rates(across, V.q, tm, wm, offset, active, f);
-    f[3] = I() * (z[2] - z[0]) + I() / P(nominal.Ld) * (V.d - requested.d);
-    f[4] = I() * (u - z[1]) + I() / P(nominal.Lq) * (V.q - requested.q);
+    f[3] = control.I * (z[2] - z[0]) + control.I / Pd * (V.d - requested.d);
+    f[4] = control.I * (u - z[1]) + control.I / Pq * (V.q - requested.q);
   }
   // The integral is set to hold a current that is set by hand.
   constexpr void put_current(Real* z, Real current) const {
@@ -94,16 +107,14 @@ struct FieldOrientedLoop : Motor {
   struct Voltages {
     X d, q;
   };
-  constexpr Real rate() const { return 1.0 / time_constant(control.bandwidth); }
   constexpr Real P(Real L) const {
-    return control.bandwidth > 0.0 ? rate() * L : control.P * L / nominal.Lq;
+    return control.bandwidth > 0.0 ? control.tuned(nominal.R, L).P : control.P * L / nominal.Lq;
   }
-  constexpr Real I() const { return control.bandwidth > 0.0 ? rate() * nominal.R : control.I; }
   template <class X>
   ARM_INLINE constexpr Voltages<X> requested(const X* z, X u, X wm) const {
     const X speed_voltage = control.feedforward * nominal.p * wm;
-    Voltages<X> V = {P(nominal.Ld) * (z[2] - z[0]) + z[3],
-                     P(nominal.Lq) * (u - z[1]) + z[4] + speed_voltage * nominal.psi};
+    Voltages<X> V = {Pd * (z[2] - z[0]) + z[3],
+                     Pq * (u - z[1]) + z[4] + speed_voltage * nominal.psi};
     if constexpr (whole)
       V.d -= speed_voltage * nominal.Lq * z[1], V.q += speed_voltage * nominal.Ld * z[0];
     return V;
