@@ -227,6 +227,8 @@ class Coulomb {
 
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Matrix& W) {
+    if constexpr (std::is_same_v<X, double> && MassPattern<S>::from_the_tip)
+      return factors_.factor(W, [this](int j) { return locked_[j]; });
     Matrix free = {};
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)

@@ -20,6 +20,11 @@ struct Full {
   static constexpr bool couples(int, int) { return true; }
 };
 
+// No row and column is left out of a factorisation.
+struct NoneLeftOut {
+  constexpr bool operator()(int) const { return false; }
+};
+
 // U D U^T, from the tip to the base: the order in which the recursions of the links deliver M and
 // the right-hand side, so that the first eliminations need not wait for the last rows.
 template <int N, class X, class Pattern>
@@ -27,15 +32,28 @@ struct FromTheTip {
   X U[N][N];  // -U[k][i] is row i, column k of the factor, i < k
   X inverse_D[N];
 
-  // Factor `M`, which is used up.
-  ARM_INLINE void factor(Symmetric<N, X>& M) {
+  // Factor M. Rows and columns that `is_left_out` are those of the identity. What is worked on is
+  // local, so that the compiler may keep it in registers.
+  template <class LeftOut = NoneLeftOut>
+  ARM_INLINE void factor(const Symmetric<N, X>& M, LeftOut&& is_left_out = {}) {
+    Symmetric<N, X> rest;
+    for_each<N>([&](auto i) __attribute__((always_inline)) {
+      for_each_from<N>(i, [&](auto j) __attribute__((always_inline)) { rest[i][j] = M[i][j]; });
+    });
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
-      inverse_D[k] = 1.0 / M[k][k];
+      const bool out = is_left_out(k);
+      const X inverse = out ? X{} + 1.0 : 1.0 / rest[k][k];
+      inverse_D[k] = inverse;
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
         if constexpr (Pattern::couples(i, k)) {
-          U[k][i] = M[i][k] * -inverse_D[k];
+          if (out || is_left_out(i)) {
+            U[k][i] = X{};
+            return;
+          }
+          const X factor = rest[i][k] * -inverse;
+          U[k][i] = factor;
           for_each_from<k>(i, [&](auto j) __attribute__((always_inline)) {
-            if constexpr (Pattern::couples(j, k)) M[i][j] = fma(U[k][i], M[j][k], M[i][j]);
+            if constexpr (Pattern::couples(j, k)) rest[i][j] = fma(factor, rest[j][k], rest[i][j]);
           });
         }
       });
@@ -44,17 +62,19 @@ struct FromTheTip {
 
   template <class Y>
   ARM_INLINE void solve(Y* x) const {
+    Y y[N];
+    for_each<N>([&](auto k) __attribute__((always_inline)) { y[k] = x[k]; });
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) x[i] = fma(U[k][i], x[k], x[i]);
+        if constexpr (Pattern::couples(i, k)) y[i] = fma(U[k][i], y[k], y[i]);
       });
     });
     for_each<N>([&](auto k) __attribute__((always_inline)) {
-      Y sum = x[k] * inverse_D[k];
+      Y sum = y[k] * inverse_D[k];
       for_each<k>([&](auto i) __attribute__((always_inline)) {
-        if constexpr (Pattern::couples(i, k)) sum = fma(U[k][i], x[i], sum);
+        if constexpr (Pattern::couples(i, k)) sum = fma(U[k][i], y[i], sum);
       });
-      x[k] = sum;
+      x[k] = y[k] = sum;
     });
   }
 };
