@@ -78,7 +78,7 @@ class DerivativeReplay {
     if (piece.end == PieceEnd::cut) {
       Dynamics links;
       Links<S>::dynamics_apart(n_, x_.q, x_.v, links);
-      full_.remember(start_, x_, u_, links);
+      full_.remember(start_, x_, u_, links, Modes<S>(n_, x_, u_, links));
       cut_ = false;
       return;
     }

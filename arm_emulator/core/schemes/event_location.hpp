@@ -121,6 +121,8 @@ class EventLocation {
         if (meter_) meter_->part(x, y, u, modes, left);
         note(PieceEnd::unlocated, x, modes, left);
         x = y;
+        links = memo_.at(n_, x);
+        modes = Modes<S>(n_, x, u, links);
         break;
       }
       bool fails = true;  // of the whole step that is known
@@ -139,7 +141,9 @@ class EventLocation {
       links = memo_.at(n_, x);
       modes = Modes<S>(n_, x, u, links);
     }
-    full_.remember(start, x, u, memo_.at(n_, x));
+    full_.remember(start, x, u, links, modes);
+    full_.serve(modes);
+    kept_.take(modes);
     note(PieceEnd::cut, x, modes, 0.0);
   }
 

@@ -22,11 +22,21 @@ class KeptModes {
   bool rest() const { return rest_; }
   // State or numbers may have changed since the end of the last step.
   void forget() { stay_ = false; }
+  // Those for which the settled end of a step calls are known.
+  ARM_APART void take(const Modes<S>& modes) {
+    modes_ = modes;
+    rest_ = modes_.friction.rest(), locks_ = modes_.friction.lock();
+    n_.for_each_drive([&](const auto& drive, int j) {
+      regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{} && drive.is_ever_regular() &&
+                    !drive.follows_at_once();
+    });
+    stay_ = true;
+  }
 
   // Become those of the settled state x, the start of a step. Returns whether they are kept.
   ARM_INLINE bool begin(const State<S>& x, const Real* u, LinksMemo<S>& memo) {
     if (stay_ && are_called_for(x, u)) return true;
-    determine(x, u, memo);
+    take(Modes<S>(n_, x, u, memo.at(n_, x)));
     return false;
   }
   // Whether they hold at the end y of a step, which is settled then.
@@ -49,15 +59,6 @@ class KeptModes {
 
  private:
   using Friction = typename Modes<S>::Friction;
-
-  ARM_APART void determine(const State<S>& x, const Real* u, LinksMemo<S>& memo) {
-    modes_ = Modes<S>(n_, x, u, memo.at(n_, x));
-    rest_ = modes_.friction.rest(), locks_ = modes_.friction.lock();
-    n_.for_each_drive([&](const auto& drive, int j) {
-      regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{} && drive.is_ever_regular() &&
-                    !drive.follows_at_once();
-    });
-  }
 
   struct Drives {
     bool any = false, at[N] = {};

@@ -153,12 +153,13 @@ class LinearlyImplicit {
     move_drives(x, in);
   }
 
-  // Set the past for a step from `start` to x that was taken otherwise; `links` are those at x.
+  // Set the past for a step from `start` to x that was taken otherwise; links and modes are those
+  // at x.
   void remember(const State<S, X>& start, const State<S, X>& x, const X (&u)[row],
-                const Dynamics& links) {
+                const Dynamics& links, const Modes<S>& modes) {
     if constexpr (extrapolates) {
       X a[N];
-      Modes<S>(n_, x, u, links).accelerations(x, u, links, a, coulomb_);
+      modes.accelerations(x, u, links, a, coulomb_);
       torques_for<S>(n_, start.q, start.v, a, past().torque);
       for (int j = 0; j < N; ++j) past().a[j] = a[j];
     }
