@@ -161,10 +161,7 @@ class Coulomb {
       factor(W);
     for (int j = 0; j < N; ++j) x[j] = rhs[j] - sliding_torque(j);
     solve_again(x);
-    if (!lock) return;
-    for (int j = 0; j < N; ++j)
-      if (any(locked_[j]))
-        lock_torque_[j] = select(locked_[j], torque_of_lock(j, W, rhs, x), lock_torque_[j]);
+    if (lock) put_lock_torques(W, rhs, x);
   }
   // The torques of locks alone, with the modes fixed.
   void hold_in(const Modes& modes, auto&& mass, X* x) {
@@ -195,6 +192,7 @@ class Coulomb {
   }
 
   ARM_INLINE void solve_again(X* x) const {
+    if constexpr (present && leaves_out) return factors_.solve(x, is_locked());
     if constexpr (present)
       for (int j = 0; j < N; ++j) x[j] = select(locked_[j], X{}, x[j]);
     factors_.solve(x);
@@ -225,10 +223,14 @@ class Coulomb {
     }
   }
 
+  // Whether factors leave out the locked joints.
+  static constexpr bool leaves_out = std::is_same_v<X, double> && MassPattern<S>::from_the_tip;
+  auto is_locked() const {
+    return [this](int j) __attribute__((always_inline)) { return locked_[j]; };
+  }
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Matrix& W) {
-    if constexpr (std::is_same_v<X, double> && MassPattern<S>::from_the_tip)
-      return factors_.factor(W, [this](int j) { return locked_[j]; });
+    if constexpr (leaves_out) return factors_.factor(W, is_locked());
     Matrix free = {};
     for (int j = 0; j < N; ++j)
       for (int k = j; k < N; ++k)
@@ -244,10 +246,16 @@ class Coulomb {
   }
   ARM_APART void factor_apart(Matrix& W) { factors_.factor(W); }
 
-  ARM_INLINE static X torque_of_lock(int j, const Matrix& W, const X* rhs, const X* x) {
-    X torque = rhs[j];
-    for (int k = 0; k < N; ++k) torque = fma(-(k >= j ? W[j][k] : W[k][j]), x[k], torque);
-    return torque;
+  // Put the torques of the locks under which the joints accelerate by x.
+  ARM_INLINE void put_lock_torques(const Matrix& W, const X* rhs, const X* x) {
+    X torque[N];
+    for (int j = 0; j < N; ++j) torque[j] = rhs[j];
+    for (int k = 0; k < N; ++k) {
+      if constexpr (leaves_out)
+        if (locked_[k]) continue;  // and x[k] is 0
+      for (int j = 0; j < N; ++j) torque[j] = fma(-(k >= j ? W[j][k] : W[k][j]), x[k], torque[j]);
+    }
+    for (int j = 0; j < N; ++j) lock_torque_[j] = select(locked_[j], torque[j], lock_torque_[j]);
   }
 
   // Progress of the search for consistent modes.
@@ -285,8 +293,9 @@ class Coulomb {
   // Free the joint that is the most overloaded; false if every locked joint holds.
   bool free_joint(const Matrix& W, Descent& down, const X* x) {
     X excess = {}, way = {}, worst = X{} - 1.0;
+    put_lock_torques(W, down.rhs, x);
     for (int j = 0; j < N; ++j) {
-      const X torque = lock_torque_[j] = torque_of_lock(j, W, down.rhs, x);
+      const X torque = lock_torque_[j];
       const X capacity = select(down.broken[j], X{} + Dc(j, torque), X{} + Ds(j, torque));
       const X over = select(locked_[j], magnitude(torque) - capacity, X{});
       const auto more = over > excess;

@@ -147,7 +147,7 @@ class Modes {
   }
   // Torques that accelerate the links, without dry friction.
   void torques(const State<S>& x, const Real* u, const Dynamics& links, Real* rhs) const {
-    n_->for_each_drive([&](const auto& drive, int j) {
+    n_->for_each_drive([&](const auto& drive, int j) __attribute__((always_inline)) {
       const auto modes = of(drive, j);
       const auto at = drive.with(input_of(drive, j, x, u[j]), modes);
       rhs[j] = drive.rates(at, modes.active()).g - links.nle[j];

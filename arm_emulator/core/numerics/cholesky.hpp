@@ -60,16 +60,25 @@ struct FromTheTip {
     });
   }
 
-  template <class Y>
-  ARM_INLINE void solve(Y* x) const {
+  // What is left out of x is 0.
+  template <class Y, class LeftOut = NoneLeftOut>
+  ARM_INLINE void solve(Y* x, LeftOut&& is_left_out = {}) const {
     Y y[N];
     for_each<N>([&](auto k) __attribute__((always_inline)) { y[k] = x[k]; });
     for_each_reverse<N>([&](auto k) __attribute__((always_inline)) {
+      if (is_left_out(k)) {
+        y[k] = Y{};
+        return;
+      }
       for_each_reverse<k>([&](auto i) __attribute__((always_inline)) {
         if constexpr (Pattern::couples(i, k)) y[i] = fma(U[k][i], y[k], y[i]);
       });
     });
     for_each<N>([&](auto k) __attribute__((always_inline)) {
+      if (is_left_out(k)) {
+        x[k] = Y{};
+        return;
+      }
       Y sum = y[k] * inverse_D[k];
       for_each<k>([&](auto i) __attribute__((always_inline)) {
         if constexpr (Pattern::couples(i, k)) sum = fma(U[k][i], y[i], sum);
