@@ -333,8 +333,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{CORE_PARTS}/drive_stages/current_loop.hpp",
-        "active ? I() / P() * (V - z[1] - E() * wm) : I() * (u - z[0]);",
-        "I() * (u - z[0]);",
+        "active ? control.I / control.P * (V - z[1] - E() * wm) : control.I * (u - z[0]);",
+        "control.I * (u - z[0]);",
         "test_current_loop.py",
     ),
     Mutant(

@@ -34,14 +34,14 @@ MACHINES: dict[str, tuple[dict[str, Any], float]] = {
 }  # fmt: skip
 
 
-def scene_of(name: str, scheme: str) -> Scene:
+def scene_of(name: str, scheme: str, events: str = "located") -> Scene:
     of_joints, _ = MACHINES[name]
     joints = {f"joints.*.{key}": value for key, value in of_joints.items()}
     return load_scene(
         "three_axis",
         {**joints, "joints.*.end_stops": STOPS, "gravity": [0.0, 0.0, -1.0],
          "external_wrench": True, "varied": ["joints.elbow.friction.coulomb"],
-         "integrator": {"scheme": scheme, "dt": DT, "events": "located"}, "servo_period": DT},
+         "integrator": {"scheme": scheme, "dt": DT, "events": events}, "servo_period": DT},
     )  # fmt: skip
 
 
@@ -52,12 +52,13 @@ def drawn_command(rng: np.random.Generator, largest: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("scheme", some(["extrapolated", "rosenbrock"], 1))
+@pytest.mark.parametrize("events", ["located", "step"])
 @pytest.mark.parametrize("name", some(MACHINES, 3))
 def test_a_machine_moves_as_one_that_forgets_its_modes_before_every_step(
-    name: str, scheme: str
+    name: str, events: str, scheme: str
 ) -> None:
     """A restored machine has kept nothing; commands, wrenches, numbers and power change."""
-    scene, rng = scene_of(name, scheme), np.random.default_rng(list(MACHINES).index(name))
+    scene, rng = scene_of(name, scheme, events), np.random.default_rng(list(MACHINES).index(name))
     largest = MACHINES[name][1]
     keeps, forgets = machines = Plant(scene), Plant(scene)
     command, moving = np.zeros(3), np.zeros((PERIODS, 3), bool)

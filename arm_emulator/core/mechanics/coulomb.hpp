@@ -91,6 +91,11 @@ class Coulomb {
       factors_.solve(x);
     } else {
       begin(v);
+      rest_ = all(holds_all(x));
+      if (rest_) {
+        for (int j = 0; j < N; ++j) lock_torque_[j] = x[j], x[j] = X{};
+        return;
+      }
       Descent down;
       for (int j = 0; j < N; ++j) down.rhs[j] = x[j];
       do {
@@ -105,13 +110,12 @@ class Coulomb {
   // which gives W.
   void decide(auto&& mass, const X* v, X* rhs) {
     begin(v);
-    Mask<X> slide = X{} == X{}, rest = slide;
+    Mask<X> slide = X{} == X{};
     for (int j = 0; j < N; ++j) {
       lock_torque_[j] = rhs[j];
       slide &= negated(locked_[j]);
-      rest &= where(locked_[j], negated(magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j])));
     }
-    if (all(slide | rest)) return;
+    if (all(slide | holds_all(rhs))) return;
     auto M = mass();
     solve(M.at, v, rhs);
   }
@@ -143,6 +147,7 @@ class Coulomb {
 
   // Solve for x with the modes fixed, whatever torque they take. W may be used up.
   void solve_in(const Modes& modes, Matrix& W, X* x) {
+    rest_ = false;
     X rhs[N];
     for (int j = 0; j < N; ++j) {
       locked_[j] = modes.locked[j], direction_[j] = modes.direction[j];
@@ -195,7 +200,7 @@ class Coulomb {
     if constexpr (present && leaves_out) return factors_.solve(x, is_locked());
     if constexpr (present)
       for (int j = 0; j < N; ++j) x[j] = select(locked_[j], X{}, x[j]);
-    factors_.solve(x);
+    if (!rest_) factors_.solve(x);
   }
 
   // Torque against the motion of joint j, or of the lock that holds it.
@@ -228,6 +233,14 @@ class Coulomb {
   auto is_locked() const {
     return [this](int j) __attribute__((always_inline)) { return locked_[j]; };
   }
+  // Whether all joints are locked and hold under these torques.
+  Mask<X> holds_all(const X* torque) const {
+    Mask<X> rest = X{} == X{};
+    for (int j = 0; j < N; ++j)
+      rest &= where(locked_[j], negated(magnitude(torque[j]) > Ds(j, torque[j])));
+    return rest;
+  }
+
   // M with the rows and columns of the locked joints made those of the identity.
   void factor_unlocked(const Matrix& W) {
     if constexpr (leaves_out) return factors_.factor(W, is_locked());
@@ -366,6 +379,7 @@ class Coulomb {
   Mask<X> locked_[N] = {};
   X direction_[N] = {};
   X lock_torque_[N] = {};  // torque of a lock [N m]
+  bool rest_ = false;      // all rest in this step, which has no factors
 };
 
 }  // namespace arm

@@ -101,8 +101,11 @@ class DriveTables : public ServedDrives<S, X> {
   // Put all joints into the modes that the state x calls for.
   void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
-      if constexpr (Drive::modes > 0)
-        this->serve(j, resized<Served::M>(drive.modes_at(input_of(drive, j, x, u[j]))));
+      if constexpr (Drive::modes > 0) {
+        const auto at = input_of(drive, j, x, u[j]);
+        if (is_surely_regular(drive, j, at)) return;
+        this->serve(j, resized<Served::M>(drive.modes_at(at)));
+      }
     });
   }
   // Change the modes that do not hold at the end y of a step from x. Returns whether all hold.
@@ -111,9 +114,11 @@ class DriveTables : public ServedDrives<S, X> {
     bool hold = true;
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
+        const auto end = input_of(drive, j, y, u[j]);
+        if (is_surely_regular(drive, j, end)) return;
         const Modes& now = this->served(j);
-        const Modes required = resized<Served::M>(drive.required(
-            input_of(drive, j, x, u[j]), input_of(drive, j, y, u[j]), resized<Drive::modes>(now)));
+        const Modes required = resized<Served::M>(
+            drive.required(input_of(drive, j, x, u[j]), end, resized<Drive::modes>(now)));
         if (required == now) return;
         hold = false;
         this->serve(j, required);
@@ -217,6 +222,12 @@ class DriveTables : public ServedDrives<S, X> {
       return numbers[g];
     else
       return Row::load_group(numbers, g);
+  }
+
+  // Whether a drive is served in its regular modes, and surely stays there at this input.
+  template <class TheDrive, class Input>
+  bool is_surely_regular(const TheDrive& drive, int j, const Input& at) const {
+    return this->served(j) == Modes{} && drive.is_regular(at);
   }
 
   template <class TheDrive>

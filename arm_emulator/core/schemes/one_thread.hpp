@@ -4,8 +4,8 @@
 
 #include <cstdint>
 
-#include "mechanics/links/links.hpp"
-#include "mechanics/state.hpp"
+#include "mechanics/coulomb.hpp"
+#include "mechanics/links/links_memo.hpp"
 
 namespace arm {
 
@@ -20,10 +20,20 @@ class OneThread {
   void begin_thread() {}
   // The numbers of a lane have changed, or all.
   void renew(int lane) { stepper_.renew(lane); }
-  void renew() { stepper_.renew(); }
-  void reset(const State<S, X>& x) { stepper_.reset(x); }
+  void renew() {
+    memo_.forget();
+    stepper_.renew();
+  }
+  void reset(const State<S, X>& x) {
+    memo_.forget();
+    stepper_.reset(x);
+  }
   Memory memory() const { return stepper_.memory(); }
-  void restore(const Memory& memory) { stepper_.restore(memory); }
+  // What acts on the links may have changed, too.
+  void restore(const Memory& memory) {
+    memo_.forget();
+    stepper_.restore(memory);
+  }
   void begin(std::int64_t, const State<S, X>&) {}
   void end() {}
   ARM_INLINE void step(State<S, X>& x, const X (&u)[Stepper::row]) {
@@ -32,6 +42,10 @@ class OneThread {
       return;
     }
     Dynamics links;
+    if constexpr (rests) {
+      links = memo_.at(n_, x);
+      return stepper_.step(x, u, links, *this);
+    }
     // Inlined, so that its constants fold with the step's; loops over many joints have none, and
     // run faster in a function of their own.
     if constexpr (S::N > kUnrollNested)
@@ -46,8 +60,16 @@ class OneThread {
   ARM_INLINE void give(const State<S, X>&) {}
 
  private:
+  // Whether the links of this machine may rest exactly: then their part is that of the last step.
+  static constexpr bool rests =
+      Coulomb<S, X>::present && std::is_same_v<X, double> && S::N <= kUnrollNested;
+
+  struct NoMemo {
+    void forget() {}
+  };
   const Numbers<S, X>& n_;
   Stepper stepper_;
+  [[no_unique_address]] std::conditional_t<rests, LinksMemo<S, X>, NoMemo> memo_;
 };
 
 }  // namespace arm
