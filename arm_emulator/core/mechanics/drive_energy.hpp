@@ -43,21 +43,13 @@ constexpr Real potential_of(const Drive& drive, const DriveInput<n, M, Real>& x)
 template <class Drive, int n, int M>
 constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x, unsigned active) {
   constexpr int tm = Drive::tm, wm = Drive::wm;
-  const Real T = drive.load_on_link(x, active);
-  const auto warmth = drive.warmth_at(x);
-  Real P = viscous_torque(drive.friction, x.v, warmth) * x.v +
-           drive.sliding_under(x, T, sign_of(x.v)) * magnitude(x.v);
+  Real P = drive.friction_power(x, active, drive.warmth_at(x));
   if constexpr (Drive::driven) P += drive.motor.dissipated(x.z);
   const bool held = Drive::gear_modes > 0 && is_active(active, Drive::of_gear);
   if constexpr (Drive::has_gear_memory)
     P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, held, x.z + wm + 1);
   else if constexpr (Drive::elastic)
     P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, held);
-  if constexpr (Drive::elastic && Drive::rotor_modes > 0)
-    P += drive.rotor.dissipated(x.z[wm], drive.on_rotor(x, T), drive.drive_torque(x, active),
-                                x.offset[Drive::of_rotor], warmth);
-  if constexpr (Drive::carries_rotor && Drive::rotor_modes > 0)
-    P += viscous_torque(drive.rotor.law, drive.motor_speed(x), warmth) * drive.motor_speed(x);
   drive.for_each_extra([&](const auto& extra, auto state, auto mode) {
     P += extra.dissipated(drive.angle_of(extra, x), drive.speed_of(extra, x), x.z + state,
                           extra.modes > 0 && is_active(active, mode));
