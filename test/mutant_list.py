@@ -351,7 +351,7 @@ MUTANTS = (
     ),
     Mutant(
         f"{SCHEMES}/kept_modes.hpp",
-        "if (stay_ && are_called_for(x, u)) return true;",
+        "if (stay_ && (is_sure_under(u) || are_called_for(x, u))) return true;",
         "if (stay_) return true;",
         "test_kept_modes.py",
     ),

@@ -30,12 +30,12 @@ class KeptModes {
       regular_[j] = modes_.drive[j] == DriveModes<Modes<S>::M>{} && drive.is_ever_regular() &&
                     !drive.follows_at_once();
     });
-    stay_ = true;
+    stay_ = true, sure_ = false;
   }
 
   // Become those of the settled state x, the start of a step. Returns whether they are kept.
   ARM_INLINE bool begin(const State<S>& x, const Real* u, LinksMemo<S>& memo) {
-    if (stay_ && are_called_for(x, u)) return true;
+    if (stay_ && (is_sure_under(u) || are_called_for(x, u))) return true;
     take(Modes<S>(n_, x, u, memo.at(n_, x)));
     return false;
   }
@@ -52,7 +52,9 @@ class KeptModes {
       for (int j = 0; j < N; ++j)
         if (modes_.friction.locked[j] && coulomb.spare(j) < 0.0) return false;
     }
-    stay_ = !unsure.any || settle_changes_nothing(unsure, y, u);
+    sure_ = !unsure.any;
+    for (int j = 0; j < N; ++j) u_[j] = u[j];
+    stay_ = sure_ || settle_changes_nothing(unsure, y, u);
     if constexpr (Friction::present) stay_ = stay_ && coulomb.confirms(modes_.friction, y.v);
     return true;
   }
@@ -80,6 +82,12 @@ class KeptModes {
       if (of.at[j]) all = all && holds(drive, j, input_of(drive, j, x, u[j]), modes_.of(drive, j));
     });
     return all;
+  }
+  // Whether the end of the last step was sure of all drives, under the same commands.
+  ARM_INLINE bool is_sure_under(const Real* u) const {
+    bool sure = sure_;
+    for (int j = 0; j < N; ++j) sure &= u[j] == u_[j];
+    return sure;
   }
   // Whether the drives are called into their modes again. An algebraic state follows commands, and
   // with it friction does.
@@ -110,6 +118,8 @@ class KeptModes {
   const Numbers<S>& n_;
   Modes<S> modes_;
   bool stay_ = false;  // the end of the last step calls for them again
+  bool sure_ = false;  // as is_sure_under has it, under u_
+  Real u_[N] = {};
   bool rest_ = false, locks_ = false;
   bool regular_[N] = {};  // drives in their regular modes, whose states are not algebraic
 };
