@@ -357,6 +357,18 @@ MUTANTS = (
     ),
     Mutant(
         f"{SCHEMES}/kept_modes.hpp",
+        "sure &= u[j] == u_[j];",
+        "sure &= true;",
+        "test_kept_modes.py",
+    ),
+    Mutant(
+        f"{SCHEMES}/one_thread.hpp",
+        "    memo_.forget();\n    stepper_.restore(memory);",
+        "    stepper_.restore(memory);",
+        "test_kept_modes.py test_external_wrench.py",
+    ),
+    Mutant(
+        f"{SCHEMES}/kept_modes.hpp",
         "return !(drive.margin(at, now) < 0.0);",
         "return true;",
         "test_kept_modes.py",
