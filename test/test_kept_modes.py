@@ -57,28 +57,25 @@ def drawn_command(rng: np.random.Generator, largest: float) -> np.ndarray:
 def test_a_machine_moves_as_one_that_forgets_its_modes_before_every_step(
     name: str, events: str, scheme: str
 ) -> None:
-    """A restored machine has kept nothing; commands, wrenches, numbers and power change."""
+    """A new machine has kept nothing; commands, wrenches, numbers and power change."""
     scene, rng = scene_of(name, scheme, events), np.random.default_rng(list(MACHINES).index(name))
     largest = MACHINES[name][1]
-    keeps, forgets = machines = Plant(scene), Plant(scene)
+    keeps = Plant(scene)
     command, moving = np.zeros(3), np.zeros((PERIODS, 3), bool)
     for k in range(PERIODS):
         if rng.random() < 0.03:
             command = drawn_command(rng, largest) * (k < CALM)
         if k < CALM and rng.random() < 0.01:
             wrench = ExternalWrench(rng.uniform(-60.0, 60.0, 3) * (rng.random() < 0.5))
-            for plant in machines:
-                plant.set_external_wrench("forearm", wrench)
+            keeps.set_external_wrench("forearm", wrench)
         if rng.random() < 0.01:
             share = rng.uniform(0.5, 1.5)
-            for plant in machines:
-                plant.set_parameter("joints.elbow.friction.coulomb", 3.0 * share)
+            keeps.set_parameter("joints.elbow.friction.coulomb", 3.0 * share)
         if rng.random() < 0.01:
-            on = bool(rng.random() < 0.7)
-            for plant in machines:
-                plant.powered = on
-        forgets.restore(forgets.save())
-        for plant in machines:
+            keeps.powered = bool(rng.random() < 0.7)
+        forgets = Plant(scene)
+        forgets.restore(keeps.save())
+        for plant in (keeps, forgets):
             plant.exchange(command)
         assert keeps.save() == forgets.save(), f"period {k}"
         moving[k] = keeps.state.v != 0.0
@@ -87,7 +84,7 @@ def test_a_machine_moves_as_one_that_forgets_its_modes_before_every_step(
 
 
 def test_an_arm_that_breaks_away_beside_resting_ones_moves_as_a_single_arm() -> None:
-    """Groups in which all rest, some move, and one meets a stop; released after a long rest."""
+    """Groups in which all rest, some move, and one meets a stop; a push moves an arm at rest."""
     name = "loops and progressive gears"
     scene, rng = scene_of(name, "extrapolated"), np.random.default_rng(7)
     fleet = Fleet(scene, 9, workers=1)
@@ -100,6 +97,10 @@ def test_an_arm_that_breaks_away_beside_resting_ones_moves_as_a_single_arm() -> 
             rows[arm] = drawn_command(rng, MACHINES[name][1])
         else:
             rows[:] = 0.0
+        if part % 12 == 0:
+            push = ExternalWrench(rng.uniform(-60.0, 60.0, 3))
+            for plant in (fleet[arm], alone[arm]):
+                plant.set_external_wrench("forearm", push)
         periods = 20 if part % 12 != 11 else 2000
         fleet.run(np.broadcast_to(rows, (periods, 9, 3)), 1)
         for arm, plant in enumerate(alone):
