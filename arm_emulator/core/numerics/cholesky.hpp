@@ -60,7 +60,7 @@ struct FromTheTip {
     });
   }
 
-  // What is left out of x is 0.
+  // Rows that are left out get 0.
   template <class Y, class LeftOut = NoneLeftOut>
   ARM_INLINE void solve(Y* x, LeftOut&& is_left_out = {}) const {
     Y y[N];

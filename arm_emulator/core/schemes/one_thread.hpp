@@ -29,7 +29,7 @@ class OneThread {
     stepper_.reset(x);
   }
   Memory memory() const { return stepper_.memory(); }
-  // What acts on the links may have changed, too.
+  // Torques on the links may have changed, too.
   void restore(const Memory& memory) {
     memo_.forget();
     stepper_.restore(memory);
