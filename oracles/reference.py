@@ -324,7 +324,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
         xx, yy, zz, xy, xz, yz = payload.get("inertia", (0.0,) * 6)
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         com = np.array(payload.get("com", (0.0, 0.0, 0.0)))
-        frame = model.frames[model.getFrameId(scene.tool)]
+        frame = model.frames[model.getFrameId(scene.tool, pin.FrameType.BODY)]
         body = pin.Inertia(payload["mass"], com, inertia)
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
     moved = sum(link.body.mass for link in scene.chain.links)

@@ -10,6 +10,7 @@ import yaml
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.cli.commands.run import run
+from arm_emulator.view.rerun_batches import LinkPositions
 
 CONFIG = find_config_folder()
 
@@ -33,7 +34,6 @@ def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixt
     weight = pin.computeGeneralizedGravity(model, model.createData(), q)[:-1]
     plant = Plant(scene)
     ratio, Kt, R = 1.0 / 345.0, 0.003512, 2.67617
-    plant.put("test", {"theta_m": (scene.start + weight / 200.0) / ratio})
     friction = 1.51864e-4
     for share, holds in ((0.99, True), (1.01, False)):
         moved = []
@@ -49,3 +49,15 @@ def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixt
 
 def test_its_test_motion_ends_within_a_count_of_its_encoders() -> None:
     assert run("so_arm100", displacement=(-0.0032, 0.0078, 0.0248), seconds=4.0) == 0
+
+
+def test_a_link_is_shown_where_it_is_though_a_joint_has_its_name() -> None:
+    """The jaw is both, in many descriptions."""
+    scene = load_scene("so_arm100")
+    text = (CONFIG / "urdf" / "so_arm100.urdf").read_text()
+    model = pin.buildModelFromXML(text)
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.append(scene.start, 0.0))
+    expected = data.oMi[model.getJointId("jaw")].translation
+    shown = LinkPositions(text, scene.joint_names)("jaw", scene.start[None])
+    assert shown[0] == pytest.approx(expected, abs=1e-12)

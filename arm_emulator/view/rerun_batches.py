@@ -411,7 +411,7 @@ class LinkPositions:
         """Return p_WL (K, 3) [m], a link in the URDF's root frame, for q (K, N) [rad or m]."""
         import pinocchio as pin
 
-        frame, neutral = self._model.getFrameId(link), pin.neutral(self._model)
+        frame, neutral = self._model.getFrameId(link, pin.FrameType.BODY), pin.neutral(self._model)
         p, way = np.empty((len(q), 3)), np.zeros(self._model.nv)
         for k, row in enumerate(q):
             way[self._places] = row

@@ -53,7 +53,7 @@ class ArmScene:
         if not self._shapes.ngeoms and not self.missing:
             self.missing = "the robot description has none"
         self._places = pin.GeometryData(self._shapes)
-        self._tool = self._model.getFrameId(scene.tool)
+        self._tool = self._model.getFrameId(scene.tool, pin.FrameType.BODY)
         joints = [
             self._model.joints[self._model.getJointId(joint)] for joint in self._shafts.joints
         ]
@@ -88,7 +88,7 @@ class ArmScene:
 
     def p_WL(self, link: str) -> Array:
         """Return the origin of a link (3,) [m] as it is shown."""
-        frame = self._model.getFrameId(link)
+        frame = self._model.getFrameId(link, pin.FrameType.BODY)
         return np.array(pin.updateFramePlacement(self._model, self._data, frame).translation)
 
     def remove(self) -> None:
