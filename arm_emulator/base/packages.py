@@ -14,6 +14,7 @@ COMMANDS = "arm_emulator.commands"  # modules, each of which registers the comma
 UNITS = "arm_emulator.units"  # functions which return units for `arm_emulator compile`
 MODES = "arm_emulator.drive_modes"  # functions which return the modes of a bus's drives
 SCENE_UNITS = "arm_emulator.scene_units"  # functions which return the unit of a scene
+CARDS = "arm_emulator.card_compilers"  # functions which compile a scene for a card
 PAGE = "arm_emulator.page"  # `live` and `run`: a page with a running machine, with a finished run
 
 # Commands of the packages in packages/, by which a refusal names the missing package.

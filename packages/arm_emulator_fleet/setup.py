@@ -29,5 +29,8 @@ setup(
         "arm_emulator.scene_units": [
             "fleet = arm_emulator_fleet.unit:build_fleet_unit",
         ],
+        "arm_emulator.card_compilers": [
+            "fleet = arm_emulator_fleet.gpu_compiler:compile_scene_for_card",
+        ],
     },
 )

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.packages import SCENE_UNITS, UNITS, find_entry, load_all
+from arm_emulator.base.packages import CARDS, SCENE_UNITS, UNITS, find_entry, load_all
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.servo_header import servo_data_unit
 from arm_emulator.cli.options import SceneName
@@ -36,6 +36,7 @@ def compile_scene(
     fleet: bool = False,
     packages: bool = False,
     servo: bool = False,
+    device: Annotated[str | None, Parameter(metavar="SM")] = None,
 ) -> int:
     """Compile a scene ahead of its first use, and print the libraries.
 
@@ -46,9 +47,14 @@ def compile_scene(
         fleet: compile the library of a fleet, too.
         packages: compile the libraries of packages beside the core, too, such as field buses.
         servo: compile our servo with the scene's gains, too.
+        device: compile the kernels of a fleet for cards of NVIDIA, too, for example sm_90: to PTX,
+            and where ptxas is installed, to code of the card.
     """
     machine = load_scene(scene)
     of_fleet = [find_entry("fleet", SCENE_UNITS, "fleet").load()(machine)] if fleet else []
+    of_card = []
+    if device is not None:
+        of_card = find_entry("fleet", CARDS, "fleet").load()(machine, device, into)
     of_scene = compile_ahead(machine, target, into)
     code = [
         *of_fleet,
@@ -69,7 +75,7 @@ def compile_scene(
         code.append(servo_data_unit(scene))
     if packages:
         code += [unit_of() for unit_of in load_all(UNITS)]
-    libraries = [*of_scene, *compile_units(code, target, into)]
+    libraries = [*of_scene, *compile_units(code, target, into), *of_card]
     for library in libraries:
         output.line(str(library))
     output.facts({"libraries": libraries})

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.compiler import C_NULL as NULL
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import ARM_HEADER as ARM
@@ -17,7 +16,8 @@ from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
 from arm_emulator.extension.machine import Scene, bound_start, list_rows, make_commands
 from arm_emulator_fleet.device import Device, DevicePointer, Memory
 from arm_emulator_fleet.device_array import DeviceArray
-from arm_emulator_fleet.unit import FLEET, KERNELS, LANES_OF_THREAD, NATIVE, load_kernels
+from arm_emulator_fleet.load_kernels import load_kernels
+from arm_emulator_fleet.unit import FLEET, KERNELS, LANES_OF_THREAD, NATIVE, build_kernels_unit
 
 OK = ARM.constant("ARM_OK")
 _COMMAND = ARM.sizeof("arm_joint_command")
@@ -67,14 +67,11 @@ class DeviceCore:
     """
 
     def __init__(self, scene: Scene, device: Device) -> None:
-        if scene.threads > 1:
-            rule = "be 1 on a device: its arms are its threads"
-            raise Refusal(scene.where, "integrator.threads", rule, scene.threads)
         self.device = device
         self._scene = scene
         self._N = len(scene.joints)
         self._saved_size = 0
-        self._module = load_kernels(scene, device)
+        self._module = load_kernels(device, build_kernels_unit(scene))
         device.set_stack(STACK)
 
     def read_sizes(self, kernel: str, numbers: int, **values: Any) -> list[int]:

@@ -25,6 +25,8 @@ from arm_emulator.extension.compiler import (
     read_command,
     run_compiler,
 )
+from arm_emulator.extension.machine import Scene
+from arm_emulator_fleet.unit import build_kernels_unit
 
 VARIABLE = "ARM_EMULATOR_CLANG"
 OLDEST = 19  # clang
@@ -91,6 +93,15 @@ def compile_for_card(unit: Unit, architecture: str, folder: Path | None = None) 
     unit = _build_gpu_unit(unit, architecture)
     compilers = [CLANG, PTXAS] if has_ptxas() else [CLANG]
     return [compile_file(unit, architecture, compiler, folder) for compiler in compilers]
+
+
+def compile_scene_for_card(scene: Scene, architecture: str, folder: Path | None) -> list[Path]:
+    """Compile the kernels of a scene's fleets, see `compile_for_card`.
+
+    Raises:
+        Refusal: see there; or no device advances the scene.
+    """
+    return compile_for_card(build_kernels_unit(scene), architecture, folder)
 
 
 def find_clang() -> list[str]:

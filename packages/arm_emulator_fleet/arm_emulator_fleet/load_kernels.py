@@ -8,6 +8,7 @@ from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.compiler import Unit, compiled_library
 from arm_emulator_fleet import gpu_compiler
 from arm_emulator_fleet.device import Device, Module
+from arm_emulator_fleet.unit import NATIVE
 
 
 def load_kernels(device: Device, unit: Unit) -> Module:
@@ -24,7 +25,7 @@ def load_kernels(device: Device, unit: Unit) -> Module:
         Refusal: there is neither a sound cached file nor a working compiler, or the device cannot
             load it.
     """
-    if device.architecture == "native":
+    if device.architecture == NATIVE:
         return device.load(Path(compiled_library(unit).file))
     # First, so that an error in the sources is that of clang.
     ptx = gpu_compiler.load_ptx(unit, device.architecture)

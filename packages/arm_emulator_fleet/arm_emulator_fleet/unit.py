@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.compiler import (
     BOUNDARY_FOLDER,
     SERVO_FOLDER,
@@ -14,8 +15,6 @@ from arm_emulator.extension.compiler import (
     compiled_library,
 )
 from arm_emulator.extension.machine import Scene, build_machine_unit
-from arm_emulator_fleet.device import Device, Module
-from arm_emulator_fleet.gpu_compiler import has_ptxas, load_cubin, load_ptx
 
 FOLDER = Path(__file__).resolve().parent / "core"
 FLEET = Header(FOLDER / "arm_fleet.h", (BOUNDARY_FOLDER,))
@@ -49,22 +48,15 @@ def build_fleet_unit(scene: Scene) -> Unit:
     )
 
 
-def load_kernels(scene: Scene, device: Device) -> Module:
-    """Return the scene's kernels (core/fleet_kernels.hpp), compiled for a device.
+def build_kernels_unit(scene: Scene) -> Unit:
+    """Return the sources of the scene's kernels for a device (core/fleet_kernels.hpp).
 
     Raises:
-        Refusal: there is neither a sound cached file nor a working compiler, or the device cannot
-            load it.
+        Refusal: the scene is one that no device advances.
     """
-    unit = build_kernels_unit(scene)
-    if device.architecture == NATIVE:
-        return device.load(Path(compiled_library(unit).file))
-    load = load_cubin if has_ptxas() else load_ptx
-    return device.load(load(unit, device.architecture))
-
-
-def build_kernels_unit(scene: Scene) -> Unit:
-    """Return the sources of `load_kernels`."""
+    if scene.threads > 1:
+        rule = "be 1 on a device: its arms are its threads"
+        raise Refusal(scene.where, "threads", rule, scene.threads)
     unit = build_machine_unit(scene, "fleet_kernels.hpp")
     return replace(
         unit,

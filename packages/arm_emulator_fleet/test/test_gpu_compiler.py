@@ -14,7 +14,8 @@ import pytest
 from draws import some
 from fake_compiler import fake_compiler
 
-from arm_emulator import Refusal
+from arm_emulator import Refusal, load_scene
+from arm_emulator.cli.commands.compile import compile_scene
 from arm_emulator.extension.compiler import ARITHMETIC, SHARED_FLAGS, Unit, compute_fingerprint
 from arm_emulator.toolchain.flags import CPP_FLAGS
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE, LIBRARY, SEAL_SIZE
@@ -25,6 +26,7 @@ from arm_emulator_fleet.gpu_compiler import (
     NAMES,
     VARIABLE,
     compile_for_card,
+    compile_scene_for_card,
     load_cubin,
     load_ptx,
 )
@@ -212,6 +214,29 @@ def test_a_card_that_the_compiler_does_not_know(
 def test_an_unknown_architecture_is_not_compiled_for(card: str) -> None:
     with pytest.raises(Refusal, match="compile: device must be an architecture of cards, got"):
         compile_for_card(make_unit(), card)
+
+
+def test_the_kernels_of_a_scene_are_compiled_ahead(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    does = 'for w; do case "$w" in *.cu) (echo ".version $*"; cat "$w") > "$out";; esac; done'
+    name_clang(monkeypatch, tmp_path / "bin", does, "clang version 19.1")
+    monkeypatch.setattr(gpu_compiler, "has_ptxas", lambda: False)
+    point = SimpleNamespace(load=lambda: compile_scene_for_card)
+    monkeypatch.setattr("arm_emulator.base.packages.find_entries", lambda group: {"fleet": point})
+    for ahead in ("compile_ahead", "compile_units"):  # what is for the processor
+        monkeypatch.setattr(f"arm_emulator.cli.commands.compile.{ahead}", lambda *given: [])
+    folder = tmp_path / "into"
+    assert compile_scene("three_axis", device="sm_90", into=folder) == 0
+    (file,) = folder.iterdir()
+    assert capsys.readouterr().out == f"{file}\n" and file.suffix == ".ptx"
+    text = file.read_bytes()
+    assert b"--cuda-gpu-arch=sm_90" in text and b'#include "fleet_kernels.hpp"' in text
+    with pytest.raises(Refusal, match="compile: device must be an architecture of cards, got sm_9"):
+        compile_scene("three_axis", device="sm_9")
+    threads = load_scene("three_axis", overrides={"threads": 2})
+    with pytest.raises(Refusal, match="threads must be 1 on a device: its arms are its threads"):
+        compile_scene_for_card(threads, "sm_90", None)
 
 
 def test_no_ptxas(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
