@@ -234,7 +234,8 @@ def test_the_kernels_of_a_scene_are_compiled_ahead(
     assert b"--cuda-gpu-arch=sm_90" in text and b'#include "fleet_kernels.hpp"' in text
     with pytest.raises(Refusal, match="compile: device must be an architecture of cards, got sm_9"):
         compile_scene("three_axis", device="sm_9")
-    threads = load_scene("three_axis", overrides={"threads": 2})
+    two = {"threads": 2, "integrator.scheme": "paper"}
+    threads = load_scene("three_axis", overrides=two)
     with pytest.raises(Refusal, match="threads must be 1 on a device: its arms are its threads"):
         compile_scene_for_card(threads, "sm_90", None)
 
