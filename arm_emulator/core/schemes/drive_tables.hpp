@@ -152,22 +152,26 @@ class DriveTables : public ServedDrives<S, X> {
 
   // The parts of a linearly implicit step (linearly_implicit.hpp), from the inputs that are known
   // by then: the link's rows of both stages, and the rates of the states in the first with the link
-  // at rest and moving.
-  ARM_INLINE auto first(const Inputs& in) const { return answer<In::k1>(rhs_1, in, link); }
+  // at rest and moving. `rests`: no link moves, and products with its motion are left out.
+  template <bool rests = false>
+  ARM_INLINE auto first(const Inputs& in) const {
+    return answer<In::k1, rests>(rhs_1, in, link);
+  }
   ARM_INLINE auto rates_at_rest(auto k, const Inputs& in) const {
     return answer<In::k1>(k_z[k], in, k);
   }
+  template <bool rests = false>
   ARM_INLINE auto rates(auto k, const Inputs& in) const {
-    return answer<In::change>(k_z[k], in, k);
+    return answer<In::change, rests>(k_z[k], in, k);
   }
   ARM_INLINE auto second(const Inputs& in) const { return answer<In::k2>(rhs_2, in, link); }
   // The states after the step. All of a joint follow while its inputs are in registers.
-  template <int stages>
+  template <int stages, bool rests = false>
   ARM_INLINE void add(const Inputs& in, arm::Row<N, X>* z) const {
     for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
       for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
         constexpr int inputs = stages == 2 ? In::count : In::change;
-        z[k].at[g] = in[k].at[g] + answer_of<inputs>(dz[k], in, g, k);
+        z[k].at[g] = in[k].at[g] + answer_of<inputs, rests>(dz[k], in, g, k);
       });
     });
   }
@@ -187,22 +191,23 @@ class DriveTables : public ServedDrives<S, X> {
   }
 
   // A row's numbers times the inputs, for all joints. `k`: the state of which it is; -1: the link.
-  template <int inputs>
+  template <int inputs, bool rests = false>
   ARM_INLINE static arm::Row<N, X> answer(const Numbers& numbers, const Inputs& x, auto k) {
     arm::Row<N, X> out;
     for_each<arm::Row<N, X>::groups>([&](auto g) __attribute__((always_inline)) {
-      out.at[g] = answer_of<inputs>(numbers, x, g, k);
+      out.at[g] = answer_of<inputs, rests>(numbers, x, g, k);
     });
     return out;
   }
   // A row's numbers times the inputs, for a group of joints.
-  template <int inputs>
+  template <int inputs, bool rests>
   ARM_INLINE static auto answer_of(const Numbers& numbers, const Inputs& x, int g, auto k) {
     typename arm::Row<N, X>::Vector out = {};
     if constexpr (kDifferentiates) {
       return numbers.answer(g, inputs, [&](int input) -> const X& { return x[input].at[g]; });
     } else {
       for_each<inputs, kMaxInputs>([&](auto input) __attribute__((always_inline)) {
+        if (rests && (input == In::v || input == In::k1 || input == In::k2)) return;
         if (matters(input) && (k < 0 || enters(k, input)))
           out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
       });

@@ -81,7 +81,9 @@ class EventLocation {
       x = y;
     } else {
       full_.restore(memory);
-      cut(x, y, u, modes, memo_.at(n_, x));
+      Trial whole;  // while the links' part at y is known
+      whole.take(h_, modes, y, u, memo_);
+      cut(x, y, u, modes, whole);
     }
   }
   // A step that is known as a whole: from x to y, with all drives in their regular modes
@@ -89,11 +91,10 @@ class EventLocation {
   void step_to(const State<S>& y, const typename Modes<S>::Friction::Modes& friction, State<S>& x,
                const Real (&u)[row]) {
     const Modes<S> modes(n_, friction);
-    const Dynamics links = memo_.at(n_, x);
     State<S> end = y;
-    if (modes.margin(end, u, memo_) < 0.0) {
-      return cut(x, end, u, modes, links);
-    }
+    Trial whole;
+    whole.take(h_, modes, end, u, memo_);
+    if (!whole.holds()) return cut(x, end, u, modes, whole);
     modes.settle(end, u);
     x = end;
   }
@@ -106,9 +107,42 @@ class EventLocation {
   // one takes trials without progress.
   static constexpr double kInstant = 1e-10;
 
+  // An end of a step, and how far it is from each condition of the modes.
+  struct Trial {
+    Real t, margin, each[Modes<S>::conditions];
+
+    void take(Real length, const Modes<S>& modes, const State<S>& end, const Real (&u)[row],
+              LinksMemo<S>& memo) {
+      t = length;
+      margin = modes.margin(end, u, memo, each);
+    }
+    bool holds() const { return !(margin < 0.0); }
+    // A condition that fails.
+    int failing() const {
+      int k = 0;
+      while (!(each[k] < 0.0)) ++k;
+      return k;
+    }
+    // The share of the way to `end` at which a condition is zero on a straight line.
+    Real share(const Trial& end, int condition) const {
+      return each[condition] / (each[condition] - end.each[condition]);
+    }
+    // The condition that fails first between a trial that holds and this one, on straight lines; -1
+    // if that cannot be known.
+    int first_after(const Trial& sound) const {
+      int first = -1;
+      for (int k = 0; k < Modes<S>::conditions; ++k)
+        if (each[k] < 0.0 && sound.each[k] > 0.0 &&
+            (first < 0 || sound.share(*this, k) < sound.share(*this, first)))
+          first = k;
+      return first;
+    }
+  };
+
   // A step from x to y of which not all modes hold.
-  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Dynamics links) {
+  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Trial whole) {
     const State<S> start = x;
+    Dynamics links = memo_.at(n_, x);
     Real left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
       if (events == kMaxEvents) {
@@ -125,14 +159,14 @@ class EventLocation {
         modes = Modes<S>(n_, x, u, links);
         break;
       }
-      bool fails = true;  // of the whole step that is known
       if (events > 0) {
         y = x;
         part_.retime(left, modes);
         part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
-        fails = modes.margin(y, u, memo_) < 0.0;
+        whole.take(left, modes, y, u, memo_);
       }
-      const Real t = fails ? first_event(x, y, u, modes, links, left) : left;
+      const bool fails = !whole.holds();
+      const Real t = fails ? first_event(x, y, u, modes, links, whole) : left;
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, t);
       note(fails ? PieceEnd::event : PieceEnd::step, x, modes, t);
@@ -169,9 +203,9 @@ class EventLocation {
   // interpolation or, where that is not safe, by halves (Chandrupatla, Adv. Eng. Software 28,
   // 1997); y is the state then, where it does not hold any more.
   Real first_event(const State<S>& x, State<S>& y, const Real (&u)[row], const Modes<S>& modes,
-                   const Dynamics& links, Real left) {
-    Trial last, other;
-    last.take(0.0, modes, x, u, memo_), other.take(left, modes, y, u, memo_);
+                   const Dynamics& links, Trial other) {
+    Trial last;
+    last.take(0.0, modes, x, u, memo_);
     int first = other.first_after(last);
     Real share = first < 0 ? 0.5 : last.share(other, first);
     for (int trial = 0; trial < kMaxTrials; ++trial) {
@@ -204,37 +238,6 @@ class EventLocation {
     if constexpr (kRecords) noted_.failing = (last.holds() ? other : last).failing();
     return t;
   }
-  // An end of a step, and how far it is from each condition of the modes.
-  struct Trial {
-    Real t, margin, each[Modes<S>::conditions];
-
-    void take(Real length, const Modes<S>& modes, const State<S>& end, const Real (&u)[row],
-              LinksMemo<S>& memo) {
-      t = length;
-      margin = modes.margin(end, u, memo, each);
-    }
-    bool holds() const { return !(margin < 0.0); }
-    // A condition that fails.
-    int failing() const {
-      int k = 0;
-      while (!(each[k] < 0.0)) ++k;
-      return k;
-    }
-    // The share of the way to `end` at which a condition is zero on a straight line.
-    Real share(const Trial& end, int condition) const {
-      return each[condition] / (each[condition] - end.each[condition]);
-    }
-    // The condition that fails first between a trial that holds and this one, on straight lines; -1
-    // if that cannot be known.
-    int first_after(const Trial& sound) const {
-      int first = -1;
-      for (int k = 0; k < Modes<S>::conditions; ++k)
-        if (each[k] < 0.0 && sound.each[k] > 0.0 &&
-            (first < 0 || sound.share(*this, k) < sound.share(*this, first)))
-          first = k;
-      return first;
-    }
-  };
   // Next trial for the zero of a condition between `last` and `other`, of which one holds.
   static Real next_share(const Trial& last, const Trial& other, const Trial& before, int k) {
     const Real at = last.each[k], there = other.each[k], past = before.each[k];

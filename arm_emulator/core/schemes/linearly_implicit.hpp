@@ -140,7 +140,7 @@ class LinearlyImplicit {
     if constexpr (Tables::modal) tables_.put_modes(in);
     Accelerations own;
     Accelerations& k1 = place_of_next(own);
-    begin_links(x, u, in, k1);
+    begin_links<true>(x, u, in, k1);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.torque[j] -= k1.torque[j] - links.nle[j];
       k1.a[j] = X{};
@@ -148,9 +148,9 @@ class LinearlyImplicit {
     keep_past(k1);
     if constexpr (!Tables::linear) {
       X none[row];
-      evaluate_rest<false>(u, in, none);
+      evaluate_rest<true>(u, in, none);
     }
-    move_drives(x, in);
+    move_drives<true>(x, in);
   }
 
   // Set the past for a step from `start` to x that was taken otherwise; links and modes are those
@@ -220,10 +220,11 @@ class LinearlyImplicit {
   }
 
   // The torques of the drives in the links' first stage go to `k1.torque`.
+  template <bool rests = false>
   ARM_INLINE void begin_links(const State<S, X>& x, const X (&u)[row], Inputs& in,
                               Accelerations& k1) {
     if constexpr (!Tables::linear) tables_.rest_at(x, u).put(in);
-    tables_.first(in).store(k1.torque);
+    tables_.template first<rests>(in).store(k1.torque);
   }
 
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
@@ -290,7 +291,7 @@ class LinearlyImplicit {
 
   // The drives' part of d: how their rest, and friction of the links that varies, change from x to
   // x + h k1.
-  template <bool slides = true>
+  template <bool rests = false>
   ARM_INLINE void evaluate_rest(const X (&u)[row], Inputs& in, X (&change)[row]) {
     State<S, X> y;
     Numbers number;
@@ -300,7 +301,7 @@ class LinearlyImplicit {
       number.store(to);
     };
     for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) {
-      const Numbers rate = tables_.rates(k, in);
+      const Numbers rate = tables_.template rates<rests>(k, in);
       store([&](auto g) { return fma(h_, rate.at[g], in[k].at[g]); }, y.z[k]);
     });
     store(
@@ -309,7 +310,7 @@ class LinearlyImplicit {
         },
         y.q);
     store([&](auto g) { return fma(h_, in[In::k1].at[g], in[In::v].at[g]); }, y.v);
-    if constexpr (slides && Coulomb<S, X>::varies)
+    if constexpr (!rests && Coulomb<S, X>::varies)
       coulomb_.add_change(y, u, tables_.modes(), change);
     const auto rest = tables_.rest_at(y, u);
     for_each<Tables::R, kMaxInputs>([&](auto r) __attribute__((always_inline)) {
@@ -367,9 +368,10 @@ class LinearlyImplicit {
     coulomb_.stop_at_reversal(x.v);
   }
 
+  template <bool rests = false>
   ARM_INLINE void move_drives(State<S, X>& x, const Inputs& in) {
     Numbers z[K > 0 ? K : 1];
-    tables_.template add<stages>(in, z);
+    tables_.template add<stages, rests>(in, z);
     for_each<K, kMaxStates>([&](auto k) __attribute__((always_inline)) { z[k].store(x.z[k]); });
   }
 

@@ -37,6 +37,7 @@ class TrialDrives : public ServedDrives<S, Real> {
   }
 
   // See DriveTables. Each relies on those before it.
+  template <bool = false>
   ARM_INLINE Row first(const Inputs& in) {
     return of_groups([&](Group& one, int g)
                          __attribute__((always_inline)) { return first_of(one, in, g); });
@@ -44,6 +45,7 @@ class TrialDrives : public ServedDrives<S, Real> {
   ARM_INLINE Row rates_at_rest(int k, const Inputs&) {
     return of_groups([&](Group& one, int) { return one.first.z[k]; });
   }
+  template <bool = false>
   ARM_INLINE Row rates(int k, const Inputs& in) {
     return of_groups([&](Group& one, int g) { return one.rate(k, in[In::k1].at[g]); });
   }
@@ -51,7 +53,7 @@ class TrialDrives : public ServedDrives<S, Real> {
     return of_groups([&](Group& one, int g)
                          __attribute__((always_inline)) { return second_of(one, in, g); });
   }
-  template <int stages>
+  template <int stages, bool = false>
   ARM_INLINE void add(const Inputs& in, Row* z) {
     static_assert(stages == 2);
     for (int k = 0; k < K; ++k)
