@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.machine.parts.gears.hysteresis import Hysteresis
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 PERIOD = 1e-2  # s, over which a voltage is held
@@ -207,3 +208,19 @@ def test_refusals(tmp_path: Path, gear: dict[str, Any], rule: str) -> None:
     overrides = {f"joints.joint.gear.{key}": value for key, value in gear.items()}
     with pytest.raises(Refusal, match=rule):
         load_scene(tmp_path / "scene.yaml", overrides | {"varied": None})
+
+
+def test_the_loop_in_python_is_that_of_elements_along_random_paths() -> None:
+    """Identification fits it to measured twists."""
+    rng = np.random.default_rng(45)
+    for elements in (1, 4, 7):
+        law = sample_hysteresis(rng, elements)
+        truth = Truth(law)
+        path = law["twist"] * np.cumsum(rng.uniform(-0.5, 0.5, 2000))
+        path[500:520] = path[500]  # it stands
+        bend, expected = np.zeros(elements), []
+        for step in np.diff(path, prepend=0.0):
+            bend = np.clip(bend + step, -truth.d, truth.d)
+            expected.append(truth.k * bend.sum())
+        part = Hysteresis(torque=law["torque"], twist=law["twist"], elements=elements)
+        assert part.bend(path) == pytest.approx(np.array(expected), abs=1e-9 * law["torque"])

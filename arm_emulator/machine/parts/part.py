@@ -84,7 +84,8 @@ class Part(Declared):
     cxx: ClassVar[str]  # and its name
     keys: ClassVar[tuple[Key | Number, ...]] = ()  # beside its numbers
     shaft: ClassVar[str] = "link"  # on which it acts: of the rotor or of the link
-    bends_with_gear: ClassVar[bool] = False  # beside the gear's spring, not in proportion to it
+    # Keys of a loop beside the gear's spring: its size, in which its torque is linear, and shape.
+    loop_keys: ClassVar[tuple[str, ...]] = ()
     outputs: ClassVar[tuple[Output, ...]] = ()  # what parts of this class may report
     truths: ClassVar[tuple[Output, ...]] = ()  # and what only the emulator knows, by arm_truth
 
@@ -146,6 +147,14 @@ class Part(Declared):
         part.
         """
         return None
+
+    def bend(self, twist: Array) -> Array:
+        """Return the torque on the link (K,) [N m] of a part that has a loop.
+
+        Args:
+            twist: of the gear at the link, a path from where it was never bent (K,) [rad].
+        """
+        raise NotImplementedError
 
     def with_numbers(self, **values: float) -> Self:
         """Return the part with other numbers; those that follow one keep their ratio to it."""

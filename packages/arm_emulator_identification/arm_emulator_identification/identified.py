@@ -32,10 +32,11 @@ from arm_emulator.extension.machine import (
 from arm_emulator_identification import inertia
 from arm_emulator_identification.filtered import Filtered
 from arm_emulator_identification.found import Found
+from arm_emulator_identification.loop_fit import GearLoads, list_gear_numbers
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
-from arm_emulator_identification.torque_model import TorqueModel, has_match
+from arm_emulator_identification.torque_model import MotionTorques, TorqueModel, has_match
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Identified:
         motion: its filtered motion, K rows.
         fit: the numbers.
         torques: at the links, as they explain them (K, N) [N m or N].
+        loads: of the gears.
         doubts: about the record.
     """
 
@@ -72,12 +74,13 @@ class Identified:
     motion: Filtered
     fit: TorqueFit
     torques: Array
+    loads: GearLoads
     doubts: list[str]
 
 
 def list_gears(scene: Scene) -> list[str]:
-    """Return the names of the gears' stiffnesses, which encoders at the links show, not torques."""
-    return [f"joints.{joint.name}.gear.stiffness" for joint in scene.joints]
+    """Return the names of the gears' numbers that encoders at the links show, not torques."""
+    return [name for joint in scene.joints for name in list_gear_numbers(joint)]
 
 
 def identify_numbers(
@@ -109,7 +112,20 @@ def identify_numbers(
     torques = model.of(motion)
     fit = fit_torques(model, motion, fitted, torques)
     check_fit(run.where, run.joints, fit.explained)
-    return Identified(run, motion, fit, torques.torques(fit.values), doubts)
+    loads = _find_loads(model, motion, fit, torques)
+    return Identified(run, motion, fit, torques.torques(fit.values), loads, doubts)
+
+
+def _find_loads(
+    model: TorqueModel, motion: Filtered, fit: TorqueFit, torques: MotionTorques
+) -> GearLoads:
+    """Return the torques of the gears on the links, which fitted links and parts there take."""
+    load = motion.settle(torques.under(fit.values).load)
+    at = model.at_links
+    sizes, ways = np.linalg.eigh(fit.covariance[np.ix_(at, at)])
+    slopes = torques.slopes(fit.values)[:, :, at]
+    errors = np.moveaxis(slopes @ (ways * np.sqrt(np.maximum(sizes, 0.0))), 2, 0)
+    return GearLoads(load, errors)
 
 
 def _is_of_gears(gears: Sequence[str], pattern: str) -> bool:

@@ -176,6 +176,14 @@ class TorqueModel:
             motion = motion.under(self.start)
         return motion
 
+    @property
+    def at_links(self) -> Mask:
+        """Unknowns that take their torque at a link, which the gear carries (U,)."""
+        found: Mask = np.arange(len(self.unknowns)) < self.links
+        for piece in self.pieces:
+            found[piece.first : piece.first + len(piece.keys)] = piece.part.shaft != "rotor"
+        return found
+
     def bodies(self, unknowns: Array) -> Array:
         """Return the ten numbers of each link (L, 10), without the payload."""
         links = unknowns[: self.links].reshape(-1, inertia.NUMBERS)

@@ -94,11 +94,8 @@ def list_stiffness(
         name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
         if before is None or name not in wanted or has_match(name, hold):
             continue
-        beside = [part.section for part in joint.parts if part.bends_with_gear]
-        if beside:
-            left = f"left as it was: {', '.join(beside)} bends with the gear's spring"
-            numbers.append(Found(name, "N m/rad", before, before, np.nan, False, left=left))
-            continue
+        if any(part.loop_keys for part in joint.parts):
+            continue  # see `list_loops`
         reported = bool(np.isfinite(of.stiffness[j]))
         value = float(of.stiffness[j]) if reported else before
         numbers.append(Found(name, "N m/rad", before, value, float(of.deviation[j]), reported))

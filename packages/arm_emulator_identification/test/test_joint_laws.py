@@ -14,7 +14,7 @@ from machines import one_link_urdf, write_scene
 from arm_emulator import load_scene
 from arm_emulator.extension.commands import output
 from arm_emulator_identification.commands.identify import identify
-from bench.identification import draw_loaded, off
+from bench.identification import draw_loaded, off, off_loops
 from oracles.synthetic_record import make_record
 
 RATIO = 0.02
@@ -37,12 +37,15 @@ def write_arm(folder: Path, friction: dict[str, Any], **gear: Any) -> Path:
     )  # fmt: skip
 
 
-def answer(file: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, Any]]:
+def answer(
+    file: Path, capsys: pytest.CaptureFixture[str], at_link: bool = True
+) -> dict[str, dict[str, Any]]:
     """The answer of `identify` to programs, by the number below the joint."""
     record = make_record(load_scene(file), 1, 10.0, 2e-6, 0.05, link_noise=1e-6)
-    data, at_link = file.with_suffix(".npz"), record.q_link
-    assert at_link is not None
-    np.savez(data, t=record.t, q_mot=record.q_motor, tau=record.tau, q_link=at_link)
+    data, q_link = file.with_suffix(".npz"), record.q_link
+    assert q_link is not None
+    more = {"q_link": q_link} if at_link else {}
+    np.savez(data, t=record.t, q_mot=record.q_motor, tau=record.tau, **more)
     capsys.readouterr()
     with output.printed(as_json=True):
         assert identify(str(file), data, fit="joints.*", out=file.parent / "out.yaml") == 0
@@ -60,18 +63,35 @@ def test_numbers_that_a_record_does_not_show_keep_their_values_and_state_their_n
         one = found[f"motor.friction.{key}"]
         assert one["value"] == pytest.approx(value, rel=1e-9), "nothing in motion depends on it"
         assert not one["identified"] and "stribeck" in one["remark"]
-    for key, value in hysteresis.items():
-        one = found[f"gear.hysteresis.{key}"]
-        assert one["value"] == value and not one["identified"]
-        assert "encoder at the link" in one["remark"]
-    # A line through the loop has neither the stiffness of small loads nor that of large ones.
-    assert found["gear.stiffness"]["value"] == 1e4
-    assert "hysteresis" in found["gear.stiffness"]["remark"]
+    for key, value in {"stiffness": 1e4, **{f"hysteresis.{k}": v for k, v in hysteresis.items()}
+                       }.items():  # fmt: skip
+        one = found[f"gear.{key}"]
+        assert abs(one["value"] - value) < 3.0 * one["deviation"], key
     # Link and rotor turn together: the same friction at either takes the same torque.
     assert found["friction.load"]["mixed"] == ["joints.joint.motor.friction.load"]
     assert found["friction.load"]["value"] == 0.05
     for key in ("viscous", "coulomb", "motor_load"):
         assert found[f"motor.friction.{key}"]["identified"], key
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_a_loop_needs_encoders_at_the_link_and_a_linear_spring(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: bool
+) -> None:
+    gear = {"stiffness": 1e4, "damping": 20.0, "hysteresis": {"torque": 2.0, "twist": 2e-3}}
+    gear |= {"cubic_stiffness": 1e6} if shown else {}
+    found = answer(write_arm(tmp_path, LAW, **gear), capsys, at_link=shown)
+    for key, value in (("stiffness", 1e4), ("hysteresis.torque", 2.0), ("hysteresis.twist", 2e-3)):
+        one = found[f"gear.{key}"]
+        assert one["value"] == value and not one["identified"]
+        assert ("linear spring" if shown else "encoder at the link") in one["remark"]
+
+
+def test_truth_lies_within_the_confidence_of_gears_with_hysteresis() -> None:
+    """Of drawn machines; bench/identification.py takes 20 of them."""
+    every = np.concatenate([off_loops(seed) for seed in some(range(20), 2)])
+    # 18 numbers of two records; 90 % and more are expected.
+    assert np.mean(np.abs(every) < 2.0) > 0.8, f"{every} deviations"
 
 
 @pytest.mark.parametrize("is_rigid", [False, True])

@@ -18,6 +18,7 @@ class BacklashGear(ElasticGear):
     cxx = "BacklashGear"
     named_by = ("stiffness", "backlash")
     has_play = True
+    is_linear = False
 
     # Free play of the link with the motor held.
     backlash: float = number(

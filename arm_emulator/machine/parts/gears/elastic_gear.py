@@ -16,6 +16,7 @@ class ElasticGear(Gear):
     header = "gears/gear.hpp"
     cxx = "ElasticGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness",)
+    is_linear: ClassVar[bool] = True
 
     stiffness: float = number(
         "Kg", "N m/rad", above=0.0, absent="a rigid gear", text="Kg, seen at the link"

@@ -22,6 +22,7 @@ class Gear(Part):
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of a gear of this kind, beside the ratio
     stiffens: ClassVar[bool] = False  # with its wind-up
     has_play: ClassVar[bool] = False
+    is_linear: ClassVar[bool] = False  # its spring, in the difference of the angles of its sides
 
     # Negative: the link turns the other way.
     ratio: float = number(

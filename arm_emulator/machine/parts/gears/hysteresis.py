@@ -15,11 +15,25 @@ from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
-TWISTED = "a loop of torque over twist, by an encoder at the link, which `identify` does not fit"
+TWISTED = "slow reversals of loads that twist the gear beyond its loop, and an encoder at the link"
 # The count is a part of the C++ type, no number of it.
 _ELEMENTS = Number(
     "elements", "elements", at_least=1, at_most=16, whole=True, default=4, text="n, their count"
 )
+
+
+def follow_at_distance(path: Array, distance: float) -> Array:
+    """Return what begins at 0 and follows a path (K,) that is farther than a distance away.
+
+    From one reversal of the path to the next it only goes the path's way.
+    """
+    followed, at = np.empty_like(path), 0.0
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(path)))) + 2  # behind the reversal itself
+    for begin, end in zip([0, *turns], [*turns, len(path)], strict=True):
+        rows = path[begin:end]
+        followed[begin:end] = np.minimum(np.maximum(at, rows - distance), rows + distance)
+        at = followed[end - 1] if end > begin else at
+    return followed
 
 
 @register_part
@@ -30,7 +44,7 @@ class Hysteresis(GearStage):
     header = "gears/hysteresis.hpp"
     cxx = "Hysteresis"
     keys = (_ELEMENTS,)
-    bends_with_gear = True
+    loop_keys = ("torque", "twist")
 
     torque: float = number(
         "F", "N m", above=0.0, shown=TWISTED, text="F at the link, when all elements slip"
@@ -47,6 +61,14 @@ class Hysteresis(GearStage):
     def effort(self, motion: ShaftMotion) -> Array:
         """None: rotor and link pass the torque on."""
         return np.zeros_like(motion.t)
+
+    def bend(self, twist: Array) -> Array:  # noqa: D102
+        n, bent = self.elements, np.zeros_like(twist)
+        for i in range(n):
+            limit = self.twist * (2 * i + 1) / (2 * n)
+            bent += twist - follow_at_distance(twist, limit)
+        torque: Array = 2.0 * self.torque / (n * self.twist) * bent
+        return torque
 
     def check_gear(self, gear: Gear, joint: Section) -> None:  # noqa: D102
         if gear.stiffness is None or gear.has_play:

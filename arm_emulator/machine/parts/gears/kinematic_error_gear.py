@@ -21,6 +21,7 @@ class KinematicErrorGear(ElasticGear):
     header = "gears/kinematic_error.hpp"
     cxx = "KinematicErrorGear"
     named_by: ClassVar[tuple[str, ...]] = ("stiffness", "kinematic_error")
+    is_linear: ClassVar[bool] = False
 
     keys = tuple(
         Key(

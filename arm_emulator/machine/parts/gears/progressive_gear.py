@@ -17,6 +17,7 @@ class ProgressiveGear(ElasticGear):
     cxx = "ProgressiveGear"
     named_by = ("stiffness", "cubic_stiffness")
     stiffens = True
+    is_linear = False
 
     cubic_stiffness: float = number(
         "Kg3",

@@ -25,6 +25,7 @@ from arm_emulator_identification.identified import (
     list_gears,
     write_fitted,
 )
+from arm_emulator_identification.loop_fit import list_loops
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.read_run import make_run, read_run
 from arm_emulator_identification.stages import show_stages
@@ -94,10 +95,15 @@ def identify(
         # Gears wind up under the load of the fitted links.
         springs = [one for one in list_gears(nominal) if has_match(one, wanted)]
         numbers += list_stiffness(load_scene(out), found.run, springs, kept)
+
+        def is_sought(name: str) -> bool:
+            return has_match(name, wanted) and not has_match(name, kept)
+
+        numbers += list_loops(nominal, found.run, found.motion, found.loads, is_sought, trust)
+        known = {one.name for one in numbers}
         numbers += list_kept(
-            nominal, found.fit.unknowns,
-            lambda name: has_match(name, wanted) and not has_match(name, kept),
-        )  # fmt: skip
+            nominal, found.fit.unknowns, lambda name: is_sought(name) and name not in known
+        )
         _write(out, file, nominal, found.fit, numbers, doubts, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
