@@ -17,7 +17,7 @@ from arm_emulator.extension.machine import Scene, bound_start, list_rows, make_c
 from arm_emulator_fleet.device import Device, DevicePointer, Memory
 from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.load_kernels import load_kernels
-from arm_emulator_fleet.unit import FLEET, KERNELS, LANES_OF_THREAD, NATIVE, build_kernels_unit
+from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_kernels_unit
 
 OK = ARM.constant("ARM_OK")
 _COMMAND = ARM.sizeof("arm_joint_command")
@@ -73,6 +73,10 @@ class DeviceCore:
         self._saved_size = 0
         self._module = load_kernels(device, build_kernels_unit(scene))
         device.set_stack(STACK)
+        self._lanes = self._measure_room(1)[-1]
+
+    def _measure_room(self, count: int) -> list[int]:
+        return self.read_sizes("fleet_measure_room", 5, count=count)
 
     def read_sizes(self, kernel: str, numbers: int, **values: Any) -> list[int]:
         """Return the numbers that a kernel writes to its `bytes`."""
@@ -82,11 +86,11 @@ class DeviceCore:
 
     def count_groups(self, arms: int) -> int:
         """Return how many threads advance so many arms."""
-        return -(-arms // LANES_OF_THREAD)
+        return -(-arms // self._lanes)
 
     def arm_fleet_lanes(self) -> int:
         """Return how many arms a thread advances."""
-        return LANES_OF_THREAD
+        return self._lanes
 
     def arm_fleet_new(self, options: CData, count: int) -> DeviceFleet:
         """Return arms at rest at q = 0.
@@ -94,9 +98,8 @@ class DeviceCore:
         Raises:
             Refusal: the device has no room for them.
         """
-        sizes = self.read_sizes("fleet_measure_room", 4, count=count)
-        of_fleet, of_places, of_group, of_half = sizes
-        groups, lanes = self.count_groups(count), LANES_OF_THREAD
+        of_fleet, of_places, of_group, of_half, lanes = self._measure_room(count)
+        groups = self.count_groups(count)
         halved = min(count, max(LEAST_HALVED, count // HALVED)) * of_half
         size = of_places + groups * (of_group + ALIGNMENT * (lanes + 2)) + halved + 8 * ALIGNMENT
         memory, pool = self.device.allocate(of_fleet), self.device.allocate(size)
@@ -327,9 +330,11 @@ class DeviceCore:
         Measurement and truth have pointers of the device.
         """
         own = FLEET.new("arm_fleet_way")
-        links = None
+        links, stays = None, arms < fleet.count  # rows of the others stay as they are
         if way.links != NULL:
             links = self.device.allocate(8 * periods * fleet.count * self._N)
+            if stays:
+                self.device.write(links, view_bytes(way.links, links.size))
             own.links = cast_pointer(links)
         self._put_changes(fleet, way, own)
         result = self._check_and_do(

@@ -61,8 +61,11 @@ class DeviceFrame(FleetFrame):
         for name, (kind, of_joints) in _TRUE.items():
             shape = (count, N) if of_joints else (count,)
             setattr(self, name, DeviceArray(shape, kind, device))
+            device.fill(getattr(self, name).memory, 0)
         self.faults = DeviceArray(count, np.int32, device)
         self.powered = DeviceArray(count, np.bool_, device)
+        device.fill(self.faults.memory, 0xFF)
+        device.fill(self.powered.memory, 1)
         self.measured = DeviceMeasured(scene, count, core)
         places = {PLACES.get(name, name): _point(getattr(self, name)) for name in _TRUE}
         self.truth = FLEET.new("arm_fleet_truth", fault=_point(self.faults), **places)
@@ -113,7 +116,7 @@ class DeviceMeasured:
             raise AttributeError(name)
         view = self._layout.find(name)
         kind = np.float64 if view.dtype.kind == "f" else np.int64
-        if not view.size or _address(view) < self._begin:
+        if not view.size or not 0 <= _address(view) - self._begin < self._memory.size:
             raise AttributeError(f"the arms have no {name}", name=name, obj=self)
         if name not in self._arrays:
             self._arrays[name] = DeviceArray(view.shape, kind, self._core.device)

@@ -64,7 +64,8 @@ class Fleet(CoreMachines):
             each (count,). The scene's own where none are given.
         q: link positions, (N,) for all or (count, N) [rad or m]; the scene's start if None.
         v: link speeds alike [rad/s or m/s]; zero if None.
-        workers: threads; None: as many as there are processor cores for this process.
+        workers: threads of the processor's lanes; None: as many as there are processor cores for
+            this process.
         device: where the arms are, a thread for each few of them: "gpu" (the first card of NVIDIA),
             "gpu:1" (the second), or "processor", on which the kernels of cards run as loops; None:
             in the lanes of the processor.
@@ -88,6 +89,9 @@ class Fleet(CoreMachines):
         if workers is None:
             workers = len(os.sched_getaffinity(0)) if device is None else 1
         workers = check_count("Fleet", "workers", workers, 1, 4096)
+        if device is not None and workers > 1:
+            rule = "be 1 on a device, which divides its arms itself"
+            raise Refusal("Fleet", "workers", rule, workers)
         super().__init__(coerce_scene(scene, "Fleet"), count, device)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = WorkThreads(self._count, self.lanes, workers)

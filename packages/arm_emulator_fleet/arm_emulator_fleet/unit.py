@@ -19,8 +19,7 @@ from arm_emulator.extension.machine import Scene, build_machine_unit
 FOLDER = Path(__file__).resolve().parent / "core"
 FLEET = Header(FOLDER / "arm_fleet.h", (BOUNDARY_FOLDER,))
 NATIVE = "native"  # architecture of the processor
-LANES_OF_THREAD = 2  # of a card: arms that it advances
-LANES = "ARM_LANES", "SERVO_FLEET_LANES"  # their names in C++
+LANES_OF_THREAD = 2  # arms that a thread of a device advances, of scenes that have lanes
 SERVOS = Header(FOLDER / "servo_fleet.h", (BOUNDARY_FOLDER, SERVO_FOLDER))
 KERNELS = Header(FOLDER / "fleet_kernels.h", (BOUNDARY_FOLDER, SERVO_FOLDER))
 
@@ -62,7 +61,7 @@ def build_kernels_unit(scene: Scene) -> Unit:
         unit,
         name=f"{scene.name}-kernels",
         source=f'#include "begin_kernels.hpp"\n{unit.source}#include "end_kernels.hpp"\n',
-        flags=(*unit.flags, *(f"-D{name}={LANES_OF_THREAD}" for name in LANES)),
+        flags=(*unit.flags, f"-DARM_LANES={LANES_OF_THREAD}"),
         headers=(),
         more=(),
         data={},

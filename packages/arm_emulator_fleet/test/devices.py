@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import cffi
 import pytest
 
+from arm_emulator.extension.compiler import Unit, compiled_library
 from arm_emulator.toolchain.compiler_command import find_compiler
-from arm_emulator_fleet import cuda_device
+from arm_emulator_fleet import cuda_device, gpu_compiler
 from arm_emulator_fleet.device import Device
 from arm_emulator_fleet.processor_device import ProcessorDevice
 
@@ -24,6 +26,7 @@ void stub_set_cards(int); size_t stub_memory_in_use(void); int stub_contexts(voi
 void stub_push(int); int stub_pop(void); void stub_fail(const char *, int);
 """
 SUCCESS = 0
+ROOM, ROOM_OF_FLEETS = 64 << 20, 512 << 20  # bytes
 
 
 class Stub:
@@ -92,6 +95,22 @@ ENDS = "cuMemFree_v2", "cuModuleUnload", "cuCtxPopCurrent_v2"
 def device(request: pytest.FixtureRequest) -> Any:
     """Each of the two devices."""
     return make_device(request)
+
+
+@pytest.fixture
+def fleet_cards(cards: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stub]:
+    """The two cards, for fleets: their kernels are the processor's, with the memory of a card's."""
+
+    def load(given: Unit, architecture: str) -> bytes:
+        assert architecture == "sm_90"
+        source = f'#include "pool.hpp"\n{given.source}'
+        return Path(compiled_library(replace(given, source=source)).file).read_bytes()
+
+    monkeypatch.setattr(gpu_compiler, "load_ptx", load)
+    monkeypatch.setattr(gpu_compiler, "load_cubin", load)
+    cards.stub.calls.stub_set_memory(ROOM_OF_FLEETS)
+    yield cards.stub
+    cards.stub.calls.stub_set_memory(ROOM)
 
 
 def make_device(request: pytest.FixtureRequest) -> Device:

@@ -60,7 +60,7 @@ class ControlledGroup {
     if constexpr (requires { group.is_abreast(0); }) {
       alignas(64) double angle[N * lanes], speed[N * lanes];
       group.report(rows_.current, angle, speed);
-      group.applied(rows_.applied);
+      fleet_.put_applied(group, g_, rows_.applied);
       using OfLanes = arm::LanesOf<lanes>;
       for (int j = 0; j < N; ++j) {
         const auto counts = arm_machine::counts(j, OfLanes::load(angle + j * lanes));

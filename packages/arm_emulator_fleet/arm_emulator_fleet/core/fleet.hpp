@@ -59,6 +59,7 @@ struct arm_fleet {
               std::int64_t steps, double* q) {
     const int first = g * lanes, end = end_of(g);
     put_down(g);
+    known[g].has_applied = false;
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
     if (powered) {
@@ -148,6 +149,7 @@ struct arm_fleet {
   // machines are read.
   bool glide(int g, const double* given, std::int64_t periods, double* q) {
     group[g]->follow(given, 0, periods, steps_per_period, q, lanes);
+    known[g].has_applied = true;
     return are_abreast(g);
   }
   // Put down in the machines what their lanes were commanded in answer to a tick.
@@ -313,7 +315,7 @@ struct arm_fleet {
       if (measurement || (truth && (truth->current || truth->motor_angle || truth->motor_speed)))
         own.report(current, angle, speed);
       if (measurement) {
-        own.applied(rows[0]);
+        put_applied(own, g, rows[0]);
         put_measurement(own, g, *measurement, current, angle, rows[0]);
       }
       if (!truth) return true;
@@ -334,6 +336,12 @@ struct arm_fleet {
       return true;
     }
     return false;
+  }
+  // Commands that motors got in the newest servo period; lanes also keep those of a run since then.
+  void put_applied(const auto& own, int g, double* rows) const {
+    if (known[g].has_applied) return own.applied(rows);
+    for (int k = g * lanes; k < end_of(g); ++k)
+      for (int j = 0; j < N; ++j) rows[j * lanes + k % lanes] = machine[k]->applied[j];
   }
   void put_measurement(const auto& own, int g, const arm_fleet_measurement& out,
                        const double* current, const double* angle, const double* applied) const {
@@ -433,6 +441,7 @@ struct arm_fleet {
     std::int64_t free_since = -1;  // departures from its lanes when it was found free
     bool answers = false;          // its machines do not have the newest commands yet
     std::int64_t answered = -1;    // the tick of these
+    bool has_applied = false;      // its lanes do, as no run has commanded them since
   };
 
   int arms;

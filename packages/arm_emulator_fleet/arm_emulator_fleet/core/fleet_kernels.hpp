@@ -9,6 +9,7 @@
 #include "kernel.hpp"
 #include "numerics/finite.hpp"
 #define SERVO_IS_FINITE arm::is_finite
+#define SERVO_FLEET_LANES arm_fleet::lanes
 #include "servo_group.hpp"
 
 namespace {

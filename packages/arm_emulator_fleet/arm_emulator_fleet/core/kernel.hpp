@@ -18,33 +18,10 @@
   static void name##_of([[maybe_unused]] const name##_call& call,                        \
                         [[maybe_unused]] std::int64_t thread)
 
-// Memory for objects that live as long as their fleet: [next, end) of what its owner has allotted.
-extern "C" __attribute__((device)) unsigned long long arm_pool[2] = {0, 0};
-
-inline void* take_from_pool(std::size_t bytes) {
-  constexpr std::size_t apart = 256;
-  const unsigned long long at =
-      __atomic_fetch_add(&arm_pool[0], (bytes + apart - 1) / apart * apart, __ATOMIC_RELAXED);
-  if (at + bytes > arm_pool[1]) __builtin_trap();
-  return reinterpret_cast<void*>(at);
-}
 #pragma clang force_cuda_host_device end
-__attribute__((device)) void* operator new(std::size_t bytes) { return take_from_pool(bytes); }
-__attribute__((device)) void* operator new[](std::size_t bytes) { return take_from_pool(bytes); }
-__attribute__((device)) void* operator new(std::size_t bytes, std::align_val_t) {
-  return take_from_pool(bytes);
-}
-__attribute__((device)) void* operator new[](std::size_t bytes, std::align_val_t) {
-  return take_from_pool(bytes);
-}
-__attribute__((device)) void* operator new(std::size_t, void* at) noexcept { return at; }
-__attribute__((device)) void operator delete(void*) noexcept {}
-__attribute__((device)) void operator delete(void*, void*) noexcept {}
-__attribute__((device)) void operator delete[](void*) noexcept {}
-__attribute__((device)) void operator delete(void*, std::size_t) noexcept {}
-__attribute__((device)) void operator delete[](void*, std::size_t) noexcept {}
-__attribute__((device)) void operator delete(void*, std::align_val_t) noexcept {}
-__attribute__((device)) void operator delete(void*, std::size_t, std::align_val_t) noexcept {}
+#include "pool.hpp"
+inline __attribute__((device)) void* operator new(std::size_t, void* at) noexcept { return at; }
+inline __attribute__((device)) void operator delete(void*, void*) noexcept {}
 #pragma clang force_cuda_host_device begin
 
 #else
