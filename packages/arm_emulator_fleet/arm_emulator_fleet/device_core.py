@@ -200,16 +200,25 @@ class DeviceCore:
         self._copy_out(room, out, size)
         return OK
 
+    def save_arm(self, fleet: DeviceFleet, arm: int) -> Memory:
+        """Return what `Plant.save` returns, of an arm, on the device."""
+        saved = self.device.allocate(self._saved_size)
+        self.launch("fleet_save_arm", 1, fleet=fleet.memory, arm=arm, saved=saved)
+        return saved
+
     def arm_fleet_restore(
-        self, fleet: DeviceFleet, mask: CData, saved: bytes | CData, size: int
+        self, fleet: DeviceFleet, mask: CData, saved: bytes | Memory, size: int
     ) -> int:
-        """See core/arm_fleet.h; there are as many bytes."""
+        """See core/arm_fleet.h; there are as many bytes, which may be on the device."""
+        if not isinstance(saved, Memory):
+            saved = self.copy_in(FLEET.ffi.from_buffer(saved), size)
         return self._check_and_do(
             fleet,
             ("fleet_check_saved", "fleet_restore"),
             mask=self._mask(fleet, mask),
-            saved=self.copy_in(FLEET.ffi.from_buffer(saved), size),
+            saved=saved,
             size=self._saved_size,
+            stride=0 if size == self._saved_size else self._saved_size,
         )
 
     def arm_fleet_run(

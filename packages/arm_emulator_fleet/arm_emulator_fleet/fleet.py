@@ -169,10 +169,10 @@ class Fleet(CoreMachines):
         Raises:
             Refusal: no such arm.
         """
-        arm = check_count("Fleet.copy_arm", "arm", arm, -self._count, self._count - 1) % self._count
-        plant = Plant(self.scene)
-        size = self.core.arm_saved_size()
-        plant.restore(self.save()[arm * size : (arm + 1) * size])
+        plant, saved = Plant(self.scene), self._save_arm("Fleet.copy_arm", arm)
+        if self.device is not None:
+            saved = self.core.device.read(saved, np.uint8, (saved.size,)).tobytes()
+        plant.restore(saved)
         return plant
 
     def _give_back(self, arm: int) -> None:

@@ -172,6 +172,26 @@ class CoreMachines(Synchronized):
         if self.core.reset_in_place(self._fleet, mask, (rows[0], rows[1]), columns) == REFUSED:
             raise self._refusal(where, "another value")
 
+    def to_device(self, values: ArrayLike) -> Any:
+        """Return a copy of numbers where the arms are.
+
+        Libraries with ``from_dlpack`` take it, and the arrays of frames, without a copy.
+
+        Args:
+            values: any numbers.
+
+        Returns:
+            A `DeviceArray`; of NumPy for lanes of the processor.
+
+        Raises:
+            Refusal: they are no numbers.
+        """
+        if self.device is None:
+            return np.array(values)
+        from arm_emulator_fleet.device_array import as_device_array
+
+        return as_device_array(self.core.device, np.array(values))
+
     @property
     @synchronized
     def powered(self) -> NDArray[np.bool_]:
@@ -294,21 +314,63 @@ class CoreMachines(Synchronized):
         """Continue from what `save` of a fleet of as many arms has returned, to the last bit.
 
         Args:
-            saved: of all arms.
+            saved: of all arms; or of one, by `Plant.save`, from which all of these continue.
             arms: those that are restored: a mask (count,) or indices; None: all.
 
         Raises:
             Refusal: it is of another scene, core, count, step or servo period, or it was spoiled;
                 nothing has changed.
         """
-        where, mask = "Fleet.restore", choose_arms("Fleet.restore", arms, self._count)
-        size = self._count * self.core.arm_saved_size()
-        if not isinstance(saved, bytes | bytearray | memoryview) or len(bytes(saved)) != size:
-            raise Refusal(where, "saved fleet", f"be the {size} bytes of `save`", saved)
-        if (
-            self.core.arm_fleet_restore(self._fleet, get_mask_bytes(mask), bytes(saved), size)
-            == REFUSED
-        ):
+        where = "Fleet.restore"
+        one = self.core.arm_saved_size()
+        valid = isinstance(saved, bytes | bytearray | memoryview)
+        if not valid or len(bytes(saved)) not in (one, self._count * one):
+            rule = f"be the {self._count * one} bytes of `save`, or {one} of one arm"
+            raise Refusal(where, "saved fleet", rule, saved)
+        self._restore(where, bytes(saved), len(bytes(saved)), arms)
+
+    def copy_state(
+        self, arm: int, arms: ArrayLike | None = None, *, of: CoreMachines | None = None
+    ) -> None:
+        """Let arms continue from where one arm is, to the last bit; on a device without the host.
+
+        All of its state is copied, with varied numbers and external wrenches, as by `restore`.
+
+        Args:
+            arm: index of the one that is copied.
+            arms: those that become like it: a mask (count,) or indices; None: all.
+            of: the fleet that has it, of the same scene and on the same device; None: this one.
+
+        Raises:
+            Refusal: no such arm, or a fleet of another scene, device, step or servo period;
+                nothing has changed.
+        """
+        where, source = "Fleet.copy_state", self if of is None else of
+        if not isinstance(source, CoreMachines) or source.device != self.device:
+            rule = f"be a fleet on {self.device or 'lanes of the processor'}"
+            raise Refusal(where, "of", rule, getattr(source, "device", source))
+        size = source.core.arm_saved_size()
+        if size != self.core.arm_saved_size():
+            raise Refusal(where, "of", "be a fleet of this scene", source.scene.name)
+        saved = source._save_arm(where, arm)
+        with self.turn:
+            self._restore(where, saved, size, arms)
+
+    @synchronized
+    def _save_arm(self, where: str, arm: int) -> Any:
+        """Return the whole state of one arm, as bytes or as `Memory` of the device."""
+        arm = check_count(where, "arm", arm, -self._count, self._count - 1) % self._count
+        if self.device is not None:
+            return self.core.save_arm(self._fleet, arm)
+        saved = np.zeros(self.core.arm_saved_size(), np.uint8)
+        machine = self.core.arm_fleet_machine(self._fleet, arm)
+        self.core.arm_save(machine, pointer(saved), len(saved))
+        self.core.arm_fleet_give_back(self._fleet, arm)
+        return saved.tobytes()
+
+    def _restore(self, where: str, saved: Any, size: int, arms: ArrayLike | None) -> None:
+        mask = NULL if arms is None else get_mask_bytes(choose_arms(where, arms, self._count))
+        if self.core.arm_fleet_restore(self._fleet, mask, saved, size) == REFUSED:
             raise self._refusal(where, "another one")
 
     @property

@@ -60,6 +60,7 @@ int arm_fleet_set_external_wrench(arm_fleet* fleet, const uint8_t* mask, int32_t
 void arm_fleet_power(arm_fleet* fleet, const uint8_t* on);
 /* `arm_saved_size()` bytes for each arm of the fleet. */
 int arm_fleet_save(const arm_fleet* fleet, void* out, int64_t size);
+/* Those bytes, or `arm_saved_size()` bytes of a single arm, from which all of the mask continue. */
 int arm_fleet_restore(arm_fleet* fleet, const uint8_t* mask, const void* saved, int64_t size);
 
 /* Readings of the sensors of all arms; every array may be null. */

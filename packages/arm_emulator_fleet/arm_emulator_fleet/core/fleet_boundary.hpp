@@ -130,13 +130,14 @@ int arm_fleet_save(const arm_fleet* fleet, void* out, std::int64_t size) {
 int arm_fleet_restore(arm_fleet* fleet, const std::uint8_t* mask, const void* saved,
                       std::int64_t size) {
   const std::int64_t each = arm_saved_size();
-  if (!fleet || !saved || size != each * fleet->arms) return ARM_REFUSED;
+  if (!fleet || !saved || (size != each && size != each * fleet->arms)) return ARM_REFUSED;
+  const std::int64_t stride = size == each ? 0 : each;
   const auto* bytes = static_cast<const unsigned char*>(saved);
   if (fleet->check_all(mask, [&](const arm_machine* arm, int k) {
-        return check_saved(arm, bytes + k * each, each);
+        return check_saved(arm, bytes + k * stride, each);
       }))
     return ARM_REFUSED;
-  fleet->for_all(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * each); });
+  fleet->for_all(mask, [&](arm_machine* arm, int k) { take_saved(arm, bytes + k * stride); });
   return ARM_OK;
 }
 

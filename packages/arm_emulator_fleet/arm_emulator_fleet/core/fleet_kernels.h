@@ -78,11 +78,18 @@ typedef struct fleet_save_call {
   uint8_t* saved;
   int64_t size; /* of each arm */
 } fleet_save_call;
+/* One arm alone; one thread. */
+typedef struct fleet_save_arm_call {
+  const arm_fleet* fleet;
+  int64_t arm;
+  uint8_t* saved;
+} fleet_save_arm_call;
 typedef struct fleet_check_saved_call {
   arm_fleet* fleet;
   const uint8_t* mask;
   const uint8_t* saved;
-  int64_t size;
+  int64_t size;   /* of each arm */
+  int64_t stride; /* from arm to arm; 0: all take the same */
   int32_t* refused;
 } fleet_check_saved_call;
 typedef fleet_check_saved_call fleet_restore_call;

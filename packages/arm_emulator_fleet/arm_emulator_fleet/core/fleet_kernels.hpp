@@ -122,15 +122,19 @@ ARM_KERNEL(fleet_save) {
   for_arms_of(const_cast<arm_fleet*>(call.fleet), thread, nullptr,
               [&](arm_machine* arm, int k) { write_saved(arm, call.saved + k * call.size); });
 }
+ARM_KERNEL(fleet_save_arm) {
+  call.fleet->settle(static_cast<int>(call.arm));
+  write_saved(call.fleet->machine[call.arm], call.saved);
+}
 ARM_KERNEL(fleet_check_saved) {
   check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
-    return check_saved(arm, call.saved + k * call.size, call.size);
+    return check_saved(arm, call.saved + k * call.stride, call.size);
   });
 }
 ARM_KERNEL(fleet_restore) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
   for_arms_of(call.fleet, thread, call.mask,
-              [&](arm_machine* arm, int k) { take_saved(arm, call.saved + k * call.size); });
+              [&](arm_machine* arm, int k) { take_saved(arm, call.saved + k * call.stride); });
 }
 
 ARM_KERNEL(fleet_tell_why) { *call.why = call.fleet->machine[call.arm]->why; }
