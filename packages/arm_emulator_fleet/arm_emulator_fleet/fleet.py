@@ -169,7 +169,8 @@ class Fleet(CoreMachines):
         Raises:
             Refusal: no such arm.
         """
-        plant, saved = Plant(self.scene), self._save_arm("Fleet.copy_arm", arm)
+        arm = check_count("Fleet.copy_arm", "arm", arm, -self._count, self._count - 1)
+        plant, saved = Plant(self.scene), self.save_arm(arm)
         if self.device is not None:
             saved = self.core.device.read(saved, np.uint8, (saved.size,)).tobytes()
         plant.restore(saved)

@@ -352,14 +352,25 @@ class CoreMachines(Synchronized):
         size = source.core.arm_saved_size()
         if size != self.core.arm_saved_size():
             raise Refusal(where, "of", "be a fleet of this scene", source.scene.name)
-        saved = source._save_arm(where, arm)
+        saved = source.save_arm(check_count(where, "arm", arm, -len(source), len(source) - 1))
         with self.turn:
             self._restore(where, saved, size, arms)
 
     @synchronized
-    def _save_arm(self, where: str, arm: int) -> Any:
-        """Return the whole state of one arm, as bytes or as `Memory` of the device."""
-        arm = check_count(where, "arm", arm, -self._count, self._count - 1) % self._count
+    def save_arm(self, arm: int) -> Any:
+        """Return the whole state of one arm, as `restore` takes it.
+
+        Args:
+            arm: its index.
+
+        Returns:
+            Bytes; of a device, `Memory` there.
+
+        Raises:
+            Refusal: no such arm.
+        """
+        last = self._count - 1
+        arm = check_count("Fleet.save_arm", "arm", arm, -self._count, last) % self._count
         if self.device is not None:
             return self.core.save_arm(self._fleet, arm)
         saved = np.zeros(self.core.arm_saved_size(), np.uint8)
