@@ -92,7 +92,7 @@ def test_a_saved_plant_is_restored_in_chosen_arms(device: str | None, scene: Sce
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_what_cannot_be_copied_changes_nothing(device: str | None, scene: Scene) -> None:
+def test_a_refused_copy_changes_nothing(device: str | None, scene: Scene) -> None:
     fleet = move(scene, device, 1)
     before = fleet.save()
     faster = load_scene("three_axis", overrides={**SENSED, "integrator.dt": 5e-4})
