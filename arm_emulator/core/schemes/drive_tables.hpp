@@ -56,25 +56,63 @@ struct TableRows<inputs, row, Dual<directions>> {
   }
 };
 
+// The numbers of the tables of all joints.
+template <class Served>
+struct StepNumbers {
+  using Number = typename Served::Number;
+  using Rows = TableRows<Served::In::count, Served::row, Number>;
+  static constexpr int states = Served::K > 0 ? Served::K : 1;
+  static constexpr int rates = Served::linear ? 1 : Served::K;
+
+  alignas(64) Rows rhs_1 = {}, rhs_2 = {}, dz[states] = {};
+  alignas(64) Rows k_z[rates] = {};
+  alignas(64) Number diagonal[Served::row] = {};
+};
+// Those of another table, which outlives this. A step reads all of them and little else, so groups
+// of lanes with the same drives have them once in memory.
+template <class Served>
+struct StepNumbersElsewhere {
+  using There = StepNumbers<Served>;
+  explicit StepNumbersElsewhere(const There& there)
+      : rhs_1(there.rhs_1),
+        rhs_2(there.rhs_2),
+        dz(there.dz),
+        k_z(there.k_z),
+        diagonal(there.diagonal) {}
+
+  const typename There::Rows &rhs_1, &rhs_2, (&dz)[There::states], (&k_z)[There::rates];
+  const typename There::Number (&diagonal)[Served::row];
+};
+
 // The tables of all joints, side by side in vectors. `Make` makes a joint's table of its linear
-// drive.
-template <class S, class X, class Make>
-class DriveTables : public ServedDrives<S, X> {
+// drive. `refers`: the numbers are those of another table.
+template <class S, class X, class Make, bool refers = ServedDrives<S, X>::is_common>
+class DriveTables : public ServedDrives<S, X>,
+                    public std::conditional_t<refers, StepNumbersElsewhere<ServedDrives<S, X>>,
+                                              StepNumbers<ServedDrives<S, X>>> {
  public:
   using Served = ServedDrives<S, X>;
+  using Stored = std::conditional_t<refers, StepNumbersElsewhere<Served>, StepNumbers<Served>>;
   using Served::enters;
   using Served::N, Served::K, Served::M, Served::R, Served::row, Served::linear, Served::matters;
+  using Stored::rhs_1, Stored::rhs_2, Stored::dz, Stored::k_z, Stored::diagonal;
   using typename Served::In, typename Served::Inputs, typename Served::Modes;
   static constexpr bool own = Served::own;
   static constexpr std::integral_constant<int, -1> link = {};
-  using Number = std::conditional_t<own, X, Real>;
+  using Number = typename Served::Number;
 
   using Numbers = TableRows<In::count, row, Number>;
+  // What tables refer to.
+  using Common = std::conditional_t<refers, DriveTables<S, X, Make, false>, Nothing>;
 
-  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker)
+  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, Nothing = {})
+    requires(!refers)
       : Served(numbers), make_(maker) {
     fill();
   }
+  DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, const Common& common)
+    requires(refers)
+      : Served(numbers), Stored(common), make_(maker) {}
   // The numbers of a lane have changed.
   void renew(int lane) {
     if constexpr (own) fill_lane(lane);
@@ -214,10 +252,6 @@ class DriveTables : public ServedDrives<S, X> {
     }
     return out;
   }
-
-  alignas(64) Numbers rhs_1 = {}, rhs_2 = {}, dz[K > 0 ? K : 1] = {};
-  alignas(64) Numbers k_z[linear ? 1 : K] = {};
-  alignas(64) Number diagonal[row] = {};
 
  private:
   // Numbers that are the same for all lanes are taken one by one.

@@ -21,6 +21,9 @@ class ServedDrives {
   static constexpr bool modal = M > 0;
   // Lanes may have drives of their own.
   static constexpr bool own = arm::Numbers<S, X>::drives_vary && width > 1;
+  // Else the tables of all groups of lanes are the same.
+  static constexpr bool is_common = width > 1 && !own;
+  using Number = std::conditional_t<own, X, Real>;
   using Modes = DriveModes<M>;
   // For each input a number of every joint.
   using Inputs = arm::Row<N, X>[In::count];

@@ -50,8 +50,16 @@ class LinearlyImplicit {
   // Takes steps of any length in modes that are known (event_location.hpp).
   using Part = LinearlyImplicit<S, X, TrialDrives<S>>;
 
-  LinearlyImplicit(Real step, const arm::Numbers<S, X>& numbers)
-      : h_(step), n_(numbers), tables_(numbers, {step, stages}), coulomb_(numbers) {}
+  // `common`: tables of `make_common`, if lanes refer to some.
+  LinearlyImplicit(Real step, const arm::Numbers<S, X>& numbers, const auto&... common)
+      : h_(step), n_(numbers), tables_(numbers, {step, stages}, common...), coulomb_(numbers) {}
+  static auto make_common(Real step, const arm::Numbers<S, X>& numbers) {
+    using Common = typename Tables::Common;
+    if constexpr (std::is_same_v<Common, Nothing>)
+      return Common();
+    else
+      return Common(numbers, {step, stages});
+  }
   // For steps of another length in these modes, by `step_in`.
   void retime(Real step, const Modes<S>& modes) {
     h_ = step;

@@ -15,7 +15,8 @@ class OneThread {
   using Memory = typename Stepper::Memory;
   using Dynamics = typename Links<S, X>::Dynamics;
 
-  OneThread(Real step, int, const Numbers<S, X>& numbers) : n_(numbers), stepper_(step, numbers) {}
+  OneThread(Real step, int, const Numbers<S, X>& numbers, const auto&... common)
+      : n_(numbers), stepper_(step, numbers, common...) {}
   bool join_schedule() { return true; }
   void begin_thread() {}
   // The numbers of a lane have changed, or all.

@@ -21,8 +21,16 @@ class PaperScheme {
   // Drives find the modes that hold at the step's end, with the link held.
   static constexpr bool holds_links = true;
 
-  PaperScheme(Real step, const Numbers<S, X>& numbers)
-      : h_(step), n_(numbers), tables_(numbers, {step}), coulomb_(numbers) {}
+  // `common`: tables of `make_common`, if lanes refer to some.
+  PaperScheme(Real step, const Numbers<S, X>& numbers, const auto&... common)
+      : h_(step), n_(numbers), tables_(numbers, {step}, common...), coulomb_(numbers) {}
+  static auto make_common(Real step, const Numbers<S, X>& numbers) {
+    using Common = typename Tables::Common;
+    if constexpr (std::is_same_v<Common, Nothing>)
+      return Common();
+    else
+      return Common(numbers, {step});
+  }
   PaperScheme(const PaperScheme&) = delete;
 
   // The numbers of a lane have changed, or all.

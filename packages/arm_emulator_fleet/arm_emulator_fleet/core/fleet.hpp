@@ -29,7 +29,8 @@ struct arm_fleet {
         machine(new arm_machine*[count]()),
         lent(new std::int32_t[count]()),
         group(new Group*[groups()]()),
-        known(new Known[groups()]) {}
+        known(new Known[groups()]),
+        common(options.step, arm::Numbers<Scene>(options.parameters)) {}
   // Make the arms of a group; false if the options make no sense.
   bool build(int g, const arm_options& options) {
     Machine* members[lanes];
@@ -40,7 +41,7 @@ struct arm_fleet {
       if (!machine[k]) return false;
       members[k % lanes] = &machine[k]->machine;
     }
-    group[g] = new Group(options.step, members, end_of(g) - g * lanes);
+    group[g] = new Group(options.step, members, end_of(g) - g * lanes, common);
     return true;
   }
   ~arm_fleet() {
@@ -451,6 +452,7 @@ struct arm_fleet {
   std::int32_t* lent;  // users of a single arm; while > 0 it leaves its lane after every call
   Group** group;
   Known* known;
+  typename Group::Common common;
 
  private:
   mutable std::int32_t refused_ = -1;

@@ -27,8 +27,8 @@ class SmoothTogether {
   using Dynamics = typename Links<S, X>::Dynamics;
   static constexpr int N = S::N, width = kWidth<X>, row = Method::row;
 
-  SmoothTogether(double step, const Numbers<S, X>& numbers)
-      : n_(numbers), method_(step, numbers), coulomb_(numbers) {}
+  SmoothTogether(double step, const Numbers<S, X>& numbers, const auto&... common)
+      : n_(numbers), method_(step, numbers, common...), coulomb_(numbers) {}
 
   // The machine of a lane; null for an unused lane.
   void put(int lane, Machine* machine) {

@@ -16,9 +16,22 @@ class SideBySide {
   using Machine = arm::Machine<S>;
   static constexpr int N = S::N;
 
-  // At least one machine and at most `width`; they stay where they are.
-  SideBySide(double step, Machine* const* machines, int count)
-      : h_(step), used_(count), numbers_(machines[0]->numbers_now()), threads_(step, -1, numbers_) {
+  // Tables that all groups of lanes with this step refer to, if their drives are the same.
+  struct Common {
+    Common(double step, const Numbers<S>& numbers)
+        : lanes(numbers), tables(MethodOf<S, Lanes<width>>::make_common(step, lanes)) {}
+    Common(const Common&) = delete;
+
+    Numbers<S, Lanes<width>> lanes;
+    decltype(MethodOf<S, Lanes<width>>::make_common(0.0, lanes)) tables;
+  };
+
+  // At least one machine and at most `width`; they stay where they are, as do the tables.
+  SideBySide(double step, Machine* const* machines, int count, const Common& common)
+      : h_(step),
+        used_(count),
+        numbers_(machines[0]->numbers_now()),
+        threads_(step, -1, numbers_, common.tables) {
     for (int lane = 0; lane < used_; ++lane) machine_[lane] = machines[lane];
     for (std::int64_t& edition : editions_) edition = -1;
   }
@@ -386,7 +399,10 @@ class SideBySide<S, 1> {
   using Machine = arm::Machine<S>;
   static constexpr int N = S::N;
 
-  SideBySide(double, Machine* const* machines, int) : machine_(machines[0]) {}
+  struct Common {
+    Common(double, const Numbers<S>&) {}
+  };
+  SideBySide(double, Machine* const* machines, int, const Common&) : machine_(machines[0]) {}
 
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
               double* q, int = 1) {
