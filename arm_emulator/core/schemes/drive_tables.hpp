@@ -102,7 +102,7 @@ class DriveTables : public ServedDrives<S, X>,
   using Number = typename Served::Number;
 
   using Numbers = TableRows<In::count, row, Number>;
-  // What tables refer to.
+  // The tables whose numbers these are.
   using Common = std::conditional_t<refers, DriveTables<S, X, Make, false>, Nothing>;
 
   DriveTables(const arm::Numbers<S, X>& numbers, const Make& maker, Nothing = {})
