@@ -513,16 +513,21 @@ def test_a_card_that_cannot_be_used(cards: SimpleNamespace, function: str) -> No
 OPENS = """
 import sys
 import arm_emulator_fleet
-from arm_emulator_fleet import Fleet
+from arm_emulator_fleet import Fleet, ServoFleet
 def opened():
     return "cuda" in open("/proc/self/maps").read()
-print(opened(), [name for name in sys.modules if "cuda" in name or "ctypes.util" in name])
+def loaded(*parts):
+    names = [name for name in sys.modules if name.startswith("arm_emulator_fleet")]
+    return [name for name in names if any(part in name for part in parts)]
+PARTS = "cuda", "device", "gpu", "kernels", "dlpack"
+print(opened(), loaded(*PARTS), "ctypes.util" in sys.modules)
 fleet = Fleet("three_axis", 3)
 fleet.advance([0.0, 0.0, 0.0], 5)
-print(opened(), [name for name in sys.modules if "cuda" in name])
+fleet.follow(ServoFleet(fleet, "three_axis"), 2)
+print(opened(), loaded(*PARTS))
 from arm_emulator_fleet.open_device import open_device
 open_device("test", "processor")
-print(opened(), [name for name in sys.modules if "cuda" in name])
+print(opened(), loaded("cuda", "gpu"))
 print(open_device("test", "gpu").name, opened())
 """
 
@@ -534,4 +539,5 @@ def test_the_driver_is_opened_for_a_card_alone(stub: Stub) -> None:
     command = [sys.executable, "-c", OPENS]
     result = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert result.returncode == 0, result.stderr
-    assert result.stdout.splitlines() == ["False []"] * 3 + ["stub 0 True"]
+    expected = ["False [] False", "False []", "False []", "stub 0 True"]
+    assert result.stdout.splitlines() == expected

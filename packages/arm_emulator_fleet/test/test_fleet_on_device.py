@@ -159,6 +159,10 @@ class Pair:
     def commands(self, *rows: int) -> np.ndarray:
         return self.rng.uniform(-LARGEST, LARGEST, (*rows, self.count, self.N))
 
+    def has_input(self, name: str) -> np.ndarray:
+        """Return whether the motor of each joint has a further input."""
+        return np.array([name in [one.name for one in j.inputs[1:]] for j in self.scene.joints])
+
     def mask(self) -> np.ndarray:
         return self.rng.random(self.count) < 0.4
 
@@ -181,7 +185,7 @@ class Pair:
     def exchange(self) -> None:
         rows, tick = self.commands(), int(self.rng.integers(-1, 9))
         names = list_further_inputs(self.scene) if self.rng.random() < 0.7 else ()
-        further = {name: self.commands() for name in names}
+        further = {name: self.commands() * self.has_input(name) for name in names}
         self.both(lambda fleet: fleet.exchange(rows, tick, **further))
 
     def step(self) -> None:

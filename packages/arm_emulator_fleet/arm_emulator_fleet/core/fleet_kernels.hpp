@@ -8,7 +8,24 @@
 #include "fleet_kernels.h"
 #include "kernel.hpp"
 #include "numerics/finite.hpp"
-#define SERVO_IS_FINITE arm::is_finite
+
+namespace {
+
+// arm::is_finite, also of a vector of one number: servos of arms without lanes have these.
+template <class X>
+ARM_INLINE auto find_finite(const X& x) {
+  if constexpr (arm::kWidth<X> == 1 && requires { x[0]; }) {
+    arm::Mask<X> finite = {};
+    finite[0] = arm::is_finite(x[0]) ? -1 : 0;
+    return finite;
+  } else {
+    return arm::is_finite(x);
+  }
+}
+
+}  // namespace
+
+#define SERVO_IS_FINITE find_finite
 #define SERVO_FLEET_LANES arm_fleet::lanes
 #include "servo_group.hpp"
 
