@@ -44,13 +44,15 @@ def assert_alike(fleet: Fleet, plants: list[Plant]) -> None:
         assert fleet.powered[arm] == plant.powered
 
 
+@pytest.mark.parametrize("device", [None, "processor"])
 @pytest.mark.parametrize("seed", some(range(5), 1))
-def test_exchanges_under_power_and_without(seed: int, scene: Scene) -> None:
+def test_exchanges_under_power_and_without(seed: int, device: str | None, scene: Scene) -> None:
     """Brakes, sensors with noise of their own, an emergency stop of some arms on the way."""
     rng = np.random.default_rng(seed)
     varied = {NUMBER: rng.uniform(1.0, 5.0, COUNT), "seed": np.arange(COUNT)}
     q = rng.uniform(-1.0, 1.0, (COUNT, 3))
-    fleet = Fleet(scene, COUNT, varied=varied, q=q, workers=2)
+    workers = 2 if device is None else None
+    fleet = Fleet(scene, COUNT, varied=varied, q=q, workers=workers, device=device)
     for name, values in varied.items():
         assert np.array_equal(fleet.parameters[name], values), name
     plants = [alone(fleet, arm, q=q[arm]) for arm in range(COUNT)]

@@ -59,12 +59,14 @@ def coulomb(scene: Scene, rng: np.random.Generator) -> dict[str, np.ndarray]:
     return {name: rng.uniform(0.5, 4.0, COUNT) for name in names}
 
 
-def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene) -> None:
+@pytest.mark.parametrize("device", [None, "processor"])
+def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene, device: str | None) -> None:
     rng = np.random.default_rng(7)
     periods = 240
     q, v = targets(scene, rng, periods)
     varied, servo = coulomb(scene, rng), load_gains(scene.where.removesuffix(".yaml")).servo
-    fleet = Fleet(scene, COUNT, varied=varied, workers=2)
+    workers = 2 if device is None else None
+    fleet = Fleet(scene, COUNT, varied=varied, workers=workers, device=device)
     assert fleet.lanes > 1, "lanes"
     servos = ServoFleet(fleet, servo)
     servos.aim(q[::2], v[::2], every=2)
@@ -75,8 +77,10 @@ def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene) -> None:
     fleet.follow(servos, 60, links=links[100:160])
     fleet.powered = True
     frame = fleet.follow(servos, 80, links=links[160:])
-    assert np.array_equal(frame.q, links[-1]) and (frame.faults == -1).all()
-    assert np.array_equal(frame.measured.encoder_counts, fleet.measured.encoder_counts)
+    shown = frame.q, frame.faults, frame.measured.encoder_counts
+    q_end, faults, counts = (to_numpy(rows) for rows in shown)
+    assert np.array_equal(q_end, links[-1]) and (faults == -1).all()
+    assert np.array_equal(counts, fleet.measured.encoder_counts)
     rested = 0
     for arm in range(COUNT):
         plant, drives = Plant(scene), ServoArm(servo)
@@ -96,6 +100,10 @@ def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene) -> None:
             rested += int((plant.state.v == 0.0).sum())
             np.testing.assert_array_equal(links[tick, arm], plant.state.q, f"{arm} {tick}")
     assert rested > 100, f"joints rest in {rested} periods: the test relies on that"
+
+
+def to_numpy(rows: Any) -> np.ndarray:
+    return rows if isinstance(rows, np.ndarray) else np.asarray(rows.numpy())
 
 
 def test_rows_that_state_their_periods_hold_from_these_on(three_axis: Scene) -> None:

@@ -438,6 +438,16 @@ def test_arms_that_diverge(located: Scene, device: str) -> None:
     assert (pair.fleets[1].state.t > 0.0).sum() == COUNT - len(wild)
 
 
+def test_servos_of_some_arms_forget_and_change(located: Scene, device: str) -> None:
+    pair = Pair(located, COUNT, device, 9)
+    for aim in (pair.aim, pair.aim_at):
+        for change in (pair.reset_servos, pair.retune, pair.reset_servos):
+            aim()
+            for action in (pair.follow, change, pair.follow):
+                action()
+                pair.assert_alike(action.__name__)
+
+
 @pytest.mark.parametrize("count", [1, 2, 7, 16, 1000])
 def test_any_number_of_arms(located: Scene, device: str, count: int) -> None:
     pair = Pair(located, count, device, count)
