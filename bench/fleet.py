@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import runpy
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -35,6 +36,8 @@ INPUTS = 3  # motions; the error is the root mean square over them
 TARGET = 1e-5  # rad, the largest error
 COARSEST, FINEST, FINEST_THEIRS = SERVO_PERIOD, 2e-5, 1e-5  # s
 PART = 20  # of the second, that rollout is timed for: each of its steps takes the same
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "vector_env.py"
+ENV_ARMS, ENV_STEPS, ENV_TICKS = 1024, 40, 10  # the arms' episodes have 20 steps of 10 ticks
 CHUNK = 2000  # steps of one call of rollout: of its states, which it keeps, some 30 MB
 
 
@@ -50,6 +53,7 @@ def run(quick: bool) -> dict[str, Any]:
             }
     figures["per_step"] = _per_step(repetitions)
     figures["at_error"] = _at_error(quick)
+    figures["environment"] = _environment(repetitions)
     return figures
 
 
@@ -153,6 +157,26 @@ def _per_step(repetitions: int) -> dict[str, Any]:
         task: asdict(timing.per((few if task not in SCHEMES else rows).size / N * STEPS_PER_PERIOD))
         for task, timing in timings.items()
     }
+
+
+def _environment(repetitions: int) -> dict[str, Any]:
+    """Return the time of a step of one arm of examples/vector_env.py [s], by where the arms are."""
+    make = runpy.run_path(str(EXAMPLE))["ReachEnv"]
+    actions = np.random.default_rng(1).uniform(-0.3, 0.3, (ENV_STEPS, ENV_ARMS, 3))
+    tasks: dict[str, Task] = {}
+    for place, device in (("lanes", None), ("kernels on the processor", "processor")):
+        env = make("three_axis", ENV_ARMS, ticks=ENV_TICKS, device=device)
+
+        def play(_: object, env: Any = env) -> None:
+            for action in actions:
+                env.step(action)
+
+        tasks[place] = Task(play, lambda _, env=env: env.reset(seed=1))
+    with progress("environment", repetitions) as done:
+        timings = interleaved(
+            tasks, repetitions, lambda task: done(task) if task == "lanes" else None
+        )
+    return {task: asdict(timing.per(ENV_STEPS * ENV_ARMS)) for task, timing in timings.items()}
 
 
 def _at_error(quick: bool) -> dict[str, Any]:
@@ -272,6 +296,16 @@ def report(figures: dict[str, Any]) -> str:
     ]
     if (at := at_error_ratio(figures)) is not None:
         lines += [f"There {at[0]} takes {at[2]:.0f} times as long as {at[1]}.", ""]
+    if "environment" in figures:
+        times = {place: timing["median"] for place, timing in figures["environment"].items()}
+        own, device = times.values()
+        lines += [
+            f"The environment of examples/vector_env.py with {ENV_ARMS} arms, on all cores, a step "
+            f"of {ENV_TICKS} servo periods and the resets of ended episodes: {1 / own:.2g} steps/s "
+            f"in lanes. The kernels of a card, as loops of the processor, take {device / own:.2f} "
+            "times as long.",
+            "",
+        ]
     lines += ["![Arm-steps per second](fleet.png)", ""]
     return "\n".join(lines)
 
