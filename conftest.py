@@ -40,8 +40,8 @@ pytest.register_assert_rewrite(
 # Files that take more than 5 s, the longest first: one that comes late would leave the other half
 # of the machine idle.
 LONGEST = """
-lockstep snippets part_contract campaign schemes by_hand_bags new doubles fleet up recording
-network stream external_wrench mode_loops bags ways identification faults_at_doors
+lockstep snippets part_contract campaign schemes by_hand_bags new doubles fleet fleet_on_device up
+recording network stream external_wrench mode_loops bags ways identification faults_at_doors
 library_examples motor_kinds couplings threads collisions doubtful_records validation compiler
 copies arm_loops at_rest linearised sensors recorder search launch random_scenes json located
 load_friction spoiled_files brake hard_cases stability inputs motion_orders fuzz varied_axes
