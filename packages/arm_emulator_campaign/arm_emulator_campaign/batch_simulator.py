@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator_campaign.case import Case
@@ -24,6 +26,9 @@ from arm_emulator_campaign.simulator import BoundCase, Simulator, bind_case
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 WIDTH = 64  # runs at a time
+# On a device: as many as its samples have memory for, at most so many, which the processor judges.
+LARGEST_WIDTH = 2**14
+MEMORY = 2**30  # bytes of samples
 # Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power
 # of two would all begin in the same set of that cache.
 ROOM = 7 * BLOCK
@@ -47,24 +52,31 @@ class BatchSimulator:
 
     Args:
         campaign: which one.
+        device: of the arms, see `Fleet`; None: the processor's lanes.
+
+    Raises:
+        Refusal: the campaign is one that cannot run there, or no such device.
     """
 
-    width = WIDTH
-
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: Campaign, device: str | None = None) -> None:
         self._campaign = campaign
-        self._judges = Evaluators(campaign, ROOM, WIDTH)  # first: its refusals need no compiler
+        if device is not None and campaign.scene.threads > 1:
+            rule = "be 1 on a device: its arms are its threads"
+            raise Refusal(campaign.where, "threads", rule, campaign.scene.threads)
+        self.width = width = WIDTH if device is None else _choose_width(campaign)
+        self._judges = Evaluators(campaign, ROOM, width)  # first: its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
         self._names = [number.name for number in campaign.variation.numbers]
         self._numbers = {one.name: (k, one.number) for k, one in enumerate(scene.varied)}
         self._seed = self._numbers["seed"][0] if scene.sensed else None
         self._own = np.array([one.value for one in scene.varied], np.float64)
-        self._fleet = Fleet(scene, WIDTH, workers=1)
+        sampler, kernels = _choose_sampler(device)
+        self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)
         self._servos = ServoFleet(self._fleet, servo)
-        self._tuned = [servo] * WIDTH
-        self._sampler = FleetSampler(self._fleet, self._judges.samples, ROOM)
-        self._way = FleetWay(scene, WIDTH, self._sampler.look, self._sampler.with_)
+        self._tuned = [servo] * width
+        self._sampler = sampler(self._fleet, self._judges.samples, ROOM)
+        self._way = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
         self._aimed: list[Scenario] = []
         self._aim([scenario])
@@ -75,10 +87,10 @@ class BatchSimulator:
         Raises:
             Refusal: values of a run that are out of range; those before it have been yielded.
         """
-        for first in range(0, len(cases), WIDTH):
+        for first in range(0, len(cases), self.width):
             runs: list[_Run] = []
             refused = None
-            for case in cases[first : first + WIDTH]:
+            for case in cases[first : first + self.width]:
                 try:
                     runs.append(self._bind(case))
                 except Refusal as no:
@@ -119,7 +131,8 @@ class BatchSimulator:
         judges, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
         count, last = len(runs), np.array([run.bound.last for run in runs])
         judges.begin()
-        sampler.begin()
+        sampler.forget()
+        fleet.look(self._way)
         taken = np.zeros(count, np.int64)
         while True:
             some = int(min(ROOM - (taken[0] == 0), last.max() + 1 - max(1, taken.max())))
@@ -130,9 +143,8 @@ class BatchSimulator:
             taken += counts[:count]
             # An arm stands still where it diverged; one whose run has ended goes on for nothing.
             ended = taken > last
-            diverged = (frame.faults[:count] >= 0) & (
-                frame.t[:count] < (last - 0.5) * self._scene.servo_period
-            )
+            faults, t = _copy_out(frame.faults)[:count], _copy_out(frame.t)[:count]
+            diverged = (faults >= 0) & (t < (last - 0.5) * self._scene.servo_period)
             if np.all(ended | diverged):
                 break
         robustness, measures = judges.end(diverged)
@@ -142,13 +154,13 @@ class BatchSimulator:
             np.array(values, np.float64).reshape(count, len(self._names)),
             robustness,
             measures,
-            np.where(diverged, frame.t[:count], np.nan),
+            np.where(diverged, t, np.nan),
         )
 
     def _begin(self, runs: Sequence[_Run]) -> None:
         """Set arms and servos to the starts of runs; further arms begin as the last one."""
         fleet, servos = self._fleet, self._servos
-        rows = [*runs, *[runs[-1]] * (WIDTH - len(runs))]
+        rows = [*runs, *[runs[-1]] * (self.width - len(runs))]
         every = [row.bound for row in rows]
         fleet.powered = True
         numbers = np.array([row.numbers for row in rows])
@@ -165,7 +177,7 @@ class BatchSimulator:
 
     def _aim(self, scenarios: Sequence[Scenario]) -> None:
         """Give the servos the targets of each arm; one scenario is that of all."""
-        every = [*scenarios] * (WIDTH if len(scenarios) == 1 else 1)
+        every = [*scenarios] * (self.width if len(scenarios) == 1 else 1)
         if len(self._aimed) == len(every) and all(map(operator.is_, self._aimed, every)):
             return
         period = self._scene.servo_period
@@ -175,9 +187,43 @@ class BatchSimulator:
         self._aimed = every
 
 
-def make_simulator(campaign: Campaign) -> Simulator | BatchSimulator:
+def _choose_width(campaign: Campaign) -> int:
+    """Return how many runs a device simulates at a time."""
+    samples = len(Evaluators(campaign, ROOM).samples) + len(campaign.scene.joints)
+    most = min(LARGEST_WIDTH, MEMORY // (8 * ROOM * samples))
+    return most if campaign.search is not None else min(most, campaign.count)
+
+
+def _choose_sampler(device: str | None) -> tuple[type[FleetSampler], Sequence[Path]]:
+    if device is None:
+        return FleetSampler, ()
+    # Nothing of it is loaded for the processor's lanes.
+    from arm_emulator_campaign.device_sampler import KERNELS, DeviceSampler
+
+    return DeviceSampler, KERNELS
+
+
+def _copy_out(row: Any) -> NDArray[Any]:
+    """Return numbers of a frame as an array of the processor."""
+    found: NDArray[Any] = row if isinstance(row, np.ndarray) else row.numpy()
+    return found
+
+
+def make_simulator(campaign: Campaign, device: str | None = None) -> Simulator | BatchSimulator:
     """Return what simulates a campaign's runs.
 
     In lanes, but for moves of the tool: the motion controller that leads them is Python.
+
+    Args:
+        campaign: which one.
+        device: see `BatchSimulator`.
+
+    Raises:
+        Refusal: see there; or moves of the tool for a device.
     """
+    if device is not None:
+        if campaign.nominal[0].moves:
+            rule = "be absent on a device, since the motion controller is Python"
+            raise Refusal(campaign.where, "scenario.moves", rule, "moves of the tool", "targets")
+        return BatchSimulator(campaign, device)
     return Simulator(campaign) if campaign.nominal[0].moves else BatchSimulator(campaign)

@@ -1,7 +1,6 @@
 #include "sampler.h"
 
 #include <stddef.h>
-#include <string.h>
 
 static inline double number_at(const char* place, int32_t kind) {
   double real;
@@ -9,13 +8,13 @@ static inline double number_at(const char* place, int32_t kind) {
   uint32_t small;
   switch (kind) {
     case SAMPLER_INT64:
-      memcpy(&whole, place, sizeof whole);
+      __builtin_memcpy(&whole, place, sizeof whole);
       return (double)whole;
     case SAMPLER_UINT32:
-      memcpy(&small, place, sizeof small);
+      __builtin_memcpy(&small, place, sizeof small);
       return (double)small;
     default:
-      memcpy(&real, place, sizeof real);
+      __builtin_memcpy(&real, place, sizeof real);
       return real;
   }
 }
@@ -36,14 +35,14 @@ static void keep(sampler* one, int32_t first, int32_t arms) {
 }
 
 void sampler_take(void* with, const arm_machine* machine) {
-  sampler* one = with;
+  sampler* one = (sampler*)with;
   if (one->measure) one->measure(machine, one->measurement);
   one->get_truth(machine, one->truth);
   keep(one, 0, 1);
 }
 
 void sampler_take_abreast(void* with, int32_t first, int32_t arms) {
-  sampler* one = with;
+  sampler* one = (sampler*)with;
   one->show(one->fleet, first, arms, NULL, 0, one->measurements, one->truths);
   keep(one, first, arms);
 }

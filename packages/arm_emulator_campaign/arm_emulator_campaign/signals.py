@@ -198,7 +198,7 @@ class FleetSampler(Samples):
     def __init__(self, fleet: Fleet, names: Sequence[str], room: int) -> None:
         scene, count = fleet.scene, len(fleet)
         super().__init__(scene, names, count, room)
-        self._fleet, N = fleet, len(scene.joints)
+        N = len(scene.joints)
         place = MeasuredPlace(scene, count)
         shapes = {name: (count, N) for name in self.truth} | dict.fromkeys(("energy",), (count,))
         truth = {name: np.zeros(shapes[name]) for name in self.truth}
@@ -218,9 +218,4 @@ class FleetSampler(Samples):
             measurements=self._measurement if self.measures else C_NULL,
             truths=self._truth,
         )
-        self.look = self.calls.sampler_take_abreast
-
-    def begin(self) -> None:
-        """Take the first sample of all arms."""
-        self.forget()
-        self.calls.sampler_take_abreast(self.with_, 0, len(self._fleet))
+        self.look: CData | str = self.calls.sampler_take_abreast

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -61,17 +62,18 @@ class DeviceCore:
     Args:
         scene: of all arms.
         device: see there.
+        kernels: see `Fleet`.
 
     Raises:
         Refusal: the scene cannot be compiled for it.
     """
 
-    def __init__(self, scene: Scene, device: Device) -> None:
+    def __init__(self, scene: Scene, device: Device, kernels: Sequence[Path] = ()) -> None:
         self.device = device
         self._scene = scene
         self._N = len(scene.joints)
         self._saved_size = 0
-        self._module = load_kernels(device, build_kernels_unit(scene))
+        self._module = load_kernels(device, build_kernels_unit(scene, kernels))
         device.set_stack(STACK)
         self._lanes = self._measure_room(1)[-1]
 
@@ -334,11 +336,11 @@ class DeviceCore:
         measurement: CData,
         truth: CData,
     ) -> int:
-        """See core/arm_fleet.h; nobody looks on a device.
+        """See core/arm_fleet.h; `look` and its data are of the device.
 
         Measurement and truth have pointers of the device.
         """
-        own = FLEET.new("arm_fleet_way")
+        own = FLEET.new("arm_fleet_way", look=way.look, **{"with": getattr(way, "with")})
         links, stays = None, arms < fleet.count  # rows of the others stay as they are
         if way.links != NULL:
             links = self.device.allocate(8 * periods * fleet.count * self._N)
@@ -360,6 +362,20 @@ class DeviceCore:
         if links is not None:
             self._copy_out(links, way.links, links.size)
         return result
+
+    def look(self, fleet: DeviceFleet, way: CData) -> None:
+        """Let a function of the device look at all arms, see `find_function`."""
+        self._launch_on(fleet, "fleet_look", way=way[0])
+
+    def find_function(self, name: str) -> CData:
+        """Return the address of a function of the device that ARM_ADDRESS names (core/kernel.hpp).
+
+        Raises:
+            Refusal: there is none.
+        """
+        place = self._module.global_memory(name)
+        address = int(self.device.read(place, np.uint64, (1,))[0])
+        return FLEET.ffi.cast("void (*)(void *, int32_t, int32_t)", address)
 
     def _put_changes(self, fleet: DeviceFleet, way: CData, own: CData) -> None:
         """Copy changes of arms, and the wrenches that they point to."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, overload
@@ -69,6 +69,8 @@ class Fleet(CoreMachines):
         device: where the arms are, a thread for each few of them: "gpu" (the first card of NVIDIA),
             "gpu:1" (the second), or "processor", on which the kernels of cards run as loops; None:
             in the lanes of the processor.
+        kernels: files in C++ that are compiled with the kernels of a device, behind them, such as
+            functions for `FleetWay`; see core/kernel.hpp.
 
     Raises:
         Refusal: the scene's core cannot be compiled, no such device, a scene that it cannot
@@ -85,6 +87,7 @@ class Fleet(CoreMachines):
         v: ArrayLike | None = None,
         workers: int | None = None,
         device: str | None = None,
+        kernels: Sequence[Path] = (),
     ) -> None:
         if workers is None:
             workers = len(os.sched_getaffinity(0)) if device is None else 1
@@ -92,7 +95,8 @@ class Fleet(CoreMachines):
         if device is not None and workers > 1:
             rule = "be 1 on a device, which divides its arms itself"
             raise Refusal("Fleet", "workers", rule, workers)
-        super().__init__(coerce_scene(scene, "Fleet"), count, device)
+        self._kernels = tuple(kernels)
+        super().__init__(coerce_scene(scene, "Fleet"), count, device, self._kernels)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = WorkThreads(self._count, self.lanes, workers)
         self._period_worth = self._count * self.scene.steps_per_period
@@ -111,11 +115,14 @@ class Fleet(CoreMachines):
         return f"<Fleet of {self._count} {self.scene.name}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        of = self.scene, self._count, self._shares.workers, self.device
-        return _restore_fleet, of, self.__getstate__()
+        return _restore_fleet, self._of, self.__getstate__()
+
+    @property
+    def _of(self) -> tuple[Any, ...]:
+        return self.scene, self._count, self._shares.workers, self.device, self._kernels
 
     def __copy__(self) -> Fleet:
-        fleet = _restore_fleet(self.scene, self._count, self._shares.workers, self.device)
+        fleet = _restore_fleet(*self._of)
         fleet.__setstate__(self.__getstate__())
         return fleet
 
@@ -334,8 +341,8 @@ class Fleet(CoreMachines):
         of = self.scene, self._count
         if way is not None and (not isinstance(way, FleetWay) or way.of != of):
             raise Refusal(where, "way", "be a FleetWay for this fleet", way)
-        if way is not None and self.device is not None and way.struct.look != NULL:
-            raise Refusal(where, "look", "be none on a device", "a function of the processor")
+        if way is not None:
+            self._place_look(where, way)
         by = FLEET.new("arm_fleet_way") if way is None else way.struct
         if arms is not None:
             arms = check_count(where, "arms", arms, 1, self._count)
@@ -361,6 +368,30 @@ class Fleet(CoreMachines):
             if refused:
                 raise self._refusal(where, "")
         return out
+
+    def look(self, way: FleetWay) -> None:
+        """Let the function of a way look at all arms as they are now.
+
+        Raises:
+            Refusal: a way of another fleet, or one without a function.
+        """
+        where = "Fleet.look"
+        if not isinstance(way, FleetWay) or way.of != (self.scene, self._count) or not way.looks:
+            raise Refusal(where, "way", "be a FleetWay for this fleet, with a look", way)
+        self._place_look(where, way)
+        with self.turn:
+            if self.device is None:
+                way.struct.look(getattr(way.struct, "with"), 0, self._count)
+            else:
+                self.core.look(self._fleet, way.struct)
+
+    def _place_look(self, where: str, way: FleetWay) -> None:
+        """Find the function of a way where the arms are."""
+        if way.looks and (way.look_name is None) != (self.device is None):
+            rule = "be a pointer in lanes, and on a device a name"
+            raise Refusal(where, "look", rule, way.look_name or "a function of the processor")
+        if way.look_name is not None:
+            FLEET.fill(way.struct, look=self.core.find_function(way.look_name))
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""
@@ -441,9 +472,15 @@ class Fleet(CoreMachines):
         self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
 
 
-def _restore_fleet(scene: Scene, count: int, workers: int, device: str | None) -> Fleet:
+def _restore_fleet(
+    scene: Scene,
+    count: int,
+    workers: int,
+    device: str | None = None,
+    kernels: Sequence[Path] = (),
+) -> Fleet:
     """Return a fleet like one that was pickled, before its state."""
-    return Fleet(scene, count, workers=workers, device=device)
+    return Fleet(scene, count, workers=workers, device=device, kernels=kernels)
 
 
 def _give_back(way: weakref.WeakMethod[Callable[[int], None]], arm: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,19 +67,26 @@ class CoreMachines(Synchronized):
         scene: of all machines.
         count: of machines.
         device: see there.
+        kernels: see `Fleet`.
 
     Raises:
         Refusal: the scene's core cannot be compiled, no such device, or no such count.
     """
 
-    def __init__(self, scene: Scene, count: int, device: str | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        count: int,
+        device: str | None = None,
+        kernels: Sequence[Path] = (),
+    ) -> None:
         super().__init__()
         self.scene = scene
         self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
         self._N = len(scene.joints)
         self._arguments = FleetArguments(scene, self._count)
         self.device = device
-        self.core: Any = load_core(scene, device)  # the functions of core/arm_fleet.h
+        self.core: Any = load_core(scene, device, kernels)  # the functions of core/arm_fleet.h
         self.lanes = int(self.core.arm_fleet_lanes())
         self.link_angle_per_count = compute_count_angle(scene)
         values = np.tile([one.value for one in scene.varied], (self._count, 1))
@@ -433,19 +441,21 @@ def _row_of_each(given: Any, otherwise: Array, count: int) -> Any:
     )
 
 
-def load_core(scene: Scene, device: str | None) -> Library | DeviceCore:
+def load_core(scene: Scene, device: str | None, kernels: Sequence[Path]) -> Library | DeviceCore:
     """Return the core of many machines of a scene, for a device or for the processor's lanes.
 
     Raises:
         Refusal: it cannot be compiled, or no such device.
     """
     if device is None:
+        if kernels:
+            raise Refusal("Fleet", "kernels", "be none in lanes of the processor", kernels)
         return load_fleet(scene)
     # Nothing of it is loaded for the processor's lanes.
     from arm_emulator_fleet.device_core import DeviceCore
     from arm_emulator_fleet.open_device import open_device
 
-    return DeviceCore(scene, open_device("Fleet", device))
+    return DeviceCore(scene, open_device("Fleet", device), kernels)
 
 
 def get_mask_bytes(mask: NDArray[np.bool_]) -> CData:

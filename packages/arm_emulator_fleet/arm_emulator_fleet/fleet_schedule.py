@@ -34,26 +34,31 @@ class FleetWay(NonCopyable):
 
     Attributes:
         struct: as `arm_fleet_way` of core/arm_fleet.h, without the links' positions.
+        looks: whether there is a function.
+        look_name: its name on a device; None: it is of the processor, or there is none.
 
     Args:
         scene: of the arms.
         count: of arms.
-        look: pointer to the function; None: nobody looks.
-        with_: pointer that it gets; both must outlive this.
+        look: pointer to the function, or for arms on a device its name there (ARM_ADDRESS of
+            core/kernel.hpp, see `Fleet`); None: nobody looks.
+        with_: pointer that it gets, of the device for arms there; both must outlive this.
     """
 
     instead = "a new one with the same changes"
 
     def __init__(
-        self, scene: Scene, count: int, look: CData | None = None, with_: CData | None = None
+        self, scene: Scene, count: int, look: CData | str | None = None, with_: CData | None = None
     ) -> None:
         scene = coerce_kind(scene, Scene, "FleetWay", "scene", "be a Scene")
         count = check_count("FleetWay", "count", count, 1, LARGEST_FLEET)
         self.of = scene, count
         self._places = {one.name: place for place, one in enumerate(scene.varied)}
         self.struct = FLEET.new("arm_fleet_way")
+        self.looks, self.look_name = look is not None, look if isinstance(look, str) else None
         if look is not None:
-            FLEET.fill(self.struct, look=look, **{"with": with_})
+            pointer = {} if isinstance(look, str) else {"look": look}
+            FLEET.fill(self.struct, **pointer, **{"with": with_})
         self.set_changes([()] * count)
 
     def __repr__(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,8 +48,12 @@ def build_fleet_unit(scene: Scene) -> Unit:
     )
 
 
-def build_kernels_unit(scene: Scene) -> Unit:
+def build_kernels_unit(scene: Scene, more: Sequence[Path] = ()) -> Unit:
     """Return the sources of the scene's kernels for a device (core/fleet_kernels.hpp).
+
+    Args:
+        scene: of all arms.
+        more: files in C++ that are included behind them.
 
     Raises:
         Refusal: the scene is one that no device advances.
@@ -57,15 +62,22 @@ def build_kernels_unit(scene: Scene) -> Unit:
         rule = "be 1 on a device: its arms are its threads"
         raise Refusal(scene.where, "threads", rule, scene.threads)
     unit = build_machine_unit(scene, "fleet_kernels.hpp")
+    source = unit.source + "".join(f'#include "{file.name}"\n' for file in more)
     return replace(
         unit,
         name=f"{scene.name}-kernels",
-        source=f'#include "begin_kernels.hpp"\n{unit.source}#include "end_kernels.hpp"\n',
+        source=f'#include "begin_kernels.hpp"\n{source}#include "end_kernels.hpp"\n',
         flags=(*unit.flags, f"-DARM_LANES={LANES_OF_THREAD}"),
         headers=(),
         more=(),
         data={},
-        folders=(*unit.folders, BOUNDARY_FOLDER, SERVO_FOLDER, FOLDER),
+        folders=(
+            *unit.folders,
+            BOUNDARY_FOLDER,
+            SERVO_FOLDER,
+            FOLDER,
+            *(file.parent for file in more),
+        ),
         about=f"kernels of a fleet of {scene.name} ({len(scene.joints)} joints)",
         saves_as=build_machine_unit(scene),
     )

@@ -79,6 +79,7 @@ def campaign(
     count: Annotated[int | None, Parameter(metavar="N")] = None,
     workers: Annotated[int | None, Parameter(metavar="N")] = None,
     dask: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
+    device: Annotated[str | None, Parameter(metavar="DEVICE")] = None,
     dry: bool = False,
     replay: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
@@ -97,6 +98,8 @@ def campaign(
         count: runs in all, in the place of the file's count.
         workers: processes (default: one for each processor core, or all threads of the cluster).
         dask: scheduler of a Dask cluster, whose workers see the same files.
+        device: where the arms are: gpu (the first card of NVIDIA), gpu:0,gpu:1 (a worker for each),
+            or processor, on which the kernels of cards run as loops.
         dry: measure what a run costs, print time and size of the whole, and simulate nothing more.
         replay: simulate one run again, for --record, --bag, --rerun and --page.
         shrink: find the fewest changes and the shortest time with which a run still fails, and
@@ -118,6 +121,7 @@ def campaign(
         one = dataclasses.replace(one, count=check_count("campaign", "--count", count, 1, 10**12))
     if workers is not None:
         check_count("campaign", "--workers", workers, 1, 100_000 if dask else 4096)
+    devices = _read_devices(one, device, dask, workers, [replay, shrink])
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
         return _replay(one, find_case(one, into, replay, "--replay"), kept, page, bag)
@@ -125,12 +129,13 @@ def campaign(
         return print_shrunk(one, find_case(one, into, shrink, "--shrink"), into)
     for text in find_start_requirements(one):
         warn(text)
-    seconds, ready = measure_run(one)
-    _print_cost(one, seconds, ready, workers or _count_workers(dask))
+    seconds, ready = measure_run(one, *devices[:1])
+    at_hand = len(devices) if devices and dask is None else workers or _count_workers(dask)
+    _print_cost(one, seconds, ready, at_hand)
     if dry:
         return 0
     results = Results(into, one)
-    interrupted, findings = _simulate(one, results, dask, workers, seconds)
+    interrupted, findings = _simulate(one, results, dask, workers, devices, seconds)
     columns = results.columns()
     summary = summarize(one, columns)
     if one.search is None:
@@ -147,6 +152,37 @@ def campaign(
     if not summary.count and not findings:
         missed = "it has ended before the first run"
     return output.judge("campaign", missed)
+
+
+def _read_devices(
+    one: Campaign,
+    device: str | None,
+    dask: str | None,
+    workers: int | None,
+    single: Sequence[int | None],
+) -> list[str]:
+    """Return the devices of the option, none for lanes of the processor.
+
+    Raises:
+        Refusal: a campaign or other options that no device serves.
+    """
+    if device is None:
+        return []
+    where, devices = "campaign", device.split(",")
+    if single != [None] * len(single):
+        rule = "be absent with --replay and --shrink, which simulate one run at a time"
+        raise Refusal(where, "--device", rule, device)
+    if one.search is not None and one.search.forks:
+        rule = "be absent with a search that splits runs, which are forked one by one"
+        raise Refusal(where, "--device", rule, device)
+    if len(set(devices)) < len(devices):
+        raise Refusal(where, "--device", "name each device once", device)
+    if dask is not None and len(devices) > 1:
+        valid = "gpu, with CUDA_VISIBLE_DEVICES for each worker"
+        raise Refusal(where, "--device", "be one with --dask", device, valid)
+    if dask is None and workers is not None:
+        raise Refusal(where, "--workers", "be absent with --device, a worker for each", workers)
+    return devices
 
 
 def _count_workers(dask: str | None) -> int:
@@ -179,7 +215,12 @@ def _print_cost(one: Campaign, seconds: float, ready: float, workers: int) -> No
 
 
 def _simulate(
-    one: Campaign, results: Results, dask: str | None, workers: int | None, seconds: float
+    one: Campaign,
+    results: Results,
+    dask: str | None,
+    workers: int | None,
+    devices: Sequence[str],
+    seconds: float,
 ) -> tuple[bool, list[Finding]]:
     """Simulate what is missing; return whether Ctrl-C has ended it, and what a search found."""
     # One that was killed may take its time to be there again.
@@ -187,8 +228,8 @@ def _simulate(
 
     def pool() -> Pool:
         if dask is None:
-            return LocalPool(workers or _count_workers(dask))
-        return DaskPool(dask, next(patience), workers)
+            return LocalPool(len(devices) or workers or _count_workers(dask), devices)
+        return DaskPool(dask, next(patience), workers, *devices)
 
     with _show_progress() as report:
         crew = WorkerPool(pool, seconds, report)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator_campaign.batch_simulator import WIDTH
+from arm_emulator_campaign.batch_simulator import WIDTH, make_simulator
 from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
@@ -112,16 +112,25 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
     return all(high - low <= stop.width for low, high in intervals)
 
 
-def measure_run(campaign: Campaign) -> tuple[float, float]:
-    """Return the processor time of a run and that of a start [s], measured."""
-    began = time.process_time()
-    _, simulator = get_simulator(str(campaign.file.absolute()), campaign.key)
+def measure_run(campaign: Campaign, device: str | None = None) -> tuple[float, float]:
+    """Return the time of a run and that of a start [s], measured.
+
+    It is the time of the processor, or beside a device that of the clock.
+    """
+    clock = time.process_time if device is None else time.perf_counter
+    began = clock()
+    # Machines on a device are not kept: a worker needs its memory.
+    simulator = (
+        get_simulator(str(campaign.file.absolute()), campaign.key)[1]
+        if device is None
+        else make_simulator(campaign, device)
+    )
     some = [draw_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
     list(simulator.runs(some[:1]))
-    ready, runs = time.process_time(), 0
-    while runs < 3 or time.process_time() - ready < 0.2:
+    ready, runs = clock(), 0
+    while runs < 3 or clock() - ready < 0.2:
         runs += len(some)
         list(simulator.runs(some))
-        if time.process_time() - ready > 5.0:
+        if clock() - ready > 5.0:
             break
-    return (time.process_time() - ready) / runs, ready - began
+    return (clock() - ready) / runs, ready - began

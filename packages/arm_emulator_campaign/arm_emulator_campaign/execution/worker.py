@@ -8,9 +8,11 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from functools import cache
+from multiprocessing.queues import Queue
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,6 +26,8 @@ from arm_emulator_campaign.simulator import Simulator
 
 _PR_SET_PDEATHSIG = 1
 _asked = {"end": False, "busy": False}
+_own = threading.local()  # `device` of this thread
+Result = TypeVar("Result")
 
 
 class Done(NamedTuple):
@@ -45,20 +49,34 @@ class Done(NamedTuple):
 
 
 def get_simulator(file: str, key: bytes) -> tuple[Campaign, Simulator | BatchSimulator]:
-    """Return a campaign and this thread's machines for it.
+    """Return a campaign and this thread's machines for it, on its device.
 
     Raises:
-        Refusal: the campaign is not the same here.
+        Refusal: the campaign is not the same here, or cannot run on the device.
     """
-    return _make_simulator(file, key, threading.get_ident())
+    return _make_simulator(file, key, threading.get_ident(), getattr(_own, "device", None))
 
 
 @cache
 def _make_simulator(
-    file: str, key: bytes, thread: int
+    file: str, key: bytes, thread: int, device: str | None
 ) -> tuple[Campaign, Simulator | BatchSimulator]:
     campaign = load_same_campaign(file, key)
-    return campaign, make_simulator(campaign)
+    return campaign, make_simulator(campaign, device)
+
+
+def use_device(device: str | None) -> None:
+    """Let this thread simulate on a device from now on; None: in lanes of the processor."""
+    _own.device = device
+
+
+def call_on(device: str, function: Callable[..., Result], *arguments: Any) -> Result:
+    """Return what a function returns in a thread that simulates on a device."""
+    use_device(device)
+    try:
+        return function(*arguments)
+    finally:
+        use_device(None)
 
 
 def load_same_campaign(file: str, key: bytes) -> Campaign:
@@ -123,6 +141,16 @@ def _make_case(campaign: Campaign, index: int, first: int, points: Array | None)
     if points is None:
         return draw_case(campaign.variation, index)
     return place_case(campaign.variation, index, points[index - first])
+
+
+def begin_worker(parent: int, devices: Queue[str] | None) -> None:
+    """Prepare this process as a worker of a parent; it takes one of the devices, if there are any.
+
+    It follows the parent, see `follow_parent`.
+    """
+    follow_parent(parent)
+    if devices is not None:
+        use_device(devices.get())
 
 
 def follow_parent(parent: int) -> None:

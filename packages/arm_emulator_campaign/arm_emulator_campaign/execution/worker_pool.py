@@ -15,7 +15,7 @@ from typing import Any, Self, TypeVar
 
 from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.execution.worker import Done, follow_parent
+from arm_emulator_campaign.execution.worker import Done, begin_worker, call_on
 
 ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
 CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
@@ -25,14 +25,24 @@ Left = TypeVar("Left")
 
 
 class LocalPool(cf.ProcessPoolExecutor):
-    """Processes on this machine, which end with this one."""
+    """Processes on this machine, which end with this one.
+
+    Args:
+        workers: processes.
+        devices: one for each of them to simulate on; none: in lanes of the processor.
+    """
 
     breaks: tuple[type[BaseException], ...] = (BrokenProcessPool,)
 
-    def __init__(self, workers: int) -> None:
+    def __init__(self, workers: int, devices: Sequence[str] = ()) -> None:
         self.workers = workers
         spawned = mp.get_context("spawn")
-        super().__init__(workers, spawned, initializer=follow_parent, initargs=(os.getpid(),))
+        given = None
+        if devices:
+            given = spawned.Queue()
+            for device in devices:
+                given.put(device)
+        super().__init__(workers, spawned, initializer=begin_worker, initargs=(os.getpid(), given))
 
     def end(self) -> None:
         """Let all workers write finished runs, and end them."""
@@ -55,12 +65,15 @@ class DaskPool:
         address: of the scheduler.
         patience: for so long it may not answer [s].
         workers: chunks are for so many; None: for all that the cluster has, come and gone ones too.
+        device: that each worker simulates on, as it sees it; None: in lanes of the processor.
 
     Raises:
         Refusal: Dask is not installed, or no scheduler answers.
     """
 
-    def __init__(self, address: str, patience: float, workers: int | None = None) -> None:
+    def __init__(
+        self, address: str, patience: float, workers: int | None = None, device: str | None = None
+    ) -> None:
         require_package("campaign", "distributed", "distributed")
         from distributed import Client
         from distributed.comm.core import CommClosedError
@@ -76,6 +89,7 @@ class DaskPool:
             rule = "be the address of a Dask scheduler"
             raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
         self._executor = self._client.get_executor(pure=False, retries=3)
+        self._device = device
         self._given, self._asked, self._threads = workers, -math.inf, 1
 
     @property
@@ -90,7 +104,10 @@ class DaskPool:
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
         """Submit a call."""
-        future: cf.Future[Any] = self._executor.submit(function, *arguments)
+        given = (function, *arguments)
+        if self._device is not None:
+            given = (call_on, self._device, *given)
+        future: cf.Future[Any] = self._executor.submit(*given)
         return future
 
     def end(self) -> None:

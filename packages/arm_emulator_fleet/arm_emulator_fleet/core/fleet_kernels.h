@@ -158,6 +158,12 @@ typedef struct fleet_check_changes_call {
 } fleet_check_changes_call;
 typedef fleet_check_changes_call fleet_follow_call;
 
+/* Let the function of a way look at the arms as they are. */
+typedef struct fleet_look_call {
+  const arm_fleet* fleet;
+  arm_fleet_way way;
+} fleet_look_call;
+
 /* Servos of a fleet: room for a group of arms, its joints and the struct of both; then as
  * servo_fleet.h. */
 typedef struct servos_measure_room_call {

@@ -217,6 +217,11 @@ ARM_KERNEL(fleet_follow) {
   call.fleet->show(g, &call.measurement, call.truth.size ? &call.truth : nullptr);
 }
 
+ARM_KERNEL(fleet_look) {
+  const int g = static_cast<int>(thread), first = g * arm_fleet::lanes;
+  call.way.look(call.way.with, first, call.fleet->end_of(g) - first);
+}
+
 ARM_KERNEL(servos_measure_room) {
   call.bytes[0] = sizeof(Group);
   call.bytes[1] = sizeof(Joint);

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 // ARM_KERNEL(name, call) { ... }: the body is that of thread `thread`, under the arguments `call`.
+// ARM_ADDRESS(name, function): the variable `name` has the address of a function where it runs.
 #ifdef __CUDA__
 
 #define ARM_KERNEL(name)                                                                 \
@@ -17,6 +18,11 @@
   }                                                                                      \
   static void name##_of([[maybe_unused]] const name##_call& call,                        \
                         [[maybe_unused]] std::int64_t thread)
+
+#define ARM_ADDRESS(name, function)                            \
+  extern "C" {                                                 \
+  __attribute__((device)) decltype(&function) name = function; \
+  }
 
 #pragma clang force_cuda_host_device end
 #include "pool.hpp"
@@ -35,5 +41,10 @@ inline __attribute__((device)) void operator delete(void*, void*) noexcept {}
   }                                                                                                \
   static void name##_of([[maybe_unused]] const name##_call& call,                                  \
                         [[maybe_unused]] std::int64_t thread)
+
+#define ARM_ADDRESS(name, function)                                           \
+  extern "C" {                                                                \
+  __attribute__((visibility("default"))) decltype(&function) name = function; \
+  }
 
 #endif

@@ -1,0 +1,17 @@
+// The samples of arms on a device, behind the kernels of their fleet.
+#pragma once
+
+#include "sampler.c"
+
+namespace {
+
+// As sampler_take_abreast, for a group of arms.
+void sample_group(void* with, std::int32_t first, std::int32_t arms) {
+  auto* one = static_cast<sampler*>(with);
+  one->fleet->show(first / arm_fleet::lanes, one->measurements, one->truths);
+  keep(one, first, arms);
+}
+
+}  // namespace
+
+ARM_ADDRESS(sampler_look, sample_group)
