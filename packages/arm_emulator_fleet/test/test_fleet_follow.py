@@ -21,6 +21,7 @@ from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.toolchain.cxx import run_compiler
 from arm_emulator_fleet.fleet import Fleet
 from arm_emulator_fleet.fleet_control import FleetControl
+from arm_emulator_fleet.fleet_schedule import FleetWay
 from arm_emulator_fleet.servo_fleet import ServoFleet
 from arm_emulator_fleet.unit import FOLDER
 
@@ -282,3 +283,20 @@ def test_senseless_arguments_are_refused(three_axis: Scene) -> None:
         with pytest.raises(Refusal, match=words):
             attempt()
     assert np.array_equal(fleet.follow(servos, 0).t, [0.0, 0.0])
+
+
+def test_a_look_is_a_pointer_in_lanes_and_a_name_on_a_device() -> None:
+    fleet = Fleet("three_axis", 2)
+    servos = ServoFleet(fleet, load_gains("three_axis").servo)
+    way = FleetWay(fleet.scene, 2, "sampler_look")
+    calls = lambda: fleet.follow(servos, 1, way=way), lambda: fleet.look(way)
+    for call in calls:
+        with pytest.raises(
+            Refusal, match="look must be a pointer in lanes, and on a device a name"
+        ):
+            call()
+    with pytest.raises(Refusal, match="Fleet.look: way must be a FleetWay for this fleet, with a"):
+        fleet.look(FleetWay(fleet.scene, 2))
+    with pytest.raises(Refusal, match="Fleet: kernels must be none in lanes of the processor"):
+        Fleet("three_axis", 2, kernels=[Path("kernels.hpp")])
+    assert fleet.state.t.tolist() == [0.0, 0.0]
