@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from arm_emulator.extension.base import NonCopyable, Refusal, check_count, coerce_flag, coerce_kind
+from arm_emulator.extension.compiler import C_NULL as NULL
 from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import ARM_HEADER as ARM
 from arm_emulator.extension.machine import WRENCH_AXES as AXES
@@ -42,7 +43,7 @@ class FleetWay(NonCopyable):
         count: of arms.
         look: pointer to the function, or for arms on a device its name there (ARM_ADDRESS of
             core/kernel.hpp, see `Fleet`); None: nobody looks.
-        with_: pointer that it gets, of the device for arms there; both must outlive this.
+        with_: pointer that it gets (None: null), of the device for arms there; both must outlive this.
     """
 
     instead = "a new one with the same changes"
@@ -58,7 +59,7 @@ class FleetWay(NonCopyable):
         self.looks, self.look_name = look is not None, look if isinstance(look, str) else None
         if look is not None:
             pointer = {} if isinstance(look, str) else {"look": look}
-            FLEET.fill(self.struct, **pointer, **{"with": with_})
+            FLEET.fill(self.struct, **pointer, **{"with": NULL if with_ is None else with_})
         self.set_changes([()] * count)
 
     def __repr__(self) -> str:

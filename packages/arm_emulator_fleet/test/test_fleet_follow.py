@@ -295,7 +295,9 @@ def test_a_look_is_a_pointer_in_lanes_and_a_name_on_a_device() -> None:
             Refusal, match="look must be a pointer in lanes, and on a device a name"
         ):
             call()
-    with pytest.raises(Refusal, match="Fleet.look: way must be a FleetWay for this fleet, with a"):
+    with pytest.raises(
+        Refusal, match=r"Fleet\.look: way must be a FleetWay for this fleet, with a"
+    ):
         fleet.look(FleetWay(fleet.scene, 2))
     with pytest.raises(Refusal, match="Fleet: kernels must be none in lanes of the processor"):
         Fleet("three_axis", 2, kernels=[Path("kernels.hpp")])
