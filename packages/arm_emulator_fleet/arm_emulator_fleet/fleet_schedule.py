@@ -43,7 +43,8 @@ class FleetWay(NonCopyable):
         count: of arms.
         look: pointer to the function, or for arms on a device its name there (ARM_ADDRESS of
             core/kernel.hpp, see `Fleet`); None: nobody looks.
-        with_: pointer that it gets (None: null), of the device for arms there; both must outlive this.
+        with_: pointer that it gets, of the device for arms there; None: null. Both must outlive
+            this.
     """
 
     instead = "a new one with the same changes"
