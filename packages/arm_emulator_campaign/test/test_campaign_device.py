@@ -69,7 +69,7 @@ def test_workers_with_a_device_each_write_the_results_of_lanes(tmp_path: Path) -
         ({"device": "gpu:0,gpu:1", "dask": "localhost:1"}, "--device must be one with --dask"),
     ],
 )
-def test_what_no_device_does_is_refused(
+def test_options_that_no_device_serves_are_refused(
     tmp_path: Path, options: dict[str, object], refused: str
 ) -> None:
     campaign_of(tmp_path, {"count": 3})

@@ -371,7 +371,7 @@ class DeviceCore:
         """Return the address of a function of the device that ARM_ADDRESS names (core/kernel.hpp).
 
         Raises:
-            Refusal: there is none.
+            Refusal: no variable has that name.
         """
         place = self._module.global_memory(name)
         address = int(self.device.read(place, np.uint64, (1,))[0])

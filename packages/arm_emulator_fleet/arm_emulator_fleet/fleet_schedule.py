@@ -36,7 +36,7 @@ class FleetWay(NonCopyable):
     Attributes:
         struct: as `arm_fleet_way` of core/arm_fleet.h, without the links' positions.
         looks: whether there is a function.
-        look_name: its name on a device; None: it is of the processor, or there is none.
+        look_name: its name on a device; None: a pointer, or no function.
 
     Args:
         scene: of the arms.
