@@ -171,7 +171,10 @@ def _environment(repetitions: int) -> dict[str, Any]:
             for action in actions:
                 env.step(action)
 
-        tasks[place] = Task(play, lambda _, env=env: env.reset(seed=1))
+        def begin(_: object, env: Any = env) -> None:
+            env.reset(seed=1)
+
+        tasks[place] = Task(play, begin)
     with progress("environment", repetitions) as done:
         timings = interleaved(
             tasks, repetitions, lambda task: done(task) if task == "lanes" else None
