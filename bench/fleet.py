@@ -57,7 +57,8 @@ def run(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _scene(name: str, scheme: str, dt: float) -> Scene:
+def make_bare_scene(name: str, scheme: str, dt: float) -> Scene:
+    """Return an arm without the parts that MuJoCo lacks."""
     return load_scene(
         name,
         {
@@ -73,7 +74,7 @@ def _throughput(
     name: str, scheme: str, repetitions: int, done: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return arm-steps per second: of one arm, and of a fleet on one core and on all."""
-    scene = _scene(name, scheme, SERVO_PERIOD / STEPS_PER_PERIOD)
+    scene = make_bare_scene(name, scheme, SERVO_PERIOD / STEPS_PER_PERIOD)
     N = len(scene.joints)
     one = sines(N, 0)
     rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
@@ -140,7 +141,7 @@ def _task(machine: Plant | Fleet | Rollout, rows: Array, steps: int = STEPS_PER_
 def _per_step(repetitions: int) -> dict[str, Any]:
     """Return the time of a step of one arm of many [s], on one core."""
     dt = SERVO_PERIOD / STEPS_PER_PERIOD
-    scenes = {scheme: _scene(PEER, scheme, dt) for scheme in SCHEMES}
+    scenes = {scheme: make_bare_scene(PEER, scheme, dt) for scheme in SCHEMES}
     N = len(scenes["paper"].joints)
     rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
     few = np.ascontiguousarray(rows[:20])
@@ -187,7 +188,7 @@ def _at_error(quick: bool) -> dict[str, Any]:
 
     On one core, by the largest step that keeps the error.
     """
-    scene = _scene(PEER, "rosenbrock", SERVO_PERIOD)
+    scene = make_bare_scene(PEER, "rosenbrock", SERVO_PERIOD)
     inputs = [sines(len(scene.joints), seed) for seed in range(INPUTS)]
     truths = [reference(scene, rows, SERVO_PERIOD)[-1] for rows in inputs]
     rows = np.stack([inputs[arm % INPUTS] for arm in range(COUNT)], axis=1)
@@ -206,7 +207,7 @@ def _at_error(quick: bool) -> dict[str, Any]:
     with progress("steps at an error", len(SCHEMES) + len(integrators)) as done:
         for scheme in SCHEMES:
             for dt in steps_of(COARSEST, FINEST):
-                steps, own = round(SERVO_PERIOD / dt), _scene(PEER, scheme, dt)
+                steps, own = round(SERVO_PERIOD / dt), make_bare_scene(PEER, scheme, dt)
                 if exact(Plant(own), steps):
                     tasks[scheme] = _task(Fleet(own, COUNT, workers=1), rows, steps)
                     break

@@ -105,10 +105,18 @@ class MujocoArm:
         if any(self.data.warning[kind].number > 0 for kind in bad):
             raise PeerDiverged
 
+    def choose_driven(self, voltages: Array) -> Array:
+        """Return the voltages of the joints with motors, of (N,) [V]."""
+        return voltages[self._driven]
+
+    def choose_links(self, positions: Array) -> Array:
+        """Return the positions of links, of all of MuJoCo's positions."""
+        return np.array(positions[self._q], np.float64)
+
     @property
     def q(self) -> Array:
         """Link positions now (N,) [rad or m]."""
-        return np.array(self.data.qpos[self._q])
+        return self.choose_links(self.data.qpos)
 
 
 def end_of(machine: Plant | MujocoArm, voltages: Array, steps: int) -> Array | None:

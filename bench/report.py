@@ -28,6 +28,7 @@ SECTIONS = (
     "stability_map",
     "sticking",
     "self_locking",
+    "warp_error",
     "threads",
     "clocks",
     "first_use",
