@@ -15,7 +15,7 @@ from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import ARM_HEADER as ARM
 from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
 from arm_emulator.extension.machine import Scene, bound_start, list_rows, make_commands
-from arm_emulator_fleet.device import Device, DevicePointer, Memory
+from arm_emulator_fleet.device import DEFAULT_BLOCK, Device, DevicePointer, Memory
 from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.load_kernels import load_kernels
 from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_kernels_unit
@@ -58,6 +58,7 @@ class DeviceCore:
 
     Attributes:
         device: where the arms are.
+        block: threads of a block on a card.
 
     Args:
         scene: of all arms.
@@ -72,7 +73,7 @@ class DeviceCore:
         self.device = device
         self._scene = scene
         self._N = len(scene.joints)
-        self._saved_size = 0
+        self._saved_size, self.block = 0, DEFAULT_BLOCK
         self._module = load_kernels(device, build_kernels_unit(scene, kernels))
         device.set_stack(STACK)
         self._lanes = self._measure_room(1)[-1]
@@ -489,7 +490,8 @@ class DeviceCore:
             for name, value in values.items()
         }
         call = KERNELS.new(f"{kernel}_call", **places)
-        self._module.launch(kernel, threads, bytes(KERNELS.ffi.buffer(call)))
+        call_bytes = bytes(KERNELS.ffi.buffer(call))
+        self._module.launch(kernel, threads, call_bytes, block=self.block)
 
     def _room(self, fleet: DeviceFleet, purpose: str, size: int) -> Memory:
         if purpose not in fleet.rooms:
