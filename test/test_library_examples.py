@@ -131,8 +131,8 @@ def test_a_step_on_a_device_copies_no_array_to_the_host(
     monkeypatch.setattr(ProcessorDevice, "read", count)
     for _ in range(2):
         on_device.step(np.zeros((16, 3), np.float32))
-    # The number of the arm that refused, which every call asks for.
-    assert set(sizes) == {4}
+    # The arms that refused before and during the motion, which every call asks for.
+    assert set(sizes) == {8}
 
 
 def test_draws_of_an_environment_are_of_their_ranges_and_of_each_episode(env: Any) -> None:

@@ -23,6 +23,9 @@ from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_kernels_unit
 OK = ARM.constant("ARM_OK")
 _COMMAND = ARM.sizeof("arm_joint_command")
 NONE_REFUSED = KERNELS.constant("FLEET_NONE_REFUSED")
+_UNDER_ROWS, _UNDER_HELD_COMMANDS, _UNDER_CONTROL = (
+    KERNELS.constant(f"FLEET_UNDER_{name}") for name in ("ROWS", "HELD_COMMANDS", "CONTROL")
+)
 ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
 HALVED = 8  # one arm in so many may halve its steps
 LEAST_HALVED = 4096  # arms that may, in any fleet
@@ -237,7 +240,15 @@ class DeviceCore:
         """See core/arm_fleet.h; of all arms, and the commands are finite."""
         size = 8 * rows * fleet.count * self._N
         given, reached = self.copy_in(command, size), self.device.allocate(size)
-        self._launch_on(fleet, "fleet_run", command=given, rows=rows, steps=steps, q=reached)
+        self._check_and_do(
+            fleet,
+            ("fleet_advance",),
+            motion=_UNDER_ROWS,
+            command=given,
+            rows=rows,
+            steps=steps,
+            q=reached,
+        )
         self._copy_out(reached, q, size)
         return OK
 
@@ -272,9 +283,9 @@ class DeviceCore:
         return self._step(fleet, periods, tick=-1, measurement=measurement[0], truth=truth[0])
 
     def _step(self, fleet: DeviceFleet, periods: int, **values: Any) -> int:
-        kernels = "fleet_check_commands", "fleet_step"
-        joint = self._joint_commands(fleet)
-        return self._check_and_do(fleet, kernels, joint=joint, periods=periods, **values)
+        kernels = "fleet_check_commands", "fleet_advance"
+        values |= {"motion": _UNDER_HELD_COMMANDS, "joint": self._joint_commands(fleet)}
+        return self._check_and_do(fleet, kernels, periods=periods, **values)
 
     def _joint_commands(self, fleet: DeviceFleet) -> Memory:
         if "joint commands" not in fleet.rooms:
@@ -351,7 +362,8 @@ class DeviceCore:
         self._put_changes(fleet, way, own)
         result = self._check_and_do(
             fleet,
-            ("fleet_check_changes", "fleet_follow"),
+            ("fleet_check_changes", "fleet_advance"),
+            motion=_UNDER_CONTROL,
             threads=self.count_groups(arms),
             joint=self._joint_commands(fleet),
             **{"with": getattr(control, "with")},
@@ -462,17 +474,17 @@ class DeviceCore:
         return mask if mask == NULL else self.copy_in(mask, fleet.count)
 
     def _check_and_do(self, fleet: DeviceFleet, kernels: tuple[str, ...], **values: Any) -> int:
-        """Launch a kernel that checks, and one that does nothing if an arm has refused."""
+        """Launch kernels that check, and those that do nothing if an arm has refused."""
         return self._check_and_do_each(fleet, [(kernel, values) for kernel in kernels])
 
     def _check_and_do_each(
         self, fleet: DeviceFleet, calls: Sequence[tuple[str, Mapping[str, Any]]]
     ) -> int:
-        refused = self._room(fleet, "refused", 4)
-        self.device.write(refused, np.array([NONE_REFUSED], np.int32))
+        refused = self._room(fleet, "refused", 8)
+        self.device.write(refused, np.full(2, NONE_REFUSED, np.int32))
         for kernel, values in calls:
             self._launch_on(fleet, kernel, refused=refused, **values)
-        lowest = int(self.device.read(refused, np.int32, (1,))[0])
+        lowest = int(self.device.read(refused, np.int32, (2,)).min())
         fleet.refused = -1 if lowest == NONE_REFUSED else lowest
         return OK if fleet.refused < 0 else REFUSED
 

@@ -8,8 +8,9 @@
 #include "arm_fleet.h"
 #include "servo_fleet.h"
 
-/* Arms that refused: `*refused` becomes the lowest number of one, and is INT32_MAX without any.
- * Kernels that have this pointer do nothing if there is one. */
+/* The lowest arm that refused goes to `refused[0]` before anything has changed, and to `refused[1]`
+ * where it came during the motion; both are INT32_MAX without any. Kernels that have this pointer
+ * and change arms do nothing if `refused[0]` is an arm. */
 #define FLEET_NONE_REFUSED 2147483647
 
 /* Room that a fleet of `count` arms needs; one thread. */
@@ -101,25 +102,28 @@ typedef struct fleet_tell_why_call {
   arm_refusal* why;
 } fleet_tell_why_call;
 
-/* Steps under rows of commands. */
-typedef struct fleet_run_call {
+/* Time goes on: steps under rows of commands, servo periods under held commands, or servo periods
+ * under control code. Measurements and true states follow, if their size is not 0; of control code,
+ * `joint` and `powered` of the measurement must be there. One kernel, since a card's assembler
+ * takes half a minute for each that has a step in it. */
+enum fleet_motion { FLEET_UNDER_ROWS, FLEET_UNDER_HELD_COMMANDS, FLEET_UNDER_CONTROL };
+typedef struct fleet_advance_call {
   arm_fleet* fleet;
+  int64_t motion; /* enum fleet_motion */
   const double* command;
   int64_t rows, steps;
   double* q;
-} fleet_run_call;
-
-/* Servo periods under held commands, then measurements and true states. */
-typedef struct fleet_check_commands_call {
-  arm_fleet* fleet;
-  const arm_joint_command* joint;
+  arm_joint_command* joint;
   const double* further;
   int64_t tick, periods;
+  void* with; /* of the control code */
+  arm_fleet_way way;
   arm_fleet_measurement measurement;
   arm_fleet_truth truth;
   int32_t* refused;
-} fleet_check_commands_call;
-typedef fleet_check_commands_call fleet_step_call;
+} fleet_advance_call;
+typedef fleet_advance_call fleet_check_commands_call;
+typedef fleet_advance_call fleet_check_changes_call;
 
 /* Measurements and true states alone. */
 typedef struct fleet_show_call {
@@ -143,20 +147,6 @@ typedef struct fleet_put_commands_call {
   const double* value;
   arm_joint_command* joint;
 } fleet_put_commands_call;
-
-/* Servo periods under control code, then measurements and true states; `joint` and `powered` of the
- * measurement must be there. */
-typedef struct fleet_check_changes_call {
-  arm_fleet* fleet;
-  arm_joint_command* joint;
-  void* with;
-  int64_t periods;
-  arm_fleet_way way;
-  arm_fleet_measurement measurement;
-  arm_fleet_truth truth;
-  int32_t* refused;
-} fleet_check_changes_call;
-typedef fleet_check_changes_call fleet_follow_call;
 
 /* Let the function of a way look at the arms as they are. */
 typedef struct fleet_look_call {

@@ -156,13 +156,6 @@ ARM_KERNEL(fleet_restore) {
 
 ARM_KERNEL(fleet_tell_why) { *call.why = call.fleet->machine[call.arm]->why; }
 
-ARM_KERNEL(fleet_run) {
-  constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
-  const std::int64_t first = thread * lanes * N;
-  call.fleet->follow(static_cast<int>(thread), call.command + first,
-                     std::int64_t{call.fleet->arms} * N, call.rows, call.steps, call.q + first);
-}
-
 ARM_KERNEL(fleet_check_commands) {
   check_arms_of(call.fleet, thread, nullptr, call.refused, [&](const arm_machine* arm, int k) {
     return arm->check_commands(
@@ -170,16 +163,13 @@ ARM_KERNEL(fleet_check_commands) {
         arm_fleet::row_of(call.further, std::int64_t{k} * Scene::inputs * arm_fleet::N));
   });
 }
-ARM_KERNEL(fleet_step) {
-  if (*call.refused != FLEET_NONE_REFUSED) return;
-  const int g = static_cast<int>(thread);
-  if (call.periods > 0) call.fleet->hold(g, call.joint, call.further, call.tick, call.periods);
-  call.fleet->show(g, call.measurement.size ? &call.measurement : nullptr,
-                   call.truth.size ? &call.truth : nullptr);
+static void show(const arm_fleet& fleet, int g, const arm_fleet_measurement& measurement,
+                 const arm_fleet_truth& truth) {
+  if (measurement.size || truth.size)
+    fleet.show(g, measurement.size ? &measurement : nullptr, truth.size ? &truth : nullptr);
 }
 ARM_KERNEL(fleet_show) {
-  call.fleet->show(static_cast<int>(thread), call.measurement.size ? &call.measurement : nullptr,
-                   call.truth.size ? &call.truth : nullptr);
+  show(*call.fleet, static_cast<int>(thread), call.measurement, call.truth);
 }
 
 ARM_KERNEL(fleet_gather) {
@@ -207,14 +197,28 @@ ARM_KERNEL(fleet_check_changes) {
       arm >= 0)
     note_refusal(call.refused, arm);
 }
-ARM_KERNEL(fleet_follow) {
-  if (*call.refused != FLEET_NONE_REFUSED) return;
-  const int g = static_cast<int>(thread);
+// The positions after each row of commands.
+static void advance_under_rows(arm_fleet& fleet, int g, const fleet_advance_call& call) {
+  const std::int64_t first = std::int64_t{g} * arm_fleet::lanes * arm_fleet::N;
+  const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::N;
+  fleet.follow(g, call.command + first, stride, call.rows, call.steps, call.q + first);
+}
+static void advance_under_control(arm_fleet& fleet, int g, const fleet_advance_call& call) {
   arm_fleet_control control = {};
   control.step_rows = servo_fleet_step, control.with = call.with, control.joint = call.joint;
-  ControlledGroup group(*call.fleet, g, control, call.measurement, call.way);
-  if (!group.follow(call.periods)) note_refusal(call.refused, group.refused());
-  call.fleet->show(g, &call.measurement, call.truth.size ? &call.truth : nullptr);
+  ControlledGroup group(fleet, g, control, call.measurement, call.way);
+  if (!group.follow(call.periods)) note_refusal(call.refused + 1, group.refused());
+}
+ARM_KERNEL(fleet_advance) {
+  if (*call.refused != FLEET_NONE_REFUSED) return;
+  const int g = static_cast<int>(thread);
+  if (call.motion == FLEET_UNDER_ROWS)
+    advance_under_rows(*call.fleet, g, call);
+  else if (call.motion == FLEET_UNDER_CONTROL)
+    advance_under_control(*call.fleet, g, call);
+  else if (call.periods > 0)
+    call.fleet->hold(g, call.joint, call.further, call.tick, call.periods);
+  show(*call.fleet, g, call.measurement, call.truth);
 }
 
 ARM_KERNEL(fleet_look) {
