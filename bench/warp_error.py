@@ -100,7 +100,7 @@ def report(figures: dict[str, Any]) -> str:
 Largest error of a link after a second of sines, from rest, in rad, against the reference of the
 section on work and precision. Both machines are the same: motors, elastic gears and links without
 what MuJoCo lacks. MuJoCo Warp computes in single precision; here it runs on the processor, where
-its kernels give the same numbers as on a card up to rounding. Its time says nothing about a card
+its kernels give the same numbers as on a card up to rounding. Its time means nothing for a card
 and is left out.
 
 {table(("arm", "series", *heads), rows)}
