@@ -366,7 +366,7 @@ class DeviceCore:
             motion=_UNDER_CONTROL,
             threads=self.count_groups(arms),
             joint=self._joint_commands(fleet),
-            **{"with": getattr(control, "with")},
+            **{name: getattr(control, name) for name in ("step", "step_rows", "with")},
             periods=periods,
             way=own[0],
             measurement=measurement[0],
@@ -380,15 +380,14 @@ class DeviceCore:
         """Let a function of the device look at all arms, see `find_function`."""
         self._launch_on(fleet, "fleet_look", way=way[0])
 
-    def find_function(self, name: str) -> CData:
+    def find_function(self, name: str) -> int:
         """Return the address of a function of the device that ARM_ADDRESS names (core/kernel.hpp).
 
         Raises:
             Refusal: no variable has that name.
         """
         place = self._module.global_memory(name)
-        address = int(self.device.read(place, np.uint64, (1,))[0])
-        return FLEET.ffi.cast("void (*)(void *, int32_t, int32_t)", address)
+        return int(self.device.read(place, np.uint64, (1,))[0])
 
     def _put_changes(self, fleet: DeviceFleet, way: CData, own: CData) -> None:
         """Copy changes of arms, and the wrenches that they point to."""

@@ -43,6 +43,8 @@ from arm_emulator_fleet.fleet_schedule import FleetWay
 from arm_emulator_fleet.unit import FLEET
 from arm_emulator_fleet.work_threads import WorkThreads
 
+_LOOK = "void (*)(void *, int32_t, int32_t)"
+
 
 class Fleet(CoreMachines):
     """Arms of one structure. They are independent: each moves as a `Plant` alone, bit for bit.
@@ -334,9 +336,7 @@ class Fleet(CoreMachines):
             if not fits or links.dtype != np.float64 or not links.flags.carray:
                 rule = f"be a contiguous array {shape} of float64"
                 raise Refusal(where, "links", rule, getattr(links, "shape", links))
-        if control.device != self.device:
-            rule = f"run where the fleet is, on {self.device or 'the processor'}"
-            raise Refusal(where, "control", rule, f"on {control.device or 'the processor'}")
+        self._place_control(where, control)
         control.begin(self.scene, self._count)
         of = self.scene, self._count
         if way is not None and (not isinstance(way, FleetWay) or way.of != of):
@@ -385,13 +385,22 @@ class Fleet(CoreMachines):
             else:
                 self.core.look(self._fleet, way.struct)
 
+    def _place_control(self, where: str, control: FleetControl) -> None:
+        """Find the function of control code where the arms are."""
+        if control.name is not None and self.device is not None:
+            control.place_function(self.core.find_function)
+        elif control.name is not None or control.device != self.device:
+            rule = f"run where the fleet is, on {self.device or 'the processor'}"
+            raise Refusal(where, "control", rule, control.name or control.device or "the processor")
+
     def _place_look(self, where: str, way: FleetWay) -> None:
         """Find the function of a way where the arms are."""
         if way.looks and (way.look_name is None) != (self.device is None):
             rule = "be a pointer in lanes, and on a device a name"
             raise Refusal(where, "look", rule, way.look_name or "a function of the processor")
         if way.look_name is not None:
-            FLEET.fill(way.struct, look=self.core.find_function(way.look_name))
+            address = self.core.find_function(way.look_name)
+            FLEET.fill(way.struct, look=FLEET.ffi.cast(_LOOK, address))
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import STATE_NAMES_IN_C as PLACES
 from arm_emulator.extension.machine import Measured, MeasuredPlace, Scene, list_outputs
 from arm_emulator_fleet.unit import FLEET
+
+if TYPE_CHECKING:
+    from arm_emulator_fleet.device_array import DeviceArray
 
 _LARGEST = 2**64 - 1  # address
 
@@ -26,13 +30,17 @@ class FleetControl(NonCopyable):
 
     Attributes:
         functions: it, by the name of its field in `arm_fleet_control`.
+        name: of the function on a device; None: it has an address.
+        field: name of its field.
         with_: address that it gets as its first argument, on the device if it runs there.
         device: where it runs; None: in lanes of the processor.
 
     Args:
         step: address of the function, as ``ctypes.cast(f, ctypes.c_void_p).value``. Its library
-            must stay loaded.
-        with_: address of what it works on, which must outlive this; 0: null.
+            must stay loaded. For arms on a device its name there (ARM_ADDRESS of core/kernel.hpp),
+            in a file of `Fleet`'s `kernels`.
+        with_: address of what it works on, which must outlive this; 0: null. On a device, an array
+            there (`Fleet.to_device`).
         in_lanes: whether it takes rows of lanes.
 
     Raises:
@@ -42,13 +50,28 @@ class FleetControl(NonCopyable):
     instead = "a new one for the fleet's copy"
     device: str | None = None
 
-    def __init__(self, step: int, with_: int = 0, *, in_lanes: bool = False) -> None:
-        step = check_count("FleetControl", "step", step, 1, _LARGEST)
-        with_ = check_count("FleetControl", "with_", with_, 0, _LARGEST)
+    def __init__(
+        self, step: int | str, with_: int | DeviceArray = 0, *, in_lanes: bool = False
+    ) -> None:
         by_rows = coerce_flag(in_lanes, "FleetControl", "in_lanes")
-        name, kind = ("step_rows", "rows") if by_rows else ("step", "control")
-        self.functions: dict[str, CData] = {name: FLEET.ffi.cast(f"arm_fleet_step_of_{kind}", step)}
-        self.with_: CData = FLEET.ffi.cast("void *", with_)
+        self.field, self._kind = ("step_rows", "rows") if by_rows else ("step", "control")
+        self.name = step if isinstance(step, str) else None
+        self.functions: dict[str, CData] = {}
+        self._kept = with_
+        if self.name is None:
+            address = check_count("FleetControl", "step", step, 1, _LARGEST)
+            self.functions[self.field] = self._cast(address)
+        place = getattr(with_, "pointer", with_)
+        place = check_count("FleetControl", "with_", place, 0, _LARGEST)
+        self.with_: CData = FLEET.ffi.cast("void *", place)
+
+    def place_function(self, find: Callable[[str], int]) -> None:
+        """Look up a function that was given by its name: find(name) is its address."""
+        if self.name is not None:
+            self.functions[self.field] = self._cast(find(self.name))
+
+    def _cast(self, address: int) -> CData:
+        return FLEET.ffi.cast(f"arm_fleet_step_of_{self._kind}", address)
 
     def begin(self, scene: Scene, count: int) -> None:
         """Prepare for a fleet of so many arms.

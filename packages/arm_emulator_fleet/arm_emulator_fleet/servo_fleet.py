@@ -134,6 +134,7 @@ class ServoFleet(FleetControl):
             super().__init__(step, int(SERVOS.ffi.cast("uintptr_t", self.struct)), in_lanes=True)
         else:
             self.device, self.functions, self.with_ = fleet.device, {}, self._calls.pointer
+            self.name = None
 
     def __repr__(self) -> str:
         return f"<ServoFleet of {self._count} {self._scene.name}>"

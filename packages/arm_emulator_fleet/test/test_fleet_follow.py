@@ -188,14 +188,14 @@ static double command_of(int64_t encoder, double current, double applied, int64_
 }
 void by_arm(void* with, int32_t first, int32_t arms, const arm_joint_measurement* joint,
             const uint8_t* powered, arm_joint_command* command) {
-  law* one = with;
+  law* one = (law*)with;
   for (int32_t k = first; k < first + arms; ++k)
     for (int32_t j = k * one->joints; j < (k + 1) * one->joints; ++j)
       command[j].value = command_of(joint[j].encoder, joint[j].current, joint[j].applied,
                                     joint[j].brake, powered[k]);
 }
 void by_rows(void* with, const arm_fleet_rows* rows) {
-  law* one = with;
+  law* one = (law*)with;
   for (int32_t l = 0; l < rows->arms; ++l) {
     ++one->periods[rows->first + l];
     for (int32_t j = 0; j < one->joints; ++j) {
@@ -206,6 +206,10 @@ void by_rows(void* with, const arm_fleet_rows* rows) {
     }
   }
 }
+#ifdef ARM_ADDRESS /* of kernels */
+ARM_ADDRESS(law_by_arm, by_arm)
+ARM_ADDRESS(law_by_rows, by_rows)
+#endif
 """
 
 
@@ -256,6 +260,40 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
         fleets[0].follow(in_rows, 5)
     assert fleets[0].state.t[9] == pytest.approx(0.090)
     assert fleets[0].state.t[0] == pytest.approx(0.095)
+
+
+def test_code_of_users_moves_arms_on_a_device_as_in_lanes(
+    tmp_path: Path, three_axis: Scene
+) -> None:
+    """The same file, compiled with the kernels: arms that glide, are cut, and have brakes."""
+    law, file = compiled(tmp_path, ROWS), tmp_path / "mine.c"
+    keeps = np.array([len(three_axis.joints), -1, *[0] * 16], np.int32)
+    fleet = Fleet(three_axis, COUNT)
+    expected = np.zeros((60, COUNT, len(three_axis.joints)))
+    off = np.arange(COUNT) % 4 == 1
+
+    def follow(arms: Fleet, control: FleetControl, links: np.ndarray) -> None:
+        arms.reset()
+        arms.follow(control, 30, links=links[:30])
+        arms.powered = ~off
+        arms.follow(control, 30, links=links[30:])
+        arms.powered = True
+
+    follow(fleet, FleetControl(address(law.by_arm), keeps.ctypes.data), expected)
+    arms = Fleet(three_axis, COUNT, device="processor", kernels=[file])
+    data = arms.to_device(keeps)
+    for control in (
+        FleetControl("law_by_rows", data, in_lanes=True),
+        FleetControl("law_by_arm", data),
+    ):
+        links = np.zeros_like(expected)
+        follow(arms, control, links)
+        np.testing.assert_array_equal(links, expected)
+    assert (np.asarray(data)[2 : 2 + COUNT] == 60).all(), "periods by rows"
+    with pytest.raises(Refusal, match="name must be in the module, got nobody"):
+        arms.follow(FleetControl("nobody"), 1)
+    with pytest.raises(Refusal, match="run where the fleet is"):
+        fleet.follow(FleetControl("law_by_arm"), 1)
 
 
 def test_senseless_arguments_are_refused(three_axis: Scene) -> None:

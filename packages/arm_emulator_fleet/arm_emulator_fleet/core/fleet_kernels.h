@@ -116,7 +116,9 @@ typedef struct fleet_advance_call {
   arm_joint_command* joint;
   const double* further;
   int64_t tick, periods;
-  void* with; /* of the control code */
+  arm_fleet_step_of_control step; /* of the control code, or that of rows; of neither: servos */
+  arm_fleet_step_of_rows step_rows;
+  void* with;
   arm_fleet_way way;
   arm_fleet_measurement measurement;
   arm_fleet_truth truth;

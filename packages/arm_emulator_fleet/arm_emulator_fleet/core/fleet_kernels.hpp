@@ -205,7 +205,8 @@ static void advance_under_rows(arm_fleet& fleet, int g, const fleet_advance_call
 }
 static void advance_under_control(arm_fleet& fleet, int g, const fleet_advance_call& call) {
   arm_fleet_control control = {};
-  control.step_rows = servo_fleet_step, control.with = call.with, control.joint = call.joint;
+  control.step = call.step, control.with = call.with, control.joint = call.joint;
+  control.step_rows = call.step || call.step_rows ? call.step_rows : servo_fleet_step;
   ControlledGroup group(fleet, g, control, call.measurement, call.way);
   if (!group.follow(call.periods)) note_refusal(call.refused + 1, group.refused());
 }
