@@ -515,7 +515,7 @@ MUTANTS = (
         "test_recorder.py",
     ),
     Mutant(
-        "packages/arm_emulator_fleet/arm_emulator_fleet/core/servo_fleet.cpp",
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/servo_group.hpp",
         "fleet.since[row + 1] <= tick",
         "fleet.since[row + 1] < tick",
         "../packages/arm_emulator_fleet/test/test_fleet_follow.py::test_rows_that_state_their_periods_hold_from_these_on",
