@@ -515,6 +515,24 @@ MUTANTS = (
         "test_recorder.py",
     ),
     Mutant(
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/fleet_kernels.hpp",
+        "if (!mask || mask[k]) fleet->settle(k), act(fleet->machine[k], k);",
+        "fleet->settle(k), act(fleet->machine[k], k);",
+        "../packages/arm_emulator_fleet/test/test_fleet_on_device.py::test_every_call_gives_the_bits_of_lanes",
+    ),
+    Mutant(
+        "packages/arm_emulator_fleet/arm_emulator_fleet/core/fleet_kernels.hpp",
+        "arm->machine.set_parameter(static_cast<int>(call.place), call.values[k]);",
+        "arm->machine.set_parameter(0, call.values[k]);",
+        "../packages/arm_emulator_fleet/test/test_fleet_on_device.py::test_every_call_gives_the_bits_of_lanes",
+    ),
+    Mutant(
+        "packages/arm_emulator_fleet/arm_emulator_fleet/device_core.py",
+        "given.pointer + each * np.arange(len(pushes))",
+        "given.pointer + 0 * np.arange(len(pushes))",
+        "../packages/arm_emulator_fleet/test/test_fleet_on_device.py::test_every_call_gives_the_bits_of_lanes",
+    ),
+    Mutant(
         "packages/arm_emulator_fleet/arm_emulator_fleet/core/servo_group.hpp",
         "fleet.since[row + 1] <= tick",
         "fleet.since[row + 1] < tick",
