@@ -29,7 +29,9 @@ _UNDER_ROWS, _UNDER_HELD_COMMANDS, _UNDER_CONTROL = (
 ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
 HALVED = 8  # one arm in so many may halve its steps
 LEAST_HALVED = 4096  # arms that may, in any fleet
-STACK = 96 * 1024  # bytes of a thread: 80 kB for panda with located events
+# Bytes of a thread: 6 kB for three_axis; 80 kB for panda with located events, where steps that are
+# halved call themselves. A card keeps as many for every thread that it can hold.
+STACK, STACK_WITH_EVENTS = 16 * 1024, 96 * 1024
 
 
 @dataclass
@@ -78,11 +80,11 @@ class DeviceCore:
         self._N = len(scene.joints)
         self._saved_size, self.block = 0, DEFAULT_BLOCK
         self._module = load_kernels(device, build_kernels_unit(scene, kernels))
-        device.set_stack(STACK)
-        self._lanes = self._measure_room(1)[-1]
+        *_, self._lanes, has_events = self._measure_room(1)
+        device.set_stack(STACK_WITH_EVENTS if has_events else STACK)
 
     def _measure_room(self, count: int) -> list[int]:
-        return self.read_sizes("fleet_measure_room", 5, count=count)
+        return self.read_sizes("fleet_measure_room", 6, count=count)
 
     def read_sizes(self, kernel: str, numbers: int, **values: Any) -> list[int]:
         """Return the numbers that a kernel writes to its `bytes`."""
@@ -104,7 +106,7 @@ class DeviceCore:
         Raises:
             Refusal: the device has no room for them.
         """
-        of_fleet, of_places, of_group, of_half, lanes = self._measure_room(count)
+        of_fleet, of_places, of_group, of_half, lanes, _ = self._measure_room(count)
         groups = self.count_groups(count)
         halved = min(count, max(LEAST_HALVED, count // HALVED)) * of_half
         size = of_places + groups * (of_group + ALIGNMENT * (lanes + 2)) + halved + 8 * ALIGNMENT

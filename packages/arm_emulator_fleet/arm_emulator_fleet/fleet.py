@@ -391,7 +391,8 @@ class Fleet(CoreMachines):
             control.place_function(self.core.find_function)
         elif control.name is not None or control.device != self.device:
             rule = f"run where the fleet is, on {self.device or 'the processor'}"
-            raise Refusal(where, "control", rule, control.name or control.device or "the processor")
+            place = f"on {control.device or 'the processor'}"
+            raise Refusal(where, "control", rule, control.name or place)
 
     def _place_look(self, where: str, way: FleetWay) -> None:
         """Find the function of a way where the arms are."""

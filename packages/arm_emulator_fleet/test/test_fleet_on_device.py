@@ -33,7 +33,7 @@ from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fleet import Fleet, open_device
 from arm_emulator_fleet.cuda_device import DRIVER, CudaDevice
 from arm_emulator_fleet.device_array import DeviceArray
-from arm_emulator_fleet.device_core import STACK
+from arm_emulator_fleet.device_core import STACK_WITH_EVENTS
 from arm_emulator_fleet.fleet_schedule import FleetWay
 from arm_emulator_fleet.processor_device import ProcessorDevice
 from arm_emulator_fleet.servo_fleet import ServoFleet
@@ -659,4 +659,4 @@ def test_a_thread_gets_the_stack_that_the_kernels_need(located: Scene, fleet_car
     assert isinstance(card, CudaDevice)
     with card.current():
         limit = DRIVER.constant("CU_LIMIT_STACK_SIZE")
-        assert card.driver.get("cuCtxGetLimit", "size_t *", limit) >= STACK
+        assert card.driver.get("cuCtxGetLimit", "size_t *", limit) >= STACK_WITH_EVENTS

@@ -17,7 +17,8 @@
 typedef struct fleet_measure_room_call {
   int32_t count;
   int32_t reserved;
-  /* Bytes: of the fleet, of its places, of a group with its arms, of a step's half; its lanes. */
+  /* Bytes: of the fleet, of its places, of a group with its arms, of a step's half; its lanes;
+   * whether it looks for modes or events. */
   int64_t* bytes;
 } fleet_measure_room_call;
 

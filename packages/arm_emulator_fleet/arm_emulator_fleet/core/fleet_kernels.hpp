@@ -67,6 +67,7 @@ ARM_KERNEL(fleet_measure_room) {
   call.bytes[2] = sizeof(arm_fleet::Group) + arm_fleet::lanes * sizeof(arm_machine);
   call.bytes[3] = sizeof(arm_fleet::Machine::Method);
   call.bytes[4] = arm_fleet::lanes;
+  call.bytes[5] = arm::max_modes<Scene>() > 0 || arm::kLocates<Scene>;
 }
 
 ARM_KERNEL(fleet_begin) { new (call.fleet) arm_fleet(call.options, call.count); }
