@@ -231,8 +231,11 @@ def test_parts_that_differ_in_their_base_are_different(compiler: str, tmp_path: 
     lines = [f'#include "{file.relative_to(CORE)}"' for file in sorted(parts.rglob("*.hpp"))]
     for name, type_ in DECORATORS.items():
         number = {"Braked": "Dv", "Warm": "Dv", "HystereticGear": "Kg"}.get(name, "R")
+        # Loops compute their gains when they are made: of a motor, gains and a data sheet.
+        sheet = ", ".join(["1.0"] * {"CurrentLoop": 4, "FieldOrientedLoop": 6}.get(name, 0))
+        made_of = f"{{{{}}, {{}}, {{{sheet}}}}}" if sheet else "{}"
         lines += [
-            f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{{}};",
+            f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{made_of};",
             f"constexpr auto other_{name} = [] {{",
             f"  auto other = of_{name};",
             f"  other.{number} = 1.0;",
