@@ -68,8 +68,8 @@ struct StepNumbers {
   alignas(64) Rows k_z[rates] = {};
   alignas(64) Number diagonal[Served::row] = {};
 };
-// Those of another table, which outlives this. A step reads all of them and little else, so groups
-// of lanes with the same drives have them once in memory.
+// The numbers are those of another table, which outlives this one. A step reads all of them and
+// little else, so groups of lanes with the same drives have them once in memory.
 template <class Served>
 struct StepNumbersElsewhere {
   using There = StepNumbers<Served>;

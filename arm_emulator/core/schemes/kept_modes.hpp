@@ -22,7 +22,7 @@ class KeptModes {
   bool rest() const { return rest_; }
   // State or numbers may have changed since the end of the last step.
   void forget() { stay_ = false; }
-  // Those for which the settled end of a step calls are known.
+  // The settled end of a step calls for these modes.
   ARM_APART void take(const Modes<S>& modes) {
     modes_ = modes;
     rest_ = modes_.friction.rest(), locks_ = modes_.friction.lock();

@@ -13,33 +13,15 @@ from arm_emulator.extension.machine import Measured, MeasuredPlace, Scene, list_
 from arm_emulator_fleet.device import Memory
 from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.device_core import DeviceCore, cast_address, cast_pointer
-from arm_emulator_fleet.fleet_control import FleetFrame
+from arm_emulator_fleet.fleet_control import TRUE_VALUES, FleetFrame
 from arm_emulator_fleet.unit import FLEET
-
-_TRUE = {
-    "t": (np.float64, False),
-    "current": (np.float64, True),
-    "theta_m": (np.float64, True),
-    "omega_m": (np.float64, True),
-    "q": (np.float64, True),
-    "v": (np.float64, True),
-}
 
 
 class DeviceFrame(FleetFrame):
     """A `FleetFrame` of arms on a device: its arrays are `DeviceArray`, reused in every step.
 
     Attributes:
-        of: scene, count, and device of the fleet.
         measured: what the sensors give, see `DeviceMeasured`.
-        powered: whether the drives have power (count,).
-        faults: the joint at which each arm diverged (count,); -1: it goes on.
-        t: logical time (count,) [s].
-        current: (count, N) [A].
-        theta_m: motor angle (count, N) [rad].
-        omega_m: motor speed (count, N) [rad/s].
-        q: link side (count, N) [rad or m].
-        v: link side (count, N) [rad/s or m/s].
 
     Args:
         scene: of the fleet.
@@ -58,18 +40,18 @@ class DeviceFrame(FleetFrame):
     def __init__(self, scene: Scene, count: int, place: str, core: DeviceCore) -> None:
         self.of = scene, count, place
         N, device = len(scene.joints), core.device
-        for name, (kind, of_joints) in _TRUE.items():
-            shape = (count, N) if of_joints else (count,)
-            setattr(self, name, DeviceArray(shape, kind, device))
-            device.fill(getattr(self, name).memory, 0)
+        for name in TRUE_VALUES:
+            array = DeviceArray((count,) if name == "t" else (count, N), np.float64, device)
+            device.fill(array.memory, 0)
+            setattr(self, name, array)
         self.faults = DeviceArray(count, np.int32, device)
         self.powered = DeviceArray(count, np.bool_, device)
         device.fill(self.faults.memory, 0xFF)
         device.fill(self.powered.memory, 1)
         self.measured = DeviceMeasured(scene, count, core)
-        places = {PLACES.get(name, name): _point(getattr(self, name)) for name in _TRUE}
-        self.truth = FLEET.new("arm_fleet_truth", fault=_point(self.faults), **places)
-        powered = _point(self.powered)
+        places = {PLACES.get(name, name): cast_pointer(getattr(self, name)) for name in TRUE_VALUES}
+        self.truth = FLEET.new("arm_fleet_truth", fault=cast_pointer(self.faults), **places)
+        powered = cast_pointer(self.powered)
         self.measurement = FLEET.new(
             "arm_fleet_measurement", powered=powered, **self.measured.places
         )
@@ -130,7 +112,7 @@ class DeviceMeasured:
             size=view.itemsize,
             shape=shape,
             stride=strides,
-            to=_point(to),
+            to=cast_pointer(to),
         )
         return to
 
@@ -140,7 +122,3 @@ class DeviceMeasured:
 
 def _address(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])
-
-
-def _point(array: DeviceArray) -> Any:
-    return cast_pointer(array)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from arm_emulator_fleet.device_array import DeviceArray
 
 _LARGEST = 2**64 - 1  # address
+TRUE_VALUES = "t", "current", "theta_m", "omega_m", "q", "v"  # of a frame
 
 
 class FleetControl(NonCopyable):
@@ -117,8 +118,7 @@ class FleetFrame:
         self.v: Array = np.zeros(shape)
         powered = np.ones(count, np.uint8)
         self.powered: NDArray[np.bool_] = powered.view(np.bool_)
-        names = ("t", "current", "theta_m", "omega_m", "q", "v")
-        places = {PLACES.get(name, name): getattr(self, name) for name in names}
+        places = {PLACES.get(name, name): getattr(self, name) for name in TRUE_VALUES}
         self._rows = (*places.values(), self.faults, self.powered, *place.arrays.values())
         # For the core.
         # Outputs that the scene does not have stay 0.

@@ -265,7 +265,7 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
 def test_code_of_users_moves_arms_on_a_device_as_in_lanes(
     tmp_path: Path, three_axis: Scene
 ) -> None:
-    """The same file, compiled with the kernels: arms that glide, are cut, and have brakes."""
+    """The kernels contain the same file; its arms glide, are cut, and have brakes."""
     law, file = compiled(tmp_path, ROWS), tmp_path / "mine.c"
     keeps = np.array([len(three_axis.joints), -1, *[0] * 16], np.int32)
     fleet = Fleet(three_axis, COUNT)

@@ -88,7 +88,7 @@ def test_a_loop_needs_encoders_at_the_link_and_a_linear_spring(
 
 
 def test_truth_lies_within_the_confidence_of_gears_with_hysteresis() -> None:
-    """Of drawn machines; bench/identification.py takes 20 of them."""
+    """Machines are drawn; bench/identification.py takes 20 of them."""
     every = np.concatenate([off_loops(seed) for seed in some(range(20), 2)])
     # 18 numbers of two records; 90 % and more are expected.
     assert np.mean(np.abs(every) < 2.0) > 0.8, f"{every} deviations"
@@ -96,7 +96,7 @@ def test_truth_lies_within_the_confidence_of_gears_with_hysteresis() -> None:
 
 @pytest.mark.parametrize("is_rigid", [False, True])
 def test_truth_lies_within_the_confidence_of_machines_with_load_friction(is_rigid: bool) -> None:
-    """Of drawn machines; bench/identification.py takes 20 of them."""
+    """Machines are drawn; bench/identification.py takes 20 of them."""
     every = np.concatenate([
         off(draw_loaded(seed, is_rigid=is_rigid), seed) for seed in some(range(20), 3)
     ])  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from arm_emulator.base.arrays import Array
@@ -13,6 +15,11 @@ from arm_emulator.machine.parts.output import FAULTS, Output
 from arm_emulator.machine.parts.part import number
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+
+
+def declare_temperature(symbol: str, text: str) -> Any:
+    """Return a dataclass field that is a temperature of surroundings or of a data sheet [degC]."""
+    return number(symbol, "degC", ends=(-50.0, 150.0), default=20.0, text=text)
 
 
 @register_part
@@ -36,19 +43,11 @@ class Winding(DriveStage):
     thermal_resistance: float = number(
         "Rth", "K/W", above=0.0, text="Rth, from the winding to the ambient"
     )
-    ambient: float = number(
-        "ambient",
-        "degC",
-        ends=(-50.0, 150.0),
-        default=20.0,
-        text="temperature around the motor, at which it starts",
+    ambient: float = declare_temperature(
+        "ambient", "temperature around the motor, at which it starts"
     )
-    reference: float = number(
-        "reference",
-        "degC",
-        ends=(-50.0, 150.0),
-        default=20.0,
-        text="temperature at which the motor's numbers hold",
+    reference: float = declare_temperature(
+        "reference", "temperature at which the motor's numbers hold"
     )
     # Of copper.
     resistance_coefficient: float = number(

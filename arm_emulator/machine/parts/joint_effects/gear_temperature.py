@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.validation.section import Section
-from arm_emulator.machine.parts.drive_stages.winding import Winding
+from arm_emulator.machine.parts.drive_stages.winding import Winding, declare_temperature
 from arm_emulator.machine.parts.fault import Fault, bound_rise, declare_rise
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.output import Output
@@ -31,19 +31,11 @@ class GearTemperature(JointEffect):
     thermal_resistance: float = number(
         "Rth", "K/W", above=0.0, text="Rth, from the gear to the ambient"
     )
-    ambient: float = number(
-        "ambient",
-        "degC",
-        ends=(-50.0, 150.0),
-        default=20.0,
-        text="temperature around the joint, at which it starts",
+    ambient: float = declare_temperature(
+        "ambient", "temperature around the joint, at which it starts"
     )
-    reference: float = number(
-        "reference",
-        "degC",
-        ends=(-50.0, 150.0),
-        default=20.0,
-        text="Tref, at which the numbers of friction hold",
+    reference: float = declare_temperature(
+        "reference", "Tref, at which the numbers of friction hold"
     )
     viscous_floor: float = number(
         "r", "1", ends=(0.0, 1.0), default=0.0, text="r, the share of viscous friction left in heat"

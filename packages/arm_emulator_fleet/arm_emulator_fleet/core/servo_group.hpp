@@ -37,7 +37,7 @@ Vector load(const Number* row) {
   return all;
 }
 
-// Of both structs, as of their lanes, every field has eight bytes.
+// Every field of both structs has eight bytes, as a lane has.
 constexpr std::size_t kField = 8;
 static_assert(sizeof(abreast::servo_joint) == L * sizeof(servo_joint));
 

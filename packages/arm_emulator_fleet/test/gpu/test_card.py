@@ -20,6 +20,8 @@ from arm_emulator_fleet.load_kernels import load_kernels
 from arm_emulator_fleet.open_device import open_device
 from arm_emulator_fleet.processor_device import ProcessorDevice
 
+pytest_plugins = ["cards"]
+
 RNG = np.random.default_rng(4)
 ADDRESS = """
 struct Wrong { double* at; };
@@ -35,14 +37,6 @@ __attribute__((noinline)) double descend(int64 depth, double sum) {
 }
 KERNEL(descend_in, Deep) { given.result[thread] = descend(given.depth, 0.0); }
 """
-
-
-@pytest.fixture(scope="module")
-def card() -> Device:
-    try:
-        return open_device("test", "gpu")
-    except Refusal as refused:
-        pytest.skip(str(refused))
 
 
 @pytest.fixture(scope="module")

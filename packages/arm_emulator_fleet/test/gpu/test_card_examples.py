@@ -9,21 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from arm_emulator import Refusal, load_scene
+from arm_emulator import load_scene
 from arm_emulator_fleet import Fleet
-from arm_emulator_fleet.open_device import open_device
+
+pytest_plugins = ["cards"]
+pytestmark = pytest.mark.usefixtures("card")
 
 sys.path.append(str(Path(__file__).resolve().parents[4] / "examples"))
 NUMBER = "joints.elbow.friction.viscous"
 ARMS, REACHED = 1000, 1e-9  # rad; portable arithmetic, but rewards are summed in another order
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _card() -> None:
-    try:
-        open_device("test", "gpu")
-    except Refusal as refused:
-        pytest.skip(str(refused))
 
 
 def to_host(numbers: Any) -> np.ndarray:

@@ -5,24 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from arm_emulator import Refusal, load_gains, load_scene
+from arm_emulator import load_gains, load_scene
 from arm_emulator.extension.machine import PowerChange
 from arm_emulator_fleet import Fleet, ServoFleet
 from arm_emulator_fleet.fleet_schedule import FleetWay
-from arm_emulator_fleet.open_device import open_device
+
+pytest_plugins = ["cards"]
+pytestmark = pytest.mark.usefixtures("card")
 
 PERIODS = 300
 BLOCKS = (32, 64, 128, 256)
 COUNTS = (63, 1000, 20_000)
 COMPARED = 63  # arms of each fleet; the processor would take minutes for all
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _card() -> None:
-    try:
-        open_device("test", "gpu")
-    except Refusal as refused:
-        pytest.skip(str(refused))
 
 
 def follow(name: str, count: int, device: str | None, block: int = 0) -> dict[str, np.ndarray]:
