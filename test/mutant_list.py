@@ -54,8 +54,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{PARTS}/drive_stages/winding.py",
-        'default=20.0,\n        text="temperature at which',
-        'default=25.0,\n        text="temperature at which',
+        "default=20.0",
+        "default=25.0",
         "test_declared_numbers.py test_winding.py",
     ),
     Mutant(
