@@ -106,9 +106,9 @@ def drawn_scene(folder: Path, seed: int) -> tuple[str, Scene]:
 
 def other_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Motion]:
     """Return motions that `advise` has not seen."""
-    rng, leader = np.random.default_rng([seed, 32]), ExcitationMotions(scene, seconds)
+    rng, excitation = np.random.default_rng([seed, 32]), ExcitationMotions(scene, seconds)
     kinds = [str(kind) for kind in rng.choice(list(KINDS), OTHERS)]
-    return [leader.drawn(kind, rng) for kind in kinds]
+    return [excitation.drawn(kind, rng) for kind in kinds]
 
 
 @dataclass(frozen=True)
@@ -162,20 +162,22 @@ def judge_scene(
         kind, scene = drawn_scene(Path(folder), seed)
         own = Judge(scene, judged_motions(scene, seconds))
         others = Judge(scene, other_motions(scene, seed, seconds))
-        found = {wanted: advise(own, wanted) for wanted in sorted(errors, reverse=True)}
+        advices = {error: advise(own, error) for error in sorted(errors, reverse=True)}
         # All that was stated is held against truths that are known five times as well.
-        fine = 0.2 * min((one for one, advice in found.items() if not advice.why_none), default=1.0)
+        fine = 0.2 * min(
+            (limit for limit, advice in advices.items() if not advice.why_none), default=1.0
+        )
         why = own.know_truths(fine) or others.know_truths(fine)
         return [
-            Verdict(seed, kind, wanted, none=advice.why_none or why)
+            Verdict(seed, kind, limit, none=advice.why_none or why)
             if advice.why_none or why
-            else _verdict(seed, kind, wanted, advice, own, others)
-            for wanted, advice in found.items()
+            else _verdict(seed, kind, limit, advice, own, others)
+            for limit, advice in advices.items()
         ]
 
 
 def _verdict(
-    seed: int, kind: str, wanted: float, advice: Advice, own: Judge, others: Judge
+    seed: int, kind: str, error: float, advice: Advice, own: Judge, others: Judge
 ) -> Verdict:
     best = advice.settings[0]
     steps = round(own.scene.servo_period / best.dt)
@@ -186,7 +188,7 @@ def _verdict(
                 break  # it is not cheaper
             tried += 1
             if (
-                own.error(method, fewer, wanted) <= wanted
+                own.error(method, fewer, error) <= error
                 and others.error(method, fewer, best.others) <= best.others
             ):
                 cheaper.append((method, fewer))
@@ -197,7 +199,7 @@ def _verdict(
     return Verdict(
         seed,
         kind,
-        wanted,
+        error,
         str(best.method),
         best.dt,
         best.error,

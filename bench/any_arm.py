@@ -25,13 +25,13 @@ PARTS = (50.0, 90.0, 99.0, 99.5, 100.0)  # % of all moves
 FARTHEST = 3e-3  # m past its rest, in any move
 # Claims about all moves: text of a violation, its test, and the largest share of violations.
 CLAIMS: tuple[tuple[str, Callable[[Move], bool], float], ...] = (
-    ("did not arrive", lambda one: bool(one.words), 0.01),
-    ("past their rest by more than 1 mm and 0.5 %", lambda one: one.overshot, 0.005),
-    ("past their rest by more than 3 mm", lambda one: one.past > FARTHEST, 0.0),
-    ("off a line by more than 1 mm and 1 %", lambda one: one.off_line, 0.01),
-    ("faster than a limit", lambda one: one.peak_speed > 1.0, 0.0),
-    ("accelerated beyond a limit", lambda one: one.peak_acceleration > 1.0, 0.0),
-    ("torques beyond a limit", lambda one: one.peak_torque > 1.0, 0.0),
+    ("did not arrive", lambda move: bool(move.words), 0.01),
+    ("past their rest by more than 1 mm and 0.5 %", lambda move: move.overshot, 0.005),
+    ("past their rest by more than 3 mm", lambda move: move.past > FARTHEST, 0.0),
+    ("off a line by more than 1 mm and 1 %", lambda move: move.off_line, 0.01),
+    ("faster than a limit", lambda move: move.peak_speed > 1.0, 0.0),
+    ("accelerated beyond a limit", lambda move: move.peak_acceleration > 1.0, 0.0),
+    ("torques beyond a limit", lambda move: move.peak_torque > 1.0, 0.0),
 )
 
 
@@ -48,24 +48,24 @@ def main() -> None:
     print(report(outcomes))
     print(failures(outcomes))
     print(f"\nall moves are in {arguments.out}")
-    moves = [one for outcome in outcomes for one in outcome.moves]
+    moves = [move for outcome in outcomes for move in outcome.moves]
     sys.exit(any(sum(map(fails, moves)) > share * len(moves) for _, fails, share in CLAIMS))
 
 
 def chosen(robots: Sequence[str]) -> dict[str, Path | str]:
     """Return the arms that are named, all without names."""
-    known = arms()
+    shipped_arms = arms()
     if not robots:
-        return known
-    found: dict[str, Path | str] = {}
-    for one in robots:
-        if Path(one).is_dir():
-            found |= {file.stem: file for file in sorted(Path(one).glob("*.urdf"))}
-        elif Path(one).is_file():
-            found[Path(one).stem] = Path(one)
+        return shipped_arms
+    chosen_robots: dict[str, Path | str] = {}
+    for path in robots:
+        if Path(path).is_dir():
+            chosen_robots |= {file.stem: file for file in sorted(Path(path).glob("*.urdf"))}
+        elif Path(path).is_file():
+            chosen_robots[Path(path).stem] = Path(path)
         else:
-            found |= {name: robot for name, robot in known.items() if one in name}
-    return found
+            chosen_robots |= {name: robot for name, robot in shipped_arms.items() if path in name}
+    return chosen_robots
 
 
 def examined(robots: dict[str, Path | str], moves: int) -> list[Outcome]:
@@ -84,19 +84,20 @@ def run(quick: bool) -> list[Outcome]:
 
 def report(outcomes: list[Outcome]) -> str:
     """Return a row per arm, and parts of all moves, as Markdown."""
-    moves = [one for outcome in outcomes for one in outcome.moves]
+    moves = [move for outcome in outcomes for move in outcome.moves]
     if not moves:
         return "no arm moved"
     heads = ("arm", "joints", *DISTANCES_NAMED, "median, s", "worst, s", "past, mm", "off line, mm",
              "speed", "acceleration", "torque")  # fmt: skip
-    straight = [one for one in moves if one.straight]
+    straight = [move for move in moves if move.straight]
     rows: list[tuple[str, list[float]]] = [
-        ("past its rest, mm", [1e3 * max(0.0, one.past) for one in moves]),
-        ("past its rest, %", [1e2 * max(0.0, one.past) / max(one.length, 1e-9) for one in moves]),
-        (f"off the line, mm ({len(straight)} straight)", [1e3 * one.aside for one in straight]),
-        ("speed / limit", [one.peak_speed for one in moves]),
-        ("acceleration / limit", [one.peak_acceleration for one in moves]),
-        ("torque / limit", [one.peak_torque for one in moves]),
+        ("past its rest, mm", [1e3 * max(0.0, move.past) for move in moves]),
+        ("past its rest, %",
+         [1e2 * max(0.0, move.past) / max(move.length, 1e-9) for move in moves]),
+        (f"off the line, mm ({len(straight)} straight)", [1e3 * move.aside for move in straight]),
+        ("speed / limit", [move.peak_speed for move in moves]),
+        ("acceleration / limit", [move.peak_acceleration for move in moves]),
+        ("torque / limit", [move.peak_torque for move in moves]),
         *((f"seconds, {key}", [m.seconds for m in moves if m.distance == key])
           for key in DISTANCES_NAMED),
     ]  # fmt: skip
@@ -113,31 +114,36 @@ def report(outcomes: list[Outcome]) -> str:
 
 def failures(outcomes: list[Outcome]) -> str:
     """Return how often each claim was broken, by which arms, and what was refused."""
-    moves = [one for outcome in outcomes for one in outcome.moves]
+    moves = [move for outcome in outcomes for move in outcome.moves]
     lines = [""]
     for words, fails, share in CLAIMS:
         by = {outcome.name: sum(map(fails, outcome.moves)) for outcome in outcomes}
         named = ", ".join(f"{name} {count}" for name, count in by.items() if count)
         lines.append(f"{sum(by.values())} of {len(moves)} {words} ({share:.1%} allowed): {named}")
-    for one in outcomes:
-        reasons = {move.words for move in one.moves if move.words}
-        lines += [f"{one.name}: {words}" for words in ({one.refused} if one.refused else reasons)]
+    for result in outcomes:
+        reasons = {move.words for move in result.moves if move.words}
+        lines += [
+            f"{result.name}: {words}" for words in ({result.refused} if result.refused else reasons)
+        ]
     return "\n".join(lines)
 
 
-def _row(one: Outcome) -> list[str]:
-    times = [m.seconds for m in one.arrived] or [float("nan")]
+def _row(outcome: Outcome) -> list[str]:
+    times = [m.seconds for m in outcome.arrived] or [float("nan")]
     return [
-        one.name.removeprefix("own: "),
-        str(one.joints),
-        *(f"{sum(not m.words for m in one.of(key))}/{len(one.of(key))}" for key in DISTANCES_NAMED),
+        outcome.name.removeprefix("own: "),
+        str(outcome.joints),
+        *(
+            f"{sum(not m.words for m in outcome.of(key))}/{len(outcome.of(key))}"
+            for key in DISTANCES_NAMED
+        ),
         f"{np.median(times):.2f}",
         f"{max(times):.2f}",
-        f"{1e3 * max(m.past for m in one.moves):.2f}",
-        f"{1e3 * max((m.aside for m in one.moves if m.straight), default=np.nan):.2f}",
-        f"{max(m.peak_speed for m in one.moves):.2f}",
-        f"{max(m.peak_acceleration for m in one.moves):.2f}",
-        f"{max(m.peak_torque for m in one.moves):.2f}",
+        f"{1e3 * max(m.past for m in outcome.moves):.2f}",
+        f"{1e3 * max((m.aside for m in outcome.moves if m.straight), default=np.nan):.2f}",
+        f"{max(m.peak_speed for m in outcome.moves):.2f}",
+        f"{max(m.peak_acceleration for m in outcome.moves):.2f}",
+        f"{max(m.peak_torque for m in outcome.moves):.2f}",
     ]
 
 

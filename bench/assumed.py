@@ -63,25 +63,25 @@ def assumed_of(file: Path) -> list[Assumed]:
     machine but structure: r0/r of it does what motors do whose constants and dry friction are r0/r
     times as large, and their rotors (r0/r)^2 times as heavy and as viscous.
     """
-    found = [one for one in origins(file) if one.assumed is not None]
-    nominal = {name: one.value for one in found for name in one.names()}
+    origin_list = [origin for origin in origins(file) if origin.assumed is not None]
+    nominal = {name: origin.value for origin in origin_list for name in origin.names()}
 
-    def of(one: Origin) -> Assumed:
-        key = f"{one.section}.{one.key}"
+    def of(origin: Origin) -> Assumed:
+        key = f"{origin.section}.{origin.key}"
         powers = {
             "motor.torque_constant": {"torque_constant": 1.0, "back_emf_constant": 1.0},
             "gear.ratio": {"torque_constant": -1.0, "back_emf_constant": -1.0,
                            "rotor_inertia": -2.0, "friction.coulomb": -1.0,
                            "friction.viscous": -2.0},
         }.get(key)  # fmt: skip
-        names = [(name, 1.0) for name in one.names()]
+        names = [(name, 1.0) for name in origin.names()]
         if powers:
-            names = [(name, power) for joint in one.joints for of_motor, power in powers.items()
+            names = [(name, power) for joint in origin.joints for of_motor, power in powers.items()
                      if (name := f"joints.{joint}.motor.{of_motor}") in nominal]  # fmt: skip
-        assert one.assumed is not None
-        return Assumed(key, one.joints, one.value, *one.assumed, tuple(names), nominal)
+        assert origin.assumed is not None
+        return Assumed(key, origin.joints, origin.value, *origin.assumed, tuple(names), nominal)
 
-    return [of(one) for one in found if one.key != "back_emf_constant"]
+    return [of(origin) for origin in origin_list if origin.key != "back_emf_constant"]
 
 
 def demos(scene_name: str, arms: list[Values], instructions: int | None = None) -> Array:
@@ -99,15 +99,15 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
     names = sorted({name for arm in arms for name in arm})
     # Numbers that are set later change the machine, not what its current loops know of it.
     scene = load_scene(file, {"varied": names} if names else None)
-    found = []
+    residuals = []
     with progress(f"{file.stem}, {len(arms)} arms", len(arms)) as done:
         for arm in arms:
             run = OfflineRun(scene, gains.servo, gains.motion)
             for name, value in arm.items():
                 run.session.set_varied(name, value)
-            found.append(make_demo(run, file, instructions))
+            residuals.append(make_demo(run, file, instructions))
             done()
-    return np.stack(found)
+    return np.stack(residuals)
 
 
 def make_demo(run: OfflineRun, file: Path, instructions: int | None) -> Array:
@@ -149,27 +149,27 @@ def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:
     assumed = assumed_of(find_scene(scene_name))
     rng = np.random.default_rng(1)
     arms: list[Values] = [{}]
-    for one in assumed:
-        arms += [one.at(one.low), one.at(one.high)]
+    for figure in assumed:
+        arms += [figure.at(figure.low), figure.at(figure.high)]
     for _ in range(2 if quick else DRAWN):
         arm: Values = dict(assumed[0].nominal)
-        for one in assumed:
-            factors, drawn = one.nominal, one.at(one.draw(rng))
+        for figure in assumed:
+            factors, sample = figure.nominal, figure.at(figure.draw(rng))
             # A ratio changes what was drawn of the motor before.
             arm |= {name: arm[name] * value / factors[name] if factors[name] else value
-                    for name, value in drawn.items()}  # fmt: skip
+                    for name, value in sample.items()}  # fmt: skip
         arms.append({name: value for name, value in arm.items() if not name.endswith("ratio")})
     deviations = demos(scene_name, arms, 30 if quick else None)
-    found = [asdict(outcome(one, deviations[0])) for one in deviations]
+    outcomes = [asdict(outcome(deviation, deviations[0])) for deviation in deviations]
     ends = len(assumed)
     return {
-        "nominal": found[0],
+        "nominal": outcomes[0],
         "rows": [
-            {"figure": one.label, "joints": list(one.joints), "value": one.value,
-             "range": [one.low, one.high], "ends": found[1 + 2 * k : 3 + 2 * k]}
-            for k, one in enumerate(assumed)
+            {"figure": figure.label, "joints": list(figure.joints), "value": figure.value,
+             "range": [figure.low, figure.high], "ends": outcomes[1 + 2 * k : 3 + 2 * k]}
+            for k, figure in enumerate(assumed)
         ],
-        "drawn": found[1 + 2 * ends :],
+        "drawn": outcomes[1 + 2 * ends :],
     }  # fmt: skip
 
 
@@ -186,28 +186,28 @@ def report(figures: dict[str, Any]) -> str:
 def table_of(name: str, figures: dict[str, Any]) -> str:
     """Return the table of one arm, in Markdown."""
 
-    def cell(one: dict[str, Any]) -> str:
-        settled = "never" if one["settled"] is None else one["settled"]
-        if not np.isfinite(one["residual"]):
+    def cell(deviation: dict[str, Any]) -> str:
+        settled = "never" if deviation["settled"] is None else deviation["settled"]
+        if not np.isfinite(deviation["residual"]):
             return "diverged"
-        return f"{one['residual']:.2f} / {one['away']:.2f} / {settled}"
+        return f"{deviation['residual']:.2f} / {deviation['away']:.2f} / {settled}"
 
     rows = []
     for row in figures["rows"]:
         low, high = row["range"]
         figure, joints = f"`{row['figure']}`", f"{row['joints'][0]} to {row['joints'][-1]}"
-        spread = f"{row['value']:.3g}", f"{low:.3g} to {high:.3g}"
-        rows.append((figure, joints, *spread, *map(cell, row["ends"])))
+        range_texts = f"{row['value']:.3g}", f"{low:.3g} to {high:.3g}"
+        rows.append((figure, joints, *range_texts, *map(cell, row["ends"])))
     heads = "figure", "joints", "scene", "range", "at its low end", "at its high end"
     lines = [f"{name}, as its scene has it: {cell(figures['nominal'])}.", "", table(heads, rows)]
-    drawn = figures["drawn"]
-    sound = [one for one in drawn if np.isfinite(one["residual"])]
+    samples = figures["drawn"]
+    sound = [sample for sample in samples if np.isfinite(sample["residual"])]
     if sound:
-        residual, away = ([one[key] for one in sound] for key in ("residual", "away"))
-        settled = [one["settled"] for one in sound if one["settled"] is not None]
+        residual, away = ([sample[key] for sample in sound] for key in ("residual", "away"))
+        settled = [sample["settled"] for sample in sound if sample["settled"] is not None]
         lines += [
             "",
-            f"{len(drawn)} arms with all figures drawn: {len(drawn) - len(sound)} diverged; "
+            f"{len(samples)} arms with all figures drawn: {len(samples) - len(sound)} diverged; "
             f"{min(residual):.2f} to {max(residual):.2f} mm remain (median "
             f"{np.median(residual):.2f}), at most {max(away):.2f} mm away, "
             f"{len(settled)} within 2 %"

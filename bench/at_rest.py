@@ -37,22 +37,23 @@ def run(quick: bool) -> dict[str, Any]:
             fleet = Fleet(scene, ARMS, workers=1)
             per_second = ARMS * scene.steps_per_period / scene.servo_period
             with tempfile.TemporaryDirectory() as folder:
-                tasks = {what: _phase(fleet, what) for what in PHASES}
-                tasks |= {what: _loop(scene, Path(folder), what) for what in EVERY}
+                tasks = {phase: _phase(fleet, phase) for phase in PHASES}
+                tasks |= {motion: _loop(scene, Path(folder), motion) for motion in EVERY}
                 timings = interleaved(tasks, repetitions, done)
             figures[name] = {
                 "phases": {
-                    what: asdict(timings[what].per(PHASES[what][1] * per_second)) for what in PHASES
+                    phase: asdict(timings[phase].per(PHASES[phase][1] * per_second))
+                    for phase in PHASES
                 },
-                "loops": {what: asdict(timings[what].per(LOOP)) for what in EVERY},
+                "loops": {motion: asdict(timings[motion].per(LOOP)) for motion in EVERY},
             }
     return figures
 
 
-def _phase(fleet: Fleet, what: str) -> Task:
+def _phase(fleet: Fleet, phase: str) -> Task:
     """Return the task of following all arms through a phase, each on a motion of its own."""
     scene, gains = fleet.scene, load_gains(fleet.scene.name).servo
-    begin, length = (round(t / scene.servo_period) for t in PHASES[what])
+    begin, length = (round(t / scene.servo_period) for t in PHASES[phase])
     away = np.random.default_rng(1).uniform(-SIZE, SIZE, (ARMS, len(scene.joints)))
     rise = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(MOVE / scene.servo_period)))
     frame = fleet.frame()
@@ -67,15 +68,15 @@ def _phase(fleet: Fleet, what: str) -> Task:
     return Task(lambda _: fleet.follow(servos, length, out=frame), prepare)
 
 
-def _loop(scene: Scene, folder: Path, what: str) -> Task:
+def _loop(scene: Scene, folder: Path, motion: str) -> Task:
     """Return the task of a run from tick 0 with our servo in C, and with a motion now and then."""
     t = np.arange(0.0, LOOP, 0.01)
-    turns, since = np.divmod(t, EVERY[what])
+    repeats, since = np.divmod(t, EVERY[motion])
     rise = 0.5 - 0.5 * np.cos(np.pi * np.minimum(since / MOVE, 1.0))
-    share = np.where(turns % 2 == 0, rise, 1.0 - rise)
+    share = np.where(repeats % 2 == 0, rise, 1.0 - rise)
     signs = (-1.0) ** np.arange(len(scene.joints))
     rows = np.column_stack([t, scene.start + SIZE * share[:, np.newaxis] * signs])
-    file = folder / f"{scene.name}_{len(what)}.csv"
+    file = folder / f"{scene.name}_{len(motion)}.csv"
     header = ",".join(("t", *scene.joint_names))
     np.savetxt(file, rows, delimiter=",", header=header, comments="")
     ready: list[TableRun] = []
@@ -91,9 +92,9 @@ def report(figures: dict[str, Any]) -> str:
     """Return the table of the page on fleets."""
     rows = []
     for name, of in figures.items():
-        times = (f"{1e9 * of['phases'][what]['median']:.0f} ns" for what in PHASES)
-        rates = (f"{1.0 / of['loops'][what]['median']:.0f}" for what in EVERY)
+        times = (f"{1e9 * of['phases'][phase]['median']:.0f} ns" for phase in PHASES)
+        rates = (f"{1.0 / of['loops'][motion]['median']:.0f}" for motion in EVERY)
         rows.append((f"`{name}`", *times, *rates))
-    heads = [f"{what}: an arm and step" for what in PHASES]
-    heads += [f"one arm, {what} in {LOOP:g} s" for what in EVERY]
+    heads = [f"{phase}: an arm and step" for phase in PHASES]
+    heads += [f"one arm, {motion} in {LOOP:g} s" for motion in EVERY]
     return table(("under our servo, one core", *heads), rows)

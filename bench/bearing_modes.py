@@ -40,11 +40,16 @@ def run(quick: bool) -> dict[str, Any]:
             scene = load_scene(str(file), WEIGHTLESS)
             linear = linearise(scene, scene.start)
             names = list(scene.joint_names)
-            found = {
+            modes = {
                 name: frequency_response(linear, names.index(name), FREQUENCIES).antiresonances
                 for name in TILTING
             }
-            rows.append({"factor": factor, **{name: one.tolist() for name, one in found.items()}})
+            rows.append(
+                {
+                    "factor": factor,
+                    **{name: frequency.tolist() for name, frequency in modes.items()},
+                }
+            )
             done(str(factor))
     return {"rows": rows}
 
@@ -59,7 +64,11 @@ def write_tilting(folder: Path, factor: float) -> Path:
     for name in TILTING:
         gear = scene["joints"][name]["gear"]
         torque, damping = factor * float(gear["stiffness"]) * REACH, factor * float(gear["damping"])
-        joint = next(one for one in robot.findall("joint") if one.get("name") == name)
+        joint = next(
+            joint_element
+            for joint_element in robot.findall("joint")
+            if joint_element.get("name") == name
+        )
         end = joint.find("child")
         assert end is not None
         link, inner = str(end.get("link")), f"{name}_x_side"
@@ -96,7 +105,9 @@ def report(figures: dict[str, Any]) -> str:
     rows = []
     for row in figures["rows"]:
         factor = row["factor"]
-        cells = (", ".join(f"{one:.1f}" for one in row[name]) + " Hz" for name in TILTING)
+        cells = (
+            ", ".join(f"{frequency:.1f}" for frequency in row[name]) + " Hz" for name in TILTING
+        )
         rows.append(("rigid" if factor is None else f"{factor:g} times the gear", *cells))
     return table(("bearings of `kr560`", *(f"`{name}`" for name in TILTING)), rows)
 

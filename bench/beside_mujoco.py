@@ -71,7 +71,7 @@ def code_lines(file: Path) -> int:
     """Return how many lines have code: no comments, docstrings, blank lines."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".c":
-        bare = re.sub(r"/\*.*?\*/", lambda found: "\n" * found[0].count("\n"), text, flags=re.S)
+        bare = re.sub(r"/\*.*?\*/", lambda match: "\n" * match[0].count("\n"), text, flags=re.S)
         return sum(1 for line in bare.splitlines() if line.strip())
     lines: set[int] = set()
     skipped = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
@@ -100,7 +100,7 @@ def _model(name: str, integrator: str, dt: float) -> Any:
 
 
 def _both(name: str) -> Iterator[dict[str, Any]]:
-    return (runpy.run_path(str(EXAMPLES / f"{name}{one}.py")) for one in ("", "_mujoco"))
+    return (runpy.run_path(str(EXAMPLES / f"{name}{suffix}.py")) for suffix in ("", "_mujoco"))
 
 
 def _timed(work: Callable[[], Array]) -> Run:
@@ -146,14 +146,14 @@ def _environment() -> Program:
     def drive(env: Any, q: Callable[[], Array]) -> Run:
         env.reset(seed=1)
         rng = np.random.default_rng(2)
-        held = rng.uniform(-0.3, 0.3, (TICKS // 50, 64, 3)).astype(np.float32)[:, : env.num_envs]
-        way = np.empty((TICKS, env.num_envs, 3))
+        zoh = rng.uniform(-0.3, 0.3, (TICKS // 50, 64, 3)).astype(np.float32)[:, : env.num_envs]
+        tool_path = np.empty((TICKS, env.num_envs, 3))
 
         def work() -> Array:
             for tick in range(TICKS):
-                env.step(held[tick // 50])
-                way[tick] = q()
-            return way
+                env.step(zoh[tick // 50])
+                tool_path[tick] = q()
+            return tool_path
 
         return _timed(work)
 
@@ -182,16 +182,18 @@ def _observer(folder: Path) -> Program:
     _compile(f"-I{wheel / 'include'} {main} {shared} -Wl,-rpath,{wheel} -lm -o {twin}")
 
     def own(dt: float | None, few: bool) -> Run:
-        one, _ = load_table_run(_file(folder, dt), table, library)
+        table_run, _ = load_table_run(_file(folder, dt), table, library)
 
         def work() -> Array:
             q = []
             for end in TIMES if few else TIMES[-1:]:
-                one.advance(round(end / one.session.scene.servo_period) - one.session.tick)
-                q.append(one.session.state.q)
+                table_run.advance(
+                    round(end / table_run.session.scene.servo_period) - table_run.session.tick
+                )
+                q.append(table_run.session.state.q)
             return np.array(q)
 
-        with contextlib.closing(one):
+        with contextlib.closing(table_run):
             return _timed(work)
 
     def peer(integrator: str, dt: float, few: bool) -> Run:
@@ -249,8 +251,8 @@ def _choose(program: Program, solution: Array) -> Choice:
             tried.append(Choice(integrator, dt, off, seconds))
             if off <= TARGET:
                 break
-    good = [one for one in tried if one.error <= TARGET]
-    return min(good or tried, key=lambda one: one.seconds if good else one.error)
+    good = [trial for trial in tried if trial.error <= TARGET]
+    return min(good or tried, key=lambda trial: trial.seconds if good else trial.error)
 
 
 def run(quick: bool) -> dict[str, Any]:
@@ -286,8 +288,8 @@ def report(figures: dict[str, Any]) -> str:
     """Return the table."""
     rows = []
     for row in figures["rows"]:
-        error, other = (f"{value:.1g} rad" for value in row["errors"])
-        at = f"{other}, {row['integrator']} at {row['dt'] * 1e3:g} ms"
+        error, second = (f"{value:.1g} rad" for value in row["errors"])
+        at = f"{second}, {row['integrator']} at {row['dt'] * 1e3:g} ms"
         times = map(_time, row["seconds"])
         rows.append((row["what"], *row["lines"], *times, f"{row['ratio']:.3g}", error, at))
     heads = ("program", "lines of code", "MuJoCo", "time", "MuJoCo", "ratio", "error", "MuJoCo, at")

@@ -84,9 +84,9 @@ class Case:
                 run.kill()
                 begun = time.monotonic()
             else:
-                for one in children:
+                for pid in children:
                     with contextlib.suppress(ProcessLookupError):
-                        os.kill(one, how)
+                        os.kill(pid, how)
                 self.wait = self._watch(run)
                 begun = time.monotonic()
                 run.send_signal(signal.SIGINT)
@@ -97,9 +97,9 @@ class Case:
             while any(map(is_running, children)) and time.monotonic() - begun < PATIENCE:
                 time.sleep(0.01)
             self.end = time.monotonic() - begun
-            self.left = [one for one in children if is_running(one)]
-        for one in self.left:
-            os.kill(one, signal.SIGKILL)
+            self.left = [pid for pid in children if is_running(pid)]
+        for pid in self.left:
+            os.kill(pid, signal.SIGKILL)
 
     @staticmethod
     def _watch(run: subprocess.Popen[bytes]) -> float:
@@ -127,9 +127,9 @@ def main() -> None:
         cases.append(case)
         print(f"{k:4d} {child:<9} {how:<10} wait {case.wait:.2f} s, end {case.end:.2f} s, "
               f"left {len(case.left)}", flush=True)  # fmt: skip
-    print(f"{len(cases)} cases: wait {max(one.wait for one in cases):.2f} s, "
-          f"end {max(one.end for one in cases):.2f} s, "
-          f"left {sum(len(one.left) for one in cases)}")  # fmt: skip
+    print(f"{len(cases)} cases: wait {max(killed.wait for killed in cases):.2f} s, "
+          f"end {max(killed.end for killed in cases):.2f} s, "
+          f"left {sum(len(killed.left) for killed in cases)}")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -48,35 +48,35 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="seed of the first case")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, help="default: out/claims/ABOUT.json")
-    given = parser.parse_args(arguments)
-    out = given.out or Path("out/claims", f"{given.about}.json")
+    args = parser.parse_args(arguments)
+    out = args.out or Path("out/claims", f"{args.about}.json")
     out.parent.mkdir(parents=True, exist_ok=True)
     verdicts, broken = list[Verdict](), list[str]()
     with (
         tempfile.TemporaryDirectory() as cache,  # of libraries that nobody needs again
-        ProcessPoolExecutor(given.jobs, initializer=_begin, initargs=(cache,)) as pool,
-        progress(given.about, given.count) as done,
+        ProcessPoolExecutor(args.jobs, initializer=_begin, initargs=(cache,)) as pool,
+        progress(args.about, args.count) as done,
     ):
-        seeds = range(given.first, given.first + given.count)
-        waiting = {pool.submit(_judged, given.about, seed): seed for seed in seeds}
+        seeds = range(args.first, args.first + args.count)
+        waiting = {pool.submit(_judged, args.about, seed): seed for seed in seeds}
         try:
-            for one in as_completed(waiting):
-                if one.exception():
-                    broken.append(f"seed {waiting[one]}: {one.exception()!r}")
+            for future in as_completed(waiting):
+                if future.exception():
+                    broken.append(f"seed {waiting[future]}: {future.exception()!r}")
                 else:
-                    verdicts += one.result()
+                    verdicts += future.result()
                     out.write_text(json.dumps([asdict(each) for each in verdicts], indent=1))
-                done(f"seed {waiting[one]}")
+                done(f"seed {waiting[future]}")
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             print(f"ended early, {len(verdicts)} verdicts are made")
-    broken += [str(one) for one in verdicts if not all(one.claims.values())]
-    made, held = Counter[str](), Counter[str]()
-    for one in verdicts:
-        made.update(one.claims)
-        held.update(name for name, holds in one.claims.items() if holds)
-    for name, count in sorted(made.items()):
-        print(f"{name}: {held[name]} of {count}")
+    broken += [str(verdict) for verdict in verdicts if not all(verdict.claims.values())]
+    claims, true_claims = Counter[str](), Counter[str]()
+    for future in verdicts:
+        claims.update(future.claims)
+        true_claims.update(name for name, holds in future.claims.items() if holds)
+    for name, count in sorted(claims.items()):
+        print(f"{name}: {true_claims[name]} of {count}")
     print(*broken, f"all verdicts are in {out}", sep="\n")
     return 1 if broken else 0
 

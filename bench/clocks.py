@@ -56,9 +56,9 @@ def run(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _in_own_process(what: str, scene: str, seconds: float) -> dict[str, Any]:
+def _in_own_process(clock: str, scene: str, seconds: float) -> dict[str, Any]:
     """Measure in a process of its own, on a ROS domain of its own."""
-    command = [sys.executable, "-m", "bench.clocks", what, scene, str(seconds)]
+    command = [sys.executable, "-m", "bench.clocks", clock, scene, str(seconds)]
     with own_domain():
         done = subprocess.run(
             command,
@@ -71,7 +71,7 @@ def _in_own_process(what: str, scene: str, seconds: float) -> dict[str, Any]:
     return figures
 
 
-def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
+def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
     """Run the three nodes and return the emulator's status at the end."""
     import rclpy
 
@@ -79,19 +79,19 @@ def measure(what: str, scene: str, seconds: float) -> dict[str, Any]:
     from arm_emulator.ros.process.bringup import Bringup
     from arm_emulator_msgs.msg import EmulatorStatus
 
-    clock = "realtime" if what == "real_time" else "lockstep"
+    clock = "realtime" if clock_name == "real_time" else "lockstep"
     rclpy.init()
     node = rclpy.create_node("bench")
-    seen: list[tuple[float, EmulatorStatus]] = []
+    received: list[tuple[float, EmulatorStatus]] = []
     node.create_subscription(
         EmulatorStatus,
         "emulator/status",
-        lambda status: seen.append((time.monotonic(), status)),
+        lambda status: received.append((time.monotonic(), status)),
         STATE_SUB_QOS,
     )
 
     def moving() -> list[tuple[float, EmulatorStatus]]:
-        return [pair for pair in seen if pair[1].tick > 0]
+        return [pair for pair in received if pair[1].tick > 0]
 
     with Bringup(scene, clock=clock, start="first_answer", log=Path("out/bench/log")) as network:
         while True:
@@ -135,11 +135,11 @@ def _offline(scene: str) -> float:
     """Return the real-time factor of the offline run."""
     from arm_emulator.runs.offline import load_offline_run
 
-    one = load_offline_run(scene)
-    one.advance(100)
-    ticks = round(OFFLINE_SECONDS / one.session.scene.servo_period)
+    offline_run = load_offline_run(scene)
+    offline_run.advance(100)
+    ticks = round(OFFLINE_SECONDS / offline_run.session.scene.servo_period)
     started = time.perf_counter()
-    one.advance(ticks)
+    offline_run.advance(ticks)
     return OFFLINE_SECONDS / (time.perf_counter() - started)
 
 
@@ -151,18 +151,18 @@ def _from_table(scene_name: str) -> dict[str, float]:
     """
     period = load_scene(scene_name).servo_period
     off = float(np.abs(_track(scene_name) - _track(scene_name, period / 16)).max())
-    one = _table_run(scene_name)
+    table_run = _table_run(scene_name)
     started = time.perf_counter()
-    one.advance(round(TABLE_SECONDS / period))
+    table_run.advance(round(TABLE_SECONDS / period))
     return {"factor": TABLE_SECONDS / (time.perf_counter() - started), "off": off}
 
 
 def _track(scene_name: str, step: float | None = None) -> Array:
     """Return where the links are at each look (TRACKED, N) [rad]."""
-    one, track = _table_run(scene_name, step), []
+    table_run, track = _table_run(scene_name, step), []
     for _ in range(TRACKED):
-        one.advance(round(1.0 / one.session.scene.servo_period))
-        track.append(one.session.state.q)
+        table_run.advance(round(1.0 / table_run.session.scene.servo_period))
+        track.append(table_run.session.state.q)
     return np.array(track)
 
 
@@ -213,9 +213,9 @@ def report(figures: dict[str, Any]) -> str:
             scene, f"{factor:.2f}", f"{1e3 / factor:.0f}", f"{figures['offline'][scene]:.1f}",
             f"{by_table['factor']:.0f}", f"{by_table['off']:.0e} rad",
         ))  # fmt: skip
-    shown = ("scene", "lock-step, real-time factor", "us per tick", "offline, real-time factor",
+    titles = ("scene", "lock-step, real-time factor", "us per tick", "offline, real-time factor",
              "from a table", "there")  # fmt: skip
-    lines.append(table(shown, logical))
+    lines.append(table(titles, logical))
     lines += [
         "",
         "In lock-step nearly all of a tick is two messages through the middleware; the core's "

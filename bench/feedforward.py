@@ -50,26 +50,28 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
     ):
         for name in chosen:
             scene = name if name not in MADE else str(_made(MADE[name], Path(folder) / name))
-            for case, known in CASES.items():
-                found = follow(scene, known)
+            for case, assumed in CASES.items():
+                followed = follow(scene, assumed)
                 again = (
-                    follow(scene, known, practised=True) if known.feedforward == "full" else None
+                    follow(scene, assumed, practised=True)
+                    if assumed.feedforward == "full"
+                    else None
                 )
                 rows.append(
                     {
                         "scene": Path(scene).stem,
                         "case": case,
-                        "off": found.off,
+                        "off": followed.off,
                         "again": None if again is None else again.off,
-                        "behind": found.behind,
-                        "past": found.past,
-                        "unseen": found.unseen,
-                        "peak_speed": found.peak_speed,
+                        "behind": followed.behind,
+                        "past": followed.past,
+                        "unseen": followed.unseen,
+                        "peak_speed": followed.peak_speed,
                     }
                 )
                 if name == chosen[0]:
-                    off = (found.deviation**2).sum(axis=1) ** 0.5
-                    curves[case] = {"t": (found.t - found.t[0]).tolist(), "off": off.tolist()}
+                    off = (followed.deviation**2).sum(axis=1) ** 0.5
+                    curves[case] = {"t": (followed.t - followed.t[0]).tolist(), "off": off.tolist()}
                 done(f"{name}, {case}")
     return {"rows": rows, "curves": curves}
 

@@ -52,8 +52,8 @@ def run(quick: bool) -> dict[str, Any]:
             figures[name] = {"first": first, "runs": []}
         for _ in range(repetitions):
             for name in SCENES:
-                inside, whole = _process(name, cache)
-                figures[name]["runs"].append({**inside, "process": whole})
+                inside, in_process = _process(name, cache)
+                figures[name]["runs"].append({**inside, "process": in_process})
                 done(f"{name}, cached")
     for figure in figures.values():
         runs = figure.pop("runs")

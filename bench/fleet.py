@@ -76,18 +76,18 @@ def _throughput(
     """Return arm-steps per second: of one arm, and of a fleet on one core and on all."""
     scene = make_bare_scene(name, scheme, SERVO_PERIOD / STEPS_PER_PERIOD)
     N = len(scene.joints)
-    one = sines(N, 0)
+    single = sines(N, 0)
     rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
     plant, fleet, wide = Plant(scene), Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT)
     tasks = {
-        "one arm": _task(plant, one),
+        "one arm": _task(plant, single),
         "one core": _task(fleet, rows),
         "all cores": _task(wide, rows),
     }
     timings = interleaved(
         tasks, repetitions, lambda task: done(name) if task == "one arm" else None
     )
-    steps = {"one arm": len(one), "one core": rows.size // N, "all cores": rows.size // N}
+    steps = {"one arm": len(single), "one core": rows.size // N, "all cores": rows.size // N}
     per_step = {
         task: asdict(timing.per(steps[task] * STEPS_PER_PERIOD)) for task, timing in timings.items()
     }
@@ -128,8 +128,8 @@ class Rollout:
         """Hold each row of voltages (K, count, N) [V] for `steps` steps."""
         rows = max(1, CHUNK // steps)
         for first in range(0, len(voltages), rows):
-            held = voltages[first : first + rows, :, self._driven].transpose(1, 0, 2)
-            control = np.repeat(held, steps, axis=1)
+            zoh = voltages[first : first + rows, :, self._driven].transpose(1, 0, 2)
+            control = np.repeat(zoh, steps, axis=1)
             states, _ = self._pool.rollout(self.model, self._data, self._state, control)
             self._state = states[:, -1].copy()
 
@@ -242,8 +242,8 @@ def _best(times: dict[str, float], theirs: bool) -> tuple[str, float]:
 def per_step_ratio(figures: dict[str, Any]) -> tuple[str, str, float]:
     """Return MuJoCo's quickest, ours, and how many times longer its step takes."""
     times = {name: timing["median"] for name, timing in figures["per_step"].items()}
-    (ours, own), (peer, other) = _best(times, False), _best(times, True)
-    return peer, ours, other / own
+    (ours, own), (peer, peer_result) = _best(times, False), _best(times, True)
+    return peer, ours, peer_result / own
 
 
 def at_error_ratio(figures: dict[str, Any]) -> tuple[str, str, float] | None:
@@ -251,8 +251,8 @@ def at_error_ratio(figures: dict[str, Any]) -> tuple[str, str, float] | None:
     times = figures["at_error"]["times"]
     if not set(times) & set(SCHEMES) or not set(times) - set(SCHEMES):
         return None
-    (ours, own), (peer, other) = _best(times, False), _best(times, True)
-    return peer, ours, other / own
+    (ours, own), (peer, peer_result) = _best(times, False), _best(times, True)
+    return peer, ours, peer_result / own
 
 
 def lanes_gain(figures: dict[str, Any], arm: str, scheme: str) -> float:
@@ -273,12 +273,13 @@ def report(figures: dict[str, Any]) -> str:
     for arm, schemes in figures["throughput"].items():
         for scheme, of in schemes.items():
             times = of["per_step"]
-            one, core, cores = (
+            alone, core, cores = (
                 1e9 * of["per_step"][task]["median"]
                 for task in ("one arm", "one core", "all cores")
             )
-            rows.append((arm, scheme, of["lanes"], f"{one:.1f}", f"{core:.1f}",
-                         f"{one / core:.2f}", f"{cores:.1f}", f"{one / cores:.2f}"))  # fmt: skip
+            rows.append((arm, scheme, of["lanes"], f"{alone:.1f}",
+                         f"{core:.1f}", f"{alone / core:.2f}",
+                         f"{cores:.1f}", f"{alone / cores:.2f}"))  # fmt: skip
     heads = ("arm", "scheme", "lanes", "one arm", "fleet, one core", "times", "fleet, all cores",
              "times")  # fmt: skip
     peer, ours, ratio = per_step_ratio(figures)
@@ -319,15 +320,15 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     figure = new_figure(10.0, 4.2)
     arms = list(figures["throughput"])
     panels = figure.subplots(1, len(arms), sharey=True, squeeze=False)[0]
-    ways = ("one arm", "one core", "all cores")
+    rates_of = ("one arm", "one core", "all cores")
     for axes, arm in zip(panels, arms, strict=True):
         schemes = figures["throughput"][arm]
         width = 0.8 / len(schemes)
         for k, (scheme, of) in enumerate(schemes.items()):
-            rates = [1e-6 / of["per_step"][way]["median"] for way in ways]
-            at = np.arange(len(ways)) + width * (k - 0.5 * (len(schemes) - 1))
+            rates = [1e-6 / of["per_step"][kind]["median"] for kind in rates_of]
+            at = np.arange(len(rates_of)) + width * (k - 0.5 * (len(schemes) - 1))
             axes.bar(at, rates, width=0.9 * width, color=COLOURS[scheme], label=scheme)
-        axes.set_xticks(range(len(ways)), ("one arm", "fleet,\none core", "fleet,\nall cores"))
+        axes.set_xticks(range(len(rates_of)), ("one arm", "fleet,\none core", "fleet,\nall cores"))
         axes.set_title(arm)
         axes.grid(True, axis="y", color="0.9", linewidth=0.8)
         axes.set_axisbelow(True)

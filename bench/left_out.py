@@ -61,16 +61,16 @@ def run(quick: bool) -> dict[str, Any]:
 def _measure(name: str, instructions: int | None) -> dict[str, dict[str, Any]]:
     file = find_scene(name)
     gains, effects = load_gains(file), list_effects(load_scene(file))
-    found = {}
+    demos = {}
     with progress(name, len(effects)) as done:
         for label, changes in effects.items():
             scene = load_scene(file, changes or None)
-            found[label] = make_demo(
+            demos[label] = make_demo(
                 OfflineRun(scene, gains.servo, gains.motion), file, instructions
             )
             done(label)
-    nominal = next(iter(found.values()))
-    return {label: asdict(outcome(one, nominal)) for label, one in found.items()}
+    nominal = next(iter(demos.values()))
+    return {label: asdict(outcome(demo, nominal)) for label, demo in demos.items()}
 
 
 def report(figures: dict[str, Any]) -> str:
@@ -79,9 +79,9 @@ def report(figures: dict[str, Any]) -> str:
     for label in figures[ARMS[0]]:
         cells = []
         for name in ARMS:
-            one = figures[name][label]
-            settled = "never" if one["settled"] is None else one["settled"]
-            cells.append(f"{one['residual']:.2f} / {one['away']:.2f} / {settled}")
+            figures_of = figures[name][label]
+            settled = "never" if figures_of["settled"] is None else figures_of["settled"]
+            cells.append(f"{figures_of['residual']:.2f} / {figures_of['away']:.2f} / {settled}")
         rows.append((label, *cells))
     return table(("machine", *ARMS), rows)
 

@@ -37,13 +37,13 @@ def main() -> int:
     """Print the ratios."""
     rng = np.random.default_rng(1)
     for place, simple in PLACES.items():
-        laws: dict[str, dict[str, Any]] = {
+        controllers: dict[str, dict[str, Any]] = {
             "load": simple,
             "directed": simple | DIRECTED,
             "directed with an exponent": simple | DIRECTED | {"exponent": 2.0},
         }
         plants = {}
-        for name, law in laws.items():
+        for name, law in controllers.items():
             sections = {f"joints.*.{place}": law}
             plants[name] = load_scene("ur5", sections)
         compile_all(plants.values())

@@ -130,7 +130,7 @@ def without_collector() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def progress(what: str, steps: int) -> Iterator[Callable[..., None]]:
+def progress(title: str, steps: int) -> Iterator[Callable[..., None]]:
     """Show a bar; the function yielded moves it by one step and shows what comes next.
 
     The bar is drawn in these calls only, never by a thread that would disturb what is timed.
@@ -143,7 +143,7 @@ def progress(what: str, steps: int) -> Iterator[Callable[..., None]]:
         TextColumn("{task.fields[now]}"),
     )
     with Progress(*columns, auto_refresh=False) as bar:
-        task = bar.add_task(what, total=steps, now="")
+        task = bar.add_task(title, total=steps, now="")
         bar.refresh()
 
         def done(now: str = "") -> None:
@@ -168,18 +168,18 @@ def compile_all(scenes: Iterable[Scene]) -> None:
             done(scene.name)
 
 
-def side_by_side(what: str, work: Callable[[Case], Result], cases: Iterable[Case]) -> list[Result]:
+def side_by_side(title: str, work: Callable[[Case], Result], cases: Iterable[Case]) -> list[Result]:
     """Return `work` of every case, on all cores: for what takes long and is not timed.
 
     Args:
-        what: to show above the bar.
+        title: to show above the bar.
         work: a function of a module, which processes of their own import.
         cases: what each process is given, to be pickled.
     """
     cases = list(cases)
     # Processes that start anew inherit no threads that hold a lock.
     start = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), start) as pool, progress(what, len(cases)) as done:
+    with ProcessPoolExecutor(os.cpu_count(), start) as pool, progress(title, len(cases)) as done:
         jobs = [pool.submit(work, case) for case in cases]
         for job in as_completed(jobs):
             job.result()

@@ -41,8 +41,8 @@ _SETTLING = 3.0  # s, for the way to the first corner
 
 def record(rrd: Path) -> tuple[float, float]:
     """Write a recording of the run; return begin and end of the round [s]."""
-    one = load_offline_run(SCENE)
-    scene, kinematics = one.session.scene, one.controller.kinematics
+    offline_run = load_offline_run(SCENE)
+    scene, kinematics = offline_run.session.scene, offline_run.controller.kinematics
     robots = find_example_robot_data()
     stream = RerunStream(
         scene.urdf,
@@ -55,27 +55,29 @@ def record(rrd: Path) -> tuple[float, float]:
     R_WT, p_WT = kinematics.forward(scene.start)
     y, z = np.array([0.0, SIDE, 0.0]), np.array([0.0, 0.0, SIDE])
     corners = [Pose(p_WT - 0.5 * y + at, R_WT) for at in (0.0 * y, y, y + z, z, 0.0 * y)]
-    one.instructor.add_path(one.controller, corners[:1])
-    one.advance(round(_SETTLING / scene.servo_period))
-    begin = one.session.logical_ns
-    one.instructor.add_path(one.controller, corners)
-    while one.instructor.reports.waiting[-1].state.name in ("ACCEPTED", "MOVING"):
-        one.advance(EVERY)
-        state = one.session.state
-        sensed = one.session.measured
-        reference = one.controller.coming
+    offline_run.instructor.add_path(offline_run.controller, corners[:1])
+    offline_run.advance(round(_SETTLING / scene.servo_period))
+    begin = offline_run.session.logical_ns
+    offline_run.instructor.add_path(offline_run.controller, corners)
+    while offline_run.instructor.reports.waiting[-1].state.name in ("ACCEPTED", "MOVING"):
+        offline_run.advance(EVERY)
+        state = offline_run.session.state
+        sensed = offline_run.session.measured
+        reference = offline_run.controller.coming
         assert reference is not None, "a way is planned"
-        stream.offer_target(one.session.logical_ns, kinematics.forward(reference.q)[1].tolist())
+        stream.offer_target(
+            offline_run.session.logical_ns, kinematics.forward(reference.q)[1].tolist()
+        )
         stream.offer(
-            one.session.logical_ns,
+            offline_run.session.logical_ns,
             state.q,
             state.v,
             state.gear_torque,
             sensed.current,
             sensed.applied,
-            one.drives.servo.q_measured,
+            offline_run.drives.servo.q_measured,
         )
-    end = one.session.logical_ns
+    end = offline_run.session.logical_ns
     stream.close(60.0)
     return begin * 1e-9, end * 1e-9
 
@@ -84,9 +86,9 @@ def picture(out: Path) -> Path:
     """Draw the picture into a folder and return its file."""
     begin, end = record(out / "square.rrd")
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES
-    pictures = [one.crop(SHOWN) for one in screenshots(out / "square.rrd", moments.tolist())]
+    pictures = [frame.crop(SHOWN) for frame in screenshots(out / "square.rrd", moments.tolist())]
     palette = pictures[FRAMES // 2].quantize(COLOURS)
-    frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures]
+    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in pictures]
     each = round(1e3 * (end - begin) / FRAMES)
     frames[0].save(
         out / "arm.gif",

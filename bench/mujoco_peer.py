@@ -203,9 +203,9 @@ def _gear(joint: Joint) -> str:
 
 def _motor(joint: Joint, motor: DcMotor) -> str:
     rigid = joint.gear.stiffness is None
-    at, turns = (joint.name, 1.0 / joint.gear.ratio) if rigid else (f"{joint.name}_rotor", 1.0)
+    at, gear = (joint.name, 1.0 / joint.gear.ratio) if rigid else (f"{joint.name}_rotor", 1.0)
     return f"""
-<dcmotor joint="{at}" gear="{turns!r}" resistance="{motor.resistance!r}"
+<dcmotor joint="{at}" gear="{gear!r}" resistance="{motor.resistance!r}"
  motorconst="{motor.torque_constant!r} {motor.back_emf_constant!r}"
  inductance="{motor.inductance!r} 0"/>"""
 

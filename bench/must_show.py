@@ -47,7 +47,7 @@ def must_show(sections: dict[str, Any]) -> list[Row]:
 
 
 def _per_step(figures: dict[str, Any]) -> Iterator[Row]:
-    for arm, wanted in PER_STEP.items():
+    for arm, minimum in PER_STEP.items():
         if arm not in figures["arms"]:
             continue
         times = figures["arms"][arm]["times"]
@@ -56,26 +56,30 @@ def _per_step(figures: dict[str, Any]) -> Iterator[Row]:
         ratio = mujoco / paper
         yield (
             f"{arm}: time per step, {name} / paper",
-            f"at least {wanted:g}" + (", aim for 20" if wanted < 20 else ""),
+            f"at least {minimum:g}" + (", aim for 20" if minimum < 20 else ""),
             f"{ratio:.1f} ({mujoco * 1e9:.0f} / {paper * 1e9:.1f} ns)",
-            ratio >= wanted,
+            ratio >= minimum,
         )
 
 
 def _fleet(figures: dict[str, Any]) -> Iterator[Row]:
     schemes = figures["throughput"][fleet.PEER]
     gain = min(fleet.lanes_gain(figures, fleet.PEER, scheme) for scheme in schemes)
-    what = f"{figures['count']} {fleet.PEER} on one core: arm-steps/s over one arm's, every scheme"
-    yield what, f"at least {FLEET_GAIN:g}", f"{gain:.2f}", gain >= FLEET_GAIN
+    quantity = (
+        f"{figures['count']} {fleet.PEER} on one core: arm-steps/s over one arm's, every scheme"
+    )
+    yield quantity, f"at least {FLEET_GAIN:g}", f"{gain:.2f}", gain >= FLEET_GAIN
     peer, ours, ratio = fleet.per_step_ratio(figures)
-    what = f"{figures['count']} {fleet.PEER}, one core: time per step, {peer} by rollout / {ours}"
-    yield what, f"at least {FLEET_PER_STEP:g}", f"{ratio:.0f}", ratio >= FLEET_PER_STEP
+    quantity = (
+        f"{figures['count']} {fleet.PEER}, one core: time per step, {peer} by rollout / {ours}"
+    )
+    yield quantity, f"at least {FLEET_PER_STEP:g}", f"{ratio:.0f}", ratio >= FLEET_PER_STEP
     at = fleet.at_error_ratio(figures)
-    what = (
+    quantity = (
         f"{figures['count']} {fleet.PEER}, one core: time at {fleet.TARGET:g} rad, rollout / ours"
     )
     reached = f"{at[2]:.0f} ({at[0]} / {at[1]})" if at else "one of them did not get there"
-    yield what, f"at least {FLEET_AT_ERROR:g}", reached, at[2] >= FLEET_AT_ERROR if at else None
+    yield quantity, f"at least {FLEET_AT_ERROR:g}", reached, at[2] >= FLEET_AT_ERROR if at else None
 
 
 def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
@@ -83,17 +87,17 @@ def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
         if machine not in figures:
             continue
         case = figures[machine]
-        for target, wanted in targets.items():
+        for target, required in targets.items():
             at = case["at_error"][target]
-            what = f"{machine}: time at {target} rad, MuJoCo's best / ours"
-            aim = "report" if wanted is None else f"aim for {wanted:g}"
+            quantity = f"{machine}: time at {target} rad, MuJoCo's best / ours"
+            aim = "report" if required is None else f"aim for {required:g}"
             if machine == "three_axis":
-                aim = f"at least {wanted:g}"
+                aim = f"at least {required:g}"
             if not case["agreement"]["agree"]:
-                yield what, aim, "void: the machines differ", False
+                yield quantity, aim, "void: the machines differ", False
             elif at["ratio"] is None:
                 missing = "ours" if at["ours"] is None else "MuJoCo"
-                yield what, aim, f"{missing} did not get there in this run", None
+                yield quantity, aim, f"{missing} did not get there in this run", None
             else:
                 called = at["mujoco"]["time"] / at["ours_from_python"]["time"]
                 reached = (
@@ -102,16 +106,16 @@ def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
                     f"{at['ours']['time'] * 1e3:.3g} ms {at['ours']['name']}; "
                     f"called from Python every period: {called:.0f})"
                 )
-                yield what, aim, reached, None if wanted is None else at["ratio"] >= wanted
+                yield quantity, aim, reached, None if required is None else at["ratio"] >= required
     if "three_axis_10ms" in figures:
         points = figures["three_axis_10ms"]["series"]["rosenbrock"]
         error = next(p["error"] for p in points if p["dt"] == 1e-2)
         met = error is not None and error < LARGE_STEP_ERROR
-        shown = "diverged" if error is None else f"{error:.1e} rad"
+        error_text = "diverged" if error is None else f"{error:.1e} rad"
         yield (
             "three_axis: error of rosenbrock at a step of 10 ms",
             f"below {LARGE_STEP_ERROR:g} rad",
-            shown,
+            error_text,
             met,
         )
 
@@ -147,14 +151,14 @@ def _clocks(figures: dict[str, Any]) -> Iterator[Row]:
         "lockstep": figures["lockstep"]["three_axis"]["real_time_factor"],
         "offline": figures["offline"]["three_axis"],
     }
-    for clock, wanted in FASTER.items():
-        got = reached[clock]
-        what = f"three_axis, {clock.replace('lockstep', 'lock-step')}: real-time factor"
-        yield what, f"at least {wanted:g}", f"{got:.1f}", got >= wanted
-    for scene, wanted in FROM_TABLE.items():
-        got = figures["table"][scene]["factor"]
-        what = f"{scene}, servo in C, targets from a table: real-time factor"
-        yield what, f"at least {wanted:g}", f"{got:.0f}", got >= wanted
+    for clock, minimum in FASTER.items():
+        rate = reached[clock]
+        quantity = f"three_axis, {clock.replace('lockstep', 'lock-step')}: real-time factor"
+        yield quantity, f"at least {minimum:g}", f"{rate:.1f}", rate >= minimum
+    for scene, minimum in FROM_TABLE.items():
+        rate = figures["table"][scene]["factor"]
+        quantity = f"{scene}, servo in C, targets from a table: real-time factor"
+        yield quantity, f"at least {minimum:g}", f"{rate:.0f}", rate >= minimum
 
 
 def _first_use(figures: dict[str, Any]) -> Iterator[Row]:

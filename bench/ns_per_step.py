@@ -144,7 +144,7 @@ def report(figures: dict[str, Any]) -> str:
     rows = []
     for name in names:
         times = [Timing(**arm["times"][name]) for arm in arms.values()]
-        cells = (f"{one.median * 1e9:.4g} ± {100 * one.spread:.0f} %" for one in times)
+        cells = (f"{timing.median * 1e9:.4g} ± {100 * timing.spread:.0f} %" for timing in times)
         rows.append((name, *cells))
     for scheme in STEPS:
         if scheme in names:

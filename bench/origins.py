@@ -49,17 +49,19 @@ def origins(file: Path) -> list[Origin]:
     text = file.read_text(encoding="utf-8")
     lines = text.splitlines()
     named = dict(re.findall(r"^# \[(\d+)\] (.*)", text, re.M))
-    found: dict[tuple[int, int], tuple[str, str, float, list[str]]] = {}
+    origin_by_place: dict[tuple[int, int], tuple[str, str, float, list[str]]] = {}
     joints = _entries(yaml.compose(text)).get("joints")
     for joint, node in _entries(joints).items():
         for section in SECTIONS:
             for path, number in _numbers(_entries(node).get(section), section):
                 mark, (at, _, key) = number.start_mark, path.rpartition(".")
                 place = mark.line, mark.column
-                found.setdefault(place, (at, key, float(number.value), []))[3].append(joint)
+                origin_by_place.setdefault(place, (at, key, float(number.value), []))[3].append(
+                    joint
+                )
     return [
         _origin(file, lines[line], line + 1, named, at, key, value, tuple(joints))
-        for (line, _), (at, key, value, joints) in sorted(found.items())
+        for (line, _), (at, key, value, joints) in sorted(origin_by_place.items())
     ]
 
 

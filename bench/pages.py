@@ -36,11 +36,11 @@ ANY_BEGIN = re.compile(BEGIN.format(r"(\w+)"))
 
 def tables() -> dict[str, Path]:
     """Return the page of each measured table, by the name of its bench."""
-    found = {}
+    page_by_table = {}
     for page in (ROOT / "README.md", *page_files().values()):
         for name in ANY_BEGIN.findall(page.read_text(encoding="utf-8")):
-            found[name] = page
-    return found
+            page_by_table[name] = page
+    return page_by_table
 
 
 def put(text: str, name: str, table: str) -> str:
@@ -50,7 +50,7 @@ def put(text: str, name: str, table: str) -> str:
         Refusal: the page has no such place.
     """
     place = re.compile(f"({BEGIN.format(name)})(.*?)({END.format(name)})", re.S)
-    changed, count = place.subn(lambda found: f"{found[1]}{table.strip()}\n{found[3]}", text)
+    changed, count = place.subn(lambda match: f"{match[1]}{table.strip()}\n{match[3]}", text)
     if count != 1:
         raise Refusal("pages", f"place of {name}", "stand on one page once", count)
     return changed

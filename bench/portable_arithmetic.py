@@ -24,7 +24,7 @@ PORTABLE, FREE = "portable", "free"
 FLAGS = {
     PORTABLE: of_machines.FLAGS,
     FREE: (
-        *(one for one in of_machines.FLAGS if one != "-ffp-contract=off"),
+        *(flag for flag in of_machines.FLAGS if flag != "-ffp-contract=off"),
         *"-ffp-contract=fast -fassociative-math -freciprocal-math".split(),
     ),
 }

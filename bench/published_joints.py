@@ -169,15 +169,15 @@ class Stand:
         """Return the friction at rest by a slow ramp, until the rotor moves [N m]."""
         self.hold(0.0 if kind == "off" else load)
         by = RAMP * largest * (1.0 if kind == "drives" else -1.0)
-        torque, ramp, held = load, 0.0, 0.0
+        torque, ramp, stiction = load, 0.0, 0.0
         while self.speed == 0.0:
-            held = abs(ramp if kind == "off" else self.torque - load)
+            stiction = abs(ramp if kind == "off" else self.torque - load)
             ramp += by
             if kind == "off":
                 self.advance(0.0, abs(ramp))
             else:
                 self.advance(torque + ramp, load)
-        return held
+        return stiction
 
     def measure_motion(self, kind: str, w: float, load: float) -> float:
         """Return the friction at a constant speed that a servo holds, by what it takes [N m].
@@ -189,7 +189,7 @@ class Stand:
         self.hold(0.0 if off else load)
         goal = w if kind == "drives" else -w
         gain = 2.0 * self.inertia * BANDWIDTH
-        integral, found = 0.0, []
+        integral, torques = 0.0, []
         for k in range(MOVED):
             error = goal - (float(self.plant.state.v[0]) if off else self.speed)
             integral += RESET * PERIOD * error
@@ -199,9 +199,9 @@ class Stand:
             else:
                 self.advance(load + torque, load)
             if k >= MOVED - SEEN:
-                found.append(abs(torque) if off else abs(self.torque - load))
+                torques.append(abs(torque) if off else abs(self.torque - load))
         assert abs(error) < 1e-6 * w, "the speed is constant"
-        return float(np.mean(found))
+        return float(np.mean(torques))
 
     def measure(self, kind: str, w: float, load: float, largest: float) -> float:
         """Return the friction at a speed, or at rest [N m]."""
@@ -214,11 +214,11 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure the friction of all joints."""
     chosen = list(JOINTS)[: 1 if quick else None]
     with tempfile.TemporaryDirectory() as folder, progress("joints", len(chosen)) as done:
-        found = {}
+        joints = {}
         for name in chosen:
-            found[name] = _measure_joint(JOINTS[name], Stand(name, Path(folder)))
+            joints[name] = _measure_joint(JOINTS[name], Stand(name, Path(folder)))
             done(name)
-    return {"joints": found}
+    return {"joints": joints}
 
 
 def _measure_joint(published: Published, stand: Stand) -> list[dict[str, Any]]:
@@ -247,8 +247,8 @@ def report(figures: dict[str, Any]) -> str:
         rows.append((
             f"`{name}`", f"0 to {JOINTS[name].load:g} N m",
             f"{theirs.min():.3g} to {theirs.max():.3g} N m", len(off),
-            *(f"{1e3 * np.abs(one).max():.2g} mN m, {1e3 * np.sqrt(np.mean(one**2)):.2g} mN m"
-              for one in (rest_off, off[len(rest_off):])),
+            *(f"{1e3 * np.abs(row).max():.2g} mN m, {1e3 * np.sqrt(np.mean(row**2)):.2g} mN m"
+              for row in (rest_off, off[len(rest_off):])),
             f"{100 * np.abs(off / theirs).max():.2g} %",
         ))  # fmt: skip
     heads = ("joint", "load", "friction", "points", "at rest: largest, rms error",

@@ -118,7 +118,7 @@ def _respond(linear: LinearMachine, frequencies: Array) -> Array:
 
 def _find_peaks(response: Array, sign: float) -> list[float]:
     peaks, _ = signal.find_peaks(sign * np.log(np.abs(response)), prominence=0.1)
-    return [float(one) for one in FREQUENCIES[peaks]]
+    return [float(frequency) for frequency in FREQUENCIES[peaks]]
 
 
 def _read_run(name: str) -> Any:
@@ -151,7 +151,7 @@ def report(figures: dict[str, Any]) -> str:
     kr300 = figures["kr300"]
 
     def show(values: list[float]) -> str:
-        return ", ".join(f"{one:.2f}" for one in values) + " Hz"
+        return ", ".join(f"{value:.2f}" for value in values) + " Hz"
 
     rows: list[tuple[str, ...]] = []
     for name, abb in figures["abb"].items():

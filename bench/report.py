@@ -77,8 +77,8 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
         Refusal: a section that does not exist, or publishing a trial or what is in no report.
     """
     if publish is not None and (quick or not set(only) <= set(SECTIONS)):
-        got = "--quick" if quick else ", ".join(only)
-        raise Refusal("bench", "--publish", "come with sections of the report", got)
+        value = "--quick" if quick else ", ".join(only)
+        raise Refusal("bench", "--publish", "come with sections of the report", value)
     for name in only:
         if name not in SECTIONS + BY_NAME:
             raise Refusal("bench", "section", "be known", name, ", ".join(SECTIONS + BY_NAME))
@@ -109,9 +109,11 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
         figures = _renewed(_read_figures(publish), figures)
         _write_figures(figures, out)
     write_report(figures, out)
-    for what, wanted, reached, met in must_show(figures["sections"]):
+    for quantity, required, reached, met in must_show(figures["sections"]):
         colour = {True: "green", False: "red", None: "dim"}[met]
-        console.print(f"[{colour}]{_verdict(met):>12}[/{colour}]  {what}: {reached} ({wanted})")
+        console.print(
+            f"[{colour}]{_verdict(met):>12}[/{colour}]  {quantity}: {reached} ({required})"
+        )
     minutes = (time.monotonic() - began) / 60.0
     console.print(f"{minutes:.1f} min; look at {out / 'report.md'}")
     for name, reason in figures["failed"].items():
@@ -161,13 +163,13 @@ def _read_figures(folder: Path) -> dict[str, Any]:
 
 def _renewed(published: dict[str, Any], measured: dict[str, Any]) -> dict[str, Any]:
     """Return a published report's figures with the sections that were measured anew."""
-    anew = {"date": measured["date"], "machine": measured["machine"]}
+    renewal = {"date": measured["date"], "machine": measured["machine"]}
     sections = published["sections"] | measured["sections"]
     return published | {
         "seconds": published["seconds"] | measured["seconds"],
         "sections": {name: sections[name] for name in SECTIONS if name in sections},
         "failed": measured["failed"],
-        "anew": published.get("anew", {}) | dict.fromkeys(measured["sections"], anew),
+        "anew": published.get("anew", {}) | dict.fromkeys(measured["sections"], renewal),
     }
 
 
@@ -175,9 +177,9 @@ def _heading(figures: dict[str, Any]) -> list[str]:
     m = figures["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
     minutes = sum(figures["seconds"].values()) / 60.0
-    what = "A quick trial, not a measurement" if figures["quick"] else "One run of `make bench`"
+    title = "A quick trial, not a measurement" if figures["quick"] else "One run of `make bench`"
     lines = [
-        f"{what} on {figures['date']}, {minutes:.1f} min. {m['processor']}, {m['cores']} cores, "
+        f"{title} on {figures['date']}, {minutes:.1f} min. {m['processor']}, {m['cores']} cores, "
         f"{m['system']}; {m['compiler']}; Python {m['python']}, {versions}. Load average at the "
         f"beginning: {m['load_at_start']:.1f}. All figures are in figures.json.",
     ]

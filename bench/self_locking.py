@@ -244,25 +244,25 @@ def run(quick: bool) -> dict[str, Any]:
     return {"peers": rows}
 
 
-def _measure(peer: Peer, held: float) -> dict[str, Any]:
+def _measure(peer: Peer, zoh_torque: float) -> dict[str, Any]:
     masses = [share * TUNED for share in LOADS]
-    ways = {"up": STOPPED, "down": -STOPPED}
+    directions = {"up": STOPPED, "down": -STOPPED}
     return {
-        "sunk": [_creep(peer, Hoist(mass), held) for mass in masses],
+        "sunk": [_creep(peer, Hoist(mass), zoh_torque) for mass in masses],
         "force": {
-            way: [_keep_speed(peer, Hoist(mass, speed=0.5 * speed)) for mass in masses]
-            for way, speed in ways.items()
+            direction: [_keep_speed(peer, Hoist(mass, speed=0.5 * speed)) for mass in masses]
+            for direction, speed in directions.items()
         },
         "stop": {
-            way: [_stop(peer, Hoist(mass, speed=speed)) for mass in masses]
-            for way, speed in ways.items()
+            direction: [_stop(peer, Hoist(mass, speed=speed)) for mass in masses]
+            for direction, speed in directions.items()
         },
     }
 
 
-def _creep(peer: Peer, hoist: Hoist, held: float) -> float:
+def _creep(peer: Peer, hoist: Hoist, zoh_torque: float) -> float:
     """Return how fast a load sinks that was at rest [m/min], over the second half of the time."""
-    q, _ = peer(hoist, held)
+    q, _ = peer(hoist, zoh_torque)
     half = len(q) // 2
     return float(q[half - 1] - q[-1]) / (SAMPLE * (len(q) - half)) * 60.0
 
@@ -274,8 +274,8 @@ def _keep_speed(peer: Peer, hoist: Hoist) -> float:
         return float(peer(Hoist(hoist.mass, force, hoist.speed), 0.1)[1][-1]) - hoist.speed
 
     needed, beyond = predict_force(hoist), 4.0 * TUNED * G
-    found = brentq(rise, needed - beyond, needed + beyond, xtol=1e-4 * hoist.weight)
-    return float(found) / needed
+    torque = brentq(rise, needed - beyond, needed + beyond, xtol=1e-4 * hoist.weight)
+    return float(torque) / needed
 
 
 def _stop(peer: Peer, hoist: Hoist) -> float | None:
@@ -286,8 +286,8 @@ def _stop(peer: Peer, hoist: Hoist) -> float | None:
     q, v = peer(hoist, 1.0)
     if abs(v[-1]) > 0.1 * STOPPED:
         return None
-    way = predict_stop(hoist)
-    return float(q[-1] - v[-1] * (1.0 - 2.0 * way / hoist.speed)) / way
+    distance = predict_stop(hoist)
+    return float(q[-1] - v[-1] * (1.0 - 2.0 * distance / hoist.speed)) / distance
 
 
 def report(figures: dict[str, Any]) -> str:
@@ -298,20 +298,24 @@ def report(figures: dict[str, Any]) -> str:
         return "does not stop" if value is None else f"{value:.4f}"
 
     holding = [
-        (row["name"], *("0" if one == 0.0 else f"{one:.1e}" for one in row["sunk"]))
+        (row["name"], *("0" if value == 0.0 else f"{value:.1e}" for value in row["sunk"]))
         for row in figures["peers"]
     ]
     driving, stopping = (
         [
             (
                 row["name"],
-                *(stated(row[key][way][k]) for way in ("up", "down") for k in range(len(loads))),
+                *(
+                    stated(row[key][direction][k])
+                    for direction in ("up", "down")
+                    for k in range(len(loads))
+                ),
             )
             for row in figures["peers"]
         ]
         for key in ("force", "stop")
     )
-    heads = [f"{way}, {load}" for way in ("up", "down") for load in loads]
+    heads = [f"{direction}, {load}" for direction in ("up", "down") for load in loads]
     return f"""\
 A worm with a lead of {math.degrees(LEAD):g}° and a friction of {math.degrees(RUB):g}° lifts a load
 with eta1 = {1.0 / (1.0 + LIFTING):.3f} and is not driven back by it (eta2 = {1.0 - LOWERING:.3f}):

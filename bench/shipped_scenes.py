@@ -60,14 +60,16 @@ def _tasks(scene: Scene, stripped: Scene) -> tuple[dict[str, Task], dict[str, in
 
 def _demo_commands(scene: Scene) -> tuple[Array, int]:
     """Return the commands of settling and of the demo's first second (K, N), and the first's K."""
-    one = load_offline_run(scene.name)
-    plan = DemoPlan.load(find_scene(scene.name), one.motion_ticks * one.session.period_ns)
-    R_WT, p_WT = one.controller.kinematics.forward(scene.start)
-    one.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
-    settle, rows = plan.settle_ns // one.session.period_ns, []
+    offline_run = load_offline_run(scene.name)
+    plan = DemoPlan.load(
+        find_scene(scene.name), offline_run.motion_ticks * offline_run.session.period_ns
+    )
+    R_WT, p_WT = offline_run.controller.kinematics.forward(scene.start)
+    offline_run.instructor.add(plan.settle_ns, Pose(p_WT + plan.displacement, R_WT))
+    settle, rows = plan.settle_ns // offline_run.session.period_ns, []
     for _ in range(settle + round(1.0 / scene.servo_period)):
-        one.advance(1)
-        rows.append(one.session.measured.applied)
+        offline_run.advance(1)
+        rows.append(offline_run.session.measured.applied)
     return np.array(rows), settle
 
 

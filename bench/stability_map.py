@@ -194,9 +194,13 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         panel.set_title(name, fontsize=11)
     for row, axis in zip(panels, axes.values(), strict=True):
         for panel, name in zip(row, names, strict=True):
-            shown = _shown(axis["cells"][name], axis["errors"][name])
+            levels = _shown(axis["cells"][name], axis["errors"][name])
             image = panel.pcolormesh(
-                _borders(axis["values"]), _borders(figures["steps"]), shown, cmap=colours, norm=norm
+                _borders(axis["values"]),
+                _borders(figures["steps"]),
+                levels,
+                cmap=colours,
+                norm=norm,
             )
             panel.set_xscale("log")
             panel.set_yscale("log")
@@ -217,16 +221,16 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
 
 def _shown(cells: list[list[int]], errors: list[list[float | None]]) -> Array:
     """Return (steps, values): the error's decade, or where divergence lies on the colour scale."""
-    shown = np.empty((len(cells[0]), len(cells)))
+    levels = np.empty((len(cells[0]), len(cells)))
     for i, (column, column_errors) in enumerate(zip(cells, errors, strict=True)):
         for j, (cell, error) in enumerate(zip(column, column_errors, strict=True)):
             if cell == DETECTED_CELL:
-                shown[j, i] = 1.5
+                levels[j, i] = 1.5
             elif cell == LOST_CELL or error is None:
-                shown[j, i] = 2.5
+                levels[j, i] = 2.5
             else:
-                shown[j, i] = np.clip(np.log10(max(error, 1e-12)), -9.9, 0.9)
-    return shown
+                levels[j, i] = np.clip(np.log10(max(error, 1e-12)), -9.9, 0.9)
+    return levels
 
 
 def _borders(centres: Sequence[float]) -> Array:

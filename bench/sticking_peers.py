@@ -251,5 +251,5 @@ def predict_stick_slip(bar: Bar) -> tuple[float, float]:
     assert bar.pull is not None
     K, speed = bar.pull
     omega, A = math.sqrt(K / bar.inertia), (bar.breakaway - 1.0) * bar.friction / K
-    slips = 2.0 * (math.pi - math.atan(A * omega / speed)) / omega
-    return slips + 2.0 * A / speed, 2.0 * math.hypot(A, speed / omega)
+    slip_time = 2.0 * (math.pi - math.atan(A * omega / speed)) / omega
+    return slip_time + 2.0 * A / speed, 2.0 * math.hypot(A, speed / omega)

@@ -75,31 +75,31 @@ def drive(
         path_blend=0.03 * (kind == "corners"),
         tool_path_tolerance=0.0,
     )
-    one = OfflineRun(scene, gains.servo, motion)
-    kinematics, session = one.controller.kinematics, one.session
+    offline_run = OfflineRun(scene, gains.servo, motion)
+    kinematics, session = offline_run.controller.kinematics, offline_run.session
     R_WT, p_WT = kinematics.forward(scene.start)
-    way = [Pose(p, R_WT) for p in poses(kind, Pose(p_WT, R_WT))]
+    path = [Pose(p, R_WT) for p in poses(kind, Pose(p_WT, R_WT))]
     settle = round(2.0 / scene.servo_period)
     if comes_from is not None:
-        one.instructor.add(0, Pose(way[0].p_WT + np.array(comes_from), R_WT))
-        one.advance(settle)
-    one.instructor.add_path(one.controller, way[:1])
-    one.advance(settle)
-    one.instructor.reports.take()
-    one.instructor.add_path(one.controller, way)
-    t, tool, joints, asked = [], [], [], []
+        offline_run.instructor.add(0, Pose(path[0].p_WT + np.array(comes_from), R_WT))
+        offline_run.advance(settle)
+    offline_run.instructor.add_path(offline_run.controller, path[:1])
+    offline_run.advance(settle)
+    offline_run.instructor.reports.take()
+    offline_run.instructor.add_path(offline_run.controller, path)
+    t, tool, joints, targets = [], [], [], []
     end, reason, after = "", "", 0
     while session.logical_ns * 1e-9 < LONGEST and after < 100:
-        one.advance(EVERY)
+        offline_run.advance(EVERY)
         q = session.state.q
         t.append(session.logical_ns * 1e-9)
         tool.append(kinematics.forward(q)[1])
         joints.append(np.abs(session.state.v) / kinematics.velocity_limit)
-        asked.append(kinematics.forward(one.instructor.leading.coming.q)[1])  # type: ignore[union-attr]
-        for report in one.instructor.reports.take():
+        targets.append(kinematics.forward(offline_run.instructor.leading.coming.q)[1])  # type: ignore[union-attr]
+        for report in offline_run.instructor.reports.take():
             end, reason = report.state.name, report.reason or reason
         after += end in ("REACHED", "REFUSED", "ABORTED", "UNREACHABLE")
-    line = np.array(asked)
+    line = np.array(targets)
     off = np.array([measure_distances(p[None], line[:-1], line[1:]).min() for p in np.array(tool)])
     return Run(np.array(t) - t[0], np.array(tool), off, np.array(joints), end, reason)
 
@@ -110,17 +110,17 @@ def run(quick: bool) -> dict[str, Any]:
     rows = []
     with progress("paths", len(cases[:: 4 if quick else 1])) as done:
         for scene, kind, speed in cases[:: 4 if quick else 1]:
-            one = drive(scene, kind, speed)
+            followed = drive(scene, kind, speed)
             rows.append(
                 {
                     "scene": scene,
                     "kind": kind,
                     "speed": speed,
-                    "end": one.end,
-                    "reason": one.reason,
-                    "off": float(one.off.max()),
-                    "joints": float(one.joints.max()),
-                    "seconds": float(one.t[-1]),
+                    "end": followed.end,
+                    "reason": followed.reason,
+                    "off": float(followed.off.max()),
+                    "joints": float(followed.joints.max()),
+                    "seconds": float(followed.t[-1]),
                 }
             )
             done(f"{scene}, {kind}, {speed:g} m/s")
@@ -149,21 +149,21 @@ def picture(folder: Path) -> Path:
     figure = new_figure(9.0, 7.0)
     axes = figure.subplots(3, len(KINDS))
     for column, kind in enumerate(KINDS):
-        one = drive("ur5", kind, SPEEDS[-1])
-        way, speeds, off = axes[:, column]
+        followed = drive("ur5", kind, SPEEDS[-1])
+        path_axes, speeds, off = axes[:, column]
         side = 2 if kind == "corners" else 0
-        way.plot(one.tool[:, 1], one.tool[:, side], lw=1.0)
-        way.set_title(f"{kind}, {SPEEDS[-1]:g} m/s")
-        way.set_xlabel("y [m]")
-        way.set_ylabel("z [m]" if side else "x [m]")
-        way.axis("equal")
-        speeds.plot(one.t, one.joints, lw=0.8)
+        path_axes.plot(followed.tool[:, 1], followed.tool[:, side], lw=1.0)
+        path_axes.set_title(f"{kind}, {SPEEDS[-1]:g} m/s")
+        path_axes.set_xlabel("y [m]")
+        path_axes.set_ylabel("z [m]" if side else "x [m]")
+        path_axes.axis("equal")
+        speeds.plot(followed.t, followed.joints, lw=0.8)
         speeds.axhline(1.0, color="k", lw=0.8)
         speeds.set_ylabel("link speed / limit")
-        off.plot(one.t, one.off * 1e3, lw=0.8)
+        off.plot(followed.t, followed.off * 1e3, lw=0.8)
         off.set_ylabel("beside the path [mm]")
         off.set_xlabel("t [s]")
-    joints = [f"joint {k}" for k in range(1, one.joints.shape[1] + 1)]
+    joints = [f"joint {k}" for k in range(1, followed.joints.shape[1] + 1)]
     axes[1, -1].legend(joints, fontsize=6, ncols=2, loc="upper right", bbox_to_anchor=(1.0, 0.97))
     file = folder / "tool_paths.png"
     figure.savefig(file, dpi=110)

@@ -56,13 +56,13 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
         for scene in chosen:
             for stiff in (1.0, STIFF):
                 arm = _ArmAtLine(scene, stiff)
-                for given in ("torque", "full"):
+                for kind_of in ("torque", "full"):
                     for kind in KINDS:
-                        row = arm.follow(given, kind)
+                        row = arm.follow(kind_of, kind)
                         if kind != "none":
-                            wrong = [arm.follow(given, kind, factor) for factor in WRONG]
-                            row["wrong"] = [one["swing"] for one in wrong]
-                        if given == "torque" and stiff == STIFF:
+                            wrong = [arm.follow(kind_of, kind, factor) for factor in WRONG]
+                            row["wrong"] = [wrong_row["swing"] for wrong_row in wrong]
+                        if kind_of == "torque" and stiff == STIFF:
                             curves[f"{arm.name}, {kind}"] = row["curve"]
                         rows.append({key: row[key] for key in row if key != "curve"})
                 done(f"{arm.name}, {stiff:g}")
@@ -88,12 +88,12 @@ class _ArmAtLine:
             for joint in self.gains.servo.joints
         )
         self.servo: ServoConfig = dataclasses.replace(self.gains.servo, joints=joints)
-        found = find_vibration_modes(Plant(self.scene), self.servo, self.scene.start)
-        self.modes = [ShapedMode(one.frequency, one.damping) for one in found[:SHAPED]]
+        vibration_modes = find_vibration_modes(Plant(self.scene), self.servo, self.scene.start)
+        self.modes = [ShapedMode(mode.frequency, mode.damping) for mode in vibration_modes[:SHAPED]]
 
     def follow(self, feedforward: str, kind: str, factor: float = 1.0) -> dict[str, Any]:
         """Measure a line shaped for modes whose frequencies are wrong by a factor."""
-        modes = tuple(ShapedMode(factor * one.frequency, one.damping) for one in self.modes)
+        modes = tuple(ShapedMode(factor * mode.frequency, mode.damping) for mode in self.modes)
         motion: MotionConfig = dataclasses.replace(
             self.gains.motion,
             feedforward=feedforward,
@@ -130,7 +130,7 @@ class _ArmAtLine:
         tool, reference = np.array(places), np.array(tools)
         end = find_reference_end(np.array(targets)) * run.motion_ticks
         after = tool[end : end + round(WATCHED / period)]
-        found = measure_vibration(after, period, BAND)
+        vibration = measure_vibration(after, period, BAND)
         unshaped = end * period - delay
         speed = np.linalg.norm(np.diff(reference, axis=0), axis=1).max() / motion.period
         beside = reference - np.outer(reference @ along, along)
@@ -142,11 +142,11 @@ class _ArmAtLine:
             "stiff": self.stiff,
             "feedforward": feedforward,
             "kind": kind,
-            "modes": [(one.frequency, one.damping) for one in self.modes],
+            "modes": [(mode.frequency, mode.damping) for mode in self.modes],
             "speed": float(speed),
             "delay": delay,
             "beside": float(np.linalg.norm(beside, axis=1).max()),
-            **dataclasses.asdict(found),
+            **dataclasses.asdict(vibration),
             "curve": {"t": t.tolist(), "off": off[:, 2].tolist()},
         }
 
@@ -174,7 +174,7 @@ def report(figures: dict[str, Any]) -> str:
     rows = []
     for row in figures["rows"]:
         modes = ", ".join(f"{f:.1f} Hz ({damping:.2f})" for f, damping in row["modes"])
-        wrong = " ".join(f"{1e3 * one:.3f}" for one in row.get("wrong", ()))
+        wrong = " ".join(f"{1e3 * swing:.3f}" for swing in row.get("wrong", ()))
         rows.append((
             row["scene"], f"x {row['stiff']:g}", modes, row["feedforward"], row["kind"],
             f"{row['speed']:.2f} m/s", f"{1e3 * row['delay']:.0f} ms",
@@ -197,8 +197,8 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
             axes.plot(curve["t"], [1e3 * off for off in curve["off"]], label=kind)
         axes.set(xlabel="t after the unshaped reference [s]", title=f"{name}, firm drives")
         axes.set_xlim(-0.1, 0.5)
-        most = 1.2 * max(abs(off) for off in curves[0]["off"][-480:])
-        axes.set_ylim(-1e3 * most, 1e3 * most)
+        limit = 1.2 * max(abs(off) for off in curves[0]["off"][-480:])
+        axes.set_ylim(-1e3 * limit, 1e3 * limit)
         axes.grid(alpha=0.3)
     figure.axes[0].set_ylabel("height of the tool above its rest [mm]")
     figure.axes[0].legend(title="shaper")

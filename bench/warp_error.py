@@ -92,7 +92,7 @@ def report(figures: dict[str, Any]) -> str:
     """Return the section in Markdown."""
     heads = [f"{SERVO_PERIOD / count * 1e3:g} ms" for count in figures["steps"]]
     rows = [
-        (name, series, *("diverged" if one is None else f"{one:.1e}" for one in errors))
+        (name, series, *("diverged" if error is None else f"{error:.1e}" for error in errors))
         for name, of_arm in figures["arms"].items()
         for series, errors in of_arm.items()
     ]

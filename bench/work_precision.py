@@ -165,21 +165,24 @@ def _measure(
                 arm = MujocoArm(scene, integrator, dt)
                 series.append(_Series(f"MuJoCo {integrator}", dt, about, arm))
 
-    tasks = {f"{one.name}, {one.dt:g} s": one.task(voltages, case.period) for one in series}
+    tasks = {
+        f"{peer_series.name}, {peer_series.dt:g} s": peer_series.task(voltages, case.period)
+        for peer_series in series
+    }
     with progress("work and precision", len(tasks) * INPUTS) as done:
         timings = interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
     points: dict[str, list[dict[str, Any]]] = {}
-    for one in series:
+    for series_of in series:
         errors = [
-            None if (end := one.ends[k]) is None else float(np.abs(end - truth).max())
+            None if (end := series_of.ends[k]) is None else float(np.abs(end - truth).max())
             for k, truth in enumerate(truths)
         ]
-        points.setdefault(one.name, []).append(
+        points.setdefault(series_of.name, []).append(
             {
-                "dt": one.dt,
+                "dt": series_of.dt,
                 "error": _rms(errors),
                 "errors": errors,
-                "time": asdict(timings[f"{one.name}, {one.dt:g} s"]),
+                "time": asdict(timings[f"{series_of.name}, {series_of.dt:g} s"]),
             }
         )
     if not quick:

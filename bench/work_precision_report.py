@@ -87,8 +87,8 @@ def report(figures: dict[str, Any]) -> str:
     pictures = [("work_precision", "the robots")]
     if any(key not in ("three_axis", "ur5", "panda") for key in figures):
         pictures.append(("work_precision_more", "other cases"))
-    for name, what in pictures:
-        lines += ["", f"![Error against wall time, {what}]({name}.png)"]
+    for name, title in pictures:
+        lines += ["", f"![Error against wall time, {title}]({name}.png)"]
     lines += ["", "<details><summary>Error and time at each step size</summary>", ""]
     for case in figures.values():
         lines += _table(case)
@@ -106,8 +106,8 @@ def _cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
     cells = [_best(at[key]) for key in ("ours", "ours_from_python", "mujoco", "scipy")]
     called = at["ours_from_python"]
     for ours in (at["ours"], called):
-        known = ours and at["mujoco"] and case["agreement"]["agree"]
-        cells.append(f"{at['mujoco']['time'] / ours['time']:.3g}" if known else "-")
+        comparable = ours and at["mujoco"] and case["agreement"]["agree"]
+        cells.append(f"{at['mujoco']['time'] / ours['time']:.3g}" if comparable else "-")
     return cells
 
 
@@ -115,8 +115,8 @@ def _best(best: dict[str, Any] | None) -> str:
     if best is None:
         return "not reached"
     name = best["name"].removeprefix("MuJoCo ").removeprefix("Pinocchio + SciPy ")
-    shown = "" if name == FROM_PYTHON else f" ({name})"
-    return f"{_milliseconds(best['time'])}{shown}"
+    method_text = "" if name == FROM_PYTHON else f" ({name})"
+    return f"{_milliseconds(best['time'])}{method_text}"
 
 
 def _milliseconds(seconds: float) -> str:
@@ -160,8 +160,8 @@ def _table(case: dict[str, Any]) -> list[str]:
     ]
     for name, points in case["series"].items():
         if "rtol" in points[0]:
-            shown = "; ".join(f"rtol {p['rtol']:g}: {_point(p)}" for p in points)
-            lines += ["", f"{name}: {shown}."]
+            points_text = "; ".join(f"rtol {p['rtol']:g}: {_point(p)}" for p in points)
+            lines += ["", f"{name}: {points_text}."]
     return [*lines, ""]
 
 
@@ -171,5 +171,5 @@ def _point(point: dict[str, Any] | None) -> str:
     if point["error"] is None:
         return "diverged"
     time = Timing(**point["time"])
-    spread = f" ± {100 * time.spread:.0f} %" if time.repetitions > 1 else ""
-    return f"{point['error']:.1e}, {_milliseconds(time.median)}{spread}"
+    percent = f" ± {100 * time.spread:.0f} %" if time.repetitions > 1 else ""
+    return f"{point['error']:.1e}, {_milliseconds(time.median)}{percent}"

@@ -27,8 +27,8 @@ class Mppi:
         self.periods = round(DECISION / self.fleet.scene.servo_period)
         noise = self.random.normal(0.0, SPREAD, (HORIZON // HELD, rollouts, len(target)))
         plan = np.zeros((HORIZON, len(target)))
-        given = self.fleet.scene.largest_commands, target, noise, plan
-        self.most, self.target, self.noise, self.plan = map(self._put, given)
+        values = self.fleet.scene.largest_commands, target, noise, plan
+        self.most, self.target, self.noise, self.plan = map(self._put, values)
 
     def _put(self, values):
         return self.xp.from_dlpack(self.fleet.to_device(values))

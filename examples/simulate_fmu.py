@@ -18,7 +18,7 @@ if len(sys.argv) != 2 or not sys.argv[1].endswith(".fmu"):
     sys.exit("simulate_fmu: one FMU must be named, such as arm.fmu")
 folder = extract(sys.argv[1])
 description = read_model_description(folder)
-reference = {one.name: one.valueReference for one in description.modelVariables}
+reference = {variable.name: variable.valueReference for variable in description.modelVariables}
 arm = FMU3Slave(
     guid=description.guid,
     unzipDirectory=folder,

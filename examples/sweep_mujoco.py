@@ -16,10 +16,10 @@ PULSE[:500, 1:] = [6.0, 4.0]
 
 def sweep(model, friction, mass):
     models = [copy.copy(model) for _ in mass]
-    for one, viscous, load in zip(models, friction, mass):
-        one.dof_damping[one.joint("elbow").dofadr] = viscous
-        one.body_mass[one.body("payload").id] = load
-        mujoco.mj_setConst(one, mujoco.MjData(one))
+    for mujoco_model, viscous, load in zip(models, friction, mass):
+        mujoco_model.dof_damping[mujoco_model.joint("elbow").dofadr] = viscous
+        mujoco_model.body_mass[mujoco_model.body("payload").id] = load
+        mujoco.mj_setConst(mujoco_model, mujoco.MjData(mujoco_model))
     data = mujoco.MjData(model)
     data.qpos[:] = np.concatenate([START / RATIO, START])
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
@@ -28,8 +28,8 @@ def sweep(model, friction, mass):
     threads = [mujoco.MjData(model) for _ in os.sched_getaffinity(0)]
     states, q = np.tile(state, (len(mass), 1)), np.empty((len(PULSE), len(mass), 3))
     for row in range(0, len(PULSE), 50):  # it keeps the states of all steps
-        held = np.repeat(PULSE[row : row + 50], steps, axis=0)
-        control = np.tile(held, (len(mass), 1, 1))
+        zoh = np.repeat(PULSE[row : row + 50], steps, axis=0)
+        control = np.tile(zoh, (len(mass), 1, 1))
         after, _ = rollout.rollout(models, threads, states, control)
         states = after[:, -1]
         q[row : row + 50] = after[:, steps - 1 :: steps, 4:7].swapaxes(0, 1)

@@ -44,7 +44,9 @@ class Search:
         xp, N, total, (observed, _) = self.xp, self.N, 0.0, self.env.reset(seed=seed)
         before = observed
         for _ in range(self.steps):
-            now, last = (xp.asarray(seen, dtype=xp.float64) for seen in (observed, before))
+            now, last = (
+                xp.asarray(observation, dtype=xp.float64) for observation in (observed, before)
+            )
             q, error, moved = now[:, :N], now[:, N:] - now[:, :N], now[:, :N] - last[:, :N]
             speed = SPEED / self.action_time * moved  # encoders measure none
             features = xp.concatenate([error, speed, xp.sin(q), xp.cos(q)], axis=1)

@@ -42,10 +42,10 @@ class ReachEnv(gym.vector.VectorEnv):
         states, _ = self.pool.rollout(self.model, self.data, self.state, control)
         self.state = states[:, -1]
         reward = -np.abs(self.state[:, 4:7] - self.target).sum(axis=1)  # judged by the truth
-        seen, reward = self._begin(self.ended), np.where(self.ended, 0.0, reward)
+        observation, reward = self._begin(self.ended), np.where(self.ended, 0.0, reward)
         fallen, over = ~np.isfinite(self.state).all(axis=1), self.age >= self.last
         self.ended = fallen | over
-        return seen, reward, fallen, over, {}
+        return observation, reward, fallen, over, {}
 
     def _begin(self, arms):
         at = START + self.np_random.uniform(-0.5, 0.5, (2, self.num_envs, 3))

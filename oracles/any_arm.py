@@ -104,12 +104,12 @@ class Outcome:
 
     def of(self, distance: str) -> list[Move]:
         """Return the moves of one distance."""
-        return [one for one in self.moves if one.distance == distance]
+        return [tool_move for tool_move in self.moves if tool_move.distance == distance]
 
     @property
     def arrived(self) -> list[Move]:
         """The moves that arrived."""
-        return [one for one in self.moves if not one.words]
+        return [tool_move for tool_move in self.moves if not tool_move.words]
 
 
 def arms() -> dict[str, Path | str]:
@@ -209,13 +209,13 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Mo
     ticks = max(1, round(SAMPLE / scene.servo_period))
     sample = ticks * scene.servo_period
     look, rested = max(1, round(LOOK / sample)), 0
-    way, speeds, torques = list[Array](), list[Array](), list[Array]()
+    tool_path, speeds, torques = list[Array](), list[Array](), list[Array]()
     words, seconds = "", PATIENCE
     try:
         run.advance(round(settle_ns * 1e-9 / scene.servo_period))
         for step in range(round(PATIENCE / sample) + 1):
             state = run.session.state
-            way.append(kinematics.forward(state.q)[1])
+            tool_path.append(kinematics.forward(state.q)[1])
             speeds.append(state.v.copy())
             torques.append(state.gear_torque.copy())
             if step and step % look == 0:
@@ -234,13 +234,13 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Mo
     except (Diverged, Refusal) as fault:
         words = str(fault).splitlines()[0]
     reasons = [r.reason for r in run.instructor.reports.waiting if r.state is State.MOVING]
-    one = Move(distance, 0.0, words, seconds, way="; ".join(reasons))
-    one.peak_speed = _most(np.array(speeds), kinematics.velocity_limit)
+    tool_move = Move(distance, 0.0, words, seconds, way="; ".join(reasons))
+    tool_move.peak_speed = _most(np.array(speeds), kinematics.velocity_limit)
     accelerations = np.diff(speeds, axis=0) / sample
-    one.peak_acceleration = _most(accelerations, kinematics.acceleration_limit)
-    one.peak_torque = _most(np.array(torques), kinematics.effort_limit)
-    one.length, one.past, one.aside = along_its_line(np.array(way))
-    return one
+    tool_move.peak_acceleration = _most(accelerations, kinematics.acceleration_limit)
+    tool_move.peak_torque = _most(np.array(torques), kinematics.effort_limit)
+    tool_move.length, tool_move.past, tool_move.aside = along_its_line(np.array(tool_path))
+    return tool_move
 
 
 def _most(rows: Array, limits: Array) -> float:
@@ -248,12 +248,12 @@ def _most(rows: Array, limits: Array) -> float:
     return float((np.abs(rows) / limits).max(initial=0.0))
 
 
-def along_its_line(way: Array) -> tuple[float, float, float]:
+def along_its_line(tool_path: Array) -> tuple[float, float, float]:
     """Return length of the line from a way's first to its last point, how far the way goes past its
     end, and how far aside of it, for points (K, 3) [m].
     """
-    line = way[-1] - way[0]
+    line = tool_path[-1] - tool_path[0]
     length = float(np.linalg.norm(line))
-    along = (way - way[0]) @ line / max(length, 1e-12)
-    aside = way - way[0] - np.outer(along, line / max(length, 1e-12))
+    along = (tool_path - tool_path[0]) @ line / max(length, 1e-12)
+    aside = tool_path - tool_path[0] - np.outer(along, line / max(length, 1e-12))
     return length, float(along.max() - length), float(np.linalg.norm(aside, axis=1).max())

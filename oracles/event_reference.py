@@ -206,14 +206,14 @@ def reference_with_events(
                 break
             events += 1
             freed = None
-            for (what, j, _), times in zip(margins, solution.t_events, strict=True):
+            for (event, j, _), times in zip(margins, solution.t_events, strict=True):
                 if not len(times):
                     continue
-                if what == "rest":
+                if event == "rest":
                     x[4, j] = 0.0
-                elif what == "away":
+                elif event == "away":
                     freed = j
-                elif what == "limit":
+                elif event == "limit":
                     machine.meet_limit(j, x, V)
                 else:
                     machine.side[j] = 0.0

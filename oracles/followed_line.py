@@ -94,13 +94,13 @@ class Followed:
 
 
 def follow(
-    scene_name: str, known: Known, line: Line | None = None, *, practised: bool = False
+    scene_name: str, assumed: Known, line: Line | None = None, *, practised: bool = False
 ) -> Followed:
     """Send a scene's tool along a line; where the scene starts the line begins.
 
     Args:
         scene_name: the machine.
-        known: numbers that servo and motion controller assume.
+        assumed: numbers that servo and motion controller assume.
         line: of the tool.
         practised: whether the tool goes there and back first, from which the servo learns.
     """
@@ -109,14 +109,14 @@ def follow(
     scene, gains = load_scene(file), load_gains(file)
     motion = dataclasses.replace(
         gains.motion,
-        feedforward=known.feedforward,
+        feedforward=assumed.feedforward,
         drives={
             name: dataclasses.replace(
                 drive,
-                stiffness=known.stiffness * drive.stiffness,
-                cubic_stiffness=known.stiffness * drive.cubic_stiffness,
-                viscous=known.friction * drive.viscous,
-                coulomb=known.friction * drive.coulomb,
+                stiffness=assumed.stiffness * drive.stiffness,
+                cubic_stiffness=assumed.stiffness * drive.cubic_stiffness,
+                viscous=assumed.friction * drive.viscous,
+                coulomb=assumed.friction * drive.coulomb,
             )
             for name, drive in known_drives(scene.joints).items()
         },
@@ -126,12 +126,12 @@ def follow(
         tool_jerk=line.jerk,
     )
     joints = tuple(
-        dataclasses.replace(joint, rotor_inertia=known.inertia * joint.rotor_inertia)
+        dataclasses.replace(joint, rotor_inertia=assumed.inertia * joint.rotor_inertia)
         for joint in gains.servo.joints
     )
     run = OfflineRun(scene, dataclasses.replace(gains.servo, joints=joints), motion)
     names = run.controller.kinematics.joint_names
-    run.controller = make_controller(_scaled(scene.urdf, known.inertia), names, motion)
+    run.controller = make_controller(_scaled(scene.urdf, assumed.inertia), names, motion)
     kinematics, along = run.controller.kinematics, np.array(line.along)
     run.advance(round(SETTLE / scene.servo_period))
     R_WT, start = kinematics.forward(_reference(run))

@@ -76,9 +76,13 @@ def any_of(rng: Rng, kinds: Sequence[Kind]) -> Kind:
 def drawn_motor(rng: Rng, kind: type[Motor]) -> Numbers:
     """Return the scene's section of a motor without its rotor, half of them in a loop."""
     motor = {"kind": kind.kind, **draw_part(kind, rng)}
-    for one in DECORATORS:
-        if one.inputs and fits(one, motor | {"rotor_inertia": 1e-4}) and rng.random() < 0.5:
-            motor[key_of(one)] = draw_part(one, rng)
+    for decorator in DECORATORS:
+        if (
+            decorator.inputs
+            and fits(decorator, motor | {"rotor_inertia": 1e-4})
+            and rng.random() < 0.5
+        ):
+            motor[key_of(decorator)] = draw_part(decorator, rng)
     return motor
 
 

@@ -167,12 +167,12 @@ class Draw:
 def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw:
     """Draw numbers and commands for a machine."""
     rng = np.random.default_rng([seed, 52])
-    varied = {one.name: one for one in scene.varied}
+    varied = {number.name: number for number in scene.varied}
     numbers: dict[str, float] = {}
     off: list[str] = []
     for name, joint in zip(scene.joint_names, joints, strict=True):
         for kind in joint.kinds:
-            drawn, is_off = draw_part(kind, rng), rng.random() < SHARE_OFF
+            own_numbers, is_off = draw_part(kind, rng), rng.random() < SHARE_OFF
             zero = rng.random() < SHARE_ZERO
             if is_off:
                 off.append(f"{name}.{kind.__name__}")
@@ -180,9 +180,9 @@ def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw
                 full = f"joints.{name}.{kind.section}.{key}"
                 if full not in varied:
                     continue
-                one = varied[full]
-                value = drawn.get(key, one.value * float(rng.uniform(0.8, 1.25)))
-                ends = one.number.ends
+                number = varied[full]
+                value = own_numbers.get(key, number.value * float(rng.uniform(0.8, 1.25)))
+                ends = number.number.ends
                 end = next((end for end in OFF if full.endswith(end)), None)
                 may_be_zero = ends[0] <= 0.0 <= ends[1] and key not in NEVER_ZERO
                 if is_off and end is not None:
@@ -195,7 +195,7 @@ def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw
     further = {}
     for name in list_further_inputs(scene):
         at = [find_input(joint, name) for joint in scene.joints]
-        largest = np.array([LARGEST[one.unit] if one else 0.0 for one in at])
+        largest = np.array([LARGEST[output.unit] if output else 0.0 for output in at])
         further[name] = rng.uniform(-1.0, 1.0, (ROWS, 2)) * largest * rng.choice(SIZES)
     powered = np.ones(ROWS, bool)
     if rng.random() < 0.5:
@@ -219,16 +219,18 @@ class Verdict:
     in_order: bool
 
 
-def moved(file: Path, drawn: Draw, steps: int, scheme: str, events: str) -> np.ndarray:
+def moved(file: Path, sample: Draw, steps: int, scheme: str, events: str) -> np.ndarray:
     """Return the positions after each command."""
     integrator = {"dt": PERIOD / steps, "scheme": scheme, "events": events}
-    plant = Plant(load_scene(file, {f"integrator.{key}": one for key, one in integrator.items()}))
-    for name, value in drawn.numbers.items():
+    plant = Plant(
+        load_scene(file, {f"integrator.{key}": value for key, value in integrator.items()})
+    )
+    for name, value in sample.numbers.items():
         plant.set_parameter(name, value)
     q = []
-    for k, row in enumerate(drawn.rows):
-        plant.powered = bool(drawn.powered[k])
-        plant.exchange(row, came=False, **{name: of[k] for name, of in drawn.further.items()})
+    for k, row in enumerate(sample.rows):
+        plant.powered = bool(sample.powered[k])
+        plant.exchange(row, came=False, **{name: of[k] for name, of in sample.further.items()})
         q.append(plant.state.q)
     return np.array(q)
 
@@ -238,13 +240,13 @@ def judge(
 ) -> Verdict:
     """Judge a draw with a scheme, whose events are located if it can."""
     located = scheme in LOCATING_SCHEMES
-    drawn = draw(load_scene(file), joints, 1000 * machine + seed)
+    sample = draw(load_scene(file), joints, 1000 * machine + seed)
     parts = [kind.__name__ for joint in joints for kind in joint.kinds]
 
     @cache
     def run(steps: int, scheme: str = scheme, events: str = "step") -> np.ndarray | None:
         try:
-            return moved(file, drawn, steps, scheme, events)
+            return moved(file, sample, steps, scheme, events)
         except Diverged:
             return None
 
@@ -254,28 +256,28 @@ def judge(
         first, last = differences[0], differences[-1]
         order = math.log2(first / last) / halvings if 0.0 < last <= first < math.inf else 0.0
         in_order = last < RESOLVED or order >= order_needed
-        return Verdict(machine, seed, scheme, located, parts, drawn.off, differences, steps, order,
+        return Verdict(machine, seed, scheme, located, parts, sample.off, differences, steps, order,
                        in_order)  # fmt: skip
 
     if not located:
         finest = COARSE[-1] * FINER
         truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
         coarse = [_apart(run(steps), truth) for steps in COARSE]
-        largest = max((one for one in coarse if one < math.inf), default=math.inf)
+        largest = max((error for error in coarse if error < math.inf), default=math.inf)
         errors = largest, _apart(run(finest), truth)
-        found = verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
-        if found.in_order:
-            return found
+        judged = verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
+        if judged.in_order:
+            return judged
         # Coarse runs that diverge, or whose events lie alike, hide the order of small steps.
         truth = run(2 * STILL_FINER * finest, LOCATING_SCHEMES[0], "located")
         errors = _apart(run(finest), truth), _apart(run(STILL_FINER * finest), truth)
         return verdict(errors, finest, round(math.log2(STILL_FINER)), math.log(FALLS, STILL_FINER))
     for steps, halvings in WINDOWS:
         runs = [run(steps << k, scheme, "located") for k in range(halvings + 2)]
-        found = verdict(tuple(map(_apart, runs, runs[1:])), steps, halvings, ORDER)
-        if found.in_order:
+        judged = verdict(tuple(map(_apart, runs, runs[1:])), steps, halvings, ORDER)
+        if judged.in_order:
             break
-    return found
+    return judged
 
 
 def _apart(first: np.ndarray | None, second: np.ndarray | None) -> float:

@@ -80,17 +80,19 @@ def draw_part(part: type[Part], rng: Rng) -> Numbers:
     raise AssertionError(f"oracles/part_samples.py: {part.__name__} has no usual numbers")
 
 
-def _draw_usual(part: type[Part], usual: dict[str, tuple[float, float]], rng: Rng) -> Numbers:
+def _draw_usual(part: type[Part], typical: dict[str, tuple[float, float]], rng: Rng) -> Numbers:
     """Return the section of a part, with half of what may be absent."""
-    drawn: Numbers = {}
-    for key, one in part.numbers().items():
-        needed = one.default is REQUIRED
-        if not needed and key not in usual:
+    numbers: Numbers = {}
+    for key, number in part.numbers().items():
+        needed = number.default is REQUIRED
+        if not needed and key not in typical:
             continue
-        low, high = usual[key]
+        low, high = typical[key]
         if needed or rng.random() < 0.5:
-            drawn[key] = draw_scaled(rng, low, high) if low > 0.0 else float(rng.uniform(low, high))
-    return drawn
+            numbers[key] = (
+                draw_scaled(rng, low, high) if low > 0.0 else float(rng.uniform(low, high))
+            )
+    return numbers
 
 
 def _draw_current_loop(_: type[Part], rng: Rng) -> Numbers:
@@ -127,8 +129,8 @@ def _draw_brake(_: type[Part], rng: Rng) -> Numbers:
 
 
 def _draw_friction(part: type[Part], rng: Rng) -> Numbers:
-    usual_dry, viscous = (0.01, 1e-5) if issubclass(part, OfRotor) else (0.6, 0.1)
-    dry = usual_dry * draw_scaled(rng, 0.3, 3.0)
+    dry_scale, viscous = (0.01, 1e-5) if issubclass(part, OfRotor) else (0.6, 0.1)
+    dry = dry_scale * draw_scaled(rng, 0.3, 3.0)
     return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": viscous}
 
 
@@ -194,8 +196,13 @@ def _draw_cogging(_: type[Part], rng: Rng) -> Numbers:
 
 
 def _draw_end_stops(_: type[Part], rng: Rng) -> Numbers:
-    way = draw_scaled(rng, 0.02, 0.2)
-    return {"lower": -way, "upper": way, "stiffness": draw_scaled(rng, 1e3, 2e4), "damping": 10.0}
+    scaled = draw_scaled(rng, 0.02, 0.2)
+    return {
+        "lower": -scaled,
+        "upper": scaled,
+        "stiffness": draw_scaled(rng, 1e3, 2e4),
+        "damping": 10.0,
+    }
 
 
 def _draw_torque_table(_: type[Part], rng: Rng) -> Numbers:

@@ -91,12 +91,12 @@ def predicted_residual(
     With eq. (6) no bound exists at a singular pose.
     """
     kinematics, q = controller.kinematics, np.asarray(q, dtype=float)
-    wound = np.zeros_like(q) if wind_up is None else np.asarray(wind_up, dtype=float)
+    deflection = np.zeros_like(q) if wind_up is None else np.asarray(wind_up, dtype=float)
     times = 1.0 / controller.weight if isinstance(controller, JacobianController) else 1.0
     off = np.asarray(count_angle) * (held_within * times + 0.5)
-    second = np.full(kinematics.rows, off.sum() * (0.5 * off.sum() + np.abs(wound).sum()))
+    second = np.full(kinematics.rows, off.sum() * (0.5 * off.sum() + np.abs(deflection).sum()))
     second[:POSITION_ROWS] *= kinematics.reach
-    R_WT, p_WT = kinematics.forward(q + wound)
+    R_WT, p_WT = kinematics.forward(q + deflection)
     return PredictedResidual(
         encoder=np.abs(kinematics.jacobian(q)) @ off + second,
         wind_up=kinematics.tool_error(q, Pose(p_WT, R_WT)),

@@ -130,7 +130,10 @@ def _motor_of(joint: Joint) -> DcMotor | None:
     """Return a joint's motor; refuse parts whose equations are not here."""
     for part in joint.parts:
         if type(part) not in KNOWN:
-            where, kinds = f"joints.{joint.name}.{part.section}", (one.__name__ for one in KNOWN)
+            where, kinds = (
+                f"joints.{joint.name}.{part.section}",
+                (part_kind.__name__ for part_kind in KNOWN),
+            )
             rule = "be a part that the reference knows"
             raise Refusal("reference", where, rule, type(part).__name__, ", ".join(kinds))
     assert joint.motor is None or isinstance(joint.motor, DcMotor)

@@ -114,7 +114,7 @@ class SmoothJoint:
         self.rotor_viscous = joint.rotor_friction.viscous if joint.rotor_friction else 0.0
         self.brake = joint.brake.torque if joint.brake else 0.0
         own = [part for part in joint.extras if isinstance(part, LuGre)]
-        self.bristles = [(Bristles(one), isinstance(one, RotorLuGre)) for one in own]
+        self.bristles = [(Bristles(bristles), isinstance(bristles, RotorLuGre)) for bristles in own]
         self.stops = [part for part in joint.extras if isinstance(part, EndStops)]
         self.elastic = self.motor is not None and not isinstance(self.gear, RigidGear)
         lags = (

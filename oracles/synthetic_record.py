@@ -58,13 +58,13 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
         plant.advance(tau[k], scene.steps_per_period)
     # Half of the command before an instant acts around it.
     applied = 0.5 * (tau + np.vstack([tau[:1], tau[:-1]]))
-    spread = applied.std(axis=0)
+    deviation = applied.std(axis=0)
     return MeasuredRun(
         where=f"record {seed}",
         joints=scene.joint_names,
         t=t,
         q_motor=q + angle_noise * rng.standard_normal(q.shape),
-        tau=applied + torque_noise * spread * rng.standard_normal(q.shape),
+        tau=applied + torque_noise * deviation * rng.standard_normal(q.shape),
         q_link=None if link_noise is None else at_link + link_noise * rng.standard_normal(q.shape),
     )
 

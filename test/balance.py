@@ -22,11 +22,11 @@ class Balance:
 
 def balance_of(plant: Plant, rows: Array, steps: int) -> Balance:
     """Advance a machine by rows of commands (K, N), so many steps each."""
-    before, given, dissipated, exchanged = plant.energy, 0.0, np.zeros(rows.shape[1]), 0.0
+    before, supplied, dissipated, exchanged = plant.energy, 0.0, np.zeros(rows.shape[1]), 0.0
     for row in rows:
         flow = plant.advance_metered(row, steps)
-        given += float(flow.given.sum())
+        supplied += float(flow.given.sum())
         dissipated += flow.dissipated
         exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
-    left = plant.energy - before - given + float(dissipated.sum())
-    return Balance(abs(left), given, dissipated, exchanged)
+    left = plant.energy - before - supplied + float(dissipated.sum())
+    return Balance(abs(left), supplied, dissipated, exchanged)

@@ -42,10 +42,10 @@ def banned() -> dict[str, str]:
     """Return what to write instead of each banned word or phrase."""
     table = GLOSSARY.read_text(encoding="utf-8").split("## Banned\n")[1]
     rows = re.findall(r"^\| (.+?) \| (.+?) \|$", table, re.M)[1:]
-    found = {word: instead for words, instead in rows for word in words.split(", ")}
-    if not found:
+    instead_of = {word: instead for words, instead in rows for word in words.split(", ")}
+    if not instead_of:
         raise SystemExit(f"{GLOSSARY}: no banned words found")
-    return found
+    return instead_of
 
 
 def files(rooms: tuple[str, ...]) -> Iterator[Path]:
@@ -96,8 +96,8 @@ def main() -> int:
     words, count = banned(), 0
     for file in files(ROOMS):
         text = text_of(file)
-        found = [*found_in(text, words), *(openings_in(text) if file.suffix in CODE else ())]
-        for line, word, instead in sorted(found):
+        findings = [*found_in(text, words), *(openings_in(text) if file.suffix in CODE else ())]
+        for line, word, instead in sorted(findings):
             print(f"{file.relative_to(ROOT)}:{line}: '{word}' is banned; write {instead}")
             count += 1
     return 1 if count else 0

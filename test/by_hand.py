@@ -66,8 +66,10 @@ def sound_set_state(draw: random.Random) -> SetState.Request:
         "motor_velocity": [v / n for v, n in zip(velocity, ratio, strict=True)],
         "current": [draw.uniform(-0.5, 0.5) for _ in names],
     }
-    given = draw.choice([QUANTITIES, ("position", "motor_position"), ("current",), ("velocity",)])
-    return SetState.Request(joint_names=names, **{name: values[name] for name in given})
+    quantities = draw.choice(
+        [QUANTITIES, ("position", "motor_position"), ("current",), ("velocity",)]
+    )
+    return SetState.Request(joint_names=names, **{name: values[name] for name in quantities})
 
 
 class ByHand:
@@ -125,22 +127,22 @@ class ByHand:
         return sum(self.bursts) > 15 and max(self.bursts) > 1 and len(self.kinds) >= 3
 
 
-def go_on(one: InProcess, ticks: int, between: Callable[[], None] = lambda: None) -> None:
+def go_on(in_process: InProcess, ticks: int, between: Callable[[], None] = lambda: None) -> None:
     """Deliver until the machine has gone through so many ticks more, or has begun anew."""
-    deadline, gone, newest = time.monotonic() + PATIENCE, 0, session_of(one).tick
-    while gone < ticks:
+    deadline, ticks_done, newest = time.monotonic() + PATIENCE, 0, session_of(in_process).tick
+    while ticks_done < ticks:
         assert time.monotonic() < deadline, f"nobody states anything any more at tick {newest}"
         between()
-        if not one.deliver():
+        if not in_process.deliver():
             time.sleep(1e-4)  # in real time the next tick is to come
-        now = session_of(one).tick
-        gone, newest = gone + (max(0, now - newest) if now >= newest else now), now
+        now = session_of(in_process).tick
+        ticks_done, newest = ticks_done + (max(0, now - newest) if now >= newest else now), now
 
 
-def session_of(one: InProcess) -> Any:
-    return one.nodes["emulator"]._session
+def session_of(in_process: InProcess) -> Any:
+    return in_process.nodes["emulator"]._session
 
 
 def events_of(bag: Path) -> list[MachineEvent]:
     printed = Bag(bag).messages(["/emulator/events"])
-    return [deserialize_message(one.data, MachineEvent) for one in printed]
+    return [deserialize_message(message.data, MachineEvent) for message in printed]

@@ -35,8 +35,8 @@ def damaged(rng: Rng, data: bytes) -> bytes:
             case 5:
                 body[at : at + much] = bytes(len(body[at : at + much]))
             case 6:
-                other = int(rng.integers(size))
-                body[at:at] = body[other : other + int(rng.integers(1, size + 1))]
+                source = int(rng.integers(size))
+                body[at:at] = body[source : source + int(rng.integers(1, size + 1))]
             case 7:
                 number = int(rng.choice(np.array(NUMBERS, dtype=object)))
                 width = int(rng.choice([2, 4, 8]))
@@ -45,6 +45,6 @@ def damaged(rng: Rng, data: bytes) -> bytes:
             case 8:
                 body += bytes(int(10 ** rng.uniform(0, 6)))
             case _:
-                whole = (b"", rng.bytes(size), bytes(size), body + body, body[::-1])
-                body[:] = whole[int(rng.integers(len(whole)))]
+                replacements = (b"", rng.bytes(size), bytes(size), body + body, body[::-1])
+                body[:] = replacements[int(rng.integers(len(replacements)))]
     return bytes(body)

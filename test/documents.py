@@ -13,6 +13,6 @@ DOCUMENTS = [*sorted(ROOT.glob("*.md")), *page_files().values()]
 
 def page_of(name: str) -> Path:
     """Return the page of a name, `topics` or `parts/sensors`; names are unique."""
-    found = [path for path in DOCUMENTS if path.with_suffix("").as_posix().endswith(f"/{name}")]
-    assert len(found) == 1, f"pages called {name}: {found}"
-    return found[0]
+    pages = [path for path in DOCUMENTS if path.with_suffix("").as_posix().endswith(f"/{name}")]
+    assert len(pages) == 1, f"pages called {name}: {pages}"
+    return pages[0]

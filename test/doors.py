@@ -83,15 +83,15 @@ def bits(value: Any, depth: int = 0) -> Any:
     if depth > 5:
         return type(value).__name__
     if isinstance(value, dict):
-        return {str(key): bits(one, depth + 1) for key, one in value.items()}
+        return {str(key): bits(element, depth + 1) for key, element in value.items()}
     if isinstance(value, list | tuple):
-        return [bits(one, depth + 1) for one in value]
+        return [bits(element, depth + 1) for element in value]
     if dataclasses.is_dataclass(value):
         return {f.name: bits(getattr(value, f.name), depth + 1) for f in dataclasses.fields(value)}
     if isinstance(value, Plant):
         return bits(value.state)
     if type(value).__module__.split(".")[0] in OURS and hasattr(value, "__dict__"):
-        return {name: bits(one, depth + 1) for name, one in vars(value).items()}
+        return {name: bits(var, depth + 1) for name, var in vars(value).items()}
     return type(value).__name__
 
 

@@ -158,9 +158,13 @@ def of_order(first: float, second: float) -> Callable[[str, float], float]:
     """
 
     def bound(scheme: str, dt: float) -> float:
-        known = KNOWN[scheme]
-        least = first if known.order == 1 else second * (1.0 if known.evaluations > 1 else 2.5)
-        return least * dt ** min(known.order, 2)
+        scheme_data = KNOWN[scheme]
+        error = (
+            first
+            if scheme_data.order == 1
+            else second * (1.0 if scheme_data.evaluations > 1 else 2.5)
+        )
+        return error * dt ** min(scheme_data.order, 2)
 
     return bound
 
@@ -170,12 +174,12 @@ def all_schemes(*dts: float) -> dict[str, tuple[float, ...]]:
     return dict.fromkeys(SCHEMES, dts)
 
 
-def of_one_case(quick: bool, one: str) -> tuple[str, ...]:
+def of_one_case(quick: bool, case: str) -> tuple[str, ...]:
     """Return the schemes to try on a machine of one case alone.
 
-    A compiler takes longer over each of them than the case itself, so in quick runs it is `one`.
+    A compiler takes longer over each of them than the case itself, so in quick runs it is `case`.
     """
-    return (one,) if quick else SCHEMES
+    return (case,) if quick else SCHEMES
 
 
 def undamped_stiff_gear(quick: bool) -> Iterator[Outcome]:
@@ -199,8 +203,8 @@ def undamped_stiff_gear(quick: bool) -> Iterator[Outcome]:
 def fast_current(quick: bool) -> Iterator[Outcome]:
     """L/R = 1e-7 s at steps of up to 1 ms."""
     period, rows = 1e-3, sines(3, 300, 1e-3)
-    one = three_axis("paper", 1e-3, period, **NO_INDUCTANCE)
-    truth = reference(one, rows, period, 1e-8)  # to 1e-10 rad
+    arm_case = three_axis("paper", 1e-3, period, **NO_INDUCTANCE)
+    truth = reference(arm_case, rows, period, 1e-8)  # to 1e-10 rad
     machine = {**SHARED, "joints.*.motor.inductance": 1e-7}
     lag, own = 5e-7, of_order(3.0, 8.0)  # L/R at 3 rad/s; the errors without inductance
     yield from against(
@@ -391,7 +395,7 @@ def _refused(plant: Plant, action: Callable[[], object]) -> bool:
         action()
     except Refusal:
         after = dataclasses.astuple(plant.state)
-        return all(np.array_equal(one, two) for one, two in zip(before, after, strict=True))
+        return all(np.array_equal(first, two) for first, two in zip(before, after, strict=True))
     return False
 
 

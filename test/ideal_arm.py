@@ -34,10 +34,10 @@ class Ideal:
 
     def advance(self, seconds: float) -> None:
         for _ in range(math.ceil(seconds * SECOND / self.period_ns)):
-            one = self.instructor.instruct(self.controller, self.now_ns, self.q)
-            self.printed.append(one)
-            v = np.zeros_like(one.q) if one.v is None else one.v
-            self.q = one.q + self.period_ns / SECOND * v
+            instruction = self.instructor.instruct(self.controller, self.now_ns, self.q)
+            self.printed.append(instruction)
+            v = np.zeros_like(instruction.q) if instruction.v is None else instruction.v
+            self.q = instruction.q + self.period_ns / SECOND * v
             self.now_ns += self.period_ns
 
     def pose(self, shift: Any = (0.0, 0.0, 0.0)) -> Pose:

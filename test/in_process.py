@@ -339,10 +339,10 @@ def in_process(
     with own_domain():
         rclpy.init(args=arguments)
         try:
-            one = InProcess()
+            inside = InProcess()
             try:
-                yield one
+                yield inside
             finally:
-                one.close()
+                inside.close()
         finally:
             rclpy.try_shutdown()

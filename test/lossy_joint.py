@@ -38,7 +38,7 @@ class Bam:
     speed: float
     alpha: float
 
-    def __call__(self, way: float, w: float, A: float, S: float, leads: bool) -> float:
+    def __call__(self, sign: float, w: float, A: float, S: float, leads: bool) -> float:
         """Return the budget; what the gear takes, S, is the external torque's opposite."""
         tm, te = A, -S
         share = float(np.exp(-(abs(w / self.speed) ** self.alpha)))
@@ -75,9 +75,9 @@ class LossyGear:
         """Return the bearing's part at flange a."""
         return (self.tau_bf1 - self.tau_bf2) / (self.eta_mf1 - 1.0 / self.eta_mf2)
 
-    def loss(self, way: float, tau: float) -> float:
+    def loss(self, sign: float, tau: float) -> float:
         """Return tauLoss for the torque of flange a."""
-        if way > 0.0:
+        if sign > 0.0:
             if tau - self.tau_bf_a >= 0.0:
                 return (1.0 - self.eta_mf1) * tau + self.tau_bf1
             return (1.0 - 1.0 / self.eta_mf2) * tau + self.tau_bf2
@@ -85,20 +85,20 @@ class LossyGear:
             return (1.0 - 1.0 / self.eta_mf2) * tau - self.tau_bf2
         return (1.0 - self.eta_mf1) * tau - self.tau_bf1
 
-    def __call__(self, way: float, w: float, A: float, S: float, leads: bool) -> float:
+    def __call__(self, sign: float, w: float, A: float, S: float, leads: bool) -> float:
         """Return what the rotor feels of it beyond S."""
         far = 10.0 * (abs(S) + self.tau_bf1 + self.tau_bf2 + 1.0) / self.eta_mf1
-        tau = brentq(lambda tau: tau - self.loss(way, tau) - S, -far, far, xtol=1e-16, rtol=1e-14)
-        return way * (tau - S)
+        tau = brentq(lambda tau: tau - self.loss(sign, tau) - S, -far, far, xtol=1e-16, rtol=1e-14)
+        return sign * (tau - S)
 
 
 @dataclass(frozen=True)
 class LossyGearDriven(LossyGear):
     """The same of a shaft that the torque of flange a drives, such as a link behind its spring."""
 
-    def __call__(self, way: float, w: float, A: float, S: float, leads: bool) -> float:
+    def __call__(self, sign: float, w: float, A: float, S: float, leads: bool) -> float:
         """Return what flange b gets less than flange a."""
-        return way * self.loss(way, A)
+        return sign * self.loss(sign, A)
 
 
 @dataclass(frozen=True)
@@ -141,29 +141,29 @@ class Rotor:
         """Place of the speed of the shaft that rubs."""
         return 3 if self.at_link else 1
 
-    def rates(self, x: Array, A: float, way: float, leads: bool) -> list[float]:
-        """Return dx/dt; way 0: the shaft is stuck."""
+    def rates(self, x: Array, A: float, sign: float, leads: bool) -> list[float]:
+        """Return dx/dt; sign 0: the shaft is stuck."""
         T, w = self.gear(x, A), x[self.place]
         drives, of_gear, _ = self.torques(x, A)
         if self.at_link:  # what drives the link is the gear's torque itself
-            leads = way * T > 0.0
-        friction = way * self.law(way, w, drives, of_gear, leads) if way else 0.0
+            leads = sign * T > 0.0
+        friction = sign * self.law(sign, w, drives, of_gear, leads) if sign else 0.0
         friction += self.viscous * w
         rotor, link = A - self.Ng * T, T - self.weight
         if self.at_link:
-            link = link - friction if way else 0.0
+            link = link - friction if sign else 0.0
         else:
-            rotor = rotor - friction if way else 0.0
+            rotor = rotor - friction if sign else 0.0
         if self.Kg == 0.0:
             a = link / (self.mass + self.Jm / self.Ng**2)
             return [x[3] / self.Ng, a / self.Ng, x[3], a]
         return [x[1], rotor / self.Jm, x[3], link / self.mass]
 
-    def excess(self, x: Array, A: float, way: float) -> float:
+    def excess(self, x: Array, A: float, sign: float) -> float:
         """Return how far the pull that way is beyond what holds the shaft at rest."""
         drives, of_gear, pull = self.torques(x, A)
-        leads = way * of_gear > 0.0 if self.at_link else self.leads(x, A) > 0.0
-        return way * pull - self.law(way, 0.0, drives, of_gear, leads)
+        leads = sign * of_gear > 0.0 if self.at_link else self.leads(x, A) > 0.0
+        return sign * pull - self.law(sign, 0.0, drives, of_gear, leads)
 
     def run(self, commands: Array, period: float, start: Array) -> tuple[Array, list[float]]:
         """Return the states after each command, and the times at which the shaft stopped."""
@@ -175,23 +175,23 @@ class Rotor:
                 if t >= end:
                     break
                 assert piece < MOST_PIECES - 1, f"no progress at {t} s of row {k}"
-                way = self.way_at(x, A, away)
-                found = solve_ivp(
-                    lambda _, y, A=A, way=way, leads=leads: self.rates(y, A, way, leads),
+                sign = self.way_at(x, A, away)
+                solution = solve_ivp(
+                    lambda _, y, A=A, sign=sign, leads=leads: self.rates(y, A, sign, leads),
                     (t, end), x, "DOP853", rtol=1e-11, atol=1e-13,
-                    events=self.events(A, way, leads, t + 1e-9 * period),
+                    events=self.events(A, sign, leads, t + 1e-9 * period),
                 )  # fmt: skip
-                x, t = found.y[:, -1].copy(), float(found.t[-1])
+                x, t = solution.y[:, -1].copy(), float(solution.t[-1])
                 away = 0.0
-                if found.status == 1:
-                    which = next(n for n, at in enumerate(found.t_events) if len(at))
-                    if not way:
+                if solution.status == 1:
+                    which = next(n for n, at in enumerate(solution.t_events) if len(at))
+                    if not sign:
                         away = 1.0 if which == 0 else -1.0
-                    if way and which == 1:
+                    if sign and which == 1:
                         leads = not leads
                     else:
                         leads = self.leads(x, A) > 0.0
-                    if way and which == 0:
+                    if sign and which == 0:
                         x[1 if self.Kg == 0.0 else self.place] = x[self.place] = 0.0
                         stops.append(k * period + t)
             states.append(x.copy())
@@ -206,14 +206,14 @@ class Rotor:
         pulled = float(np.sign(self.torques(x, A)[2])) or 1.0
         return pulled if self.excess(x, A, pulled) > 0.0 else 0.0
 
-    def events(self, A: float, way: float, leads: bool, begin: float) -> list[Any]:
+    def events(self, A: float, sign: float, leads: bool, begin: float) -> list[Any]:
         """Return what ends a smooth piece: a stop, another lead; or breaking away either way.
 
         None before `begin`: the last event has just been there.
         """
 
         def stop(t: float, x: Array) -> float:
-            return way * float(x[self.place]) if t > begin else 1.0
+            return sign * float(x[self.place]) if t > begin else 1.0
 
         def lead(t: float, x: Array) -> float:
             return (1.0 if leads else -1.0) * self.leads(x, A) if t > begin else 1.0
@@ -225,8 +225,8 @@ class Rotor:
             return self.excess(x, A, -1.0)
 
         ends: list[Any] = [forward, backward]
-        if way:
+        if sign:
             ends = [stop] if self.at_link else [stop, lead]
-        for one in ends:
-            one.terminal, one.direction = True, -1.0 if way else 1.0
+        for end_event in ends:
+            end_event.terminal, end_event.direction = True, -1.0 if sign else 1.0
         return ends

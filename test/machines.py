@@ -149,7 +149,7 @@ def links_of(scene: Scene) -> LinkDynamics:
     assert not scene.varied and not scene.external_wrench, "the point below is of the state alone"
     library, N = load_equations(scene), len(scene.joints)
     at_rest = ARM.ffi.new("double[]", 100 * N)  # more than a state has
-    return LinkDynamics(lambda name, *given: getattr(library, name)(at_rest, *given), N)
+    return LinkDynamics(lambda name, *arguments: getattr(library, name)(at_rest, *arguments), N)
 
 
 class Oracle:
@@ -167,9 +167,9 @@ class Oracle:
         """Pinocchio's q: cosine and sine for continuous joints."""
         out = np.zeros(self.model.nq)
         for joint, angle in zip(self._joints, q, strict=True):
-            turns = joint.nq == 2
+            revolute = joint.nq == 2
             out[joint.idx_q : joint.idx_q + joint.nq] = (
-                (np.cos(angle), np.sin(angle)) if turns else angle
+                (np.cos(angle), np.sin(angle)) if revolute else angle
             )
         return out
 

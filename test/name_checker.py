@@ -107,7 +107,7 @@ class Figures:
         """Count a function and judge its name; properties need no verb."""
         if node.name.startswith("__") or not (words := words_of(node.name)):
             return
-        decorators = {ast.unparse(one).split(".")[-1] for one in node.decorator_list}
+        decorators = {ast.unparse(decorator).split(".")[-1] for decorator in node.decorator_list}
         whether = isinstance(node.returns, ast.Name) and node.returns.id == "bool"
         if whether and words[0] not in ("is", "has", "can", "are", "was", "may"):
             self.no_prefix.append(f"{file}:{node.lineno} {node.name}")
@@ -132,27 +132,31 @@ def check() -> tuple[dict[str, Figures], dict[str, set[str]]]:
     figures: dict[str, Figures] = defaultdict(Figures)
     classes: dict[str, set[str]] = defaultdict(set)
     for package, path in files():
-        file, text, found = str(path.relative_to(ROOT)), path.read_text(), figures[package]
+        file, text, counted = (
+            str(path.relative_to(ROOT)),
+            path.read_text(),
+            figures[package],
+        )
         if path.suffix != ".py":
             for kind in TYPE_LINE.finditer(COMMENT.sub(" ", text)):
                 if kind.group(0).split()[0] not in STATEMENTS:
-                    found.add(file, kind.group(1))
+                    counted.add(file, kind.group(1))
             continue
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                found.add(file, node.name)
+                counted.add(file, node.name)
                 if not CLAIMS & set(file.split("/")):
-                    found.add_function(file, node)
+                    counted.add_function(file, node)
             elif isinstance(node, ast.ClassDef):
-                found.add(file, node.name)
+                counted.add(file, node.name)
                 if not CLAIMS & set(file.split("/")):
                     classes[node.name].add(file)
             elif isinstance(node, ast.arg):
-                found.add(file, node.arg)
+                counted.add(file, node.arg)
             elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                found.add(file, node.id)
+                counted.add(file, node.id)
             elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-                found.add(file, node.attr)
+                counted.add(file, node.attr)
     return figures, classes
 
 
@@ -161,16 +165,16 @@ def main() -> int:
     figures, classes = check()
     everything = Figures()
     print(f"{'package':32} {'names':>6} {'foreign':>7} {'functions':>9} {'no verb':>7} {'bool':>5}")
-    for package, found in [*sorted(figures.items()), ("all", everything)]:
+    for package, counted in [*sorted(figures.items()), ("all", everything)]:
         print(
-            f"{package:32} {len(found.names):6} {len(found.foreign):7} {len(found.functions):9}"
-            f" {len(found.no_verb):7} {len(found.no_prefix):5}"
+            f"{package:32} {len(counted.names):6} {len(counted.foreign):7}"
+            f" {len(counted.functions):9} {len(counted.no_verb):7} {len(counted.no_prefix):5}"
         )
-        everything.names |= found.names
-        everything.foreign |= found.foreign
+        everything.names |= counted.names
+        everything.foreign |= counted.foreign
         for part in ("functions", "no_verb", "no_prefix"):
-            if found is not everything:
-                getattr(everything, part).extend(getattr(found, part))
+            if counted is not everything:
+                getattr(everything, part).extend(getattr(counted, part))
     twice = {name for name, modules in classes.items() if len(modules) > 1}
     lengths = [len(words_of(name)) for name in everything.functions]
     results = {
@@ -183,8 +187,8 @@ def main() -> int:
         "words in the name of a function": (sum(lengths) / len(lengths), WORDS),
     }  # fmt: skip
     failed = False
-    for what, (figure, (limit, aim)) in results.items():
-        print(f"name_checker: {what}: {figure:.2f}, limit {limit}, aim {aim}")
+    for quantity, (figure, (limit, aim)) in results.items():
+        print(f"name_checker: {quantity}: {figure:.2f}, limit {limit}, aim {aim}")
         failed |= figure > limit if limit >= aim else figure < limit
     if failed or "--list" in sys.argv:
         counts = Counter(word for _, name in everything.foreign for word in words_of(name))

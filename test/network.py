@@ -57,8 +57,8 @@ SOLE_PUBLISHER = {
 }
 
 SERVICES = {
-    one.Request: one
-    for one in (SetBool, Trigger, SaveState, RestoreState, SetState, SetVaried, BreakWhen)
+    service.Request: service
+    for service in (SetBool, Trigger, SaveState, RestoreState, SetState, SetVaried, BreakWhen)
 }
 
 # Deep enough for every state in lock-step: what is recorded must not get lost. In real time
@@ -103,8 +103,8 @@ class User:
         self.diagnostics: dict[str, Any] = {}  # newest of each node
         self.words: dict[str, list[str]] = {name: [] for name in ALL_THREE}  # all that was reported
         listen = partial(self.node.create_subscription, event_callbacks=HEAR_ALONE)
-        kept = RECORD_QOS if clock == "lockstep" else NEWEST_QOS
-        listen(MotorState, "motor_states", self._on_state, kept, raw=True)
+        qos = RECORD_QOS if clock == "lockstep" else NEWEST_QOS
+        listen(MotorState, "motor_states", self._on_state, qos, raw=True)
         listen(EmulatorStatus, "emulator/status", self._on_status, 10)
         listen(DiagnosticArray, "diagnostics", self._on_diagnostics, 100)
         late = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -133,7 +133,9 @@ class User:
     def spin(self, seconds: float = 0.02) -> None:
         self.node.executor.spin_once(timeout_sec=seconds)
 
-    def wait(self, what: str, condition: Callable[[], Any], patience: float = PATIENCE) -> Any:
+    def wait(
+        self, condition_text: str, condition: Callable[[], Any], patience: float = PATIENCE
+    ) -> Any:
         """Spin until the condition holds and return its value."""
         value = None
 
@@ -143,7 +145,7 @@ class User:
             return bool(value)
 
         assert self.node.spin_until(holds, patience), (
-            f"waited {patience:g} s for {what}; status {self.status}; stated {self.words}"
+            f"waited {patience:g} s for {condition_text}; status {self.status}; stated {self.words}"
         )
         return value
 
@@ -158,19 +160,21 @@ class User:
         that its server was killed: what no server has ever answered is asked again. So the first
         step that a test asks for must be one that may be done twice.
         """
-        asked = []
+        requests = []
         for name, request in calls:
             kind, message = question(request)
             client = self._clients.get(name)
             if client is None:
                 client = self._clients[name] = self.node.create_client(kind, name)
             self.wait(f"service {name}", client.service_is_ready)
-            asked.append((name, client, message, [client.call_async(message)]))
+            requests.append((name, client, message, [client.call_async(message)]))
         ask_at = time.monotonic() + ASK_AGAIN
 
         def answered() -> bool:
             nonlocal ask_at
-            waiting = [one for one in asked if not any(future.done() for future in one[3])]
+            waiting = [
+                request for request in requests if not any(future.done() for future in request[3])
+            ]
             if time.monotonic() > ask_at:
                 ask_at = time.monotonic() + ASK_AGAIN
                 for name, client, message, futures in waiting:
@@ -180,7 +184,7 @@ class User:
 
         self.wait(f"the answers of {calls}", answered)
         self._answered.update(name for name, _ in calls)
-        return [next(f.result() for f in futures if f.done()) for *_, futures in asked]
+        return [next(f.result() for f in futures if f.done()) for *_, futures in requests]
 
     def send_tool_target(
         self,
@@ -216,11 +220,15 @@ class User:
         receiver = RECEIVER[topic.removeprefix(self.node.get_namespace()).strip("/")]
 
         def listeners() -> set[tuple[str, bytes]]:
-            known = self._listeners(topic)
-            there = {(topic, who) for who, node in known if node == receiver}
+            listeners_now = self._listeners(topic)
+            there = {(topic, who) for who, node in listeners_now if node == receiver}
             # A discovered node is matched a moment later; the number confirms that all of them are.
-            matched = len(known) <= publisher.get_subscription_count()
-            return {one for one in there if one[1] not in self._gone} if matched else set()
+            matched = len(listeners_now) <= publisher.get_subscription_count()
+            return (
+                {listener for listener in there if listener[1] not in self._gone}
+                if matched
+                else set()
+            )
 
         there = self.wait(f"{receiver} to listen on {topic}", listeners)
         if not there <= self._met:
@@ -255,14 +263,14 @@ class User:
     def forget_listeners(self, node: str) -> None:
         """Count no longer on the listeners of a node that was killed: they fade away slowly."""
         for publisher in self.node.publishers:
-            known = self._listeners(publisher.topic_name)
-            self._gone.update(who for who, name in known if name == node)
+            listeners_now = self._listeners(publisher.topic_name)
+            self._gone.update(who for who, name in listeners_now if name == node)
         self._answered = {name for name in self._answered if not name.startswith(f"{node}/")}
 
     def _listeners(self, topic: str) -> list[tuple[bytes, str]]:
         """Return identity and node of every known listener on a topic."""
-        known = self.node.get_subscriptions_info_by_topic(topic)
-        return [(bytes(one.endpoint_gid), one.node_name) for one in known]
+        endpoints = self.node.get_subscriptions_info_by_topic(topic)
+        return [(bytes(endpoint.endpoint_gid), endpoint.node_name) for endpoint in endpoints]
 
     def motor_states(self) -> dict[int, bytes]:
         """Return what was recorded of the newest run: tick -> the bits of counts and currents.
@@ -351,29 +359,29 @@ def offline_states(run: OfflineRun, ticks: int) -> dict[int, bytes]:
     return states
 
 
-def assert_same_bits(one: dict[int, bytes], other: dict[int, bytes], ticks: int) -> None:
+def assert_same_bits(first: dict[int, bytes], second: dict[int, bytes], ticks: int) -> None:
     """Compare two recordings from tick 1 to `ticks`.
 
     Tick 0 may have been reported, and answered, before somebody listened. A listener in Python
     misses many of a fast network's later states, too: each one depends on all before it.
     """
-    both = [tick for tick in range(1, ticks + 1) if tick in one and tick in other]
+    both = [tick for tick in range(1, ticks + 1) if tick in first and tick in second]
     assert len(both) > min(ticks // 2, 500) and both[-1] > ticks - 10, (
         f"of {ticks} ticks only {both}"
     )
     for tick in both:
-        assert one[tick] == other[tick], f"the first difference is at tick {tick}"
+        assert first[tick] == second[tick], f"the first difference is at tick {tick}"
 
 
 @contextmanager
 def user(namespace: str = "/", clock: str = "lockstep") -> Iterator[User]:
     """Be a user in a ROS domain of its own."""
     with own_domain() as domain:
-        one = User(domain, namespace, clock)
+        domain_user = User(domain, namespace, clock)
         try:
-            yield one
+            yield domain_user
         finally:
-            one.close()
+            domain_user.close()
 
 
 @contextmanager
@@ -395,8 +403,8 @@ def network(
         emulator.setdefault("real_time_factor", 3.0)
     how: dict[str, Any] = {"clock": clock, "start": start, "only": only, "forked": forked}
     nodes = Bringup(scene, emulator=emulator, log=log, **how)
-    with user(clock=clock) as one, nodes:
-        yield one, nodes
+    with user(clock=clock) as network_user, nodes:
+        yield network_user, nodes
         for name in only:
             code = nodes.process(name).poll()
             assert code is None, f"{name} ended by itself with {code}: {logs(log)}"
@@ -411,11 +419,11 @@ def wait_until_met(client: NetworkClient, node: str, patience: float) -> bool:
     middleware reports publishers and clients in the order in which they were made, so a node that
     answers a new client knows all earlier ones.
     """
-    asked = client.create_client(GetParameters, f"{node}/get_parameters")
+    parameter_client = client.create_client(GetParameters, f"{node}/get_parameters")
     try:
-        return client.ask(asked, GetParameters.Request(), patience) is not None
+        return client.ask(parameter_client, GetParameters.Request(), patience) is not None
     finally:
-        client.destroy_client(asked)
+        client.destroy_client(parameter_client)
 
 
 class SharedNetwork:
@@ -437,8 +445,8 @@ class SharedNetwork:
         if self._running is None:
             self._networks += 1
             log = self._log / str(self._networks)
-            one = network(log, start=self._start, **self._how)
-            self._running = self._stack.enter_context(one)
+            running_network = network(log, start=self._start, **self._how)
+            self._running = self._stack.enter_context(running_network)
         user, _ = self._running
         try:
             yield self._running

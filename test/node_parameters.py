@@ -29,8 +29,8 @@ class Parameters:
 
     def set(self, node: str, **values: Any) -> str:
         """Set parameters at once, __ for dots; return why not, empty if they were set."""
-        given = [Parameter(name.replace("__", "."), value=v) for name, v in values.items()]
-        result = self._answer(self._client(node).set_parameters_atomically(given)).result
+        parameters = [Parameter(name.replace("__", "."), value=v) for name, v in values.items()]
+        result = self._answer(self._client(node).set_parameters_atomically(parameters)).result
         assert result.successful != bool(result.reason), result
         return str(result.reason)
 
@@ -40,7 +40,7 @@ class Parameters:
 
     def describe(self, node: str, names: list[str]) -> dict[str, Any]:
         answer = self._answer(self._client(node).describe_parameters(names))
-        return {one.name: one for one in answer.descriptors}
+        return {descriptor.name: descriptor for descriptor in answer.descriptors}
 
     def names(self, node: str) -> list[str]:
         return list(self._answer(self._client(node).list_parameters()).result.names)

@@ -100,18 +100,18 @@ def command(
 def builder(folder: Path) -> Callable[..., Path]:
     """Return what builds the template with our servo's numbers, or other code, as a library."""
     (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
-    made: dict[tuple[str, ...], Path] = {}
+    built_files: dict[tuple[str, ...], Path] = {}
 
     def built(source: str = "", *flags: str) -> Path:
-        if (source, *flags) not in made:
-            file = folder / f"mine_{len(made)}.c"
+        if (source, *flags) not in built_files:
+            file = folder / f"mine_{len(built_files)}.c"
             file.write_text(source or (FOLDER / "template/mine.c").read_text())
             library, objects = file.with_suffix(".so"), []
-            for one in [file] if source else [file, FOLDER / "servo.c"]:
-                objects.append(file.with_suffix(f".{one.stem}.o"))
-                compile_c(objects[-1], *flags, "-c", str(one))
+            for source_file in [file] if source else [file, FOLDER / "servo.c"]:
+                objects.append(file.with_suffix(f".{source_file.stem}.o"))
+                compile_c(objects[-1], *flags, "-c", str(source_file))
             run_c([*find_compiler(), "-shared", *map(str, objects), "-o", str(library)])
-            made[source, *flags] = library
-        return made[source, *flags]
+            built_files[source, *flags] = library
+        return built_files[source, *flags]
 
     return built

@@ -82,12 +82,12 @@ def drawings(folder: Path) -> dict[str, Drawing]:
 
 def cases(folder: Path) -> Iterator[tuple[str, Scene]]:
     """Yield scenes with their names, in all schemes that they admit."""
-    for name, drawn in some(drawings(folder).items(), 3):
-        yield name, drawn({})
+    for name, draw_case in some(drawings(folder).items(), 3):
+        yield name, draw_case({})
         for scheme in SCHEMES if FULL else ():
             for events in ("step", "located") if scheme in LOCATING_SCHEMES else ("step",):
                 integrator = {"integrator.scheme": scheme, "integrator.events": events}
-                yield f"{name}, {scheme}, {events}", drawn(integrator)
+                yield f"{name}, {scheme}, {events}", draw_case(integrator)
 
 
 class Digest:
@@ -154,7 +154,7 @@ def digest_of_machine(scene: Scene, arm: int = 0) -> str:
 
 def digests_of_fleet(scene: Scene) -> list[str]:
     """Return those of `digest_of_machine` of every arm of a fleet."""
-    fleet, found = Fleet(scene, ARMS), [Digest() for _ in range(ARMS)]
+    fleet, arm_digests = Fleet(scene, ARMS), [Digest() for _ in range(ARMS)]
     commands, saved, row, has_returned = commands_of(scene), b"", 0, False
     stopped: set[int] = set()
     while row < ROWS:
@@ -164,19 +164,19 @@ def digests_of_fleet(scene: Scene) -> list[str]:
         fleet.advance(commands[row], STEPS)
         for arm, reason in fleet.diverged.items():
             if arm not in stopped:
-                found[arm].put_text(str(reason))
+                arm_digests[arm].put_text(str(reason))
         stopped |= set(fleet.diverged)
         for arm in set(range(ARMS)) - stopped:
-            found[arm].put(fleet.state.q[arm], fleet.state.v[arm])
+            arm_digests[arm].put(fleet.state.q[arm], fleet.state.v[arm])
         row += 1
         if row == WOUND_BACK and not has_returned:
             fleet.restore(saved)
             row, has_returned = CHANGED + 1, True
     measured = fleet.measured
     for arm in set(range(ARMS)) - stopped:
-        digest = found[arm]
+        digest = arm_digests[arm]
         digest.put(fleet[arm].energy, *(getattr(measured, name)[arm] for name in KNOWN))
-    return [str(one) for one in found]
+    return [str(digest) for digest in arm_digests]
 
 
 def digest_of_servo(name: str, folder: Path, own: str = "") -> str:
@@ -210,7 +210,7 @@ def digests(target: str, level: str) -> Iterator[tuple[str, str]]:
     Raises:
         AssertionError: an arm of a fleet has other bits than an arm by itself.
     """
-    of_machines.FLAGS = tuple(level if one == "-O3" else one for one in of_machines.FLAGS)
+    of_machines.FLAGS = tuple(level if flag == "-O3" else flag for flag in of_machines.FLAGS)
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in cases(Path(folder)):
             # Fleets of long arms compile for long: only as their scenes state them.

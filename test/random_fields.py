@@ -11,7 +11,7 @@ from typing import Any
 from random_messages import number, text
 
 _SIZES = (8, 16, 32, 64)
-_BITS = {one: (0, 8) for one in ("char", "byte", "octet")}  # whether signed, and bits
+_BITS = {kind: (0, 8) for kind in ("char", "byte", "octet")}  # whether signed, and bits
 _BITS |= {f"int{bits}": (1, bits) for bits in _SIZES} | {
     f"uint{bits}": (0, bits) for bits in _SIZES
 }
@@ -40,19 +40,19 @@ def fill(rng: random.Random, message: Any, words: Sequence[str], sound: float = 
 
 def _value(rng: random.Random, kind: str, words: Sequence[str]) -> Any:
     if sequence := re.fullmatch(r"sequence<(.*?)(?:, (\d+))?>", kind):
-        most = int(sequence[2] or 6)
-        return _values(rng, sequence[1], rng.randint(0, min(most, 6)), words)
+        limit = int(sequence[2] or 6)
+        return _values(rng, sequence[1], rng.randint(0, min(limit, 6)), words)
     if array := re.fullmatch(r"(.*)\[(\d+)\]", kind):
         return _values(rng, array[1], int(array[2]), words)
     if kind == "boolean":
         return rng.random() < 0.5
     if kind in _BITS:
         signed, bits = _BITS[kind]
-        whole = rng.choice((0, 1, 2, 3, 99, rng.getrandbits(bits)))
-        whole = whole % 2**bits - (2 ** (bits - 1) if signed and rng.random() < 0.3 else 0)
-        most = 2 ** (bits - signed) - 1
-        whole = max(-most - 1 if signed else 0, min(most, whole))
-        return bytes([whole]) if kind in ("byte", "octet") else whole
+        integer = rng.choice((0, 1, 2, 3, 99, rng.getrandbits(bits)))
+        integer = integer % 2**bits - (2 ** (bits - 1) if signed and rng.random() < 0.3 else 0)
+        limit = 2 ** (bits - signed) - 1
+        integer = max(-limit - 1 if signed else 0, min(limit, integer))
+        return bytes([integer]) if kind in ("byte", "octet") else integer
     if kind in ("float", "double"):
         value = rng.choice((0.0, rng.gauss(0.0, 1.0), number(rng)))
         return value if kind == "double" or abs(value) < 3e38 else 0.0

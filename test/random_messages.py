@@ -241,9 +241,9 @@ def bad_message(
 ) -> Any:
     """Return a message that its receiver must refuse; see the module for the arguments."""
     message = _sound(rng, topic, joint_names, tick, period_ns)
-    ways = _WAYS[topic]
-    for way in rng.sample(ways, min(len(ways), rng.choice((1, 1, 1, 2, len(ways))))):
-        way(rng, message, joint_names, tick)
+    changes = _WAYS[topic]
+    for change in rng.sample(changes, min(len(changes), rng.choice((1, 1, 1, 2, len(changes))))):
+        change(rng, message, joint_names, tick)
     return message
 
 
@@ -265,8 +265,10 @@ def _wrong_in(field: str, wrong: Callable[[random.Random], Any] = _wrong) -> Way
 
 def _wrong_length_of(field: str) -> Way:
     def spoil(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
-        known, own = ("name", "joint_names")[hasattr(message, "joint_names")], field
-        others = [n for n in (1, len(names) + 1, _many(rng)) if n != len(getattr(message, known))]
+        names_field, own = ("name", "joint_names")[hasattr(message, "joint_names")], field
+        others = [
+            n for n in (1, len(names) + 1, _many(rng)) if n != len(getattr(message, names_field))
+        ]
         setattr(message, own, [0] * rng.choice(others))
 
     return spoil
@@ -362,8 +364,8 @@ def _nobodys_joints(rng: random.Random, message: Any, names: Sequence[str], tick
 
 def _wrong_pose(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
     if message.poses:
-        way = rng.choice((_wrong_position, _wrong_orientation, _wrong_frame, _wrong_stamp))
-        way(rng, rng.choice(message.poses), names, tick)
+        change = rng.choice((_wrong_position, _wrong_orientation, _wrong_frame, _wrong_stamp))
+        change(rng, rng.choice(message.poses), names, tick)
 
 
 def _wrong_number_of_poses(

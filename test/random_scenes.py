@@ -83,8 +83,8 @@ def verdict(path: Path) -> str:
     if line:
         assert line.isprintable(), f"more than one line, or not printable: {line!r}"
         name = path.name[:40] if path.name.isprintable() else "file "  # escaped in the line
-        known = name in line or not line.startswith("arm_emulator: ")
-        assert known, f"no file is named: {line!r}"
+        is_named = name in line or not line.startswith("arm_emulator: ")
+        assert is_named, f"no file is named: {line!r}"
     else:
         odd = re.search(r"\b(nan|inf)\b", unit)
         assert odd is None, f"the unit holds {odd}"
@@ -130,12 +130,12 @@ def _value(rng: Rng, depth: int = 0) -> Any:
 
 def _places(tree: Any) -> list[tuple[Any, Any]]:
     """Return every (collection, key or index) of a tree."""
-    found: list[tuple[Any, Any]] = []
+    places: list[tuple[Any, Any]] = []
     for key, child in tree.items() if isinstance(tree, dict) else enumerate(tree):
-        found.append((tree, key))
+        places.append((tree, key))
         if isinstance(child, dict | list):
-            found += _places(child)
-    return found
+            places += _places(child)
+    return places
 
 
 def _with_other_values(rng: Rng, folder: Path) -> Path:
@@ -248,9 +248,9 @@ def _paths(rng: Rng, folder: Path) -> Path:
     """Let the scene, or what it names, be no file."""
     (folder / "folder").mkdir()
     os.mkfifo(folder / "pipe")
-    with socket.socket(socket.AF_UNIX) as one:
+    with socket.socket(socket.AF_UNIX) as unix_socket:
         here = os.open(folder, os.O_RDONLY)
-        one.bind(f"/proc/self/fd/{here}/socket")
+        unix_socket.bind(f"/proc/self/fd/{here}/socket")
         os.close(here)
     (folder / "loop").symlink_to("loop")
     (folder / "gone").symlink_to("nothing")
@@ -295,25 +295,25 @@ def _urdf_with_other_parts(rng: Rng, folder: Path) -> Path:
     robot = ET.fromstring(URDF)
     for _ in range(int(rng.integers(1, 4))):
         elements = list(robot.iter())
-        one = elements[int(rng.integers(len(elements)))]
+        element = elements[int(rng.integers(len(elements)))]
         parents = {child: parent for parent in elements for child in parent}
         change = rng.integers(6)
-        if change <= 1 and one.attrib:
-            key = str(rng.choice(list(one.attrib)))
+        if change <= 1 and element.attrib:
+            key = str(rng.choice(list(element.attrib)))
             values = (
                 names(rng), repr(number(rng)), " ".join(repr(number(rng)) for _ in range(3)),
                 str(rng.choice(["floating", "planar", "ball", "prismatic", "revolute", "fixed"])),
             )  # fmt: skip
-            one.set(key, _xml_text(str(rng.choice(np.array(values, dtype=object)))))
-        elif change == 2 and one in parents:
-            parents[one].remove(one)
-        elif change == 3 and one in parents:
-            parents[one].append(copy.deepcopy(one))
-        elif change == 4 and one in parents and len(one.attrib):
-            one.attrib.pop(str(rng.choice(list(one.attrib))))
+            element.set(key, _xml_text(str(rng.choice(np.array(values, dtype=object)))))
+        elif change == 2 and element in parents:
+            parents[element].remove(element)
+        elif change == 3 and element in parents:
+            parents[element].append(copy.deepcopy(element))
+        elif change == 4 and element in parents and len(element.attrib):
+            element.attrib.pop(str(rng.choice(list(element.attrib))))
         else:
             extra = str(rng.choice(["joint", "link", "limit", "mimic", "inertial", "transmission"]))
-            ET.SubElement(one, extra, name=_xml_text(names(rng)))
+            ET.SubElement(element, extra, name=_xml_text(names(rng)))
     (folder / "robot.urdf").write_text(ET.tostring(robot, encoding="unicode"), encoding="utf-8")
     return folder / "scene.yaml"
 

@@ -27,34 +27,34 @@ SIGNS = {">": lambda x, y: x > y, ">=": lambda x, y: x >= y, "<=": lambda x, y: 
 
 def fits(words: str, value: float) -> bool:
     """Whether a value keeps the rule of a refusal, by reading its words."""
-    kept = math.isfinite(value) and ("whole number" not in words or value == int(value))
-    kept = kept and not ("other than 0" in words and value == 0)
+    is_inside = math.isfinite(value) and ("whole number" not in words or value == int(value))
+    is_inside = is_inside and not ("other than 0" in words and value == 0)
     if within := re.search(r"within \+-(\S+)", words):
-        kept = kept and abs(value) <= float(within[1])
+        is_inside = is_inside and abs(value) <= float(within[1])
     size = abs(value) if "of size" in words else value
     for sign, bound in re.findall(r"(>=|<=|>) (\S+)", words):
-        kept = kept and SIGNS[sign](size, float(bound))
+        is_inside = is_inside and SIGNS[sign](size, float(bound))
     if between := re.search(r"from (\S+) to (\S+)", words):
-        kept = kept and float(between[1]) <= size <= float(between[2])
-    return bool(kept)
+        is_inside = is_inside and float(between[1]) <= size <= float(between[2])
+    return bool(is_inside)
 
 
-def out_of_range(one: Number) -> list[float]:
+def out_of_range(number: Number) -> list[float]:
     """Numbers beyond both ends, near and far."""
-    low, high = one.ends
+    low, high = number.ends
     beyond = [high + 1e-3 * (abs(high) or 1.0), 2.0 * abs(high) + 1.0]
     beyond += [low - 1e-3 * (abs(low) or 1.0), -2.0 * abs(low) - 1.0]
-    if one.above is not None:
-        beyond += [one.above, 0.5 * one.least if one.above == 0.0 else one.above - 1e-3]
-    if one.whole:
-        beyond += [x for x in (one.least + 0.5, one.most - 0.5) if x % 1.0]
-    found = [x for x in beyond if math.isfinite(x)]
-    return [*found, *map(np.float64, found)]
+    if number.above is not None:
+        beyond += [number.above, 0.5 * number.least if number.above == 0.0 else number.above - 1e-3]
+    if number.whole:
+        beyond += [x for x in (number.least + 0.5, number.most - 0.5) if x % 1.0]
+    outside = [x for x in beyond if math.isfinite(x)]
+    return [*outside, *map(np.float64, outside)]
 
 
-def check_refusals(one: Number, name: str, read: Callable[[Any], object]) -> int:
+def check_refusals(number: Number, name: str, read: Callable[[Any], object]) -> int:
     """Let a reader refuse all that is out of a number's range; return how many values it was."""
-    values = [*NO_NUMBERS, *out_of_range(one)]
+    values = [*NO_NUMBERS, *out_of_range(number)]
     for value in values:
         with pytest.raises(Refusal) as refusal:
             read(value)

@@ -49,10 +49,10 @@ def changed(
 ) -> Callable[[BagMessage], bytes]:
     """Change the messages of a topic that are meant."""
 
-    def rewritten(one: BagMessage) -> bytes:
-        if one.topic != topic:
-            return one.data
-        message = deserialize_message(one.data, kind)
+    def rewritten(bag_message: BagMessage) -> bytes:
+        if bag_message.topic != topic:
+            return bag_message.data
+        message = deserialize_message(bag_message.data, kind)
         if meant(message):
             change(message)
         return serialize_message(message)
@@ -79,8 +79,11 @@ def flip(
 def without(topics: Iterable[str], lost: Callable[[int], bool]) -> Callable[[BagMessage], Any]:
     """Leave out messages of topics by their ticks."""
 
-    def change(one: BagMessage) -> bytes | None:
-        tick = one.topic in topics and deserialize_message(one.data, TYPES[one.topic]).tick
-        return None if one.topic in topics and lost(int(tick)) else one.data
+    def change(bag_message: BagMessage) -> bytes | None:
+        tick = (
+            bag_message.topic in topics
+            and deserialize_message(bag_message.data, TYPES[bag_message.topic]).tick
+        )
+        return None if bag_message.topic in topics and lost(int(tick)) else bag_message.data
 
     return change

@@ -144,8 +144,8 @@ def late(values: np.ndarray, ticks: int) -> np.ndarray:
     return np.concatenate([np.repeat(values[:1], ticks, axis=0), values[: len(values) - ticks]])
 
 
-def same(one: Measured, other: Measured) -> bool:
-    return all(getattr(one, f).tobytes() == getattr(other, f).tobytes() for f in FIELDS)
+def same(first: Measured, second: Measured) -> bool:
+    return all(getattr(first, f).tobytes() == getattr(second, f).tobytes() for f in FIELDS)
 
 
 def drawn_state(rng: np.random.Generator, plant: Plant) -> None:
@@ -153,13 +153,15 @@ def drawn_state(rng: np.random.Generator, plant: Plant) -> None:
     ratio = plant.scene.gear_ratios
     theta_m, omega_m = (q + 1e-3 * rng.normal(size=3)) / ratio, (v + rng.normal(size=3)) / ratio
     theta_m[1], omega_m[1] = q[1] / ratio[1], v[1] / ratio[1]  # behind a rigid gear
-    given = {"q": q, "v": v, "theta_m": theta_m, "omega_m": omega_m, "current": rng.normal(size=3)}
-    plant.put("drawn", given)
+    values = {"q": q, "v": v, "theta_m": theta_m, "omega_m": omega_m, "current": rng.normal(size=3)}
+    plant.put("drawn", values)
 
 
 def noisy(scene: Scene, seed: float) -> Plant:
     plant = Plant(scene)
-    numbers = {one.name: 0.02 for one in scene.varied if one.name.endswith(("noise", "missed"))}
+    numbers = {
+        number.name: 0.02 for number in scene.varied if number.name.endswith(("noise", "missed"))
+    }
     set_all(plant, numbers | {"seed": seed})
     plant.reset()
     return plant

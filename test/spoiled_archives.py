@@ -52,14 +52,14 @@ def sound_signals() -> dict[str, npt.NDArray[Any]]:
 @cache
 def _bomb(name: str) -> bytes:
     """Return an archive of a MiB that unpacks to a GiB."""
-    made = io.BytesIO()
-    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
+    bytes_io = io.BytesIO()
+    with zipfile.ZipFile(bytes_io, "w", zipfile.ZIP_DEFLATED) as archive:
         head = _npy_head(f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({1 << 27},)}}")
         with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
             entry.write(head)
             for _ in range(1 << 6):
                 entry.write(bytes(1 << 24))
-    return made.getvalue()
+    return bytes_io.getvalue()
 
 
 def write_archive(rng: Rng, folder: Path) -> Path:

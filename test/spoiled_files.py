@@ -60,10 +60,10 @@ class Kind:
 def case(kind: str, rng: Rng, folder: Path) -> str:
     """Return the line that refuses a spoiled file, "" if it is taken."""
     folder.mkdir(parents=True)
-    one = KINDS[kind]
-    file = one.write(rng, folder)
-    spoil(rng, file, one.odd)
-    return verdict(file, one.words(file))
+    file_kind = KINDS[kind]
+    file = file_kind.write(rng, folder)
+    spoil(rng, file, file_kind.odd)
+    return verdict(file, file_kind.words(file))
 
 
 def verdict(file: Path, words: list[object]) -> str:
@@ -130,12 +130,12 @@ def _bounded() -> Iterator[None]:
 
 def spoil(rng: Rng, file: Path, odd: Callable[[Rng, Path], None]) -> None:
     """Spoil a sound file: its bytes, what lies in its place, or in a way of its kind."""
-    way = rng.random()
-    if way < 0.35:
+    choice = rng.random()
+    if choice < 0.35:
         odd(rng, file)
         if rng.random() < 0.2 and file.is_file() and file.stat().st_size < 1 << 22:
             file.write_bytes(damaged(rng, file.read_bytes()))
-    elif way < 0.93:
+    elif choice < 0.93:
         file.write_bytes(damaged(rng, file.read_bytes()))
     else:
         _in_its_place(rng, file)
@@ -156,11 +156,11 @@ def _in_its_place(rng: Rng, file: Path) -> None:
         case 4:
             file.symlink_to("/proc/self/mem")
         case 5:
-            with contextlib.closing(socket.socket(socket.AF_UNIX)) as one:
+            with contextlib.closing(socket.socket(socket.AF_UNIX)) as unix_socket:
                 place = Path.cwd()
                 os.chdir(file.parent)  # a socket's path is short
                 try:
-                    one.bind(file.name)
+                    unix_socket.bind(file.name)
                 finally:
                     os.chdir(place)
         case 6:
@@ -256,9 +256,9 @@ def _record_table(rng: Rng, folder: Path) -> Path:
 
 def _config(kind: str, rng: Rng, folder: Path) -> Path:
     _scene(folder).rename(folder / "scene.yaml")
-    for one in ("servo", "motion"):
-        (folder / one).mkdir()
-        (folder / one / "scene.yaml").write_text((CONFIG / one / "three_axis.yaml").read_text())
+    for part in ("servo", "motion"):
+        (folder / part).mkdir()
+        (folder / part / "scene.yaml").write_text((CONFIG / part / "three_axis.yaml").read_text())
     return (folder / kind / "scene.yaml").rename(folder / kind / "spoiled.yaml")
 
 

@@ -61,15 +61,15 @@ class Towed:
 
         stopped.terminal, stopped.direction = True, -1  # type: ignore[attr-defined]
         while begin < t[-1]:
-            found = solve_ivp(rates, (begin, t[-1]), [w, v], "DOP853", rtol=1e-12, atol=1e-14,
+            solution = solve_ivp(rates, (begin, t[-1]), [w, v], "DOP853", rtol=1e-12, atol=1e-14,
                               events=stopped, dense_output=True)  # fmt: skip
-            end = found.t[-1]
+            end = solution.t[-1]
             here = (t >= begin) & (t <= end)
             if here.any():
-                out[here] = self.speed * t[here] - found.sol(t[here])[0]
+                out[here] = self.speed * t[here] - solution.sol(t[here])[0]
             if end >= t[-1]:
                 break
-            stops, w, begin = stops + 1, found.y[0, -1], end
+            stops, w, begin = stops + 1, solution.y[0, -1], end
             rest = self.speed * end - w
             # The spring's torque grows evenly until it is that of holding.
             low, high = w, w + 1e3

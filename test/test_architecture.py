@@ -15,8 +15,8 @@ from arm_emulator.core import CORE
 from docs import architecture
 from docs.hooks import Missing
 
-STATIONS = [one for band in (*architecture.TICK, architecture.NEWTON_EULER)
-            for one in (*band.down, *band.up)]  # fmt: skip
+STATIONS = [station for band in (*architecture.TICK, architecture.NEWTON_EULER)
+            for station in (*band.down, *band.up)]  # fmt: skip
 
 
 def test_the_matrix_has_the_imports_that_import_linter_sees() -> None:
@@ -47,7 +47,9 @@ def test_every_floor_of_the_contract_is_a_row_of_the_picture() -> None:
         assert f">{room}</text>" in picture, room
 
 
-@pytest.mark.parametrize("station", STATIONS, ids=lambda one: f"{one.file}-{one.function}")
+@pytest.mark.parametrize(
+    "station", STATIONS, ids=lambda station: f"{station.file}-{station.function}"
+)
 def test_a_station_names_a_function_of_its_file(station: architecture.Station) -> None:
     """A definition begins a line with a type, and no statement; its parameters lead to a body."""
     text = re.sub(r"\s+", " ", (ROOT / station.file).read_text())

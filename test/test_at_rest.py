@@ -32,13 +32,13 @@ CASES = [
     ("place", "friction_laws", "scheme", "events", "weightless"), some(CASES, 2)
 )
 def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
-    place: str, friction_laws: tuple[str, ...], scheme: str, events: str, weightless: bool
+    place: str, frictions: tuple[str, ...], scheme: str, events: str, weightless: bool
 ) -> None:
     """Rotors that rub viscously ended as a divergence in 34 of 200 poses without weights."""
     equations = equations_of("three_axis")
     wrong = [
         line
-        for law in friction_laws
+        for law in frictions
         for line in judge(Case("three_axis", place, law, scheme, events, weightless), 60, equations)
     ]
     assert not wrong, wrong

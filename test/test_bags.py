@@ -191,8 +191,8 @@ CHANGES: dict[str, tuple[Callable[[BagMessage], bytes | None], int, str]] = {
                   ELBOW.format(80, "applied") + r"commanded \S+, applied "),
     # Without commands, too, what was applied must lead to what was measured. The links pass it on
     # within the period: the first joint that differs may be another one.
-    "a voltage": (lambda one: None if one.topic == COMMANDS
-                  else flip(STATES, MotorState, 80, "applied", bit=40)(one), 1,
+    "a voltage": (lambda message: None if message.topic == COMMANDS
+                  else flip(STATES, MotorState, 80, "applied", bit=40)(message), 1,
                   r"the first difference: run \d+, tick 80, joint \w+, current: recorded "),
     # A servo that publishes with a depth of 1 may lose some on the way to a recorder.
     "lost commands": (without([COMMANDS], lambda _: LOST.random() < 0.3), 0,

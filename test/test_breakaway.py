@@ -64,7 +64,7 @@ class Balance:
     def __init__(self, scene: Scene) -> None:
         self.oracle = Oracle(scene)
         ratio = np.array([joint.gear.ratio for joint in scene.joints])
-        friction_laws = [(joint.friction, joint.rotor_friction) for joint in scene.joints]
+        frictions = [(joint.friction, joint.rotor_friction) for joint in scene.joints]
 
         def number(law: object, key: str) -> float:
             return float(getattr(law, key, 0.0))
@@ -72,11 +72,11 @@ class Balance:
         self.c = np.array(
             [
                 number(link, "breakaway") + number(rotor, "breakaway") / abs(Ng)
-                for (link, rotor), Ng in zip(friction_laws, ratio, strict=True)
+                for (link, rotor), Ng in zip(frictions, ratio, strict=True)
             ]
         )
         self.mu = np.array(
-            [number(link, "load") + number(rotor, "load") for link, rotor in friction_laws]
+            [number(link, "load") + number(rotor, "load") for link, rotor in frictions]
         )
         self.torque_per_command = np.array([joint.torque_per_command for joint in scene.joints])
         self.at_once = np.array(

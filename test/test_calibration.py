@@ -87,16 +87,16 @@ def displaced_urdf(urdf: str, deltas: Mapping[str, Mapping[str, float]]) -> str:
     """The description with joints displaced by x to yaw, in SciPy's rotations."""
     robot = ET.fromstring(urdf)
     for joint in robot.findall("joint"):
-        one = deltas.get(joint.get("name", ""))
-        if one is None:
+        delta = deltas.get(joint.get("name", ""))
+        if delta is None:
             continue
         origin = joint.find("origin")
         if origin is None:
             origin = ET.SubElement(joint, "origin")
         xyz, rpy = (np.array(origin.get(key, "0 0 0").split(), float) for key in ("xyz", "rpy"))
         place = from_origin(xyz, rpy) @ from_origin(
-            [one.get(key, 0.0) for key in "xyz"],
-            [one.get(key, 0.0) for key in ("roll", "pitch", "yaw")],
+            [delta.get(key, 0.0) for key in "xyz"],
+            [delta.get(key, 0.0) for key in ("roll", "pitch", "yaw")],
         )
         rpy = Rotation.from_matrix(place[:3, :3]).as_euler("ZYX")[::-1]
         origin.set("xyz", " ".join(map(repr, place[:3, 3].tolist())))
@@ -124,7 +124,7 @@ def test_the_machine_stands_as_its_calibration_has_it(tmp_path: Path, seed: int)
     rng = np.random.default_rng(seed)
     make = (random_chain_urdf, random_tree_urdf)[seed % 2]
     urdf = make(rng, 4)
-    names = [one.get("name", "") for one in ET.fromstring(urdf).findall("joint")]
+    names = [element.get("name", "") for element in ET.fromstring(urdf).findall("joint")]
     deltas = drawn(rng, names)
     joints = {name: {} for name in moving_joints(urdf)}
     tool = f"{names[-1]}_link"
@@ -175,9 +175,9 @@ def joint_text(
 
 def dh_tool(rows: np.ndarray, kinds: list[str], q: np.ndarray, flange: np.ndarray) -> np.ndarray:
     T = np.eye(4)
-    for row, kind, one in zip(rows, kinds, q, strict=True):
+    for row, kind, q_joint in zip(rows, kinds, q, strict=True):
         at = row.copy()
-        at[1 if kind == "prismatic" else 0] += one
+        at[1 if kind == "prismatic" else 0] += q_joint
         T = T @ dh(*at)
     return T @ flange
 
@@ -202,9 +202,13 @@ def test_deltas_are_added_to_the_numbers_of_denavit_and_hartenberg(
     urdf = dh_urdf(rows, kinds, flange)
     keys = ("delta_theta", "delta_d", "delta_a", "delta_alpha")
     deltas = rng.normal(0.0, 0.02, (count, 4))
-    given = {f"j{k}": dict(zip(keys, map(float, row), strict=True)) for k, row in enumerate(deltas)}
-    joints: dict[str, Any] = {name: {} for name in given}
-    file = write_scene(tmp_path, urdf, joints, tool="mount_link", calibration={"joints": given})
+    deltas_by_joint = {
+        f"j{k}": dict(zip(keys, map(float, row), strict=True)) for k, row in enumerate(deltas)
+    }
+    joints: dict[str, Any] = {name: {} for name in deltas_by_joint}
+    file = write_scene(
+        tmp_path, urdf, joints, tool="mount_link", calibration={"joints": deltas_by_joint}
+    )
     scene = load_scene(file)
     for _ in range(5):
         q = rng.normal(size=count)
@@ -299,12 +303,14 @@ def test_calibrations_of_universal_robots_are_read(
         actual = tool_by_pinocchio(scene.true_urdf, scene, q)
         assert actual == pytest.approx(expected, abs=2e-11), "446 m to the frames on the way"
         nominal = turned @ dh_tool(ur10_rows(), ["revolute"] * 6, q, np.eye(4))
-        given = tool_by_pinocchio(scene.urdf, scene, q)
-        assert given == pytest.approx(nominal, abs=2e-5), "the description's digits"
+        tool_pose = tool_by_pinocchio(scene.urdf, scene, q)
+        assert tool_pose == pytest.approx(nominal, abs=2e-5), "the description's digits"
         apart = np.linalg.norm(expected[:3, 3] - nominal[:3, 3])
         assert 1e-4 < apart < 0.02, "what the driver's page calls centimetres"
-    for name, one in scene.calibration.deviations.items():
-        assert max(abs(one.x), abs(one.y), abs(one.z)) < 0.01, f"{name} stays where it was"
+    for name, deviation in scene.calibration.deviations.items():
+        assert max(abs(deviation.x), abs(deviation.y), abs(deviation.z)) < 0.01, (
+            f"{name} stays where it was"
+        )
 
 
 @needs_robots
@@ -337,7 +343,7 @@ def test_other_files_of_universal_robots_are_refused(tmp_path: Path) -> None:
     controller_file(tmp_path, deltas)
     names = moving_joints((tmp_path / "robot.urdf").read_text())
     with pytest.raises(Refusal, match="arm must have 6 revolute joints to its flange"):
-        load_scene(file, {"joints": {one: {} for one in names}, "calibration": calibration,
+        load_scene(file, {"joints": {name: {} for name in names}, "calibration": calibration,
                           "tool": f"{names[-1]}_link"})  # fmt: skip
 
 
@@ -349,7 +355,7 @@ def test_machine_data_of_kuka_are_read(tmp_path: Path) -> None:
     keys = "calibration: {file: own.dat, nominal: type.dat}\n"
     own = own_three_axis(tmp_path, keys)
     scene = load_scene(own)
-    zeros = [one.encoder_zero for one in scene.calibration.deviations.values()]
+    zeros = [deviation.encoder_zero for deviation in scene.calibration.deviations.values()]
     assert zeros == pytest.approx([0.0, np.deg2rad(0.5), 0.0], abs=1e-15)
     (tmp_path / "own.dat").write_text("$MAMES[1]=0.0\n$MAMES[2]=x\n")
     with pytest.raises(Refusal, match=r"\$MAMES\[2\] must be a number, got 'x'"):
@@ -428,11 +434,11 @@ def test_a_controller_corrects_its_description(tmp_path: Path) -> None:
     file = own_three_axis(tmp_path, "")
     names = load_scene(file).joint_names
     joints = drawn(rng, list(names))
-    for one in joints.values():
-        one |= {"encoder_zero": float(rng.normal(0.0, 0.02)), "delta_a": 1e-3}
+    for joint in joints.values():
+        joint |= {"encoder_zero": float(rng.normal(0.0, 0.02)), "delta_a": 1e-3}
     cal = tmp_path / "mine.yaml"
-    lines = [f"  {name}: {{{', '.join(f'{k}: {v!r}' for k, v in one.items())}}}\n"
-             for name, one in joints.items()]  # fmt: skip
+    lines = [f"  {name}: {{{', '.join(f'{k}: {v!r}' for k, v in fields.items())}}}\n"
+             for name, fields in joints.items()]  # fmt: skip
     cal.write_text("joints:\n" + "".join(lines))
     scene = load_scene(file, {"calibration": {"file": "mine.yaml"}})
     zeros = np.array([joints[name]["encoder_zero"] for name in names])
@@ -463,8 +469,8 @@ def test_each_door_shows_what_it_is_about(tmp_path: Path) -> None:
     scene = load_scene(own_three_axis(tmp_path, ""), overrides)
     assert get_view(scene)["urdf_xml"] == scene.true_urdf != scene.urdf
     robot = parse_urdf(scene.urdf, "nominal")
-    found = load_calibration_of(tmp_path, robot, scene.tool)
-    assert found.deviations["elbow"].z == 0.01
+    loaded = load_calibration_of(tmp_path, robot, scene.tool)
+    assert loaded.deviations["elbow"].z == 0.01
 
 
 def load_calibration_of(folder: Path, robot: ET.Element, tool: str) -> Calibration:

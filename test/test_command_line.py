@@ -73,7 +73,7 @@ def test_help_is_there_before_anything_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "LOADED", done.stdout
 
 
-@pytest.mark.parametrize("command", commands(), ids=lambda one: one.name)
+@pytest.mark.parametrize("command", commands(), ids=lambda command: command.name)
 def test_every_argument_is_explained_and_every_command_has_a_page(command: Command) -> None:
     page = run(command.name, "--help")[1]
     rows = re.findall(r"^ (?:\*  |   )?((?:--|[A-Z]).*)", page, re.MULTILINE)

@@ -15,7 +15,7 @@ from arm_emulator.runs.condition import TOOL
 from arm_emulator.runs.offline import load_offline_run
 
 SCENE = load_scene("three_axis")
-NAMES = [*(one.name for one in list_columns(SCENE)), *TOOL]
+NAMES = [*(column.name for column in list_columns(SCENE)), *TOOL]
 
 
 def some_session(seed: int) -> Session:

@@ -42,7 +42,7 @@ def bits(plant: Plant) -> bytes:
 METHODS: dict[str, Callable[[Any], Any]] = {
     "copy": copy.copy,
     "deepcopy": copy.deepcopy,
-    "pickle": lambda one: pickle.loads(pickle.dumps(one)),
+    "pickle": lambda original: pickle.loads(pickle.dumps(original)),
 }
 
 

@@ -43,7 +43,7 @@ def faults_in(table: str) -> dict[str, Written]:
         headings = [line.strip("[]") for line in lines if line.startswith("[")]
         for heading in headings:
             of, *letters = heading.removeprefix("of ").split(", ")
-            words = dict(one.split(" = ") for one in letters)
+            words = dict(letter.split(" = ") for letter in letters)
             name = ""
             for line in lines[len(headings) :]:
                 for letter, word in words.items():

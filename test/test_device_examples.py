@@ -92,17 +92,17 @@ def test_a_search_follows_its_rule(device: str | None, library: str) -> None:
     scene = load_scene("three_axis", train_reach.MACHINE)
     search = train_reach.Search(scene, 4, device, xp, seed=2)
     tried = np.random.default_rng(2).normal(0.0, train_reach.TRIED, (4, 12, 3))
-    found = []
+    rewards_of_both = []
     for side in (1.0, -1.0):
         rewards = np.zeros(4)
         for arm in range(4):  # each by the same weights for all arms
             rewards[arm] = np.asarray(search.play(search.put(side * tried[arm]), 1))[arm]
-        found.append(rewards)
-    more, less = found
+        rewards_of_both.append(rewards)
+    more, less = rewards_of_both
     mean = float(search.improve())
     assert mean == pytest.approx(0.5 * (more + less).mean(), rel=1e-12)
-    spread = np.concatenate(found).std()
-    slope = np.tensordot(more - less, tried, 1) / (4 * train_reach.TRIED * spread)
+    deviation = np.concatenate(rewards_of_both).std()
+    slope = np.tensordot(more - less, tried, 1) / (4 * train_reach.TRIED * deviation)
     # Differences of rewards lose 1e3 of their last place.
     np.testing.assert_allclose(np.asarray(search.weights), train_reach.RATE * slope, rtol=1e-9)
 

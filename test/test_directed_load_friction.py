@@ -318,13 +318,13 @@ def held_rows(rng: np.random.Generator, plant: Plant, law: Bam, joint: Rotor) ->
     """Bring a joint to rest under a torque inside the cone, and return that torque."""
     S = joint.Ng * joint.weight
     share = float(rng.uniform(-0.98, 0.98))
-    way = float(np.sign(share))
+    direction = float(np.sign(share))
 
     def excess(tau: float) -> float:
-        return way * (tau - S) - law(way, 0.0, tau, S, abs(tau) > abs(S))
+        return direction * (tau - S) - law(direction, 0.0, tau, S, abs(tau) > abs(S))
 
-    far = S + way * 20.0 * abs(S)
-    end = brentq(excess, S + way * 1e-9 * abs(S), far)
+    far = S + direction * 20.0 * abs(S)
+    end = brentq(excess, S + direction * 1e-9 * abs(S), far)
     torque = S + abs(share) * (end - S)
     plant.put("test", {"q": [0.0], "v": [0.0], "omega_m": [0.0],
                        "theta_m": [joint.weight / joint.Kg / joint.Ng]})  # fmt: skip
@@ -415,9 +415,9 @@ def test_a_worm_without_power_stops_where_the_closed_form_states(
                                "theta_m": [at_rest]})  # fmt: skip
             plant.advance(np.array([0.0]), 5000)
             assert plant.state.omega_m[0] == 0.0
-            way = 0.02 * (plant.state.theta_m[0] - at_rest)
+            distance = 0.02 * (plant.state.theta_m[0] - at_rest)
             # The gear swings at 1 kHz and more, and stops take 5 ms and more.
-            assert way == pytest.approx(np.sign(speed) * speed**2 / (2.0 * abs(a)), rel=0.02)
+            assert distance == pytest.approx(np.sign(speed) * speed**2 / (2.0 * abs(a)), rel=0.02)
 
 
 @pytest.mark.parametrize(("friction", "at_rotor", "line"), [

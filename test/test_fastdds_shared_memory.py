@@ -196,8 +196,8 @@ def test_ports_that_are_whole_young_or_of_others_are_kept(tmp_path: Path) -> Non
 
 def test_young_files_of_other_users_or_other_names_are_kept(tmp_path: Path) -> None:
     name = "fastrtps_0123456789abcdef"
-    for name_of_other in ("fastrtps_port7000_el", "fastrtps_xyz_el", f"{name}_el_", "mine_el"):
-        (tmp_path / name_of_other).touch()
+    for foreign_name in ("fastrtps_port7000_el", "fastrtps_xyz_el", f"{name}_el_", "mine_el"):
+        (tmp_path / foreign_name).touch()
     (tmp_path / "fastrtps_00000000000000aa_el").symlink_to(tmp_path / "mine_el")
     before = sorted(tmp_path.iterdir())
     for file in (tmp_path / name, tmp_path / f"{name}_el"):

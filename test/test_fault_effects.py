@@ -190,9 +190,9 @@ OTHER = {"tachometer": "link_speed", "thermometer": "motor_temperature"}
 RANGE = {"thermometer": 40.0}
 
 CHECKS: dict[str, Callable[..., None]] = {
-    **{f"{way}_{what}": line(what, field)
-       for way, field in (("command", "applied"), ("measurement", "encoder"))
-       for what in ("late", "lost", "repeated", "overtaken")},
+    **{f"{direction}_{quantity}": line(quantity, field)
+       for direction, field in (("command", "applied"), ("measurement", "encoder"))
+       for quantity in ("late", "lost", "repeated", "overtaken")},
     "command_corrupted": command_corrupted,
     "measurement_corrupted": counts_with_wrong_bits("encoder_counts", range(16)),
     "encoder_flips_bits": counts_with_wrong_bits("encoder_counts", range(16)),

@@ -146,10 +146,10 @@ def spoiled(change: Callable[[Any], Any]) -> Callable[[Path], None]:
 @pytest.mark.parametrize(("spoil", "rule"), [
     (spoiled(lambda _: "no JSON"), "orders must be JSON"),
     (spoiled(lambda _: "7"), "tick of an order must be a number from 0 on"),
-    (spoiled(lambda one: json.dumps([{**one[0], "tick": -1}])), "tick of an order"),
-    (spoiled(lambda one: json.dumps([{**one[0], "kind": "x"}])), "be of a known kind"),
-    (spoiled(lambda one: json.dumps([{**one[0], "by": [0, 1]}])), "order, by must be a Vector"),
-    (spoiled(lambda one: json.dumps([{**one[0], "by": [0, 0.03, 0]}])), "lead to the recorded"),
+    (spoiled(lambda log: json.dumps([{**log[0], "tick": -1}])), "tick of an order"),
+    (spoiled(lambda log: json.dumps([{**log[0], "kind": "x"}])), "be of a known kind"),
+    (spoiled(lambda log: json.dumps([{**log[0], "by": [0, 1]}])), "order, by must be a Vector"),
+    (spoiled(lambda log: json.dumps([{**log[0], "by": [0, 0.03, 0]}])), "lead to the recorded"),
     (spoiled(lambda _: "[]"), "lead to the recorded"),
 ], ids=range(7))  # fmt: skip
 def test_orders_that_are_not_of_the_bag_are_refused(

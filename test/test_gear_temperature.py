@@ -70,8 +70,8 @@ def solve_motion(joint: dict[str, Any], voltages: Array) -> Array:
     elastic = "stiffness" in gear
 
     def rates(_: float, x: Array, V: float) -> list[float]:
-        i, tm, wm, q, v, rise, wound = x
-        R = 1.0 + WINDING["resistance_coefficient"] * wound
+        i, tm, wm, q, v, rise, T_rise = x
+        R = 1.0 + WINDING["resistance_coefficient"] * T_rise
         above = body["ambient"] + rise - body["reference"]
         f_v = body["viscous_floor"] + (1.0 - body["viscous_floor"]) * np.exp(
             -above / body["viscous_decay"]
@@ -85,7 +85,7 @@ def solve_motion(joint: dict[str, Any], voltages: Array) -> Array:
         P = on_rotor * wm + on_link * v
         flow = 0.0
         if "winding_resistance" in body:
-            flow = (20.0 + wound - body["ambient"] - rise) / body["winding_resistance"]
+            flow = (20.0 + T_rise - body["ambient"] - rise) / body["winding_resistance"]
         if elastic:
             dwm, dv = (shaft - Ng * T - on_rotor) / 1e-4, (T - on_link) / LINK_INERTIA
         else:
@@ -94,7 +94,7 @@ def solve_motion(joint: dict[str, Any], voltages: Array) -> Array:
         return [
             (V - R * i - 0.1 * wm) / 2e-3, wm, dwm, v, dv,
             (P + flow - rise / body["thermal_resistance"]) / body["heat_capacity"],
-            (R * i**2 - flow - wound / WINDING["thermal_resistance"]) / WINDING["heat_capacity"],
+            (R * i**2 - flow - T_rise / WINDING["thermal_resistance"]) / WINDING["heat_capacity"],
         ]  # fmt: skip
 
     x, out = np.zeros(7), []

@@ -30,7 +30,7 @@ def robot(seed: int) -> tuple[str, dict[str, tuple[str, float, float]]]:
     """
     rng = np.random.default_rng([seed, 15])
     text, parent = '<robot name="held"><link name="base"/>', "base"
-    friction_laws = {}
+    mimics = {}
     for name in (*ARM, *GRIPPER):
         kind = "prismatic" if name in GRIPPER and rng.random() < 0.5 else "revolute"
         parent = f"{PARENTS[name]}_link" if name in PARENTS else parent
@@ -48,7 +48,7 @@ def robot(seed: int) -> tuple[str, dict[str, tuple[str, float, float]]]:
                 name, "grip"
             )
             factor, offset = rng.uniform(-2.0, 2.0, 2).round(3)
-            friction_laws[name] = (of, float(factor), float(offset))
+            mimics[name] = (of, float(factor), float(offset))
             inner = f'<mimic joint="{of}" multiplier="{factor}" offset="{offset}"/>'
         element = ET.fromstring(f"<all>{link}</all>")
         joint = element.find("joint")
@@ -58,13 +58,13 @@ def robot(seed: int) -> tuple[str, dict[str, tuple[str, float, float]]]:
         joint.extend(ET.fromstring(f"<more>{inner}</more>"))
         text += "".join(ET.tostring(child, encoding="unicode") for child in element)
         parent = f"{name}_link"
-    return text + "</robot>", friction_laws
+    return text + "</robot>", mimics
 
 
-def positions(friction_laws: dict[str, tuple[str, float, float]], grip: float) -> dict[str, float]:
+def positions(mimics: dict[str, tuple[str, float, float]], grip: float) -> dict[str, float]:
     """Return where the gripper's joints stand, one after the other."""
     result = {"grip": grip}
-    for name, (of, factor, offset) in friction_laws.items():
+    for name, (of, factor, offset) in mimics.items():
         result[name] = factor * result[of] + offset
     return result
 
@@ -86,10 +86,10 @@ def without_mimics(urdf: str) -> str:
 
 @pytest.mark.parametrize("seed", some(range(200), 20))
 def test_new_holds_those_that_follow_where_their_joint_takes_them(seed: int) -> None:
-    urdf, friction_laws = robot(seed)
+    urdf, mimics = robot(seed)
     holding = choose_joints(ET.fromstring(urdf), "robot", joints=ARM).held
     low = float(ET.fromstring(urdf).findall("joint")[3].find("limit").get("lower"))  # type: ignore
-    expected = positions(friction_laws, max(0.0, low))
+    expected = positions(mimics, max(0.0, low))
     # Sums of four products, in another order.
     for name in GRIPPER:
         assert holding[name].position == pytest.approx(expected[name], rel=1e-12, abs=1e-12), name
@@ -103,17 +103,17 @@ def scene_of(folder: Path, urdf: str, locked: dict[str, float]) -> Scene:
 @pytest.mark.parametrize("seed", some(range(200), 20))
 def test_a_refusal_names_the_position_of_the_law(seed: int, tmp_path: Path) -> None:
     """Followed to the letter, refusal by refusal, the links stand where Pinocchio has them."""
-    urdf, friction_laws = robot(seed)
+    urdf, mimics = robot(seed)
     grip = float(np.random.default_rng([seed, 16]).uniform(0.1, 0.8))
     locked = {"grip": grip}
-    for _ in friction_laws:
+    for _ in mimics:
         with pytest.raises(Refusal, match="must follow joints on the way") as refused:
             scene_of(tmp_path, urdf, locked)
         advice = re.search(r"locked: \{(\w+): (\S+)\}", str(refused.value.valid))
         assert advice, refused.value
         locked[advice[1]] = float(advice[2])
     scene = scene_of(tmp_path, urdf, locked)
-    expected = placed(without_mimics(urdf), positions(friction_laws, grip))
+    expected = placed(without_mimics(urdf), positions(mimics, grip))
     np.testing.assert_allclose(placed(scene.urdf, {}), expected, rtol=0.0, atol=1e-12)
 
 

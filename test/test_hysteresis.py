@@ -77,9 +77,9 @@ class Truth:
             out.append(x)
         return np.array(out)
 
-    def _rates(self, x: Array, V: float, slips: Array) -> Array:
+    def _rates(self, x: Array, V: float, slipping: Array) -> Array:
         T, rate = self.gear_torque(x), RATIO * x[1] - x[3]
-        bends = np.where(slips, 0.0, rate)
+        bends = np.where(slipping, 0.0, rate)
         return np.array([x[1], (KT * V - RATIO * T) / ROTOR, x[3], T / LINK_INERTIA, *bends])
 
     def _over_period(self, x: Array, V: float) -> Array:
@@ -88,26 +88,26 @@ class Truth:
         if sign == 0.0:  # at rest: of the way that the twist is about to take
             f = self._rates(x, V, np.zeros(len(self.d), bool))
             sign = np.sign(RATIO * f[1] - f[3])
-        slips = sign * x[4:] >= self.d * (1.0 - 1e-12)
+        slipping = sign * x[4:] >= self.d * (1.0 - 1e-12)
         while True:
             events: list[Any] = [lambda _, x, sign=sign: sign * (RATIO * x[1] - x[3])]
-            sticking = np.flatnonzero(~slips)
+            sticking = np.flatnonzero(~slipping)
             for i in sticking:
                 events.append(lambda _, x, i=i, sign=sign: self.d[i] - sign * x[4 + i])
             for event in events:
                 event.terminal, event.direction = True, -1.0
             solved = solve_ivp(
-                lambda _, x, slips=slips: self._rates(x, V, slips),
+                lambda _, x, slipping=slipping: self._rates(x, V, slipping),
                 (t, PERIOD), x, "DOP853", rtol=1e-11, atol=1e-13, events=events,
             )  # fmt: skip
             x, t = solved.y[:, -1].copy(), float(solved.t[-1])
             if solved.status == 0:
                 return x
             if len(solved.t_events[0]):
-                sign, slips = -sign, np.zeros_like(slips)
+                sign, slipping = -sign, np.zeros_like(slipping)
             else:
-                slips = slips.copy()
-                slips[[i for k, i in enumerate(sticking) if len(solved.t_events[k + 1])]] = True
+                slipping = slipping.copy()
+                slipping[[i for k, i in enumerate(sticking) if len(solved.t_events[k + 1])]] = True
 
 
 def pushes(rng: np.random.Generator, hysteresis: dict[str, float], rows: int = 12) -> Array:

@@ -83,13 +83,13 @@ def run_bang(rng: np.random.Generator, top: float, period: float) -> list[Refere
 def shape(motion: list[Reference], shaper: InputShaper, period: float) -> list[JointSetpoint]:
     shaped, still = ShapedReference(shaper, period), Reference.at_rest(motion[0].q)
     shaped.shape(JointSetpoint(still.q, still.v, None, still, still))
-    answers = []
+    instructions = []
     for now, then in zip(motion, [*motion[1:], motion[-1]], strict=True):
         end = Reference(then.q, then.v, now.a)  # the acceleration jumps at the end of the period
-        answers.append(
+        instructions.append(
             shaped.shape(JointSetpoint(now.q, (then.q - now.q) / period, None, now, end))
         )
-    return answers
+    return instructions
 
 
 def swing(rows: list[Reference], period: float, mode: ShapedMode) -> float:
@@ -100,7 +100,7 @@ def swing(rows: list[Reference], period: float, mode: ShapedMode) -> float:
     w = 2.0 * math.pi * mode.frequency
     wd = w * math.sqrt(1.0 - mode.damping**2)
     t = period * np.arange(len(rows))
-    speeds = CubicHermiteSpline(t, [one.v[0] for one in rows], [one.a[0] for one in rows])
+    speeds = CubicHermiteSpline(t, [row.v[0] for row in rows], [row.a[0] for row in rows])
     a = speeds.derivative()
 
     def rates(at: float, s: Array) -> list[float]:
@@ -127,12 +127,12 @@ def test_a_shaped_motion_shakes_an_elastic_joint_as_its_impulses_state(
     rate = complex(mode.damping * w, w * math.sqrt(1.0 - mode.damping**2))
     for factor in (1.0, 0.8, 0.9, 1.1, 1.2):
         shaper = InputShaper.design(kind, [ShapedMode(factor * mode.frequency, mode.damping)])
-        rows = [one.now for one in shape(motion, shaper, period)]
-        found = swing([one for one in rows if one is not None], period, mode) / unshaped
+        rows = [instruction.now for instruction in shape(motion, shaper, period)]
+        relative_swing = swing([row for row in rows if row is not None], period, mode) / unshaped
         expected = abs(shaper.shares @ np.exp(rate * shaper.times))
         # The acceleration of a copy that begins within a period is known at its ends alone:
         # (w period)^2 / 8, 0.5 % at 15 Hz.
-        assert found == pytest.approx(expected, abs=5e-3, rel=5e-3), (mode, factor)
+        assert relative_swing == pytest.approx(expected, abs=5e-3, rel=5e-3), (mode, factor)
 
 
 START = np.array([0.0, 0.5, 0.8])
@@ -172,25 +172,25 @@ def test_a_shaped_motion_keeps_limits_lines_and_end_and_is_reached_by_its_delay_
 ) -> None:
     rng = np.random.default_rng(seed)
     goal = START + rng.uniform(-0.8, 0.8, 3)
-    found = {}
+    motions = {}
     for name, more in (("raw", {}), ("shaped", SHAPED)):
         arm = IdealArm(**more)
         arm.move(goal)
-        answers, states = [], []
+        instructions, states = [], []
         for _ in range(260):
-            answers.append(arm.instruct())
+            instructions.append(arm.instruct())
             states.append(arm.executor.progress.state)
-        rows = [one.now or Reference.at_rest(one.q) for one in answers]
+        rows = [instruction.now or Reference.at_rest(instruction.q) for instruction in instructions]
         motion = (np.array([getattr(row, key) for row in rows]) for key in "qva")
-        found[name] = (*motion, states.index(State.REACHED))
+        motions[name] = (*motion, states.index(State.REACHED))
     delay = arm.config.design_shaper().delay
-    raw, shaped = found["raw"], found["shaped"]
+    raw, shaped = motions["raw"], motions["shaped"]
     assert np.array_equal(raw[0][-1], shaped[0][-1]), "the end, to the bit"
     for order in (1, 2):
-        most = np.abs(raw[order]).max(axis=0)
-        assert (np.abs(shaped[order]).max(axis=0) <= most * (1.0 + 1e-9)).all(), order
+        limits = np.abs(raw[order]).max(axis=0)
+        assert (np.abs(shaped[order]).max(axis=0) <= limits * (1.0 + 1e-9)).all(), order
     # Jerks of a motion are means over a period: those of a copy that begins within one, too.
-    jerks = [np.abs(np.diff(one[2], axis=0)).max(axis=0) for one in (raw, shaped)]
+    jerks = [np.abs(np.diff(motion[2], axis=0)).max(axis=0) for motion in (raw, shaped)]
     assert (jerks[1] <= jerks[0] * 1.01).all(), jerks
     along = (goal - START) / np.linalg.norm(goal - START)
     beside = (shaped[0] - START) - np.outer((shaped[0] - START) @ along, along)
@@ -207,9 +207,9 @@ def test_the_delay_is_reported_and_tolerances_judge_the_shaped_motion() -> None:
     words = []
     for _ in range(200):
         arm.instruct()
-        words += [str(one) for one in arm.executor.reports.take()]
+        words += [str(report) for report in arm.executor.reports.take()]
     delay = arm.config.design_shaper().delay
-    assert any(f"{delay:.3g} s more by the shaper" in one for one in words), words
+    assert any(f"{delay:.3g} s more by the shaper" in word for word in words), words
     assert arm.executor.progress.state is State.REACHED and "aborted" not in " ".join(words)
 
 
@@ -237,15 +237,15 @@ def test_a_joint_that_cannot_move_meets_no_delayed_reference() -> None:
     """A brake closes on the way: its joint is commanded where it is, the others do not jump."""
     arm = IdealArm(**SHAPED)
     arm.move(START + 0.6)
-    held, before = 0.0, START
+    zoh_angle, before = 0.0, START
     for k in range(400):
         can = np.array([True, not 40 <= k < 120, True])
         if k == 40:
-            held = arm.q[1]
+            zoh_angle = arm.q[1]
         if not can[1]:
-            arm.q, arm.v = np.array([arm.q[0], held, arm.q[2]]), arm.v * can
+            arm.q, arm.v = np.array([arm.q[0], zoh_angle, arm.q[2]]), arm.v * can
         answer = arm.instruct(can)
-        assert can[1] or answer.q[1] == pytest.approx(held, abs=1e-12), k
+        assert can[1] or answer.q[1] == pytest.approx(zoh_angle, abs=1e-12), k
         assert np.abs(answer.q - before)[[0, 2]].max() < 3.0 * PERIOD, k  # 3 rad/s at most
         before = answer.q
     assert np.abs(arm.q - START - 0.6).max() < 1e-9, "it goes on to the end"

@@ -180,7 +180,7 @@ def test_a_joint_is_asked_for_what_its_motor_gives() -> None:
     ],
 )  # fmt: skip
 def test_joints_that_do_not_fit_are_refused(
-    tmp_path: Path, given: list[str], kind: str, refusal: str
+    tmp_path: Path, data_files: list[str], kind: str, refusal: str
 ) -> None:
     robot = robot_of(tmp_path, kind)
     robot.write_text(robot.read_text().replace(
@@ -188,7 +188,7 @@ def test_joints_that_do_not_fit_are_refused(
         '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="10" velocity="1"/></joint>',
     ))  # fmt: skip
     with pytest.raises(Refusal) as caught:
-        write_new(robot, tmp_path / "arm", joint_data=given)
+        write_new(robot, tmp_path / "arm", joint_data=data_files)
     assert refusal in str(caught.value)
 
 

@@ -84,8 +84,9 @@ URDF = """<robot name="arm"><link name="base"/><link name="tip"><inertial><mass 
 # Commands that find the state of the machine, which may differ the next time: whether an object has
 # something bad, and how the lines begin or name it.
 OF_THE_MACHINE: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "latency": (lambda facts: not all(one["held"] for one in facts["rates"].values()), "not held"),
-    "doctor": (lambda facts: any(one["level"] == "problem" for one in facts["findings"]),
+    "latency": (lambda facts: not all(rate["held"] for rate in facts["rates"].values()),
+                "not held"),
+    "doctor": (lambda facts: any(fact["level"] == "problem" for fact in facts["findings"]),
                "(?m)^problem"),
 }  # fmt: skip
 
@@ -123,7 +124,7 @@ def test_the_lists_name_commands_only() -> None:
     ("name", "words"),
     [(name, words) for name in ENDS if name not in COMPILING for words in ENDS[name]]
     + some([(name, words) for name in COMPILING for words in ENDS[name]], 1),
-    ids=lambda one: one if isinstance(one, str) else " ".join(one),
+    ids=lambda case: case if isinstance(case, str) else " ".join(case),
 )
 def test_stdout_is_an_object_and_the_exit_code_that_of_text(
     name: str, words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch

@@ -105,8 +105,12 @@ def test_an_arm_that_breaks_away_beside_resting_ones_moves_as_a_single_arm() -> 
         fleet.run(np.broadcast_to(rows, (periods, 9, 3)), 1)
         for arm, plant in enumerate(alone):
             plant.advance(rows[arm], periods)
-            one, other = plant.state, fleet[arm].state
+            single, in_fleet = plant.state, fleet[arm].state
             for number in ("q", "v", "current", "theta_m", "omega_m"):
-                assert (getattr(one, number) == getattr(other, number)).all(), (part, arm, number)
+                assert (getattr(single, number) == getattr(in_fleet, number)).all(), (
+                    part,
+                    arm,
+                    number,
+                )
         rests = np.append(rests, sum(not np.any(plant.state.v) for plant in alone[:8]))
     assert 8 in rests and ((rests > 0) & (rests < 8)).any(), "a group rests, or a part of it"

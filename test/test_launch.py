@@ -144,7 +144,7 @@ def test_wrong_arguments_are_reported_in_a_line_with_exit_code_2() -> None:
     assert file.is_file(), f"{file} is what refusals name"
     nodes, ros, commands = some(REFUSED_NODES, 3), some(REFUSED_BY_ROS, 1), REFUSED_COMMANDS
     cases = [((module, "--ros-args", *more), words, 1) for (module, *more), words in nodes]
-    cases += [((one, "--ros-args", *more), words, 2) for (one, *more), words in ros]
+    cases += [((node, "--ros-args", *more), words, 2) for (node, *more), words in ros]
     cases += [(("arm_emulator", *command), words, 1) for command, words in commands]
     with own_domain():
         started = [(start(*command), command, words, lines) for command, words, lines in cases]

@@ -93,11 +93,11 @@ def test_arms_of_an_environment_restart_separately(env: Any) -> None:
 def step_seeded(env: Any, steps: int) -> list[np.ndarray]:
     """Return all that an environment gives under seeded actions, over episodes that end."""
     observed, _ = env.reset(seed=5)
-    xp, rng, found = env.xp, np.random.default_rng(6), [observed]
+    xp, rng, observations = env.xp, np.random.default_rng(6), [observed]
     for _ in range(steps):
         actions = rng.uniform(-1.5, 1.5, env.action_space.shape).astype(np.float32)
-        found += env.step(xp.asarray(actions))[:4]
-    return [np.array(numbers) for numbers in found]
+        observations += env.step(xp.asarray(actions))[:4]
+    return [np.array(numbers) for numbers in observations]
 
 
 @pytest.mark.parametrize("library", ["numpy", "torch"])
@@ -106,12 +106,12 @@ def test_an_environment_on_a_device_gives_the_numbers_of_lanes(env: Any, library
     more = {"seconds": np.where(np.arange(16) < 8, 0.04, 0.06), "device": "processor", "xp": xp}
     on_device = type(env)(env.fleet.scene, num_envs=16, **more)
     assert on_device.fleet.device == "processor"
-    expected, given = step_seeded(env, 100), step_seeded(on_device, 100)
+    expected, computed = step_seeded(env, 100), step_seeded(on_device, 100)
     assert sum(over.sum() for over in expected[4::4]) > 16, "no second episode"
-    for own, other in zip(expected, given, strict=True):
-        assert own.dtype == other.dtype
+    for own, actual in zip(expected, computed, strict=True):
+        assert own.dtype == actual.dtype
         # The sum of a reward's three terms may be in another order in another library.
-        np.testing.assert_allclose(other, own, rtol=1e-15 if library == "torch" else 0.0)
+        np.testing.assert_allclose(actual, own, rtol=1e-15 if library == "torch" else 0.0)
 
 
 def test_a_step_on_a_device_copies_no_array_to_the_host(
@@ -124,9 +124,9 @@ def test_a_step_on_a_device_copies_no_array_to_the_host(
     read, sizes = ProcessorDevice.read, []
 
     def count(self: Any, memory: Any, dtype: Any, shape: Any, offset: int = 0) -> Any:
-        found = read(self, memory, dtype, shape, offset)
-        sizes.append(found.nbytes)
-        return found
+        array = read(self, memory, dtype, shape, offset)
+        sizes.append(array.nbytes)
+        return array
 
     monkeypatch.setattr(ProcessorDevice, "read", count)
     for _ in range(2):
@@ -138,15 +138,15 @@ def test_a_step_on_a_device_copies_no_array_to_the_host(
 def test_draws_of_an_environment_are_of_their_ranges_and_of_each_episode(env: Any) -> None:
     env.reset(seed=3)
     everything = env.draws >= 0.0
-    drawn = []
+    draws = []
     for _ in range(200):
         env._begin(everything[:, 0])
-        drawn.append(env.draws)
-    assert np.min(drawn) >= 0.0 and np.max(drawn) < 1.0
+        draws.append(env.draws)
+    assert np.min(draws) >= 0.0 and np.max(draws) < 1.0
     # The mean of draws that are independent in pairs has the deviation of independent draws, with
     # longer tails: 10 of them are exceeded with a probability below 0.01 (Chebyshev).
-    assert np.abs(np.mean(drawn, axis=(0, 1)) - 0.5).max() < 10.0 / np.sqrt(12 * 200 * 16)
-    assert all(len(np.unique(column)) == 200 for column in np.array(drawn)[:, :, 0].T)
+    assert np.abs(np.mean(draws, axis=(0, 1)) - 0.5).max() < 10.0 / np.sqrt(12 * 200 * 16)
+    assert all(len(np.unique(column)) == 200 for column in np.array(draws)[:, :, 0].T)
 
 
 def test_the_tests_of_a_user_pass(tmp_path: Path) -> None:

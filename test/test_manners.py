@@ -183,8 +183,8 @@ def calls_of_fleet() -> Iterator[tuple[str, Callable[[Any, Any], Any], list[Any]
     ]  # fmt: skip
 
 
-OF_PLANT = [(Plant, *one) for one in (*calls(), *calls_of_plant())]
-OF_FLEET = [(Fleet, *one) for one in (*calls(), *calls_of_fleet())]
+OF_PLANT = [(Plant, *call) for call in (*calls(), *calls_of_plant())]
+OF_FLEET = [(Fleet, *call) for call in (*calls(), *calls_of_fleet())]
 
 
 @pytest.mark.parametrize(

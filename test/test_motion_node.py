@@ -25,9 +25,9 @@ from motion_controller_node.follow_action import is_installed
 
 @pytest.fixture(scope="module")
 def nodes() -> Iterator[InProcess]:
-    with in_process() as one:
-        one.run_to(5)  # the description has come
-        yield one
+    with in_process() as inside:
+        inside.run_to(5)  # the description has come
+        yield inside
 
 
 def statuses(nodes: InProcess) -> list[MotionStatus]:

@@ -82,8 +82,8 @@ def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None
 def test_the_holding_torque_is_weight_plus_all_torques_of_the_angle() -> None:
     """A table of torques counts as the spring does that it was measured at."""
     push = {"angles": [-7.0, -2.0, 2.0, 7.0], "torques": [-1e4] * 4}
-    free, pushed = (load_scene("ur5", {"joints.elbow_joint.torque_table": one})
-                    for one in (None, push))  # fmt: skip
-    assert "elbow_joint" not in {one.joint for one in overloads(free)}
-    (load,) = (one for one in overloads(pushed) if one.joint == "elbow_joint")
+    free, pushed = (load_scene("ur5", {"joints.elbow_joint.torque_table": table})
+                    for table in (None, push))  # fmt: skip
+    assert "elbow_joint" not in {overload.joint for overload in overloads(free)}
+    (load,) = (overload for overload in overloads(pushed) if overload.joint == "elbow_joint")
     assert load.takes == pytest.approx(1e4, rel=1e-2)

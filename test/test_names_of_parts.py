@@ -75,7 +75,7 @@ def is_text(path: str) -> bool:
 def in_python(text: str, with_words: bool) -> set[str]:
     """Return the names of parts in a Python source: what it imports and, if asked, its words."""
     tree = ast.parse(text)
-    found = set()
+    words = set()
     prose = {
         id(node.body[0].value)
         for node in ast.walk(tree)
@@ -85,11 +85,11 @@ def in_python(text: str, with_words: bool) -> set[str]:
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and "machine.parts" in (node.module or ""):
-            found |= {name.name for name in node.names} & CLASSES
+            words |= {name.name for name in node.names} & CLASSES
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_words:
             if id(node) not in prose and re.fullmatch(r"[\w.*{}]+", node.value):
-                found |= set(node.value.split(".")) & WORDS
-    return found
+                words |= set(node.value.split(".")) & WORDS
+    return words
 
 
 def in_cxx(text: str) -> set[str]:

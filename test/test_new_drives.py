@@ -66,12 +66,15 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
     for i, j in itertools.combinations(range(N), 2):
         M[i, j] = M[j, i] = draw.uniform() * math.sqrt(M[i, i] * M[j, j])
     demands = [
-        dataclasses.replace(one, coupling=tuple(row)) for one, row in zip(demands, M, strict=True)
+        dataclasses.replace(joint_demand, coupling=tuple(row))
+        for joint_demand, row in zip(demands, M, strict=True)
     ]
     supply, drives = size(demands)
     a = np.array([drive.acceleration for drive in drives])
-    needs = [needed(one, [drive.speed for drive in drives]) for one in demands]
-    alone = [links_alone(one, [drive.speed for drive in drives]) for one in demands]
+    needs = [needed(joint_demand, [drive.speed for drive in drives]) for joint_demand in demands]
+    alone = [
+        links_alone(joint_demand, [drive.speed for drive in drives]) for joint_demand in demands
+    ]
     for j, (demand, drive) in enumerate(zip(demands, drives, strict=True)):
         if trusted := drive.notes["torque"] == "URDF":
             assert drive.peak_torque == demand.effort >= demand.bare_torque
@@ -102,9 +105,9 @@ def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
         moves = demand.effort is not None and demand.effort >= alone[j] / UNDERSIZED
         sane = demand.effort is not None and demand.effort <= PLACEHOLDER * needs[j]
         sane = sane and any(
-            one.effort <= OVERSIZED * need
-            for one, need in zip(demands, needs, strict=True)
-            if one.effort is not None
+            joint_demand.effort <= OVERSIZED * need
+            for joint_demand, need in zip(demands, needs, strict=True)
+            if joint_demand.effort is not None
         )
         assert trusted == (holds and moves and sane), "a maker's torque that holds the arm is kept"
 
@@ -211,7 +214,11 @@ def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
     It has a drive all the same, whose speed, acceleration and torque references must keep.
     """
     robot = ET.fromstring(OWN["gantry" if kind == "prismatic" else "planar"]())
-    joint = next(one for one in robot.findall("joint") if one.get("type") == kind)
+    joint = next(
+        joint_element
+        for joint_element in robot.findall("joint")
+        if joint_element.get("type") == kind
+    )
     limit = joint.find("limit")
     assert limit is not None
     limit.attrib |= {"lower": "-999999", "upper": "999999"}

@@ -33,15 +33,15 @@ Read = Callable[[Any], object]
 
 def drawn(rng: np.random.Generator) -> Number:
     low, high = sorted(rng.uniform(-10.0, 10.0, 2).round(1).tolist())
-    is_whole, in_size = bool(rng.random() < 0.3), bool(rng.random() < 0.3)
+    is_integer, in_size = bool(rng.random() < 0.3), bool(rng.random() < 0.3)
     if in_size:
         low, high = 0.0, abs(high)
-    if is_whole:
+    if is_integer:
         low, high = math.floor(low), math.ceil(high) + 1
     bounds = [{}, {"above": low}, {"at_least": low}, {"at_most": high},
               {"at_least": low, "at_most": high}, {"above": low, "at_most": high}]  # fmt: skip
     chosen: Any = bounds[rng.integers(len(bounds))]
-    return Number("x", str(rng.choice(UNITS)), **chosen, whole=is_whole, in_size=in_size)
+    return Number("x", str(rng.choice(UNITS)), **chosen, whole=is_integer, in_size=in_size)
 
 
 def test_words_and_range_agree() -> None:

@@ -44,9 +44,9 @@ def test_a_command_without_its_package_is_refused(
 
 
 def test_the_core_knows_which_package_has_which_command() -> None:
-    found = {}
+    commands_of = {}
     for setup in (ROOT / "packages").glob("arm_emulator_*/setup.py"):
         commands = re.findall(r'"([a-z0-9-]+) = \w+\.commands\.', setup.read_text())
         if commands:
-            found[setup.parent.name.removeprefix("arm_emulator_")] = tuple(sorted(commands))
-    assert found == packages.COMMANDS_OF
+            commands_of[setup.parent.name.removeprefix("arm_emulator_")] = tuple(sorted(commands))
+    assert commands_of == packages.COMMANDS_OF

@@ -42,7 +42,7 @@ def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
     file = write_scene(folder, urdf, joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": "located"})
     for part, joint in zip(parts, scene.joints, strict=True):
-        assert any(type(other_part) is part for other_part in joint.parts), (
+        assert any(type(joint_part) is part for joint_part in joint.parts), (
             f"{part.__name__} is there"
         )
     return scene

@@ -138,26 +138,31 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 4])
     for _ in range(20):
         instance = read(part, drawn_section(part, rng))
-        could = {one.name: one for one in instance.list_variable_numbers("elbow")}
+        could = {varied.name: varied for varied in instance.list_variable_numbers("elbow")}
         chosen = [name for name in could if rng.random() < 0.5]
         places = {name: f"p[{k}]" for k, name in enumerate(chosen)}
         p = [could[name].value for name in chosen]
         text = instance.write_initialiser("elbow", places)
         members = dict(re.findall(r"\.(\w+) = ([^,{}]+)", text))
-        for key, one in part.numbers().items():
+        for key, quantity in part.numbers().items():
             value, at = getattr(instance, key), f"joints.elbow.{part.section}.{key}"
             assert (at in could) == (
-                one.varied and not one.whole and one.follows is None and value is not None
+                quantity.varied
+                and not quantity.whole
+                and quantity.follows is None
+                and value is not None
             ), at
-            assert (one.symbol in members) == (value is not None), text
+            assert (quantity.symbol in members) == (value is not None), text
             if value is None:
                 continue
-            written = members[one.symbol]
-            assert ("p[" in written) == (one.follows in [n.split(".")[-1] for n in chosen]
-                                         if one.follows else at in chosen), text  # fmt: skip
+            written = members[quantity.symbol]
+            assert ("p[" in written) == (quantity.follows in [n.split(".")[-1] for n in chosen]
+                                         if quantity.follows else at in chosen), text  # fmt: skip
             # One rounding where it is a ratio times its leader.
             result = eval(written, {"p": p})
-            assert result == pytest.approx(value, rel=1e-15 if one.follows else 0.0, abs=0.0), text
+            assert result == pytest.approx(
+                value, rel=1e-15 if quantity.follows else 0.0, abs=0.0
+            ), text
         for name, number in could.items():
             assert number.number.least <= number.value <= number.number.most, name
 

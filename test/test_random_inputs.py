@@ -189,8 +189,8 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
     rng = random.Random(f"orders {SEED}")
     scene = load_scene("ur5")
     names = list(scene.joint_names)
-    found = ElementTree.fromstring(scene.urdf).findall("joint")
-    limits = {one.get("name", ""): one.find("limit") for one in found}
+    elements = ElementTree.fromstring(scene.urdf).findall("joint")
+    limits = {element.get("name", ""): element.find("limit") for element in elements}
     with network(tmp_path, scene="ur5", start="first_answer", forked=False) as (user, nodes):
         user.wait("the run", lambda: user.tick > 100)
         strangers = Strangers(user, rng)

@@ -163,11 +163,11 @@ def test_the_vibration_after_the_last_targets_is_that_of_the_machine(
         monkeypatch.setattr("sys.argv", ["arm_emulator", *words, "--stop", "0.05", *more])
         with pytest.raises(SystemExit) as code:
             main()
-        found = json.loads(capsys.readouterr().out)
-        assert code.value.code == 0 and found["tick"] == end, found
+        report = json.loads(capsys.readouterr().out)
+        assert code.value.code == 0 and report["tick"] == end, report
         for source, rows in (("truth", places), ("encoders", counts)):
             expected = measure_vibration(np.array(rows[end:]), 1e-3, 5e-5)
             for key in ("largest", "swing", "rms", "frequency", "settled"):
                 value = getattr(expected, key)
                 value = None if np.isnan(value) else pytest.approx(value, rel=1e-6, abs=1e-12)
-                assert found[source][key] == value, (source, key)
+                assert report[source][key] == value, (source, key)

@@ -162,8 +162,8 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
 @contextmanager
 def begun(*recorders: subprocess.Popen[str]) -> Iterator[None]:
     """Go on when recorders are there; one that is still being loaded is nobody to wait for."""
-    for one in recorders:
-        await_words(one, "recording ")
+    for started in recorders:
+        await_words(started, "recording ")
     yield
 
 

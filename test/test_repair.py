@@ -82,7 +82,9 @@ def whole_chunks(file: Path) -> list[tuple[int, int]]:
     with file.open("rb") as stream:
         for record in StreamReader(stream, emit_chunks=True).records:
             if isinstance(record, Chunk):
-                messages = [one for one in breakup_chunk(record) if isinstance(one, Message)]
+                messages = [
+                    message for message in breakup_chunk(record) if isinstance(message, Message)
+                ]
                 ends.append((stream.tell(), len(messages)))
     return ends
 

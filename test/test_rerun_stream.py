@@ -137,21 +137,21 @@ def test_the_arm_moves_as_pinocchio_states(tmp_path, oracle):
     times, rows = samples(500)
     offer_all(stream, times, rows)
     assert stream.close()
-    samples_shown = np.arange(0, 500, 20)  # 50 Hz of 1 kHz
+    logged = np.arange(0, 500, 20)  # 50 Hz of 1 kHz
     frames = read(file, "/transforms", "Transform3D:child_frame")
     p = read(file, "/transforms", "Transform3D:translation")[1]
     xyzw = read(file, "/transforms", "Transform3D:quaternion")[1]
     for joint, link in zip(NAMES, "abc", strict=True):
         own = frames[1] == link
-        assert np.array_equal(frames[0][own], times[samples_shown])
-        for k, sample in enumerate(samples_shown):
+        assert np.array_equal(frames[0][own], times[logged])
+        for k, sample in enumerate(logged):
             T = oracle.in_parent_link(joint, rows[sample, 0])
             # Rerun keeps transforms in single precision: 6e-8 relative, some roundings.
             assert p[own][k] == pytest.approx(T[:3, 3], abs=1e-6)
             assert pin.Quaternion(xyzw[own][k]).matrix() == pytest.approx(T[:3, :3], abs=1e-6)
     ends = read(file, "/tool/path", "LineStrips3D:strips")
-    assert np.array_equal(ends[0], times[samples_shown][1:])
-    p_WT = np.array([oracle.p_WT(rows[sample, 0]) for sample in samples_shown])
+    assert np.array_equal(ends[0], times[logged][1:])
+    p_WT = np.array([oracle.p_WT(rows[sample, 0]) for sample in logged])
     assert ends[1][:, 0] == pytest.approx(p_WT[:-1], abs=1e-6)
     assert ends[1][:, 1] == pytest.approx(p_WT[1:], abs=1e-6)
 

@@ -57,8 +57,8 @@ def respond(ratio: float, torque: tuple[complex, complex], error: complex, w: fl
         [[ROTOR * s**2 + Ng**2 * spring, -Ng * spring],
          [-Ng * spring, LINK_INERTIA * s**2 + VISCOUS * s + spring]]
     )  # fmt: skip
-    given = [torque[0] - Ng * spring * error, torque[1] + spring * error]
-    return complex(s * np.linalg.solve(table, given)[1])
+    forces = [torque[0] - Ng * spring * error, torque[1] + spring * error]
+    return complex(s * np.linalg.solve(table, forces)[1])
 
 
 def fit_sines(t: Array, v: Array, frequencies: list[float]) -> Array:
@@ -66,8 +66,8 @@ def fit_sines(t: Array, v: Array, frequencies: list[float]) -> Array:
     columns = [np.ones_like(t)]
     for w in frequencies:
         columns += [np.sin(w * t), np.cos(w * t)]
-    found = np.linalg.lstsq(np.column_stack(columns), v, rcond=None)[0]
-    return np.concatenate([[found[0]], found[1::2] + 1j * found[2::2]])
+    solution = np.linalg.lstsq(np.column_stack(columns), v, rcond=None)[0]
+    return np.concatenate([[solution[0]], solution[1::2] + 1j * solution[2::2]])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -100,9 +100,9 @@ def test_every_source_shakes_the_link_by_its_order_and_the_linear_response(
     for wave in errors["link"]:
         sources[wave[0]] = (link, at_link, wave, (0.0, -1j * wave[0] * load), 1.0)
     frequencies = [order * speed for order, (speed, *_) in sources.items()]
-    mean, *found = fit_sines(t, v, frequencies)
+    mean, *amplitudes = fit_sines(t, v, frequencies)
     assert mean.real == pytest.approx(link, rel=1e-5)
-    for w, amplitude, (order, source) in zip(frequencies, found, sources.items(), strict=True):
+    for w, amplitude, (order, source) in zip(frequencies, amplitudes, sources.items(), strict=True):
         _, at, (_, size, phase), torques, error = source
         wave = size * np.exp(1j * (order * at + phase))
         expected = respond(ratio, (torques[0] * wave, torques[1] * wave), error * wave, w)
@@ -110,7 +110,7 @@ def test_every_source_shakes_the_link_by_its_order_and_the_linear_response(
         assert abs(amplitude - expected) < 0.02 * abs(expected), (order, amplitude, expected)
     rest = v - mean.real - sum(
         (amplitude * np.exp(1j * w * t)).imag
-        for amplitude, w in zip(found, frequencies, strict=True)
+        for amplitude, w in zip(amplitudes, frequencies, strict=True)
     )  # fmt: skip
-    largest = max(abs(amplitude) for amplitude in found)
+    largest = max(abs(amplitude) for amplitude in amplitudes)
     assert np.abs(rest).max() < 0.02 * largest, "it shakes at no other frequency"

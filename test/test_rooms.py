@@ -12,7 +12,9 @@ from banned_words import ROOMS
 from documents import ROOT
 
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
-LAYERS = next(one for one in PROJECT["importlinter"]["contracts"] if one["type"] == "layers")
+LAYERS = next(
+    contract for contract in PROJECT["importlinter"]["contracts"] if contract["type"] == "layers"
+)
 FLOORS = {name.strip() for floor in LAYERS["layers"] for name in floor.split("|")}
 NO_ROOMS = {"test", "docs"}  # at the top level: nothing imports them
 
@@ -41,7 +43,7 @@ def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -
     assert top | set(BESIDE) == set(linter["root_packages"])
     folders = {path.relative_to(ROOT).as_posix() for path in BESIDE.values()}
     assert top | folders <= set(mypy["files"]) and top | {"packages"} <= set(ROOMS)
-    (public,) = (one for one in linter["contracts"] if one["type"] == "forbidden")
+    (public,) = (contract for contract in linter["contracts"] if contract["type"] == "forbidden")
     assert set(public["source_modules"]) == set(BESIDE)
     rooms = {f"arm_emulator.{name}" for name in packages(ROOT / "arm_emulator")}
     assert rooms - {"arm_emulator.extension"} <= set(public["forbidden_modules"])
@@ -50,7 +52,9 @@ def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -
 def test_no_list_of_packages_leaves_one_out() -> None:
     """Tests that pytest does not find, code that mypy does not, circles that nobody looks for."""
     linter, mypy, pytest = PROJECT["importlinter"], PROJECT["mypy"], PROJECT["pytest"]
-    (circles,) = (one for one in linter["contracts"] if one["type"] == "acyclic_siblings")
+    (circles,) = (
+        contract for contract in linter["contracts"] if contract["type"] == "acyclic_siblings"
+    )
     assert set(circles["ancestors"]) == set(linter["root_packages"])
     folders = {path.parent.relative_to(ROOT).as_posix() for path in BESIDE.values()}
     assert folders == set(mypy["mypy_path"])

@@ -67,14 +67,14 @@ def compare(scene: Scene, rows: Array) -> None:
     of = sensitivities(scene, rows, names)
     assert of.names == tuple(names)
     varied = tuple(numbers_of(scene)[name] for name in names)
-    values = np.abs([one.value for one in varied])
+    values = np.abs([number.value for number in varied])
     plant = Plant(differentiable(scene, varied))
     assert np.abs(plant.run(rows, scene.steps_per_period) - of.q).max() < 1e-11, "the same motion"
     sizes = [np.abs(getattr(plant.state, quantity)).max() for quantity in QUANTITIES]
     tries = [differences(plant, rows, varied, share) for share in SHARES]
     for quantity, size, *by in zip(QUANTITIES, sizes, *tries, strict=True):
         derivative = of.by[quantity][-1]
-        off = np.min([np.abs(one - derivative) for one in by], axis=0)
+        off = np.min([np.abs(shifted - derivative) for shifted in by], axis=0)
         # 1e-6 of the number's effect, what rounding leaves of differences, and by how much these
         # disagree: an event that passes the end of a step changes the scheme's error.
         largest = np.abs(derivative).max(axis=0)

@@ -35,7 +35,7 @@ from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.runs.gains import check_joints
 
-OF_SENSORS = [name for name, one in KNOWN.items() if one not in ALWAYS]
+OF_SENSORS = [name for name, output in KNOWN.items() if output not in ALWAYS]
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ def test_without_sensors_the_core_has_none(scene: Scene, tmp_path: Path) -> None
     assert reported == units[0], "what is as it is anyway"
     plant = Plant(scenes[0])
     reported, untold = (
-        motion(one, np.random.default_rng(3), 100) for one in (noisy(scene, 1.0), plant)
+        motion(machine, np.random.default_rng(3), 100) for machine in (noisy(scene, 1.0), plant)
     )
     # Numbers that can be varied make another library, whose sums may be rounded otherwise.
     np.testing.assert_allclose(truth(reported, "q"), truth(untold, "q"), rtol=0, atol=1e-11)
@@ -242,11 +242,11 @@ def test_a_delay_is_dead_time_of_the_loop() -> None:
     )
     servo = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
     plain = load_scene("three_axis")
-    spare = min(one.delay for one in ServoLoops(plain, servo).margins())
+    spare = min(margin.delay for margin in ServoLoops(plain, servo).margins())
     assert 5.0 < spare < 7.0, "servo periods that the loop may come late"
     assert ServoLoops(plain, servo).unstable() is None, "without delay"
     assert ServoLoops(scene, servo).unstable() is not None, "with more than that"
-    swing = [run(one, servo).swing for one in (plain, scene)]
+    swing = [run(machine, servo).swing for machine in (plain, scene)]
     assert swing[1].max() > 20.0 * swing[0].max(), f"it swings by itself: {swing}"
 
 
@@ -289,19 +289,19 @@ def test_bad_values_are_refused_in_one_line(
 
 
 def test_every_number_that_is_given_can_be_varied_within_its_bounds(scene: Scene) -> None:
-    names = {one.name for one in scene.varied}
+    names = {number.name for number in scene.varied}
     assert {f"joints.turn.encoder.{key}" for key in ERRORS} - names == {
         "joints.turn.encoder.ripple_order"  # which is structure
     }
     assert {f"imus.at_hand.gyroscope.{key}" for key in AXES} <= names and "seed" in names
     plant = Plant(scene)
-    for one in scene.varied:
-        for value in (one.number.least, one.number.most):
-            plant.set_parameter(one.name, value)
-            assert plant.parameters[one.name] == value, one.name
-        with pytest.raises(Refusal, match=re.escape(one.name)):
-            plant.set_parameter(one.name, one.number.most * 1.1)
-        plant.set_parameter(one.name, one.value)
+    for number in scene.varied:
+        for value in (number.number.least, number.number.most):
+            plant.set_parameter(number.name, value)
+            assert plant.parameters[number.name] == value, number.name
+        with pytest.raises(Refusal, match=re.escape(number.name)):
+            plant.set_parameter(number.name, number.number.most * 1.1)
+        plant.set_parameter(number.name, number.value)
     before = dataclasses.astuple(plant.state)
     plant.reset()
     for was, now in zip(before, dataclasses.astuple(plant.state), strict=True):

@@ -163,7 +163,7 @@ def test_random_offers_are_what_their_ticks_and_bits_make_them(clock: str) -> No
     """Against a list of the accepted commands of the run, of which the last two are known."""
     rng, run = np.random.default_rng(7), session(clock, "first_answer")
     accepted: list[tuple[int, float]] = []
-    left, found = -1, set()
+    left, kinds = -1, set()
     for _ in range(3000):
         now, tick = run.tick, run.tick + int(rng.integers(-4, 3))
         volt = float(rng.integers(0, 2))
@@ -176,7 +176,7 @@ def test_random_offers_are_what_their_ticks_and_bits_make_them(clock: str) -> No
             kind = "stale"
         else:
             kind = "new"
-        found.add(kind)
+        kinds.add(kind)
         if kind == "new":
             run.offer(tick, NAMES, [volt, 0.0, 0.0])
             accepted[-1:] = [*accepted[-1:], (tick, volt)] if tick != newest else [(tick, volt)]
@@ -192,4 +192,4 @@ def test_random_offers_are_what_their_ticks_and_bits_make_them(clock: str) -> No
         elif run.may_advance and rng.random() < 0.5:
             run.advance()
             assert run.measured.applied[0] == (accepted[-1][1] if accepted else 0.0)
-    assert found == {"new", "repeated", "stale", "future", "before the reset"}
+    assert kinds == {"new", "repeated", "stale", "future", "before the reset"}

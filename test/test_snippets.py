@@ -88,9 +88,9 @@ def fences(kind: str) -> list[tuple[Path, str]]:
     """Return page and text of each fence of a kind."""
     pattern = rf"^[ ]*```{kind}\n(.*?)^[ ]*```$"
     return [
-        (page, found)
+        (page, match)
         for page in DOCUMENTS
-        for found in re.findall(pattern, page.read_text(), re.M | re.S)
+        for match in re.findall(pattern, page.read_text(), re.M | re.S)
     ]
 
 

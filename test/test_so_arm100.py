@@ -37,10 +37,10 @@ def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixt
     friction = 1.51864e-4
     for share, holds in ((0.99, True), (1.01, False)):
         moved = []
-        for way in (-1.0, 1.0):
+        for direction in (-1.0, 1.0):
             plant.reset()
             plant.put("test", {"theta_m": (scene.start + weight / 200.0) / ratio})
-            volts = R / Kt * (ratio * weight + way * share * friction)
+            volts = R / Kt * (ratio * weight + direction * share * friction)
             plant.advance(volts, 1000)
             moved.append(np.abs(plant.state.theta_m * ratio - weight / 200.0 - scene.start))
         assert (np.min(moved, axis=0) > 1e-9).all() != holds
@@ -59,5 +59,5 @@ def test_a_link_is_shown_where_it_is_though_a_joint_has_its_name() -> None:
     data = model.createData()
     pin.forwardKinematics(model, data, np.append(scene.start, 0.0))
     expected = data.oMi[model.getJointId("jaw")].translation
-    shown = LinkPositions(text, scene.joint_names)("jaw", scene.start[None])
-    assert shown[0] == pytest.approx(expected, abs=1e-12)
+    positions = LinkPositions(text, scene.joint_names)("jaw", scene.start[None])
+    assert positions[0] == pytest.approx(expected, abs=1e-12)

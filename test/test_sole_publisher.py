@@ -125,13 +125,15 @@ def test_messages_of_strangers_do_not_change_a_motion(mover: Mover) -> None:
         for topic, owner in SOLE_PUBLISHER.items():
             receivers = user.wait(
                 f"a node to refuse {topic}",
-                lambda t=topic: [one for one in user.diagnostics if user.refused(one, t)],
+                lambda t=topic: [
+                    diagnostic for diagnostic in user.diagnostics if user.refused(diagnostic, t)
+                ],
             )
             words = f"publisher must be node /{owner}, whose messages are taken, got node /stranger"
             user.wait(
                 f"{topic} to be named",
                 lambda t=topic, w=words, r=receivers: any(
-                    w in user.value(one, f"other publishers of {t}") for one in r
+                    w in user.value(diagnostic, f"other publishers of {t}") for diagnostic in r
                 ),
             )
     finally:
@@ -186,7 +188,7 @@ class SlowGraph:
         """See `Diagnostics`."""
         self.refusals += [str(reason)] * times
 
-    def count(self, what: str, times: int = 1) -> None:
+    def count(self, topic: str, times: int = 1) -> None:
         """See `Diagnostics`."""
 
     def note(self, name: str, value: object) -> None:

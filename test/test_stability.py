@@ -70,6 +70,8 @@ def test_small_motions_move_as_the_matrix_of_the_scheme(scheme: str, seed: int) 
     q, v = x[motions.links :][: 2 * len(dq)].reshape(2, -1)
     # By symmetry what is not linear is SIZE**2 of the motion. SmallMotions differentiates gravity
     # with a step of 1e-5, which is good to 1e-10; both add up over the steps.
-    for quantity, got, expected in (("q", plant.state.q, q), ("v", plant.state.v, v)):
-        error = np.abs(got - expected).max() / np.abs(expected).max()
-        assert error < 1e-8, f"{scheme}: {quantity} is {got} in the core, {expected} by the matrix"
+    for quantity, actual, expected in (("q", plant.state.q, q), ("v", plant.state.v, v)):
+        error = np.abs(actual - expected).max() / np.abs(expected).max()
+        assert error < 1e-8, (
+            f"{scheme}: {quantity} is {actual} in the core, {expected} by the matrix"
+        )

@@ -115,11 +115,11 @@ class Stopped:
         the commanded speeds change beyond what the accelerations give.
         """
         period = self.run.motion_ticks
-        references = [one for tick, one in self.asked if tick > self.ready + period]
-        a, v = (np.array([getattr(one, name) for one in references]) for name in "av")
-        most = self.limits.acceleration
-        return float((np.abs(a) / most).max()), float(
-            (np.abs(np.diff(v, axis=0)) * SECOND / period / most).max()
+        references = [reference for tick, reference in self.asked if tick > self.ready + period]
+        a, v = (np.array([getattr(reference, name) for reference in references]) for name in "av")
+        limits = self.limits.acceleration
+        return float((np.abs(a) / limits).max()), float(
+            (np.abs(np.diff(v, axis=0)) * SECOND / period / limits).max()
         )
 
 
@@ -130,12 +130,12 @@ def draw(seed: int) -> tuple[Stopped, np.random.Generator, int, int]:
     names = load_scene(name).joint_names
     braked = [name for name in names if rng.random() < 0.7] or [names[-1]]
     brakes: dict[str, object] = {
-        f"joints.{one}.brake": {
+        f"joints.{name}.brake": {
             "torque": 300.0,
             "close_delay": round(rng.uniform(0.0, 0.1), 3),
             "release_delay": round(rng.uniform(0.0, 0.5), 3),
         }
-        for one in braked
+        for name in braked
     }
     feedforward = {"feedforward": "torque"} if name == "three_axis" else {}  # else of its file
     arm = Stopped(name, brakes, method="way", **feedforward)
@@ -213,7 +213,7 @@ def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
     on = Resumed(planned, since, now, limits)
     times = np.linspace(0.0, on.duration, 800)
     moves = [on.at(float(t)) for t in times]
-    q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")
+    q, v, a = (np.array([getattr(move, name) for move in moves]) for name in "qva")
     assert np.abs(q[0] - now.q).max() < 1e-9 and np.abs(q[-1] - end).max() < 1e-6
     assert np.abs(v[[0, -1]]).max() < 1e-6
     assert (np.abs(v) <= limits.speed * 1.001).all()

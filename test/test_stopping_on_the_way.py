@@ -83,7 +83,7 @@ class LowArm:
     def periods(self, seconds: float) -> list[tuple[State, str]]:
         for _ in range(round(seconds / self.config.period)):
             self.period()
-        return [(one.state, one.reason) for one in self.instructor.reports.take()]
+        return [(report.state, report.reason) for report in self.instructor.reports.take()]
 
     def set_out(self, kind: str) -> None:
         """Begin the path, or the same as a joint trajectory."""
@@ -216,7 +216,7 @@ def test_a_motion_slows_down_on_its_way_within_its_limits(seed: int) -> None:
     slow = TimeScaled(planned, since, 1.0, 0.0, limits)
     times = np.linspace(0.0, slow.duration, 400)
     moves = [slow.at(float(t)) for t in times]
-    q, v, a = (np.array([getattr(one, name) for one in moves]) for name in "qva")
+    q, v, a = (np.array([getattr(move, name) for move in moves]) for name in "qva")
     first = planned.at(since)
     assert np.abs(q[0] - first.q).max() < 1e-9 and np.abs(v[0] - first.v).max() < 1e-9
     assert np.abs(v[-1]).max() < 1e-6 and slow.at(slow.duration + 1.0).q == pytest.approx(q[-1])

@@ -80,7 +80,7 @@ def test_lines_of_every_other_kind_are_refused_and_change_no_bit() -> None:
     state, before = server.answer(b"{}"), server._session.plant.save()
     wrong = [
         b"", b"{", b"\xff\xfe", b"[" * 10_000, b"[1.0, 2.0, 3.0]", b"null", b'{"colour": 1}',
-        *(json.dumps(good | one).encode() for one in (
+        *(json.dumps(good | change).encode() for change in (
             {"command": [1.0, 2.0]}, {"command": 1.0}, {"command": None},
             {"command": ["a", "b", "c"]}, {"command": [[1.0], 2.0, 3.0]},
             {"command": [True, 2.0, 3.0]}, {"command": [float("nan"), 0.0, 0.0]},

@@ -62,26 +62,28 @@ def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     lines = {"first": line, "fork": fork, "second": second}
     parents = {"fork": "first", "second": "fork"}
     expected = {}
-    for name, one in lines.items():
-        at = one.tick
-        write_timeline(one, tmp_path / name, tmp_path / parents[name] if name in parents else None)
-        assert one.tick == at
-        one.go_to(one.newest)
-        expected[name] = rows(one.run.session)
-    for name, one in lines.items():
+    for name, branch in lines.items():
+        at = branch.tick
+        write_timeline(
+            branch, tmp_path / name, tmp_path / parents[name] if name in parents else None
+        )
+        assert branch.tick == at
+        branch.go_to(branch.newest)
+        expected[name] = rows(branch.run.session)
+    for name, branch in lines.items():
         comparison = compare(tmp_path / name)
         assert comparison.difference is None
-        assert comparison.tally.states == one.newest + 1
+        assert comparison.tally.states == branch.newest + 1
         about = Bag(tmp_path / name).about
         assert about.get(PARENT) == (str(tmp_path / parents[name]) if name in parents else None)
         if name in parents:
-            assert about[FORKED_AT] == str(one.begins)
+            assert about[FORKED_AT] == str(branch.begins)
         machine = RecordedMachine.of(tmp_path / name)
         machine.advance(machine.last)
         assert rows(machine.session) == expected[name]
     # The parts before a fork are the same; from there on they differ.
     for name, parent in parents.items():
-        sides = (RecordedMachine.of(tmp_path / one) for one in (parent, name))
+        sides = (RecordedMachine.of(tmp_path / folder) for folder in (parent, name))
         difference, equal = find_first_difference(*sides)
         assert difference is not None and lines[name].begins < equal + 1
     monkeypatch.setattr("sys.argv", ["arm_emulator", "check-bag", str(tmp_path / "second")])

@@ -144,8 +144,8 @@ class Arm:
         """Limits over all of the way, and that derivatives are those of the angles."""
         limits = self.law.limits
         references = [motion.at(t) for t in times]
-        q, v, a = (np.array([getattr(one, k) for one in references]) for k in "qva")
-        jerk = np.array([one.jerk for one in references])
+        q, v, a = (np.array([getattr(reference, k) for reference in references]) for k in "qva")
+        jerk = np.array([reference.jerk for reference in references])
         assert (np.abs(v) <= limits.speed * (1 + 1e-6)).all(), "speed"
         assert (np.abs(a) <= limits.acceleration * (1 + 1e-6)).all(), "acceleration"
         assert (np.abs(jerk) <= limits.jerk * (1 + 1e-3)).all(), "jerk"

@@ -74,8 +74,8 @@ def gains(folder: Path, scene: str) -> Path:
 
 @pytest.fixture
 def nodes(tmp_path: Path) -> Iterator[InProcess]:
-    with in_process(servo=gains(tmp_path, "three_axis")) as one:
-        yield one
+    with in_process(servo=gains(tmp_path, "three_axis")) as inside:
+        yield inside
 
 
 def quintic(part: float) -> tuple[float, float]:

@@ -77,14 +77,14 @@ def test_torque_and_energy_are_those_of_scipys_interpolant(gantry: Scene) -> Non
     rng = np.random.default_rng(5)
     samples = [around(table, rng, 200) for table in TABLES]
     count = max(map(len, samples))
-    angles = np.column_stack([np.resize(one, count) for one in samples])
+    angles = np.column_stack([np.resize(sample, count) for sample in samples])
     plant = Plant(with_dt(gantry, dt))
     for q in angles:
         plant.reset(q)
-        stored = sum(truth.potential(one) for truth, one in zip(truths, q, strict=True))
+        stored = sum(truth.potential(position) for truth, position in zip(truths, q, strict=True))
         assert plant.energy == pytest.approx(stored, abs=1e-11), f"energy at {q!r}"
         plant.advance(np.zeros(3), 1)
-        T = [float(truth.torque(one)) for truth, one in zip(truths, q, strict=True)]
+        T = [float(truth.torque(position)) for truth, position in zip(truths, q, strict=True)]
         assert MOVED * plant.state.v / dt == pytest.approx(T, abs=1e-8), f"torques at {q!r}"
 
 

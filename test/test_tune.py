@@ -122,7 +122,9 @@ def test_poses_on_a_slide_without_end_are_near() -> None:
     """Not a kilometre away, where what turns the slide would feel 1e8 kg m2."""
     scene = load_scene("three_axis")
     robot = ET.fromstring(scene.urdf)
-    joint = next(one for one in robot.iter("joint") if one.get("name") == scene.joint_names[0])
+    joint = next(
+        element for element in robot.iter("joint") if element.get("name") == scene.joint_names[0]
+    )
     joint.set("type", "prismatic")
     for limit in joint.findall("limit"):
         joint.remove(limit)

@@ -173,7 +173,7 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
     A current loop is set up for the winding that is built in, so that none could be built in with
     another one.
     """
-    links = {one.name: one.value for one in of_links.varied}
+    links = {number.name: number.value for number in of_links.varied}
     fixed = {
         f"joints.{joint.name}.motor.{key}"
         for joint in scene.joints
@@ -181,14 +181,16 @@ def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dic
         for key in (*OF_DC, *OF_PMSM)
     }
     return {
-        one.name: links[one.name]
-        if one.name.startswith("links.")
-        else one.value
-        if one.name in fixed
-        else one.value + 1.0
-        if one.name == "seed"
-        else float(np.clip(one.value * rng.uniform(1.0, 1.2), one.number.least, one.number.most))
-        for one in scene.varied
+        number.name: links[number.name]
+        if number.name.startswith("links.")
+        else number.value
+        if number.name in fixed
+        else number.value + 1.0
+        if number.name == "seed"
+        else float(
+            np.clip(number.value * rng.uniform(1.0, 1.2), number.number.least, number.number.most)
+        )
+        for number in scene.varied
     }
 
 
@@ -197,12 +199,12 @@ def constants(scene: Scene, values: dict[str, float]) -> dict[str, float]:
     built = {name: value for name, value in values.items() if not name.startswith("links.")}
     for joint in scene.joints:
         for part in joint.parts:
-            for key, one in part.numbers().items():
+            for key, number in part.numbers().items():
                 place = f"joints.{joint.name}.{part.section}."
-                followed = None if one.follows is None else getattr(part, one.follows)
+                followed = None if number.follows is None else getattr(part, number.follows)
                 if followed:
                     ratio = getattr(part, key) / followed
-                    built[place + key] = ratio * values[f"{place}{one.follows}"]
+                    built[place + key] = ratio * values[f"{place}{number.follows}"]
     return built
 
 
@@ -242,9 +244,9 @@ def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path
     size = np.abs(expected).max(axis=(0, 2), keepdims=True)
     # Rounding, which stick-slip and hard stops let grow in 0.2 s.
     assert (np.abs(states - expected) / (1.0 + size)).max() < 1e-8, "states"
-    for one, with_links in zip(reported, measured, strict=True):
+    for reading, with_links in zip(reported, measured, strict=True):
         for field in KNOWN:
-            mine, its = (np.asarray(getattr(m, field), dtype=float) for m in (one, with_links))
+            mine, its = (np.asarray(getattr(m, field), dtype=float) for m in (reading, with_links))
             # A motion that is off by 1e-8 may be at the edge of a count.
-            atol = 1.0 if getattr(one, field).dtype == np.int64 else 1e-6
+            atol = 1.0 if getattr(reading, field).dtype == np.int64 else 1e-6
             np.testing.assert_allclose(mine, its, rtol=1e-6, atol=atol, err_msg=field)

@@ -23,8 +23,8 @@ Deltas = dict[str, dict[str, float]]
 def name_numbers(deltas: Deltas) -> dict[str, float]:
     return {
         f"calibration.joints.{joint}.{key}": value
-        for joint, one in deltas.items()
-        for key, value in one.items()
+        for joint, delta in deltas.items()
+        for key, value in delta.items()
     }
 
 
@@ -110,15 +110,15 @@ def test_lanes_have_places_of_their_own(tmp_path: Path, deltas: Deltas) -> None:
     scene = three_axis(tmp_path, deltas, "step", varied=True)
     rng = np.random.default_rng(2)
     every = [drawn(rng, list(deltas)) for _ in range(9)]
-    rows = [name_numbers(one) for one in every]
+    rows = [name_numbers(numbers) for numbers in every]
     fleet = Fleet(
         scene, 9, varied={name: np.array([row[name] for row in rows]) for name in rows[0]}
     )
     for k in range(60):
         fleet.exchange(np.full((9, 3), 6.0 * np.sin(0.1 * k)))
-    for arm, one in enumerate(every):
+    for arm, values in enumerate(every):
         plant = Plant(scene)
-        set_all(plant, one)
+        set_all(plant, values)
         plant.reset()
         for k in range(60):
             plant.exchange(np.full(3, 6.0 * np.sin(0.1 * k)))
@@ -142,8 +142,8 @@ def test_derivatives_by_places_are_those_of_the_machine(tmp_path: Path, deltas: 
             ends.append(plant.run(rows, scene.steps_per_period)[-1])
         plant.set_parameter(name, 0.0)
         by = np.array([1.0, -8.0, 8.0, -1.0]) / 12.0 @ np.array(ends) / h
-        found = of.by["q"][-1][:, place]
-        assert found == pytest.approx(by, abs=1e-6 * max(1e-3, np.abs(by).max())), name
+        slope = of.by["q"][-1][:, place]
+        assert slope == pytest.approx(by, abs=1e-6 * max(1e-3, np.abs(by).max())), name
 
 
 def test_only_numbers_of_a_calibration_that_is_there_vary(tmp_path: Path) -> None:

@@ -32,24 +32,28 @@ def test_a_decaying_swing_is_measured_as_its_closed_form_states(seed: int) -> No
     line = rng.normal(size=3)
     line /= np.linalg.norm(line)
     swing = size * np.exp(-damping * w * t) * np.sin(wd * t + phi)
-    found = measure_vibration(np.outer(swing, line) + AT, PERIOD, 0.1 * size)
+    vibration = measure_vibration(np.outer(swing, line) + AT, PERIOD, 0.1 * size)
     value = size * math.exp(-damping * w * turn) * math.sqrt(1.0 - damping**2)
     K = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
     rough = (w * PERIOD) ** 2 / 2.0  # what a turning point between two samples loses
-    assert found.swing == pytest.approx(0.5 * value * (1.0 + K), rel=rough + 1e-4)
-    assert found.largest == pytest.approx(np.abs(swing).max(), rel=1e-4)
-    assert found.frequency == pytest.approx(frequency, rel=0.02)  # the spectrum is that of samples
-    assert found.settled <= math.log(10.0) / (damping * w) + PERIOD, "its envelope is in the band"
-    assert found.settled >= math.log(10.0) / (damping * w) - math.pi / wd - PERIOD
+    assert vibration.swing == pytest.approx(0.5 * value * (1.0 + K), rel=rough + 1e-4)
+    assert vibration.largest == pytest.approx(np.abs(swing).max(), rel=1e-4)
+    assert vibration.frequency == pytest.approx(
+        frequency, rel=0.02
+    )  # the spectrum is that of samples
+    assert vibration.settled <= math.log(10.0) / (damping * w) + PERIOD, (
+        "its envelope is in the band"
+    )
+    assert vibration.settled >= math.log(10.0) / (damping * w) - math.pi / wd - PERIOD
 
 
 def test_a_tool_that_creeps_does_not_swing() -> None:
     t = PERIOD * np.arange(2000)
     creep = 1e-3 * np.exp(-t / 0.1)
-    found = measure_vibration(np.outer(creep, [0.0, 1.0, 0.0]), PERIOD, 1e-4)
-    assert found.swing == 0.0 and math.isnan(found.frequency)
-    assert found.settled == pytest.approx(0.1 * math.log(10.0), abs=PERIOD)
-    assert found.rms == pytest.approx(1e-3 * math.sqrt(0.05 / 2.0), rel=0.01)
+    vibration = measure_vibration(np.outer(creep, [0.0, 1.0, 0.0]), PERIOD, 1e-4)
+    assert vibration.swing == 0.0 and math.isnan(vibration.frequency)
+    assert vibration.settled == pytest.approx(0.1 * math.log(10.0), abs=PERIOD)
+    assert vibration.rms == pytest.approx(1e-3 * math.sqrt(0.05 / 2.0), rel=0.01)
 
 
 def test_a_reference_ends_a_period_after_its_last_change() -> None:

@@ -131,7 +131,7 @@ def by_runge_kutta(rows: np.ndarray, seconds: float) -> np.ndarray:
             [di, di_d, wm, torque / (ROTOR + MOVED * RATIO**2), (loss - hot / RTH) / C]
         )
 
-    x, h, rows_found = np.zeros(15), 2e-5, []
+    x, h, history = np.zeros(15), 2e-5, []
     for u in rows:
         for _ in range(round(seconds / h)):
             k1 = rates(x, u)
@@ -139,8 +139,8 @@ def by_runge_kutta(rows: np.ndarray, seconds: float) -> np.ndarray:
             k3 = rates(x + 0.5 * h * k2, u)
             k4 = rates(x + h * k3, u)
             x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        rows_found.append(np.concatenate([RATIO * x[6:9], RATIO * x[9:12], x[12:]]))
-    return np.array(rows_found)
+        history.append(np.concatenate([RATIO * x[6:9], RATIO * x[9:12], x[12:]]))
+    return np.array(history)
 
 
 def test_motors_in_motion_follow_their_temperature(moving: Path) -> None:

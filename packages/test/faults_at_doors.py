@@ -133,11 +133,11 @@ class Door:
 
     def late(self) -> str:
         """Return by how much a command is late that is LATE periods late."""
-        usual = self.first()
-        assert usual, "a command comes"
+        on_time = self.first()
+        assert on_time, "a command comes"
         self.begin()
         self.set_fault("command_late", LATE)
-        return f"{self.first() - usual} periods later"
+        return f"{self.first() - on_time} periods later"
 
     def lost(self) -> str:
         """Return what the drive has where every command is lost."""
@@ -236,17 +236,21 @@ FAULTS: dict[str, Callable[[Door], str]] = {
 
 def check(door: Door) -> None:
     """Do each fault to a door, and compare what comes of it with what is kept."""
-    found: dict[str, str] = {}
+    outcomes: dict[str, str] = {}
     for fault, does in FAULTS.items():
         if fault in door.lacks:
-            found[fault] = door.lacks[fault]
+            outcomes[fault] = door.lacks[fault]
             continue
         door.begin()
-        found[fault] = getattr(door, does.__name__)()
+        outcomes[fault] = getattr(door, does.__name__)()
         if door.raw:
             door._as_plant()
-    kept = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    stored = json.loads(KEPT.read_text()) if KEPT.exists() else {}
     if os.environ.get("FAULTS_AT_DOORS") == "write":
-        KEPT.write_text(json.dumps(kept | {door.title: found}, indent=1, sort_keys=True) + "\n")
+        KEPT.write_text(
+            json.dumps(stored | {door.title: outcomes}, indent=1, sort_keys=True) + "\n"
+        )
     else:
-        assert found == kept.get(door.title), "packages/test/faults_at_doors.json, see its module"
+        assert outcomes == stored.get(door.title), (
+            "packages/test/faults_at_doors.json, see its module"
+        )

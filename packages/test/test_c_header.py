@@ -50,27 +50,27 @@ IMPORT = "import arm_emulator.machine.plant.core_calls as c; print(c.ARM.functio
 
 def structs_of(header: Header) -> list[str]:
     """The structs that a header and those that it includes define."""
-    found = []
+    structs = []
     for kind in header.ffi.list_types()[0]:
         with contextlib.suppress(header.ffi.error):  # an opaque one has no size
             if header.sizeof(kind) and header.ffi.typeof(kind).kind == "struct":
-                found.append(kind)
-    return found
+                structs.append(kind)
+    return structs
 
 
 def numbers_of(header: Header, kind: str) -> list[tuple[str, int]]:
     """C expressions of a struct's layout, with what Python has for them."""
     struct = header.ffi.typeof(kind)
-    found = [(f"sizeof({kind})", header.sizeof(kind))]
+    numbers = [(f"sizeof({kind})", header.sizeof(kind))]
     for name, field in struct.fields:
-        found.append((f"offsetof({kind}, {name})", field.offset))
-        found.append((f"sizeof((({kind}*)0)->{name})", header.ffi.sizeof(field.type)))
+        numbers.append((f"offsetof({kind}, {name})", field.offset))
+        numbers.append((f"sizeof((({kind}*)0)->{name})", header.ffi.sizeof(field.type)))
     dtype = header.dtype(kind)
     assert dtype.itemsize == header.sizeof(kind)
     fields = dtype.fields or {}
-    found += [(f"offsetof({kind}, {name})", fields[name][1]) for name, _ in struct.fields]
-    found += [(f"sizeof((({kind}*)0)->{name})", fields[name][0].itemsize) for name in fields]
-    return found
+    numbers += [(f"offsetof({kind}, {name})", fields[name][1]) for name, _ in struct.fields]
+    numbers += [(f"sizeof((({kind}*)0)->{name})", fields[name][0].itemsize) for name in fields]
+    return numbers
 
 
 def test_layouts_are_those_of_the_c_compiler(tmp_path: Path) -> None:
@@ -189,13 +189,13 @@ def test_read_headers_are_cached_and_read_anew_if_the_cache_is_spoiled(
         return done.stdout
 
     first = run()
-    whole = kept(cache)
-    assert {name.partition("-")[0] for name in whole} >= {"arm", "equations", "firmware"}
+    stored = kept(cache)
+    assert {name.partition("-")[0] for name in stored} >= {"arm", "equations", "firmware"}
     for spoil in (lambda b: b[:-1], lambda b: b"", lambda b: bytes([b[0] ^ 1]) + b[1:]):
-        for name, body in whole.items():
+        for name, body in stored.items():
             (cache / name).write_bytes(spoil(body))
         assert run() == first
-        assert kept(cache) == whole
+        assert kept(cache) == stored
     monkeypatch.setenv(library_cache.CACHE_VARIABLE, "/proc/none")
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
     monkeypatch.setenv("TMPDIR", "/proc/none")
@@ -209,8 +209,8 @@ def test_another_text_is_another_header(tmp_path: Path, monkeypatch: pytest.Monk
     for words in ("int a;", "int a, b;", "int a, b, c;"):
         write(tmp_path, "inner.h", f"typedef struct inner {{ {words} }} inner;\n")
         outer = write(tmp_path, "outer.h", '#include "inner.h"\ntypedef inner outer;\n')
-        for known in (c_header._READ, c_header._DIGESTS, c_header._PARSERS):
+        for cache_table in (c_header._READ, c_header._DIGESTS, c_header._PARSERS):
             for name in ("inner.h", "outer.h"):
-                known.pop(tmp_path / name, None)
+                cache_table.pop(tmp_path / name, None)
         sizes.append(Header(outer).sizeof("outer"))
     assert sizes == [4, 8, 12]

@@ -63,12 +63,12 @@ class Machine:
             text = mimicking(serial("arm", parts), "j4", "j3", 0.8, 0.0)
             text = mimicking(text, "j5", "j3", 0.4, 0.0)
         file.write_text(text)
-        made = write_new(file, folder / "new")
-        self.scene, self.gains = load_scene(made.file), load_gains(made.file)
+        new_machine = write_new(file, folder / "new")
+        self.scene, self.gains = load_scene(new_machine.file), load_gains(new_machine.file)
         self.truth = Lagrange(serial("arm", parts), matrix(parts, shares), np.zeros(len(parts)))
         robot = ET.fromstring(self.scene.urdf)
         self.limits = read_limits(robot)
-        self.torque = np.array([drive.peak_torque for drive in made.drives])
+        self.torque = np.array([drive.peak_torque for drive in new_machine.drives])
         self.speed = {
             joint.get("name"): float(limit.get("velocity", "0")) or np.inf
             for joint in robot.findall("joint")
@@ -221,14 +221,14 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
     per_count = 2.0 * np.pi * scene.gear_ratios / [joint.counts_per_turn for joint in scene.joints]
     begun = np.array([drives.read(j, 0x6064) for j in range(N)])
     ends = np.sort([[drives.read(j, 0x607D, sub) for j in range(N)] for sub in (1, 2)], axis=0)
-    way = np.clip(begun + rng.choice([-0.06, 0.06], N) / per_count, *ends) - begun
+    travel = np.clip(begun + rng.choice([-0.06, 0.06], N) / per_count, *ends) - begun
     before, tool = truth(drives, "q"), machine.tool(truth(drives, "q"))
     actual = np.zeros(N)
     for k in range(900):
         part = min(k / 600.0, 1.0)
-        goal = begun + np.rint(way * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)).astype(int)
-        for j, one in enumerate(goal.tolist()):
-            segment.receive(Frame(0x301 + j, struct.pack("<Hi", 15, one)))
+        goal = begun + np.rint(travel * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)).astype(int)
+        for j, target in enumerate(goal.tolist()):
+            segment.receive(Frame(0x301 + j, struct.pack("<Hi", 15, target)))
         frames = segment.receive(canopen_master.SYNC)
         (rows,) = zip(*(canopen_master.sent(frames, 0x281 + j) for j in range(N)), strict=True)
         status, actual = np.array([struct.unpack("<Hi", row) for row in rows]).T
@@ -236,7 +236,7 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
         assert np.abs((actual - goal) * per_count).max() < 0.05
     moved = truth(drives, "q") - before
     np.testing.assert_allclose(actual * per_count, truth(drives, "q"), atol=0.02)  # wind-up
-    np.testing.assert_allclose(moved, way * per_count, atol=0.02)
+    np.testing.assert_allclose(moved, travel * per_count, atol=0.02)
     assert np.linalg.norm(machine.tool(before + moved).translation - tool.translation) > 0.005
     torques = np.array([drives.read(j, 0x6077) for j in range(N)])
     assert (np.abs(torques) < 1000).all() and torques.any(), "parts in a thousand of rated torque"
@@ -249,10 +249,10 @@ def test_numbers_of_its_links_explain_the_torques_that_its_gears_carry(machine: 
     q = machine.scene.start + draw.uniform(-0.05, 0.05, v.shape)  # off the stops
     scene = dataclasses.replace(machine.scene, gravity=GRAVITY)
     viscous = [getattr(joint.friction, "viscous", 0.0) for joint in scene.joints]
-    got = compute_link_torques(scene, np.arange(20.0), q, v, a) - v * viscous
+    torques = compute_link_torques(scene, np.arange(20.0), q, v, a) - v * viscous
     for k in range(20):
-        asked = machine.truth.accelerations(q[k], v[k], got[k])
-        np.testing.assert_allclose(asked, a[k], rtol=1e-9, atol=1e-9)
+        accelerations = machine.truth.accelerations(q[k], v[k], torques[k])
+        np.testing.assert_allclose(accelerations, a[k], rtol=1e-9, atol=1e-9)
 
 
 def test_the_picture_shows_the_joints(machine: Machine, tmp_path: Path) -> None:
@@ -289,24 +289,24 @@ def test_joints_that_follow_touch_obstacles() -> None:
     for angle in np.linspace(-1.5, 1.5, 31):
         lowest = 0.1 - 0.5 * np.sin(angle) - 0.05
         for height in (lowest - 0.02, lowest):
-            found = Collisions(text, ("j1",), [Obstacle("floor", height)], 0.01)
-            assert bool(found.first(np.array([angle]))) == (height > lowest - 0.01)
+            collisions = Collisions(text, ("j1",), [Obstacle("floor", height)], 0.01)
+            assert bool(collisions.first(np.array([angle]))) == (height > lowest - 0.01)
 
 
 @pytest.mark.skipif(not FULL, reason="a unit is compiled for it: make test-in-full")
 def test_a_unit_moves_as_the_machine(machine: Machine, tmp_path: Path) -> None:
     export(machine.scene, tmp_path / "arm.fmu", "native")
     fmu = Fmu(tmp_path / "arm.fmu", tmp_path / "unpacked")
-    one, plant = Instance(fmu), Plant(machine.scene, core=Library(fmu.binary._name, (ARM,)))
-    one.start()
+    instance, plant = Instance(fmu), Plant(machine.scene, core=Library(fmu.binary._name, (ARM,)))
+    instance.start()
     draw = np.random.default_rng(2)
     for _ in range(20):
         u = draw.normal(0.0, 5.0, len(machine.scene.joints))
-        assert one.set("command", u) == OK
-        one.step(machine.scene.servo_period)
+        assert instance.set("command", u) == OK
+        instance.step(machine.scene.servo_period)
         plant.exchange(u)
-        np.testing.assert_array_equal(one.get("truth.q"), plant.state.q)
-        np.testing.assert_array_equal(one.get("encoder_counts"), plant.measured.encoder_counts)
+        np.testing.assert_array_equal(instance.get("truth.q"), plant.state.q)
+        np.testing.assert_array_equal(instance.get("encoder_counts"), plant.measured.encoder_counts)
 
 
 @pytest.mark.parametrize(

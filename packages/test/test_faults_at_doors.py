@@ -105,9 +105,9 @@ class BySession(OfPlant):
         self.plant = self.session.plant
 
     def _give(self, volt: float, tick: int | None, name: str) -> None:
-        given = row(volt, name)
+        values = row(volt, name)
         at = self.session.tick if tick is None else tick
-        self.session.offer(at, list(given), list(given.values()))
+        self.session.offer(at, list(values), list(values.values()))
         self.wait()
 
     def wait(self) -> None:
@@ -131,14 +131,14 @@ class ByTcp(BySession):
         self.on = on  # with each command
 
     def _give(self, volt: float, tick: int | None, name: str) -> None:
-        given: dict[str, Any] = {"command": [*row(volt, name).values()], "power": self.on}
-        self._send(given if tick is None else given | {"tick": tick})
+        fields: dict[str, Any] = {"command": [*row(volt, name).values()], "power": self.on}
+        self._send(fields if tick is None else fields | {"tick": tick})
 
     def wait(self) -> None:
         self._send({})
 
-    def _send(self, given: dict[str, Any]) -> None:
-        reply = json.loads(self.server.answer(json.dumps(given).encode()))
+    def _send(self, fields: dict[str, Any]) -> None:
+        reply = json.loads(self.server.answer(json.dumps(fields).encode()))
         if "refused" in reply:
             raise Refused(reply["refused"])
 
@@ -368,7 +368,7 @@ class ByRos2Control(Door):
         reply = self.client.stdout.readline()
         if reply.startswith("refused "):
             raise Refused(reply.removeprefix("refused ").strip())
-        self._outcome, self._tick, self._current = (float(one) for one in reply.split())
+        self._outcome, self._tick, self._current = (float(text) for text in reply.split())
 
     def _begin(self) -> None:
         self._ask("begin")
@@ -403,12 +403,14 @@ class ByRos2Control(Door):
 
 def test_each_door_is_in_the_table_and_refuses_in_the_same_words() -> None:
     """But for what the page of doors states."""
-    kept = json.loads(KEPT.read_text())
+    stored = json.loads(KEPT.read_text())
     pages = [page.read_text() for page in DOCUMENTS]
     doors = [title for page in pages for title in re.findall(r"^<!-- door: (.+?) \|", page, re.M)]
-    assert doors and not [one for one in doors if not any(title.startswith(one) for title in kept)]
-    found = {(fault, cell) for row in kept.values() for fault, cell in row.items()}
-    refused = Counter(fault for fault, cell in found if cell.startswith("refused"))
+    assert doors and not [
+        door for door in doors if not any(title.startswith(door) for title in stored)
+    ]
+    cells = {(fault, cell) for row in stored.values() for fault, cell in row.items()}
+    refused = Counter(fault for fault, cell in cells if cell.startswith("refused"))
     assert refused == {"stale": 1, "name": 1, "nan": 1}
 
 

@@ -131,8 +131,8 @@ class ByRosInRealTime(ByRos):
         self._send([waist, 0.0, volt], before if tick is None else tick, name)
 
         def done() -> bool:
-            came = self.state.applied[0] == waist if self._on else self.tick > before + FEW
-            return came or self._refused() > refused
+            has_arrived = self.state.applied[0] == waist if self._on else self.tick > before + FEW
+            return has_arrived or self._refused() > refused
 
         self.user.wait("an answer", done)
         self._look(refused)
@@ -153,8 +153,8 @@ class ByRosInRealTime(ByRos):
         self.give(VOLT)
         self.user.wait("the elbow's command", lambda: self.comes)
         states = [deserialize_message(raw, MotorState) for raw in self.user._raw_states]
-        begins = [next(one.tick for one in states if one.applied[j]) for j in (0, ELBOW)]
-        if not {one - 1 for one in begins} <= {one.tick for one in states}:
+        begins = [next(state.tick for state in states if state.applied[j]) for j in (0, ELBOW)]
+        if not {begin - 1 for begin in begins} <= {state.tick for state in states}:
             self.begin()  # a busy listener has missed a state
             return self.late()
         return f"{begins[1] - begins[0]} periods later"
@@ -184,9 +184,9 @@ def emulator(folder: Path, clock: str) -> Iterator[User]:
     faults = ", ".join(f"elbow.{line}" for line in LINES)
     scene = str(own_three_axis(folder / "scene", f"faults: [{faults}]"))
     how = {"clock": clock, "start": "first_answer", "only": ("emulator",)}
-    with user() as one, Bringup(scene, log=folder, **how) as nodes:
-        one.wait("an active emulator", lambda: one.status)
-        yield one
+    with user() as emulator_user, Bringup(scene, log=folder, **how) as nodes:
+        emulator_user.wait("an active emulator", lambda: emulator_user.status)
+        yield emulator_user
         assert set(nodes.stop().values()) == {0}
 
 

@@ -46,7 +46,7 @@ PLAIN = ("waist", "shoulder", "elbow")
 def renamed(name: str, joints: tuple[str, ...] = PLAIN) -> Scene:
     """Return the scene with names that its file could not have."""
     of = zip(SCENE.joints, joints, strict=True)
-    return replace(SCENE, name=name, joints=tuple(replace(one, name=own) for one, own in of))
+    return replace(SCENE, name=name, joints=tuple(replace(joint, name=own) for joint, own in of))
 
 
 class Tags(HTMLParser):
@@ -79,8 +79,8 @@ def visible(name: str) -> str:
 
 def test_html_shows_a_name_as_it_is() -> None:
     for name in NAMES:
-        found = Tags(f'<p title="{escape.escape_html(name)}">{escape.escape_html(name)}</p>')
-        assert found.marks == {"p": 1, "p title": 1} and found.text == visible(name), name
+        tags = Tags(f'<p title="{escape.escape_html(name)}">{escape.escape_html(name)}</p>')
+        assert tags.marks == {"p": 1, "p title": 1} and tags.text == visible(name), name
 
 
 def test_markdown_shows_a_name_as_it_is() -> None:
@@ -88,23 +88,27 @@ def test_markdown_shows_a_name_as_it_is() -> None:
     parser = MarkdownIt("commonmark").enable(["table", "strikethrough"])
     for name in NAMES:
         text = escape.escape_markdown(name)
-        shown = visible(" ".join(name.split()))
-        inline = [one for one in parser.parse(f"Of {text} now") if one.type == "inline"]
-        assert [one.content for one in inline[0].children or ()] == [f"Of {shown} now"], name
+        visible_name = visible(" ".join(name.split()))
+        inline = [token for token in parser.parse(f"Of {text} now") if token.type == "inline"]
+        assert [child.content for child in inline[0].children or ()] == [
+            f"Of {visible_name} now"
+        ], name
         assert re.fullmatch(r"(&#\d+;)?([^!-/:-@\[-`{-~]|\\[!-~])*", text), "each mark is escaped"
-        if shown:
+        if visible_name:
             first, *more = parser.parse(text)
             assert first.type == "paragraph_open" and len(more) == 2, name
         table = parser.parse(format_numbers([name], {"q": [1.0], "v": [2.0]}))
-        cells = [one for one in table if one.type == "inline"]
-        assert len(cells) == 6 and "".join(x.content for x in cells[3].children or ()) == shown
+        cells = [cell for cell in table if cell.type == "inline"]
+        assert (
+            len(cells) == 6 and "".join(x.content for x in cells[3].children or ()) == visible_name
+        )
 
 
 def test_mdx_takes_no_line_for_a_statement() -> None:
     for name in ("export const x = 1", "import x from 'y'", "export", "important"):
         assert not escape.escape_markdown(name).startswith(("import", "export"))
         (paragraph,) = [x for x in MarkdownIt().parse(escape.escape_markdown(name)) if x.children]
-        assert "".join(one.content for one in paragraph.children or ()) == name
+        assert "".join(child.content for child in paragraph.children or ()) == name
 
 
 def compiled(source: str, folder: Path, *words: str) -> bytes:
@@ -137,8 +141,8 @@ def test_headers_of_c_compile_with_any_name(name: str, tmp_path: Path) -> None:
     source += "int main(void) { fputs(arm_udp_joint_names[1], stdout); return 0; }\n"
     assert compiled(source, tmp_path) == ("b" + name).partition("\0")[0].encode()
     servo = load_gains(CONFIG / "three_axis.yaml").servo
-    known = dict(zip(PLAIN, joints, strict=True))
-    servo = replace(servo, joints=tuple(replace(j, name=known[j.name]) for j in servo.joints))
+    joint_names = dict(zip(PLAIN, joints, strict=True))
+    servo = replace(servo, joints=tuple(replace(j, name=joint_names[j.name]) for j in servo.joints))
     source = f"{header_text(name, joints, servo)}#include <stdio.h>\n"
     source += "int main(void) { fputs(servo_names[1], stdout); return !sizeof servo_joints; }\n"
     folder = Path(escape.__file__).parents[1]
@@ -161,10 +165,10 @@ def test_data_sheets_keep_their_sections() -> None:
     node = Segment(drives, 1, lockstep=True).nodes[0]
     plain = sections(make_eds(node, "a.eds", "x"))
     for name in some(NAMES, 40):
-        found = sections(make_eds(node, name, name))
-        assert found.keys() == plain.keys(), name
-        assert all(found[key].keys() == plain[key].keys() for key in plain), name
-        assert found["DeviceInfo"]["ProductName"] == visible(name).strip(), name
+        eds = sections(make_eds(node, name, name))
+        assert eds.keys() == plain.keys(), name
+        assert all(eds[key].keys() == plain[key].keys() for key in plain), name
+        assert eds["DeviceInfo"]["ProductName"] == visible(name).strip(), name
 
 
 def sections(text: str) -> dict[str, dict[str, str]]:
@@ -208,5 +212,7 @@ def test_the_launch_file_of_moveit_has_the_path_as_a_string() -> None:
     for name in NAMES:
         words = {"name": "arm", "package": "arm_moveit_config", "scene": name, "machine": "m"}
         tree = ast.parse(_NETWORK.format(**words))
-        strings = [one.value for one in ast.walk(tree) if isinstance(one, ast.Constant)]
+        strings = [
+            constant.value for constant in ast.walk(tree) if isinstance(constant, ast.Constant)
+        ]
         assert name in strings

@@ -70,13 +70,13 @@ def test_every_declared_input_is_whole() -> None:
     """A command first, in a mode of arm.h; of further ones what a motor got is an output."""
     declared = [kind.inputs for kind in MOTORS] + [kind.inputs for kind in DECORATORS]
     for inputs in declared:
-        for k, one in enumerate(inputs):
-            assert one.about and one.unit in ("V", "N m", "A"), one
-            assert (one.name == "command") == (k == 0), one
+        for k, declared_input in enumerate(inputs):
+            assert declared_input.about and declared_input.unit in ("V", "N m", "A"), declared_input
+            assert (declared_input.name == "command") == (k == 0), declared_input
             if k == 0:
-                ARM.constant(one.mode)
+                ARM.constant(declared_input.mode)
             else:
-                assert one.applied in KNOWN, one
+                assert declared_input.applied in KNOWN, declared_input
 
 
 def test_the_core_describes_them(scene: Scene) -> None:
@@ -85,15 +85,17 @@ def test_the_core_describes_them(scene: Scene) -> None:
     plant.core.arm_describe(described)
     assert described.inputs == 1 and list_further_inputs(scene) == ("command_d",)
     assert list_input_units(scene, "command_d") == ("V", "V", "V")
-    got = []
+    descriptions = []
     for j, mode in enumerate(list_modes(scene)):
-        one, joint = ARM.new("arm_reading"), ARM.new("arm_joint_description")
-        assert plant.core.arm_describe_input(0, j, one) == 0
+        reading, joint = ARM.new("arm_reading"), ARM.new("arm_joint_description")
+        assert plant.core.arm_describe_input(0, j, reading) == 0
         plant.core.arm_describe_joint(j, joint)
         assert joint.modes == mode
-        got.append((one.present, text(one.name), text(one.unit)))
-    assert got == [(1, "command_d", "V"), (0, "command_d", ""), (0, "command_d", "")]
-    assert plant.core.arm_describe_input(1, 0, one) and plant.core.arm_describe_input(0, 3, one)
+        descriptions.append((reading.present, text(reading.name), text(reading.unit)))
+    assert descriptions == [(1, "command_d", "V"), (0, "command_d", ""), (0, "command_d", "")]
+    assert plant.core.arm_describe_input(1, 0, reading) and plant.core.arm_describe_input(
+        0, 3, reading
+    )
 
 
 def by_plant(scene: Scene, seed: int) -> Plant:
@@ -162,13 +164,13 @@ def test_the_real_time_loop_holds_them(scene: Scene) -> None:
     """It reports what the motors got in each of its periods."""
     session = open_real_time_session(scene, "first_answer")
     session.offer(0, scene.joint_names, [3.0, 1.0, 0.1], {"command_d": [2.0, 0.0, 0.0]})
-    seen = []
-    while len(seen) < 5:
+    applied = []
+    while len(applied) < 5:
         session.wait(1.0)
         while session.take():
-            seen.append(session.measured.applied_d.tolist())
+            applied.append(session.measured.applied_d.tolist())
     session.close()
-    assert seen == [[2.0, 0.0, 0.0]] * len(seen)
+    assert applied == [[2.0, 0.0, 0.0]] * len(applied)
 
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
@@ -176,34 +178,36 @@ def test_over_ros_and_repeated_from_its_bag(
     clock: str, file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A controller of one's own answers each state, with joints and inputs by name."""
-    with in_process(clock, file=file) as one:
+    with in_process(clock, file=file) as inside:
         rows = drawn(2, 300)
 
         def answer(state: MotorState) -> None:
             command, along = (row[state.tick % 300] for row in rows)
             names = list(state.joint_names)[::-1]
-            given = {"input_names": ["command_d"], "inputs": along[::-1].tolist()}
-            message = MotorCommand(tick=state.tick, joint_names=names, **given)
+            inputs = {"input_names": ["command_d"], "inputs": along[::-1].tolist()}
+            message = MotorCommand(tick=state.tick, joint_names=names, **inputs)
             message.command = command[::-1].tolist()
-            one.send("motor_commands", message)
-            assert one._wires.record is not None
-            one._wires.record.append(("motor_commands", MotorCommand, serialize_message(message)))
+            inside.send("motor_commands", message)
+            assert inside._wires.record is not None
+            inside._wires.record.append(
+                ("motor_commands", MotorCommand, serialize_message(message))
+            )
 
-        heard = one._heard
-        one.listen_alone("motor_states", MotorState, answer)
-        one._wires.listeners["motor_states"].append(heard)
-        one.begin_record()
-        assert one.call("emulator/reset").success
-        go_on(one, 100, one.nodes["emulator"]._status.report)
-        state = one.newest("motor_states")
-        assert one.refused("emulator") == 0
+        heard = inside._heard
+        inside.listen_alone("motor_states", MotorState, answer)
+        inside._wires.listeners["motor_states"].append(heard)
+        inside.begin_record()
+        assert inside.call("emulator/reset").success
+        go_on(inside, 100, inside.nodes["emulator"]._status.report)
+        state = inside.newest("motor_states")
+        assert inside.refused("emulator") == 0
         assert list(state.reading_names) == ["current_d", "applied_d"]
         assert 0.0 < abs(state.readings[3]) <= AMPLITUDE + 1e-9
-        along = session_of(one).measured.applied_d
+        along = session_of(inside).measured.applied_d
         if clock == "lockstep":
             expected = rows[1][(state.tick - 1) % 300]
             assert along == pytest.approx(np.clip(expected, -AMPLITUDE, AMPLITUDE))
-        one.write(tmp_path / "bag")
+        inside.write(tmp_path / "bag")
     code, words = check_bag(tmp_path / "bag", scene=str(file)), capfd.readouterr().out
     assert code == 0 and "equal to the last bit" in words, words
     assert "applied_d" in words and "motor_commands (command, command_d)" in words, words
@@ -223,29 +227,29 @@ def test_over_ros_and_repeated_from_its_bag(
 def test_an_input_that_no_motor_has_is_refused(
     names: list[str], values: list[float], words: str, file: Path, capfd: Any
 ) -> None:
-    with in_process(file=file) as one:
-        session = session_of(one)
+    with in_process(file=file) as inside:
+        session = session_of(inside)
         tick, before = session.tick, session.plant.save()
         message = MotorCommand(tick=tick, joint_names=list(session.scene.joint_names))
         message.command, message.input_names, message.inputs = [0.0] * 3, names, values
-        one.send("motor_commands", message)
-        assert one.refused("emulator") == 1 and session.plant.save() == before
-        one.timers()
-        assert words in str(one.newest("diagnostics")), one.newest("diagnostics")
+        inside.send("motor_commands", message)
+        assert inside.refused("emulator") == 1 and session.plant.save() == before
+        inside.timers()
+        assert words in str(inside.newest("diagnostics")), inside.newest("diagnostics")
 
 
 def test_a_plant_refuses_alike(scene: Scene) -> None:
     plant = Plant(scene)
     before = plant.save()
-    for given, words in (
+    for arguments, words in (
         ({"ud": [0.0] * 3}, "must be a further input of three_axis, got ud; valid: command_d"),
         ({"command_d": [0.0, 0.0, 1.0]}, "command_d of elbow must be 0"),
         ({"command_d": [0.0, 0.0]}, "must have"),
     ):
         with pytest.raises(Refusal, match=words):
-            plant.exchange(np.zeros(3), **given)
+            plant.exchange(np.zeros(3), **arguments)
         with pytest.raises(Refusal, match=words):
-            Fleet(scene, 2).exchange(np.zeros(3), **given)
+            Fleet(scene, 2).exchange(np.zeros(3), **arguments)
     entries = ARM.rows("arm_joint_command", 3)
     entries["mode"], entries["enable"] = list_modes(scene), 1
     rows = np.array([[0.0, 5.0, 0.0]])
@@ -260,7 +264,7 @@ def test_a_plant_refuses_alike(scene: Scene) -> None:
 def test_registers_have_them_behind_the_commands(scene: Scene) -> None:
     session = Session(scene, "lockstep", "first_answer")
     converter, N = Converter(session, 0), len(scene.joints)
-    rows = {one.name: one for one in list_blocks(scene) if one.writable}
+    rows = {block.name: block for block in list_blocks(scene) if block.writable}
     assert (rows["command_d"].address, rows["command_d"].count) == (COMMANDED + 1 + N, N)
     words = [8192, -4096, 16384, -8192, 0, 0]
     raw = [struct.unpack(">H", struct.pack(">h", word))[0] for word in words]

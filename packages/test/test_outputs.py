@@ -55,7 +55,7 @@ PMSM = {
 
 # A joint has one motor: outputs of other kinds stand where this machine has one, too.
 OTHERS = {output for kind in MOTORS if kind.kind != PMSM["kind"] for output in kind.outputs}
-HERE = {name: one for name, one in KNOWN.items() if one not in OTHERS}
+HERE = {name: output for name, output in KNOWN.items() if output not in OTHERS}
 
 
 def everything(folder: Path, **more: Any) -> Scene:
@@ -99,8 +99,8 @@ def plant(scene: Scene) -> Plant:
 
 
 def test_this_machine_has_every_output_that_a_part_declares(scene: Scene) -> None:
-    assert {one.name for one in list_outputs(scene)} == set(HERE)
-    assert {one.symbol for one in OTHERS} <= {value.symbol for value in HERE.values()}
+    assert {output.name for output in list_outputs(scene)} == set(HERE)
+    assert {output.symbol for output in OTHERS} <= {value.symbol for value in HERE.values()}
 
 
 # Units at joints that turn and that slide, written down apart from the declarations. "" of counts,
@@ -140,7 +140,7 @@ INPUTS = {
 
 def test_outputs_and_inputs_have_the_units_of_the_table() -> None:
     kinds = ("revolute", "prismatic")
-    assert {name: tuple(map(one.unit_at, kinds)) for name, one in KNOWN.items()} == UNITS
+    assert {name: tuple(map(output.unit_at, kinds)) for name, output in KNOWN.items()} == UNITS
     assert {
         (kind.kind, input.name): input.unit for kind in MOTORS for input in kind.inputs
     } == INPUTS
@@ -179,9 +179,9 @@ def test_draws_of_sensors_are_their_own() -> None:
 def test_measured_has_all_of_it(scene: Scene, plant: Plant) -> None:
     measured = plant.measured
     N = len(scene.joints)
-    for name, one in KNOWN.items():
+    for name, output in KNOWN.items():
         values = getattr(measured, name)
-        assert values.shape == ((len(scene.imus), 3) if one.per_unit else (N,)), name
+        assert values.shape == ((len(scene.imus), 3) if output.per_unit else (N,)), name
         assert np.isfinite(values).all(), name
         assert name in dir(measured)
     assert measured.applied.tolist() == plant.measured.applied.tolist()
@@ -193,24 +193,26 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
     rows = list_readings(scene)
     for row in range(len(rows) + 1):
         for joint in range(3):
-            one = ARM.new("arm_reading")
-            result = plant.core.arm_describe_reading(row, joint, one)
+            reading = ARM.new("arm_reading")
+            result = plant.core.arm_describe_reading(row, joint, reading)
             assert result == (row == len(rows) or joint == 2), "refused"
             if result == 0:
                 expected = rows[row].unit_at(scene.chain.joints[joint].kind)
-                assert (text(one.name), text(one.unit)) == (rows[row].name, expected)
-                assert one.present == 1
+                assert (text(reading.name), text(reading.unit)) == (rows[row].name, expected)
+                assert reading.present == 1
 
 
 def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
-    shown = {variable.name[0] for variable in list_variables(scene) if variable.role == "output"}
-    assert set(HERE) | {"powered", "truth"} == shown
+    output_names = {
+        variable.name[0] for variable in list_variables(scene) if variable.role == "output"
+    }
+    assert set(HERE) | {"powered", "truth"} == output_names
 
 
 def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> None:
     types = MotorState.get_fields_and_field_types()
     fields, measured = MeasuredFields(scene, types), plant.measured
-    own = [one.name for one in fields.own]
+    own = [output.name for output in fields.own]
     assert {*fields.in_all, *own, *fields.listed} >= {
         part.name for part in list_reported_by_parts(scene)
     }
@@ -238,12 +240,14 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
     converter = Converter(session, 0)
     for _ in range(20):
         session.advance_under(np.array([30.0, -20.0]))
-    rows = [one for one in list_blocks(scene) if 1003 <= one.address < 2000]
+    rows = [
+        output_block for output_block in list_blocks(scene) if 1003 <= output_block.address < 2000
+    ]
     units = len(scene.imus)
     names = [
-        (one.name, unit)
-        for one in dict.fromkeys((*ALWAYS, *HERE.values()))
-        for unit in (range(units) if one.per_unit else (...,))
+        (output.name, unit)
+        for output in dict.fromkeys((*ALWAYS, *HERE.values()))
+        for unit in (range(units) if output.per_unit else (...,))
     ]
     assert len(rows) == len(names), [row.name for row in rows]
     at = 1003
@@ -291,14 +295,14 @@ def test_a_faultless_sensor_has_the_bits_of_the_truth() -> None:
 
 def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
     """In the unit of the output or a thousandth, at each joint, also after a restart."""
-    known = load_gains(find_scene("three_axis")).servo
+    servo_config = load_gains(find_scene("three_axis")).servo
     servo = dataclasses.replace(
-        known,
+        servo_config,
         period=scene.servo_period,
         supply_voltage=scene.supply_voltage,
         joints=tuple(
             dataclasses.replace(
-                known.joints[0], name=joint.name, **data_sheet(joint, scene.supply_voltage)
+                servo_config.joints[0], name=joint.name, **data_sheet(joint, scene.supply_voltage)
             )
             for joint in scene.joints
         ),
@@ -316,8 +320,8 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
             drives.set(j, 0x6502, 1 << 9)  # these gains are not for it
             drives.write(j, 0x6060, 10)
             drives.write(j, 0x6071, sign * 1000)
-            for one in further[j]:
-                drives.give(j, find_index(one), 0.5 * sign)
+            for further_input in further[j]:
+                drives.give(j, find_index(further_input), 0.5 * sign)
             drives.write(j, 0x6040, (6, 7, 15)[min(tick, 2)])
         if tick == 140:
             drives.write(1, 0x60FE, 1, 2)
@@ -326,25 +330,25 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
         if tick == 150:
             drives.restart(0)
         elif 3 < tick < 140:
-            for one in further[0]:
-                assert getattr(drives.plant.measured, one.applied).tolist() == [0.5, -0.5]
+            for further_input in further[0]:
+                assert getattr(drives.plant.measured, further_input.applied).tolist() == [0.5, -0.5]
         for name, output in HERE.items():
             measured = np.asarray(getattr(drives.plant.measured, name), float)
             index = find_index(output)
             if output.per_unit:
-                shown = [drives.reading(1, index, sub) for sub in range(1, 7)]
-                assert shown == measured.astype(np.float32).ravel().tolist(), name
+                readings = [drives.reading(1, index, sub) for sub in range(1, 7)]
+                assert readings == measured.astype(np.float32).ravel().tolist(), name
                 assert drives.reading(0, index, 1) == 0.0, "no unit on its link"
                 continue
             entry = entries[index, 0]
             assert entry.access == "ro" and entry.tx, name
-            whole = entry.type != "REAL32"
-            times = 1e3 if whole and entry.unit.startswith("m") else 1.0
+            is_integer = entry.type != "REAL32"
+            times = 1e3 if is_integer and entry.unit.startswith("m") else 1.0
             for j, value in enumerate(times * measured):
                 off = abs(drives.reading(j, index) - value)
-                assert off <= (0.5 if whole else 1e-7 * abs(value)), f"{name} of joint {j}"
+                assert off <= (0.5 if is_integer else 1e-7 * abs(value)), f"{name} of joint {j}"
             changed[name] += len(np.unique(measured)) > 1
-    same = {name for name, one in HERE.items() if not one.per_unit and not changed[name]}
+    same = {name for name, output in HERE.items() if not output.per_unit and not changed[name]}
     assert same <= {"faults"}
 
 

@@ -60,7 +60,7 @@ class Constant(ControlCode):
     name = "constant"
 
     def __init__(self, command: np.ndarray) -> None:
-        def step(with_: CData, given: CData, out: CData) -> None:
+        def step(with_: CData, reading: CData, out: CData) -> None:
             for joint, value in enumerate(command):
                 out.joint[joint].value = value
 
@@ -126,11 +126,11 @@ def by_clock(command: np.ndarray) -> Door:
         loop.start(plant.ticks.tick)
         reached, fault = plant.ticks.tick, -1
         while not own[0] and fault < 0 and loop.wait(1.0):
-            while (one := loop.take()) is not None:
-                reached, fault = one.tick, one.fault
+            while (result := loop.take()) is not None:
+                reached, fault = result.tick, result.fault
         loop.stop()
-        while (one := loop.take()) is not None:
-            reached = one.tick
+        while (result := loop.take()) is not None:
+            reached = result.tick
         plant.ticks.tick = reached
         end.close()
         if own == end.stop:
@@ -146,29 +146,29 @@ GIVEN = (by_call, by_hand, by_control_code)  # commands that are not checked bef
 
 @pytest.mark.parametrize("door", LOOPS)
 def test_a_breakpoint_ends_every_loop_at_its_tick(door: Callable[[np.ndarray], Door]) -> None:
-    one = door(np.zeros(N))
-    stop = Breakpoint(one.plant, "tick > 3")
-    one.plant.ticks.stop = stop.stop
-    one.go(100)
-    assert (one.tick, stop.tick, stop.take_hit()) == (4, 4, True)
-    one.plant.ticks.stop = NULL
+    loop = door(np.zeros(N))
+    stop = Breakpoint(loop.plant, "tick > 3")
+    loop.plant.ticks.stop = stop.stop
+    loop.go(100)
+    assert (loop.tick, stop.tick, stop.take_hit()) == (4, 4, True)
+    loop.plant.ticks.stop = NULL
     stop.close()
 
 
 @pytest.mark.parametrize("door", GIVEN)
 def test_a_refused_command_changes_nothing(door: Callable[[np.ndarray], Door]) -> None:
     command = np.zeros(N)
-    one = door(command)
-    one.go(3)
-    before = one.plant.save()
+    loop = door(command)
+    loop.go(3)
+    before = loop.plant.save()
     command[1] = np.nan
     with pytest.raises(Refusal) as no:
-        one.go(2)
+        loop.go(2)
     assert (no.value.quantity, no.value.rule) == ("command of shoulder", "be finite")
-    assert one.tick == 3 and one.plant.save() == before
+    assert loop.tick == 3 and loop.plant.save() == before
     command[1] = 1.0
-    one.go(1)
-    assert one.tick == 4, "the next one is taken"
+    loop.go(1)
+    assert loop.tick == 4, "the next one is taken"
 
 
 @pytest.mark.parametrize("door", (by_hand, by_control_code, by_clock))
@@ -176,38 +176,38 @@ def test_a_refused_command_changes_nothing(door: Callable[[np.ndarray], Door]) -
 def test_a_line_loses_and_delays_the_same_commands(
     door: Callable[[np.ndarray], Door], fault: str
 ) -> None:
-    one, other, plain = (make(np.full(N, 4.0)) for make in (door, by_call, by_call))
+    first, second, plain = (make(np.full(N, 4.0)) for make in (door, by_call, by_call))
     plain.go(30)
-    for each in (one, other):
+    for each in (first, second):
         each.plant.set_parameter(f"faults.elbow.{fault}", FAULTS[fault])
         each.go(30)
-    assert one.tick == other.tick == 30
-    np.testing.assert_array_equal(one.plant.state.q, other.plant.state.q)
-    assert (one.plant.state.q != plain.plant.state.q).any(), "the fault does nothing"
+    assert first.tick == second.tick == 30
+    np.testing.assert_array_equal(first.plant.state.q, second.plant.state.q)
+    assert (first.plant.state.q != plain.plant.state.q).any(), "the fault does nothing"
 
 
 @pytest.mark.parametrize("door", ALL)
 def test_without_power_commands_are_0(door: Callable[[np.ndarray], Door]) -> None:
-    one, other = door(np.full(N, 6.0)), by_call(np.zeros(N))
-    for each in (one, other):
+    first, second = door(np.full(N, 6.0)), by_call(np.zeros(N))
+    for each in (first, second):
         each.plant.powered = False
         each.go(20)
-    assert one.tick == other.tick == 20
+    assert first.tick == second.tick == 20
     for name in ("q", "v", "current"):
         np.testing.assert_array_equal(
-            getattr(one.plant.state, name), getattr(other.plant.state, name), err_msg=name
+            getattr(first.plant.state, name), getattr(second.plant.state, name), err_msg=name
         )
-    np.testing.assert_array_equal(one.plant.measured.applied, np.zeros(N))
+    np.testing.assert_array_equal(first.plant.measured.applied, np.zeros(N))
 
 
 @pytest.mark.parametrize("door", ALL)
 def test_a_diverged_machine_stays_at_its_tick(door: Callable[[np.ndarray], Door]) -> None:
-    one = door(np.zeros(N))
-    one.plant.put("test", {"v": np.full(N, 0.9 * one.plant.bounds["v"].most)})
+    loop = door(np.zeros(N))
+    loop.plant.put("test", {"v": np.full(N, 0.9 * loop.plant.bounds["v"].most)})
     try:
-        one.go(50)
+        loop.go(50)
     except Diverged:
         pass
-    diverged = one.plant.diverged
+    diverged = loop.plant.diverged
     assert diverged is not None
-    assert one.tick == round(one.plant.state.t / SCENE.servo_period), diverged
+    assert loop.tick == round(loop.plant.state.t / SCENE.servo_period), diverged

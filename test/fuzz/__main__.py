@@ -73,10 +73,10 @@ class Worker:
         assert self.process.stdout is not None
         data = os.read(self.process.stdout.fileno(), 1 << 16)
         self.heard = time.monotonic()
-        *whole, self.rest = (self.rest + data).split(b"\n")
-        for one in whole:
+        *lines, self.rest = (self.rest + data).split(b"\n")
+        for line in lines:
             with contextlib.suppress(json.JSONDecodeError):  # what a library prints
-                yield json.loads(one)
+                yield json.loads(line)
 
     def stop(self) -> None:
         """End it."""
@@ -135,8 +135,10 @@ class Fuzzer:
                     selector.unregister(worker.process.stdout)  # type: ignore[arg-type]
                     code = worker.process.poll()
                     if code != 0:
-                        what = f"hangs for {HANGS[worker.part]:g} s" if silent else f"exit {code}"
-                        self._fail(name, worker, count, f"{what}\n{worker.last_words()}")
+                        failure = (
+                            f"hangs for {HANGS[worker.part]:g} s" if silent else f"exit {code}"
+                        )
+                        self._fail(name, worker, count, f"{failure}\n{worker.last_words()}")
                         done += 1
                     worker.stop()
                     if worker.part == "messages":
@@ -145,7 +147,7 @@ class Fuzzer:
                         worker.first = worker.case + WORKERS
                         watch(worker)
                 now = done if cases is not None else time.monotonic() - started
-                words = ", ".join(f"{what} {number}" for what, number in sorted(count.items()))
+                words = ", ".join(f"{event} {number}" for event, number in sorted(count.items()))
                 self._progress.update(bar, completed=min(now, total), words=words)
             for worker in running:
                 worker.stop()
@@ -165,20 +167,20 @@ class Fuzzer:
             return int(worker.part in ("scenes", "files"))
         return int(worker.part == "cores" and "done" in line)
 
-    def _fail(self, name: str, worker: Worker, count: Counter[str], what: str) -> None:
+    def _fail(self, name: str, worker: Worker, count: Counter[str], failure: str) -> None:
         count[FAILED] += 1
         OUT.mkdir(parents=True, exist_ok=True)
         words = "-".join([worker.part, *worker.arguments[:2], str(worker.case)])
         file = OUT / f"{words}.txt"
-        file.write_text(f"{what}\n", errors="replace")
-        last = what.strip().splitlines()[-1][:160] if what.strip() else ""
+        file.write_text(f"{failure}\n", errors="replace")
+        last = failure.strip().splitlines()[-1][:160] if failure.strip() else ""
         self._console.print(f"{name}, case {worker.case}: {last} ({file})", markup=False)
 
 
 def turns(messages: int) -> list[int]:
     """Share messages out to networks, each with a seed of its own: every state of a run is kept."""
-    whole, rest = divmod(messages, MESSAGES_PER_NETWORK)
-    return [MESSAGES_PER_NETWORK] * whole + ([rest] if rest else [])
+    full_networks, rest = divmod(messages, MESSAGES_PER_NETWORK)
+    return [MESSAGES_PER_NETWORK] * full_networks + ([rest] if rest else [])
 
 
 def properties(examples: int, seed: int) -> Counter[str]:

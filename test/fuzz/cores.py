@@ -189,14 +189,14 @@ def steps(rng: np.random.Generator) -> int:
 def ask(rng: np.random.Generator, plant: Plant) -> None:
     """Ask anything of a machine."""
     N = len(plant.scene.joints)
-    what = rng.random()
-    if what < 0.55:
+    choice = rng.random()
+    if choice < 0.55:
         plant.advance(numbers(rng, N, 30.0), steps(rng))
-    elif what < 0.7:
+    elif choice < 0.7:
         plant.run([numbers(rng, N, 30.0) for _ in range(int(rng.integers(0, 6)))], steps(rng))
-    elif what < 0.85:
+    elif choice < 0.85:
         plant.reset(numbers(rng, N, 1.0), numbers(rng, N, 1.0) if rng.random() < 0.5 else None)
-    elif what < 0.9:
+    elif choice < 0.9:
         plant.reset()
     else:
         plant.links.accelerations(*rng.normal(size=(3, int(rng.integers(1, 5)), N)))

@@ -110,10 +110,12 @@ def refused(user: User) -> dict[str, int]:
 def await_counts(user: User) -> None:
     """Wait until every node has reported its health anew, twice: all that was sent is counted."""
     for _ in range(2):
-        seen = dict(user.diagnostics)
+        before = dict(user.diagnostics)
         user.wait(
             "news of every node",
-            lambda seen=seen: all(user.diagnostics.get(n) is not seen.get(n) for n in ALL_THREE),
+            lambda before=before: all(
+                user.diagnostics.get(n) is not before.get(n) for n in ALL_THREE
+            ),
         )
 
 

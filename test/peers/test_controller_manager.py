@@ -39,7 +39,7 @@ from arm_emulator_export.commands.ros2_control import ros2_control
 from arm_emulator_export.control_files import PLUGIN
 
 PACKAGE = Path(__file__).resolve().parents[2] / "packages/arm_emulator_hardware"
-PREFIXES = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if one]
+PREFIXES = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
 WANTED = ("controller_manager", "joint_trajectory_controller", "forward_command_controller")
 MOCK = "mock_components/GenericSystem"
 TARGETS = {
@@ -56,7 +56,9 @@ CHECKS = "-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=undefined"
 # The middleware keeps memory until its process ends, and frees it by another size.
 QUIET = {"ASAN_OPTIONS": "detect_leaks=0:new_delete_type_mismatch=0:verify_asan_link_order=0"}
 
-absent = [one for one in WANTED if not any((at / "share" / one).is_dir() for at in PREFIXES)]
+absent = [
+    package for package in WANTED if not any((at / "share" / package).is_dir() for at in PREFIXES)
+]
 pytestmark = pytest.mark.skipif(bool(absent), reason=f"not there: {', '.join(absent)}")
 
 
@@ -98,8 +100,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def domain() -> Iterator[int]:
     """No other controller manager, and no other clock."""
-    with own_domain() as one:
-        yield one
+    with own_domain() as domain_id:
+        yield domain_id
 
 
 def of_program(prefix: Path, program: str, *words: object, **more: str) -> dict[str, Any]:
@@ -141,7 +143,9 @@ def test_a_trajectory_is_followed_with_equal_bits(prefix: Path, folder: Path, na
         runs = [move(prefix, *files, TARGETS[name]) for _ in range(RUNS)]
     assert runs[0].returncode == 0, runs[0].stderr
     digest, *lines = runs[0].stdout.splitlines()
-    assert digest.startswith("digest ") and {one.stdout for one in runs} == {runs[0].stdout}
+    assert digest.startswith("digest ") and {finished.stdout for finished in runs} == {
+        runs[0].stdout
+    }
     scene = load_scene(name)
     for line, joint in zip(lines, scene.joints, strict=True):
         word, *numbers = line.split()
@@ -160,12 +164,15 @@ def test_mock_components_have_no_error_and_we_have_that_of_the_drives(
     text = (folder / f"{name}.urdf").read_text()
     (tmp_path / "mock.urdf").write_text(text.replace(PLUGIN, MOCK))
     table: dict[str, npt.NDArray[np.float64]] = {}
-    for what, description in (("ours", folder / f"{name}.urdf"), ("mock", tmp_path / "mock.urdf")):
-        rows = tmp_path / what
+    for component, description in (
+        ("ours", folder / f"{name}.urdf"),
+        ("mock", tmp_path / "mock.urdf"),
+    ):
+        rows = tmp_path / component
         done = move(prefix, description, folder / f"{name}_controllers.yaml", TARGETS[name], rows)
         assert done.returncode == 0, done.stderr
         joints = len(TARGETS[name])
-        table[what] = np.array(
+        table[component] = np.array(
             [[float(word) for word in line.split()] for line in rows.read_text().splitlines()]
         ).reshape(-1, joints, 4)
     position, velocity, effort, true = (table["ours"][..., k] for k in range(4))
@@ -176,8 +183,8 @@ def test_mock_components_have_no_error_and_we_have_that_of_the_drives(
     assert np.all(late > 1e-5) and np.all(late < 5e-3)
     # Held by its motors against gravity, at rest at the end.
     assert np.abs(effort[-1]).max() > 1.0 and np.abs(velocity[-1]).max() < 1e-2
-    wound = np.abs(position - true)[-1]
-    assert 1e-5 < wound.max() < 5e-3
+    wind_up = np.abs(position - true)[-1]
+    assert 1e-5 < wind_up.max() < 5e-3
 
 
 # They bear the motions between the troubles; the largest currents heat them by 20 and 1 K/ms.
@@ -211,7 +218,7 @@ def troubled(name: str, into: Path) -> Path:
     manager = parameters["controller_manager"]["ros__parameters"]
     forwarded = {loop: (list(TARGETS[name]), loop) for loop in ("position", "velocity", "effort")}
     forwarded["power"] = [f"{name}_power"], "power"
-    forwarded |= {one: ([f"{name}_varied"], number) for one, number in numbers.items()}
+    forwarded |= {joint: ([f"{name}_varied"], number) for joint, number in numbers.items()}
     for controller, (joints, interface) in forwarded.items():
         manager[controller] = {"type": "forward_command_controller/ForwardCommandController"}
         parameters[controller] = {
@@ -235,13 +242,13 @@ def test_controllers_take_turns_while_the_machine_is_in_trouble(
     assert "ERROR: AddressSanitizer" not in runs[0].stderr
     assert "runtime error" not in runs[0].stderr
     assert runs[1].stdout == runs[0].stdout
-    got = dict(line.split() for line in runs[0].stdout.splitlines())
-    assert int(got["switches"]) > 0.5 * cycles / 40 and got["not_finite"] == "0"
-    assert int(got["cuts"]) == cycles // 970 and int(got["hot"]) == cycles // 1130
+    counts = dict(line.split() for line in runs[0].stdout.splitlines())
+    assert int(counts["switches"]) > 0.5 * cycles / 40 and counts["not_finite"] == "0"
+    assert int(counts["cuts"]) == cycles // 970 and int(counts["hot"]) == cycles // 1130
     if name == "three_axis":
-        assert int(got["diverged"]) == cycles // 1510
-    assert int(got["wrong"]) > 0.3 * cycles / 210, "infinities, which are refused"
-    assert 0.01 < float(got["fastest"]) < 10.0
+        assert int(counts["diverged"]) == cycles // 1510
+    assert int(counts["wrong"]) > 0.3 * cycles / 210, "infinities, which are refused"
+    assert 0.01 < float(counts["fastest"]) < 10.0
 
 
 START = '<param name="initial_value">0.5<'
@@ -296,10 +303,10 @@ def test_lockstep_node_ends_in_a_line_after_a_wrong_description(
     description = tmp_path / "three_axis.urdf"
     description.write_text(description.read_text().replace("three_axis</param>", "none</param>"))
     with guest() as node:
-        one = Managed(node, prefix, description, tmp_path / "three_axis_controllers.yaml")
-        one.wait("its end", lambda: one.process.poll() is not None)
-    assert one.process.returncode == 2
-    assert one.log.read_text().count("scene must be FOLDER/NAME after") == 1
+        node_manager = Managed(node, prefix, description, tmp_path / "three_axis_controllers.yaml")
+        node_manager.wait("its end", lambda: node_manager.process.poll() is not None)
+    assert node_manager.process.returncode == 2
+    assert node_manager.log.read_text().count("scene must be FOLDER/NAME after") == 1
 
 
 @pytest.mark.parametrize(
@@ -381,8 +388,8 @@ class Managed:
                 **of_program(prefix, "lockstep_node", *words), stderr=log
             )
 
-    def wait(self, what: str, condition: Callable[[], bool]) -> None:
-        assert self.node.spin_until(condition, 120.0), f"{what}; {self.log.read_text()}"
+    def wait(self, condition_text: str, condition: Callable[[], bool]) -> None:
+        assert self.node.spin_until(condition, 120.0), f"{condition_text}; {self.log.read_text()}"
 
     def call(self, kind: Any, service: str, **request: Any) -> Any:
         if service not in self._services:
@@ -414,9 +421,9 @@ class Managed:
     def switch(self, start: Sequence[str], stop: Sequence[str] = ()) -> None:
         from controller_manager_msgs.srv import SwitchController
 
-        asked = {"activate_controllers": [*start], "deactivate_controllers": [*stop]}
+        request = {"activate_controllers": [*start], "deactivate_controllers": [*stop]}
         service = "/controller_manager/switch_controller"
-        assert self.call(SwitchController, service, strictness=2, **asked).ok
+        assert self.call(SwitchController, service, strictness=2, **request).ok
 
     def pause(self, paused: bool) -> None:
         assert self.call(SetBool, "/controller_manager/pause", data=paused).success
@@ -433,8 +440,8 @@ class Managed:
         from controller_manager_msgs.srv import SetHardwareComponentState
         from lifecycle_msgs.msg import State
 
-        service, wanted = "/controller_manager/set_hardware_component_state", State(label="active")
-        request = {"name": self.name, "target_state": wanted}
+        service, state = "/controller_manager/set_hardware_component_state", State(label="active")
+        request = {"name": self.name, "target_state": state}
         assert self.call(SetHardwareComponentState, service, **request).ok
 
     def send(self, controller: str, *values: float, until: Callable[[], bool]) -> None:
@@ -490,11 +497,11 @@ class Managed:
 def managed(prefix: Path, description: Path, parameters: Path) -> Iterator[Managed]:
     """Start a manager in the domain, and end it."""
     with guest() as node:
-        one = Managed(node, prefix, description, parameters)
+        managed_node = Managed(node, prefix, description, parameters)
         try:
-            yield one
+            yield managed_node
         finally:
-            one.close()
+            managed_node.close()
 
 
 JTC = "joint_trajectory_controller"
@@ -530,12 +537,12 @@ def test_a_goal_sent_while_time_stands_gives_equal_bits(prefix: Path, folder: Pa
     ros2_control("three_axis", into=folder)
     with load_processors(BUSY):
         first, *others = [goal_run(prefix, folder) for _ in range(RUNS)]
-    for one in others:
+    for later in others:
         # States are sent best effort. Of the time that stands, any may be the last one.
-        both = first.keys() & one.keys() - {min(first)}
+        both = first.keys() & later.keys() - {min(first)}
         moving = [at for at in both if at < 300_000_000]
         assert len(moving) > 50
-        assert all(first[at] == one[at] for at in both)
+        assert all(first[at] == later[at] for at in both)
 
 
 def test_troubles_are_states_of_the_component_and_results_of_goals(

@@ -36,7 +36,7 @@ def test_an_aarch64_computes_the_bits_of_this_processor(
     unit, N = build_fleet_unit(scene), len(scene.joints)
     rng = np.random.default_rng(11)
     commands = rng.uniform(-3.0, 3.0, (ROWS, ARMS, N))
-    values = np.array([one.value for one in scene.varied] * ARMS)
+    values = np.array([number.value for number in scene.varied] * ARMS)
     (tmp_path / "unit.cpp").write_text(unit.source)
     flags = [level if flag == "-O3" else flag for flag in unit.flags if flag not in SHARED]
     includes = [f"-I{folder}" for folder in unit.folders]
@@ -50,8 +50,8 @@ def test_an_aarch64_computes_the_bits_of_this_processor(
     def there(commands: np.ndarray, *state: Path) -> list[list[int]]:
         step, varied = scene.integrator.dt, len(scene.varied)
         sizes = [N, ARMS, len(commands), STEPS, step, scene.steps_per_period, varied]
-        given = [np.array(sizes), values, np.tile(scene.start, ARMS), commands.ravel()]
-        (tmp_path / "given").write_bytes(np.concatenate(given).tobytes())
+        arrays = [np.array(sizes), values, np.tile(scene.start, ARMS), commands.ravel()]
+        (tmp_path / "given").write_bytes(np.concatenate(arrays).tobytes())
         run = [EMULATOR, str(client), str(tmp_path / "given"), *map(str, state)]
         done = subprocess.run(run, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{done.returncode} {done.stderr}"
@@ -65,8 +65,8 @@ def test_an_aarch64_computes_the_bits_of_this_processor(
         plant.advance(row[0], STEPS)
         fleet.advance(row, STEPS)
         own, all_arms = plant.state, fleet.state
-        found = np.concatenate([own.q, own.v, all_arms.q.ravel(), all_arms.v.ravel()]) + 0.0
-        here.append(found.view(np.uint64).tolist())
+        numbers = np.concatenate([own.q, own.v, all_arms.q.ravel(), all_arms.v.ravel()]) + 0.0
+        here.append(numbers.view(np.uint64).tolist())
     assert there(commands) == here
     assert there(commands[ROWS // 2 :], tmp_path / "saved") == here[ROWS // 2 :], "from its state"
     assert np.abs(fleet.state.q - scene.start).max() > 0.01, "it moved"

@@ -95,15 +95,15 @@ class Judge:
 
         Motions without an event need no event location.
         """
-        found = []
+        methods = []
         for threads in sorted({1, self.scene.threads}):
             kinds = reversed(INTEGRATOR_EVENTS) if self._has_events else INTEGRATOR_EVENTS[:1]
             for events in kinds:
                 for scheme in SCHEMES:
-                    one = Method(scheme, events, threads)
-                    if format_mismatch(one.integrator(self.scene, 1), threads) is None:
-                        found.append(one)
-        return found
+                    method = Method(scheme, events, threads)
+                    if format_mismatch(method.integrator(self.scene, 1), threads) is None:
+                        methods.append(method)
+        return methods
 
     @property
     def now(self) -> tuple[Method, int]:
@@ -115,8 +115,8 @@ class Judge:
     @cached_property
     def _has_events(self) -> bool:
         rows = [motion.commands for motion in self.motions]
-        pairs = ((self.runs.q(one, LOOK, row) for one in (FINEST, OTHERWISE)) for row in rows)
-        return not all(np.array_equal(one, other) for one, other in pairs)  # type: ignore[arg-type]
+        pairs = ((self.runs.q(method, LOOK, row) for method in (FINEST, OTHERWISE)) for row in rows)
+        return not all(np.array_equal(positions, second) for positions, second in pairs)  # type: ignore[arg-type]
 
     def error(self, method: Method, steps: int, limit: float = math.inf) -> float:
         """Return the largest error on the motions, inf where one diverges.
@@ -125,9 +125,9 @@ class Judge:
         """
         worst = 0.0
         for m in tuple(self._hardest):
-            one = self._compute_error_on(method, steps, m)
-            worst = max(worst, one)
-            if one > limit:
+            error_on_motion = self._compute_error_on(method, steps, m)
+            worst = max(worst, error_on_motion)
+            if error_on_motion > limit:
                 # Ask this motion first from now on.
                 self._hardest.remove(m)
                 self._hardest.insert(0, m)
@@ -151,16 +151,18 @@ class Judge:
     def know_truths(self, error: float) -> str:
         """Find the truths to a share of an error; return why that is impossible, or nothing."""
         for m, motion in enumerate(self.motions):
-            most = int(MOST_STEPS / len(motion.commands))
-            known = self._truths.get(m)
-            if known is None or known.error > SHARE * error:
-                found = find_truth(self.runs, motion.commands, SHARE * error, most)
-                if isinstance(found, str):
-                    return f"motion {motion.name}: {found}"
-                self._truths[m] = known = found
-                self._errors = {key: one for key, one in self._errors.items() if key[2] != m}
+            max_steps = int(MOST_STEPS / len(motion.commands))
+            truth = self._truths.get(m)
+            if truth is None or truth.error > SHARE * error:
+                better_truth = find_truth(self.runs, motion.commands, SHARE * error, max_steps)
+                if isinstance(better_truth, str):
+                    return f"motion {motion.name}: {better_truth}"
+                self._truths[m] = truth = better_truth
+                self._errors = {
+                    key: stored_error for key, stored_error in self._errors.items() if key[2] != m
+                }
             if error < self._confirmed.get(m, math.inf):
-                if not is_confirmed(self.runs, motion.commands, known, error, most):
+                if not is_confirmed(self.runs, motion.commands, truth, error, max_steps):
                     return (
                         f"motion {motion.name}: with events at the ends of steps it does not come "
                         "nearer to what it is with events located"
@@ -168,22 +170,22 @@ class Judge:
                 self._confirmed[m] = error
         return ""
 
-    def cheapest(self, method: Method, error: float, most_cost: float) -> int | None:
+    def cheapest(self, method: Method, error: float, max_cost: float) -> int | None:
         """Return the fewest steps per servo period that keep the error; None: none found.
 
         Args:
             method: the integration method.
             error: on the motions judged.
-            most_cost: settings expected to cost more are not tried [s/s].
+            max_cost: settings expected to cost more are not tried [s/s].
         """
-        most = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
+        max_steps = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
         while (off := self.error(method, steps, error)) > error:
             failed, steps = (
                 steps,
                 _choose_next_steps(steps, off / error, KNOWN_SCHEMES[method.scheme].order),
             )
-            if steps > most or self.runs.least_cost(method, steps) > most_cost:
+            if steps > max_steps or self.runs.least_cost(method, steps) > max_cost:
                 return None
         for fewer in step_counts(failed + 1, steps):
             if self.error(method, fewer, error) <= error:
@@ -196,23 +198,23 @@ class Judge:
         All take turns on each motion, so that a changing speed of the machine affects all alike.
         """
         plants = [(self.runs.plant(method, steps), steps) for method, steps in chosen]
-        least = np.full((len(plants), len(self.motions)), math.inf)
+        min_times = np.full((len(plants), len(self.motions)), math.inf)
         for _ in range(ROUNDS):
             for m, motion in enumerate(self.motions):
                 for k, (plant, steps) in enumerate(plants):
-                    least[k, m] = min(least[k, m], _measure_time(plant, steps, motion))
+                    min_times[k, m] = min(min_times[k, m], _measure_time(plant, steps, motion))
         seconds = self.scene.servo_period * sum(len(motion.commands) for motion in self.motions)
-        return [float(one) / seconds for one in least.sum(axis=1)]
+        return [float(time_sum) / seconds for time_sum in min_times.sum(axis=1)]
 
     def settings(self, chosen: Sequence[tuple[Method, int]]) -> list[Setting]:
         """Return error and cost of methods with this number of steps per servo period."""
         costs = self.cost(chosen)
-        found = []
+        settings = []
         for (method, steps), cost in zip(chosen, costs, strict=True):
             errors = self.errors(method, steps)
             dt, worst = self.scene.servo_period / steps, float(errors.max())
-            found.append(Setting(method, dt, worst, reserve(errors) * worst, cost))
-        return found
+            settings.append(Setting(method, dt, worst, reserve(errors) * worst, cost))
+        return settings
 
 
 def check_error(error: float) -> None:
@@ -235,16 +237,16 @@ def advise(judge: Judge, error: float) -> Advice:
     why = judge.know_truths(error)
     if why:
         return Advice([], why)
-    kept, best = list[tuple[Method, int]](), math.inf
+    cheapest, best = list[tuple[Method, int]](), math.inf
     for method in judge.methods:
         steps = judge.cheapest(method, error, DEARER * best)
         if steps is not None:
-            kept.append((method, steps))
+            cheapest.append((method, steps))
             best = min(best, judge.runs.cost(method, steps))
-    if not kept:
+    if not cheapest:
         return Advice([], "no step that can be tried is small enough")
-    *settings, now = judge.settings([*kept, judge.now])
-    return Advice(sorted(settings, key=lambda one: one.cost), now=now)
+    *settings, now = judge.settings([*cheapest, judge.now])
+    return Advice(sorted(settings, key=lambda setting: setting.cost), now=now)
 
 
 def reserve(errors: Array) -> float:

@@ -46,7 +46,7 @@ class FirstDifference(NamedTuple):
 
 
 def find_first_difference(
-    one: RecordedMachine, other: RecordedMachine
+    first: RecordedMachine, second: RecordedMachine
 ) -> tuple[FirstDifference | None, int]:
     """Return the first difference of two runs, and the number of ticks that are equal.
 
@@ -58,59 +58,61 @@ def find_first_difference(
         Refusal: a message cannot be read.
     """
     last = count = 0
-    for a, b in itertools.zip_longest(one.read_records(), other.read_records()):
+    for a, b in itertools.zip_longest(first.read_records(), second.read_records()):
         if a is None or b is None:
             return FirstDifference(last, "end", "record", "", (a is None, b is None)), count
-        found = (
-            _compare_changes(one.scene, a.tick, a.before, b.before)
-            or _compare_values(one.scene, a, b)
-            or _compare_changes(one.scene, a.tick, a.changes, b.changes)
+        difference = (
+            _compare_changes(first.scene, a.tick, a.before, b.before)
+            or _compare_values(first.scene, a, b)
+            or _compare_changes(first.scene, a.tick, a.changes, b.changes)
         )
-        if found is not None and found.kind == "state":
-            return _compare_true_states(one, other, a.tick) or found, count
-        if found is not None:
-            return found, count
+        if difference is not None and difference.kind == "state":
+            return _compare_true_states(first, second, a.tick) or difference, count
+        if difference is not None:
+            return difference, count
         last, count = a.tick, count + 1
     return None, count
 
 
 def _compare_true_states(
-    one: RecordedMachine, other: RecordedMachine, tick: int
+    first: RecordedMachine, second: RecordedMachine, tick: int
 ) -> FirstDifference | None:
     with contextlib.suppress(Diverged, Refusal):  # the end of a record
-        while one.tick <= tick:
+        while first.tick <= tick:
             for name in DECIDING_STATE:
-                found = find_first_difference_of_bits(
-                    getattr(one.session.state, name), getattr(other.session.state, name)
+                place = find_first_difference_of_bits(
+                    getattr(first.session.state, name), getattr(second.session.state, name)
                 )
-                if found is not None:
-                    owner = one.scene.joint_names[found[0]]
-                    return FirstDifference(one.tick, "state", name, owner, found[1])
-            one.advance(1)
-            other.advance(1)
+                if place is not None:
+                    owner = first.scene.joint_names[place[0]]
+                    return FirstDifference(first.tick, "state", name, owner, place[1])
+            first.advance(1)
+            second.advance(1)
     return None
 
 
 def _compare_changes(
-    scene: Scene, tick: int, one: list[RecordedChange], other: list[RecordedChange]
+    scene: Scene, tick: int, first: list[RecordedChange], second: list[RecordedChange]
 ) -> FirstDifference | None:
-    kinds = [[str(EVENT_KINDS.get(change.kind)) for change in side] for side in (one, other)]
+    kinds = [[str(EVENT_KINDS.get(change.kind)) for change in side] for side in (first, second)]
     if kinds[0] != kinds[1]:
         texts = ", ".join(kinds[0]) or "none", ", ".join(kinds[1]) or "none"
         return FirstDifference(tick, "change by hand", "changes", "", texts)
-    for a, b in zip(one, other, strict=True):
+    for a, b in zip(first, second, strict=True):
         if a.saved != b.saved:
             quantity, values = _compare_machines(scene, a.saved, b.saved)
             return FirstDifference(tick, "change by hand", quantity, "", values)
     return None
 
 
-def _compare_machines(scene: Scene, saved: bytes, other: bytes) -> tuple[str, tuple[Any, Any]]:
+def _compare_machines(
+    scene: Scene, saved: bytes, second_state: bytes
+) -> tuple[str, tuple[Any, Any]]:
     """Return the first number or state that differs in two saved machines, and both values."""
     sides = list[dict[str, Any]]()
-    for one in (saved, other):
+    for state in (saved, second_state):
         plant = Plant(scene)
-        plant.restore(one)
+        plant.restore(state)
         states = {name: getattr(plant.state, name).tolist() for name in DECIDING_STATE}
         wrenches = {f"wrench on {link}": w for link, w in plant.external_wrenches.items()}
         sides.append({"powered": plant.powered, **plant.parameters, **wrenches, **states})
@@ -129,10 +131,10 @@ def _compare_values(scene: Scene, a: RecordedTick, b: RecordedTick) -> FirstDiff
         if len(row) != len(theirs):
             lengths = len(row), len(theirs)
             return FirstDifference(tick, kind, f"number of values of {name}", "", lengths)
-        found = find_first_difference_of_bits(row, theirs)
-        if found is not None:
-            owner = _find_owner(scene, found[0], len(row))
-            return FirstDifference(tick, kind, name, owner, found[1])
+        place = find_first_difference_of_bits(row, theirs)
+        if place is not None:
+            owner = _find_owner(scene, place[0], len(row))
+            return FirstDifference(tick, kind, name, owner, place[1])
     return None
 
 

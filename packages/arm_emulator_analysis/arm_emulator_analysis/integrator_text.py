@@ -55,17 +55,18 @@ def write_integrator(file: Path, method: Method, dt: float) -> None:
             after = load_scene(trial)
         finally:
             trial.unlink(missing_ok=True)
-        wanted = dataclasses.replace(
+        expected = dataclasses.replace(
             before.integrator, scheme=method.scheme, events=method.events, dt=dt
         )
-        as_wanted = after.integrator == wanted and after.threads == method.threads
-        if not as_wanted or _select_rest(after) != _select_rest(before):
+        as_expected = after.integrator == expected and after.threads == method.threads
+        if not as_expected or _select_rest(after) != _select_rest(before):
             raise Refusal(
                 file.name,
                 SECTION,
                 "not be shared by an anchor in the file",
                 "a section that others use too",
-                "change it by hand: " + ", ".join(f"{key}: {one}" for key, one in values.items()),
+                "change it by hand: "
+                + ", ".join(f"{key}: {value}" for key, value in values.items()),
             )
         file.write_bytes(new)
     except OSError as reason:
@@ -87,10 +88,10 @@ def _replace_values(text: str, section: str, values: dict[str, str]) -> str:
     nodes, prefix = yaml_nodes(text), f"{section}." if section else ""
     edits = []
     for key, value in values.items():
-        if (found := nodes.get(f"{prefix}{key}")) is not None:
-            edits.append((found[1].start_mark.index, found[1].end_mark.index, value))
+        if (node := nodes.get(f"{prefix}{key}")) is not None:
+            edits.append((node[1].start_mark.index, node[1].end_mark.index, value))
         else:
-            first = next(one for path, (one, _) in nodes.items() if path.startswith(prefix))
+            first = next(start for path, (start, _) in nodes.items() if path.startswith(prefix))
             root = nodes[section][1] if section else None
             in_braces = isinstance(root, yaml.MappingNode) and root.flow_style
             gap = ", " if in_braces else "\n" + " " * first.start_mark.column

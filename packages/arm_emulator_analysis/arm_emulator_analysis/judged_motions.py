@@ -89,10 +89,10 @@ class ExcitationMotions:
         v_ref = np.gradient(q_ref, self.scene.servo_period, axis=0)
         commands, steps = np.zeros_like(q_ref), plant.scene.steps_per_period
         plant.reset()
-        for k, (wanted, speed) in enumerate(zip(q_ref, v_ref, strict=True)):
+        for k, (position, speed) in enumerate(zip(q_ref, v_ref, strict=True)):
             x = plant.state
             M, bias = self._compute_equation(x.q, x.v)
-            a = RATE**2 * (wanted - x.q) + 2.0 * RATE * (speed - x.v)
+            a = RATE**2 * (position - x.q) + 2.0 * RATE * (speed - x.v)
             commands[k] = np.clip(self._command(M @ a + bias), -self._limit, self._limit)
             plant.advance(commands[k], steps)
         return commands
@@ -120,10 +120,11 @@ class ExcitationMotions:
 
 def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
     """Return the default test motions of a scene, always the same."""
-    leader = ExcitationMotions(scene, seconds)
+    excitation = ExcitationMotions(scene, seconds)
     kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # often of the largest errors
     return [
-        leader.drawn(kind, np.random.default_rng([7, number])) for number, kind in enumerate(kinds)
+        excitation.drawn(kind, np.random.default_rng([7, number]))
+        for number, kind in enumerate(kinds)
     ]
 
 
@@ -132,16 +133,16 @@ def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
 
 def _telegraph(t: Array, rng: Rng) -> Array:
     """Reversals after 20 to 150 ms each."""
-    turns = np.cumsum(rng.uniform(0.02, 0.15, 2 + int(t[-1] / 0.02)))
-    sign: Array = rng.choice([-1.0, 1.0]) * (-1.0) ** np.searchsorted(turns, t)
+    changes = np.cumsum(rng.uniform(0.02, 0.15, 2 + int(t[-1] / 0.02)))
+    sign: Array = rng.choice([-1.0, 1.0]) * (-1.0) ** np.searchsorted(changes, t)
     return sign
 
 
 def _steps(t: Array, rng: Rng) -> Array:
     """Jumps to random positions, after 0.1 to 0.4 s each."""
-    turns = np.cumsum(rng.uniform(0.1, 0.4, 2 + int(t[-1] / 0.1)))
-    places: Array = rng.uniform(-1.0, 1.0, len(turns) + 1)
-    return places[np.searchsorted(turns, t)]
+    changes = np.cumsum(rng.uniform(0.1, 0.4, 2 + int(t[-1] / 0.1)))
+    places: Array = rng.uniform(-1.0, 1.0, len(changes) + 1)
+    return places[np.searchsorted(changes, t)]
 
 
 def _sweep(t: Array, rng: Rng) -> Array:

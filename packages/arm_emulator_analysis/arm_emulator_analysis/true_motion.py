@@ -115,8 +115,8 @@ class Runs:
 
     def least_cost(self, method: Method, steps: int) -> float:
         """Return a lower bound of that time, from the cheapest step of this method; 0: unknown."""
-        known = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
-        return steps * min(known, default=0.0)
+        costs = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
+        return steps * min(costs, default=0.0)
 
 
 @dataclass(frozen=True)
@@ -128,27 +128,27 @@ class Truth:
     steps: int  # per servo period
 
 
-def find_truth(runs: Runs, commands: Array, wanted: float, most: int) -> Truth | str:
+def find_truth(runs: Runs, commands: Array, max_error: float, max_steps: int) -> Truth | str:
     """Return the true motion, or why it cannot be determined.
 
     Args:
         runs: of the scene.
         commands: (K, N).
-        wanted: required accuracy [rad or m].
-        most: steps per servo period.
+        max_error: required accuracy [rad or m].
+        max_steps: steps per servo period.
     """
-    resolved = min(runs.scene.servo_period * runs.rate / RESOLVED, most / 2**HALVED)
+    resolved = min(runs.scene.servo_period * runs.rate / RESOLVED, max_steps / 2**HALVED)
     steps, last, left = max(FEWEST, math.ceil(resolved)), None, np.inf
     differences = list[float]()
-    while steps <= most:
+    while steps <= max_steps:
         q = runs.q(FINEST, steps, commands)
         if q is None:
             differences = []
         elif last is not None:
             differences.append(float(np.abs(q - last).max()))
             left = RESERVE * remainder(differences)
-            closer = runs.q(FINEST, CLOSER * steps, commands) if left <= wanted else None
-            if closer is not None and (off := float(np.abs(closer - q).max())) <= wanted:
+            closer = runs.q(FINEST, CLOSER * steps, commands) if left <= max_error else None
+            if closer is not None and (off := float(np.abs(closer - q).max())) <= max_error:
                 return Truth(closer, max(0.5 * off, left / CLOSER), CLOSER * steps)
             if len(differences) > 3 and differences[-2] <= differences[-1] < ROUNDING:
                 break
@@ -164,16 +164,16 @@ def remainder(differences: list[float]) -> float:
     """Return the error of the last run, from the differences of halved steps."""
     if len(differences) < 3:
         return np.inf
-    before, one, last = differences[-3:]
+    before, middle, last = differences[-3:]
     # A difference that is small by chance must not count.
-    last = max(last, one / MOST_FALL / 2.0, before / MOST_FALL**2 / 2.0)
+    last = max(last, middle / MOST_FALL / 2.0, before / MOST_FALL**2 / 2.0)
     if last == 0.0:
         return 0.0
-    fall = min(np.sqrt(max(before, one) / last), one / last, MOST_FALL)
+    fall = min(np.sqrt(max(before, middle) / last), middle / last, MOST_FALL)
     return last / (fall - 1.0) if fall >= LEAST_FALL else np.inf
 
 
-def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, most: int) -> bool:
+def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, max_steps: int) -> bool:
     """Whether the scheme with events at the ends of steps converges to the same motion.
 
     Args:
@@ -181,14 +181,14 @@ def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, most:
         commands: (K, N).
         truth: the motion with events located.
         enough: required distance [rad or m].
-        most: steps per servo period.
+        max_steps: steps per servo period.
     """
-    steps, seen = max(1, truth.steps // COARSER), list[float]()
-    while steps <= min(most, COARSER * truth.steps):
+    steps, errors = max(1, truth.steps // COARSER), list[float]()
+    while steps <= min(max_steps, COARSER * truth.steps):
         q = runs.q(OTHERWISE, steps, commands)
-        seen.append(np.inf if q is None else float(np.abs(q - truth.q).max()))
-        if seen[-1] <= enough:
+        errors.append(np.inf if q is None else float(np.abs(q - truth.q).max()))
+        if errors[-1] <= enough:
             return True
         steps *= CLOSER
     # Not that near, but converging.
-    return seen[-1] == min(seen) and seen[-1] < NEARER * seen[0]
+    return errors[-1] == min(errors) and errors[-1] < NEARER * errors[0]

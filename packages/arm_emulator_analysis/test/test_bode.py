@@ -102,11 +102,13 @@ def test_the_modes_under_the_servos_are_lines_of_a_motion_controllers_file(tmp_p
     scene = load_scene("three_axis")
     modes = find_vibration_modes(Plant(scene), load_gains("three_axis").servo, scene.start)
     assert config.shaper == "zvd" and len(config.modes) == 2
-    for given, mode in zip(config.modes, modes, strict=False):
-        assert given.frequency == pytest.approx(mode.frequency, rel=1e-3)
-        assert given.damping == pytest.approx(mode.damping, rel=1e-2)
+    for file_mode, mode in zip(config.modes, modes, strict=False):
+        assert file_mode.frequency == pytest.approx(mode.frequency, rel=1e-3)
+        assert file_mode.damping == pytest.approx(mode.damping, rel=1e-2)
     facts = json.loads(run("bode", "three_axis", "--closed", "--json")[1])
-    assert [one["swing"] for one in facts["modes"]] == [one.swing for one in modes]
+    assert [fact["swing"] for fact in facts["modes"]] == [
+        computed_mode.swing for computed_mode in modes
+    ]
     assert facts["range"][0] <= modes[0].frequency <= facts["range"][1]
 
 
@@ -131,8 +133,8 @@ def test_a_published_axis_responds_as_its_masses(axis: Masses) -> None:
     assert speed == pytest.approx(outer.respond(frequencies), rel=1e-9)
     code, out, errors = run("bode", axis.scene, "--json", "--high", "100")
     assert code == 0, errors
-    found = json.loads(out)["joints"]["axis"]
+    axis_facts = json.loads(out)["joints"]["axis"]
     grid = np.geomspace(1.0, 100.0, 20001)
     gain = np.abs(outer.respond(grid))
     dips = grid[1:-1][(gain[1:-1] < gain[:-2]) & (gain[1:-1] < gain[2:])]
-    assert found["antiresonances"] == pytest.approx(dips.tolist(), rel=1e-3)  # 2000 per decade
+    assert axis_facts["antiresonances"] == pytest.approx(dips.tolist(), rel=1e-3)  # 2000 per decade

@@ -109,13 +109,13 @@ def test_located_events_and_a_thread_less_are_written(tmp_path: Path) -> None:
     write_integrator(file, Method("rosenbrock", "located"), 1e-3 / 3.0)
     scene = load_scene(file)
     integrator = scene.integrator
-    got = integrator.scheme, integrator.events, integrator.dt, scene.threads
-    assert got == ("rosenbrock", "located", 1e-3 / 3.0, 1), file.read_text()
+    written = integrator.scheme, integrator.events, integrator.dt, scene.threads
+    assert written == ("rosenbrock", "located", 1e-3 / 3.0, 1), file.read_text()
     write_integrator(file, Method("implicit", "step", 2), 5e-4)
     scene = load_scene(file)
     integrator = scene.integrator
-    got = integrator.scheme, integrator.events, integrator.dt, scene.threads
-    assert got == ("implicit", "step", 5e-4, 2), file.read_text()
+    written = integrator.scheme, integrator.events, integrator.dt, scene.threads
+    assert written == ("implicit", "step", 5e-4, 2), file.read_text()
 
 
 def test_shipped_files_are_never_written_into(tmp_path: Path) -> None:

@@ -68,9 +68,9 @@ class BatchSimulator:
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
         self._names = [number.name for number in campaign.variation.numbers]
-        self._numbers = {one.name: (k, one.number) for k, one in enumerate(scene.varied)}
+        self._numbers = {number.name: (k, number.number) for k, number in enumerate(scene.varied)}
         self._seed = self._numbers["seed"][0] if scene.sensed else None
-        self._own = np.array([one.value for one in scene.varied], np.float64)
+        self._own = np.array([number.value for number in scene.varied], np.float64)
         sampler, kernels = _choose_sampler(device)
         self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)
         self._servos = ServoFleet(self._fleet, servo)
@@ -108,8 +108,8 @@ class BatchSimulator:
         Raises:
             Refusal: values of this run that are out of range.
         """
-        (found,) = self.runs([case])
-        return Outcome.of(self._campaign, case, found)
+        (outcomes,) = self.runs([case])
+        return Outcome.of(self._campaign, case, outcomes)
 
     def _bind(self, case: Case) -> _Run:
         """Return a run as its arm gets it.
@@ -117,20 +117,20 @@ class BatchSimulator:
         Raises:
             Refusal: a value that is out of range.
         """
-        found, numbers = bind_case(self._campaign, case), self._own.copy()
+        bound_case, numbers = bind_case(self._campaign, case), self._own.copy()
         for name, value in case.values.items():
             if name in self._numbers:
                 place, number = self._numbers[name]
                 numbers[place] = number.take("", value)
         if self._seed is not None and "seed" not in case.values:
             numbers[self._seed] = case.seed
-        return _Run(numbers, found)
+        return _Run(numbers, bound_case)
 
     def _run(self, cases: Sequence[Case], runs: Sequence[_Run]) -> Outcomes:
         self._begin(runs)
-        judges, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
+        evaluators, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
         count, last = len(runs), np.array([run.bound.last for run in runs])
-        judges.begin()
+        evaluators.begin()
         sampler.forget()
         fleet.look(self._way)
         taken = np.zeros(count, np.int64)
@@ -139,7 +139,7 @@ class BatchSimulator:
             fleet.follow(self._servos, some, frame, way=self._way, arms=count)
             samples, counts = sampler.take()
             fresh = np.maximum(np.minimum(last + 1 - taken, counts[:count]), 0)
-            judges.take(samples, fresh, self._targets)
+            evaluators.take(samples, fresh, self._targets)
             taken += counts[:count]
             # An arm stands still where it diverged; one whose run has ended goes on for nothing.
             ended = taken > last
@@ -147,7 +147,7 @@ class BatchSimulator:
             diverged = (faults >= 0) & (t < (last - 0.5) * self._scene.servo_period)
             if np.all(ended | diverged):
                 break
-        robustness, measures = judges.end(diverged)
+        robustness, measures = evaluators.end(diverged)
         values = [[case.values[name] for name in self._names] for case in cases]
         return Outcomes(
             np.array([case.index for case in cases], np.int64),
@@ -166,13 +166,13 @@ class BatchSimulator:
         numbers = np.array([row.numbers for row in rows])
         fleet.set_parameters(numbers)
         self._sampler.place_joints(numbers)
-        fleet.reset(q=np.array([one.scenario.start for one in every]))
-        for arm, one in enumerate(every):
-            if one.servo is not self._tuned[arm]:
-                servos.retune(arm, one.servo)
-                self._tuned[arm] = one.servo
-        self._way.set_changes([one.changes for one in every])
-        self._aim([one.scenario for one in every])
+        fleet.reset(q=np.array([run.scenario.start for run in every]))
+        for arm, run in enumerate(every):
+            if run.servo is not self._tuned[arm]:
+                servos.retune(arm, run.servo)
+                self._tuned[arm] = run.servo
+        self._way.set_changes([run.changes for run in every])
+        self._aim([run.scenario for run in every])
         servos.reset()
 
     def _aim(self, scenarios: Sequence[Scenario]) -> None:
@@ -181,7 +181,7 @@ class BatchSimulator:
         if len(self._aimed) == len(every) and all(map(operator.is_, self._aimed, every)):
             return
         period = self._scene.servo_period
-        tables = [one.table for one in every]
+        tables = [run.table for run in every]
         self._targets = Targets.of([(table.ticks(period), table.q) for table in tables])
         self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
         self._aimed = every
@@ -190,8 +190,8 @@ class BatchSimulator:
 def _choose_width(campaign: Campaign) -> int:
     """Return how many runs a device simulates at a time."""
     samples = len(Evaluators(campaign, ROOM).samples) + len(campaign.scene.joints)
-    most = min(LARGEST_WIDTH, MEMORY // (8 * ROOM * samples))
-    return most if campaign.search is not None else min(most, campaign.count)
+    width = min(LARGEST_WIDTH, MEMORY // (8 * ROOM * samples))
+    return width if campaign.search is not None else min(width, campaign.count)
 
 
 def _choose_sampler(device: str | None) -> tuple[type[FleetSampler], Sequence[Path]]:
@@ -205,8 +205,8 @@ def _choose_sampler(device: str | None) -> tuple[type[FleetSampler], Sequence[Pa
 
 def _copy_out(row: Any) -> NDArray[Any]:
     """Return numbers of a frame as an array of the processor."""
-    found: NDArray[Any] = row if isinstance(row, np.ndarray) else row.numpy()
-    return found
+    copy: NDArray[Any] = row if isinstance(row, np.ndarray) else row.numpy()
+    return copy
 
 
 def make_simulator(campaign: Campaign, device: str | None = None) -> Simulator | BatchSimulator:

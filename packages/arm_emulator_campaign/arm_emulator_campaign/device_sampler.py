@@ -42,19 +42,19 @@ class DeviceSampler(FleetSampler):
             if more[name] != C_NULL:
                 more[name] = self._move(more[name], rows)
         fleet = {"fleet": cast_pointer(more["fleet"].memory)}
-        one = super().sampler(rows, **more | fleet | {"show": C_NULL})
-        for number in self._numbers[: one.count]:
+        struct = super().sampler(rows, **more | fleet | {"show": C_NULL})
+        for number in self._numbers[: struct.count]:
             number["place"] = self._find(int(number["place"]), rows)
         self._of_numbers = self._copy(self._numbers)
         self._of_samples = self._device.allocate(self._samples.nbytes)
         self._of_taken = self._copy(self._taken)
         SAMPLER.fill(
-            one,
+            struct,
             numbers=SAMPLER.ffi.cast("sampler_number *", self._of_numbers.pointer),
             samples=SAMPLER.ffi.cast("double *", self._of_samples.pointer),
             taken=SAMPLER.ffi.cast("int64_t *", self._of_taken.pointer),
         )
-        self._of_sampler = self._copy(view_bytes(one, SAMPLER.sizeof("sampler")))
+        self._of_sampler = self._copy(view_bytes(struct, SAMPLER.sizeof("sampler")))
         return cast_pointer(self._of_sampler)
 
     def forget(self) -> None:  # noqa: D102

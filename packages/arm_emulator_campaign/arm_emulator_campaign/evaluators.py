@@ -54,14 +54,14 @@ class Measure:
         Refusal: an unknown form.
     """
 
-    def __init__(self, text: str, known: list[str], where: str, quantity: str) -> None:
-        found = _MEASURE.fullmatch(text)
-        if found is None or found[1] not in REDUCTIONS:
-            valid = ", ".join(f"{one}(...)" for one in REDUCTIONS)
+    def __init__(self, text: str, signal_names: list[str], where: str, quantity: str) -> None:
+        match = _MEASURE.fullmatch(text)
+        if match is None or match[1] not in REDUCTIONS:
+            valid = ", ".join(f"{reduction}(...)" for reduction in REDUCTIONS)
             raise Refusal(where, quantity, "be a measure", repr(text), valid)
-        self.kind = found[1]
-        whole = parse_expression(found[2], where, quantity)
-        self.of: list[Expression] = expand_stars(whole, known, where, quantity)
+        self.kind = match[1]
+        expression = parse_expression(match[2], where, quantity)
+        self.of: list[Expression] = expand_stars(expression, signal_names, where, quantity)
 
     def end(self, values: Array) -> Array:
         """Return the measure of several signals (runs,) from that of each (runs, signals)."""
@@ -82,18 +82,18 @@ class Checked:
         Refusal: no such file or function there, or signals that are not known.
     """
 
-    def __init__(self, section: Section, known: list[str], folder: Path) -> None:
+    def __init__(self, section: Section, signal_names: list[str], folder: Path) -> None:
         file, _, name = section.text("python").partition(":")
-        wanted = [str(entry) for entry in section.entries("signals")]
+        patterns = [str(entry) for entry in section.entries("signals")]
         self.names: list[str] = []
         import fnmatch
 
-        for pattern in wanted:
-            found = fnmatch.filter(known, pattern)
-            if not found:
-                valid = ", ".join(known)
+        for pattern in patterns:
+            names = fnmatch.filter(signal_names, pattern)
+            if not names:
+                valid = ", ".join(signal_names)
                 raise section.refusal("signals", "name signals of the run", pattern, valid)
-            self.names += found
+            self.names += names
         self.names.append("t")
         section.finish()
         code = (folder / file).resolve()
@@ -108,13 +108,13 @@ class Checked:
         Raises:
             Refusal: the function raises something, or returns no number.
         """
-        whole = np.concatenate(trace, axis=1)
+        signals = np.concatenate(trace, axis=1)
         try:
-            margin = self._function(dict(zip(self.names, whole, strict=True)))
+            margin = self._function(dict(zip(self.names, signals, strict=True)))
         except (Exception, SystemExit) as error:
             line = traceback.extract_tb(error.__traceback__)[-1]
-            got = f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"
-            raise self._section.refusal("python", "return a margin", got) from None
+            value = f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"
+            raise self._section.refusal("python", "return a margin", value) from None
         number = coerce_array(margin)
         if number is None or number.ndim:
             raise self._section.refusal("python", "return a margin, one number", margin)
@@ -128,11 +128,11 @@ def _load_function(file: Path, name: str, section: Section) -> Callable[[Signals
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        got = f"{type(error).__name__}: {error}"
-        raise section.refusal("python", "be a file that Python can run", got) from None
+        value = f"{type(error).__name__}: {error}"
+        raise section.refusal("python", "be a file that Python can run", value) from None
     function = getattr(module, name, None)
     if not callable(function):
-        valid = ", ".join(key for key, one in vars(module).items() if callable(one))
+        valid = ", ".join(key for key, value in vars(module).items() if callable(value))
         raise section.refusal("python", "name a function of the file", name, valid or "none")
     return function  # type: ignore[no-any-return]
 
@@ -172,26 +172,26 @@ class Evaluators:
 
     def __init__(self, campaign: Campaign, room: int, runs: int = 1) -> None:
         scene, where = campaign.scene, campaign.where
-        known = list(list_signal_units(scene))
+        signal_names = list(list_signal_units(scene))
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
         section = Section({"requirements": dict(campaign.requirements)}, where)
-        given = section.required_section("requirements")
+        requirement_section = section.required_section("requirements")
         formulas: dict[str, Formula] = {}
         self._checked: dict[str, Checked | VibrationRequirement] = {}
         for name, text in campaign.requirements.items():
             if isinstance(text, str):
                 quantity = f"requirements.{name}"
                 formula = parse_formula(text, where, quantity)
-                formulas[name] = bind_signals(formula, known, where, quantity)
+                formulas[name] = bind_signals(formula, signal_names, where, quantity)
             else:
-                below = given.required_section(name)
+                below = requirement_section.required_section(name)
                 self._checked[name] = (
                     VibrationRequirement(below, scene)
                     if KEY in text
-                    else Checked(below, known, campaign.file.parent)
+                    else Checked(below, signal_names, campaign.file.parent)
                 )
         self._measures = [
-            Measure(text, known, where, f"measures.{name}")
+            Measure(text, signal_names, where, f"measures.{name}")
             for name, text in campaign.measures.items()
         ]
         names = list(campaign.requirements)
@@ -204,15 +204,25 @@ class Evaluators:
         requirements = [
             [
                 Robustness(
-                    judges(), one, rows.of_formula, period, longest, where, f"requirements.{name}"
+                    judges(),
+                    requirement,
+                    rows.of_formula,
+                    period,
+                    longest,
+                    where,
+                    f"requirements.{name}",
                 )
-                for name, one in formulas.items()
+                for name, requirement in formulas.items()
             ]
             for _ in range(runs)
         ]
-        kept = [rows.of(Signal(name)) for value in self._checked.values() for name in value.names]
-        reduced = [(one.kind, rows.of(each)) for one in self._measures for each in one.of]
-        self._program = Program(rows, requirements, reduced, kept, room)
+        traced_rows = [
+            rows.of(Signal(name)) for value in self._checked.values() for name in value.names
+        ]
+        reduced = [
+            (measure.kind, rows.of(each)) for measure in self._measures for each in measure.of
+        ]
+        self._program = Program(rows, requirements, reduced, traced_rows, room)
         self._traces: list[list[Array]] = [[] for _ in range(runs)]  # of those that need all of it
         self.samples = rows.samples
 
@@ -242,10 +252,10 @@ class Evaluators:
         robustness[sound[:, None], self._of_formulas] = values[sound]
         for run in sound if self._checked else ():
             first = 0
-            for place, one in zip(self._of_checked, self._checked.values(), strict=True):
-                end = first + len(one.names)
+            for place, checked in zip(self._of_checked, self._checked.values(), strict=True):
+                end = first + len(checked.names)
                 trace = [rows[first:end] for rows in self._traces[run]]
-                robustness[run, place], first = one.judge(trace), end
+                robustness[run, place], first = checked.judge(trace), end
         robustness[np.isnan(robustness)] = -math.inf
         first = 0
         for place, measure in enumerate(self._measures):

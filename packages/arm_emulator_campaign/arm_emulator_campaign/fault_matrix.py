@@ -82,8 +82,8 @@ def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apa
     run.restart(fresh)
     session, period = run.session, run.session.scene.servo_period
     R_WT, p_WT = run.controller.kinematics.forward(session.scene.start)
-    way = [Pose(p_WT + np.array(AWAY), R_WT), Pose(p_WT, R_WT)]
-    run.instructor.add_path(run.controller, way, 0)
+    path = [Pose(p_WT + np.array(AWAY), R_WT), Pose(p_WT, R_WT)]
+    run.instructor.add_path(run.controller, path, 0)
     tool: list[NDArray[np.float64]] = []
     by, at, largest = NOBODY, 0, 0.0
     begins = math.ceil(BEGINS / period / run.motion_ticks)
@@ -98,16 +98,16 @@ def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apa
         tool.append(run.true_kinematics.forward(session.state.q)[1])
         largest = max(largest, _compare_encoders(run))
         unable = k > begins and able and not run.drives.movable(session.powered).all()
-        states = [one.state for one in run.instructor.reports.waiting]
+        states = [message.state for message in run.instructor.reports.waiting]
         run.instructor.reports.waiting.clear()
-        found = [
+        messages = [
             *["drive"] * bool(session.measured.faults.any()),
             *["servo"] * bool(unable),
             *["motion controller"] * (MotionState.ABORTED in states),
             *["encoder check"] * (largest > apart),
         ]
-        if found and by == NOBODY and fault is not None and k >= begins:
-            by, at = found[0], k + 1 - begins
+        if messages and by == NOBODY and fault is not None and k >= begins:
+            by, at = messages[0], k + 1 - begins
     return _Seen(tool, by, at, largest)
 
 
@@ -124,15 +124,15 @@ def _compare_encoders(run: OfflineRun) -> float:
     return float(max(apart))
 
 
-def _make_row(run: OfflineRun, fault: SceneFault, sound: _Seen, seen: _Seen) -> Row:
+def _make_row(run: OfflineRun, fault: SceneFault, sound: _Seen, trace: _Seen) -> Row:
     number, period = fault.varied.number, run.motion_ticks * run.session.scene.servo_period
     begins = math.ceil(BEGINS / period)
-    end = len(seen.tool) if seen.by == NOBODY else min(len(seen.tool), begins + seen.at)
-    pairs = zip(seen.tool[:end], sound.tool[:end], strict=True)
+    end = len(trace.tool) if trace.by == NOBODY else min(len(trace.tool), begins + trace.at)
+    pairs = zip(trace.tool[:end], sound.tool[:end], strict=True)
     travel = max((float(np.linalg.norm(a - b)) for a, b in pairs), default=0.0)
-    after = math.nan if seen.by == NOBODY else seen.at * period
+    after = math.nan if trace.by == NOBODY else trace.at * period
     magnitude = float(number.default)
-    return Row(fault.name, fault.kind.name, magnitude, number.unit, seen.by, after, travel)
+    return Row(fault.name, fault.kind.name, magnitude, number.unit, trace.by, after, travel)
 
 
 def find_worst(rows: Iterable[Row]) -> list[Row]:

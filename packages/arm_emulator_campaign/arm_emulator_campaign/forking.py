@@ -194,8 +194,8 @@ def _find_margin(campaign: Campaign) -> tuple[Window, Formula]:
     rule = "be `always` of comparisons: splitting must know its margin during the run"
     if not isinstance(text, str):
         raise Refusal(where, quantity, rule, "a function of Python")
-    known = list(list_signal_units(campaign.scene))
-    formula = bind_signals(parse_formula(text, where, quantity), known, where, quantity)
+    signal_names = list(list_signal_units(campaign.scene))
+    formula = bind_signals(parse_formula(text, where, quantity), signal_names, where, quantity)
     if isinstance(formula, Window) and formula.sign == "always":
         (of,) = formula.of
         if is_at_one_instant(of):

@@ -108,7 +108,7 @@ class Targets:
     def of(cls, runs: Sequence[tuple[Sequence[int], Array]]) -> Targets:
         """Return those of runs, of each the samples and the positions."""
         first = np.concatenate([[0], np.cumsum([len(since) for since, _ in runs])])
-        since = np.concatenate([np.asarray(one, np.int64) for one, _ in runs])
+        since = np.concatenate([np.asarray(run, np.int64) for run, _ in runs])
         q = np.ascontiguousarray(np.concatenate([rows for _, rows in runs]))
         return cls(since, q, first.astype(np.int64))
 
@@ -129,7 +129,7 @@ class Program:
         rows: Rows,
         requirements: Sequence[Sequence[Robustness]],
         measures: Sequence[tuple[str, int]],
-        kept: Sequence[int],
+        traced: Sequence[int],
         room: int,
     ) -> None:
         self._requirements = requirements  # they own what the program uses
@@ -138,16 +138,16 @@ class Program:
         for place, (kind, row) in enumerate(measures):
             own[:, place]["reduction"] = JUDGES.constant(f"JUDGES_{kind.upper()}")
             own[:, place]["row"] = row
-        self.kept = np.zeros((runs, len(kept), room))
+        self.kept = np.zeros((runs, len(traced), room))
         self._robustness = np.zeros((runs, len(requirements[0])))
         self._found = np.zeros((runs, len(measures)))
         values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
-        kept_rows, of_rows = np.array([*kept, 0], np.int32), rows.struct()
+        traced_rows, of_rows = np.array([*traced, 0], np.int32), rows.struct()
         inputs = rows.inputs()
         at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
-        self._held = own, values, kept_rows, of_rows, inputs, at
+        self._held = own, values, traced_rows, of_rows, inputs, at
         self._pointers = [
-            JUDGES.ffi.new("robustness *[]", [one.pointer for one in of_run])
+            JUDGES.ffi.new("robustness *[]", [requirement.pointer for requirement in of_run])
             for of_run in requirements
         ]
         self._structs = JUDGES.ffi.new("judges[]", runs)
@@ -157,15 +157,15 @@ class Program:
                 row_count=len(rows),
                 requirement_count=len(requirements[0]),
                 measure_count=len(measures),
-                kept_count=len(kept),
+                kept_count=len(traced),
                 rows=JUDGES.pointer("formula_row", of_rows),
                 inputs=inputs,
                 values=values,
                 at=at,
                 requirements=self._pointers[run],
                 measures=JUDGES.pointer("judges_measure", own[run]),
-                kept_rows=kept_rows,
-                kept=c_pointer(self.kept[run]) if len(kept) else C_NULL,
+                kept_rows=traced_rows,
+                kept=c_pointer(self.kept[run]) if len(traced) else C_NULL,
                 kept_stride=room,
             )
         self._pieces = JUDGES.rows("judges_samples", runs)
@@ -191,8 +191,8 @@ class Program:
             pieces["since"][:runs] = _get_addresses(targets.since, first[:-1])
             pieces["targets"][:runs] = _get_addresses(targets.q, first[:-1])
             pieces["target_count"][:runs], pieces["joints"] = np.diff(first), targets.q.shape[1]
-        given = JUDGES.pointer("judges_samples", pieces)
-        if self._calls.judges_take(self._structs, runs, given):
+        pointers = JUDGES.pointer("judges_samples", pieces)
+        if self._calls.judges_take(self._structs, runs, pointers):
             raise MemoryError("no memory for a requirement")
 
     def end(self) -> tuple[Array, Array]:

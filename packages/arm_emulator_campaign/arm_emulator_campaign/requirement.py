@@ -63,9 +63,9 @@ class Robustness:
             raise MemoryError("no memory for a requirement")
 
     def __del__(self) -> None:
-        one, self.pointer = getattr(self, "pointer", C_NULL), C_NULL
-        if one:
-            self._calls.robustness_delete(one)
+        pointer, self.pointer = getattr(self, "pointer", C_NULL), C_NULL
+        if pointer:
+            self._calls.robustness_delete(pointer)
 
     def _put(self, name: str, left: int, right: int = 0, begin: int = 0, end: int = 0) -> int:
         if len(self._nodes) >= MOST_NODES:
@@ -75,40 +75,40 @@ class Robustness:
         self._nodes.append((kind, left, right, begin, end))
         return len(self._nodes) - 1
 
-    def _add(self, what: Formula) -> int:
+    def _add(self, formula: Formula) -> int:
         """Append a formula's nodes, children first; return the last one's place."""
-        if is_at_one_instant(what):
-            return self._put("atom", self._row_of(what))
-        if isinstance(what, Combined):
-            first = self._add(what.of[0])
-            if what.sign == "not":
+        if is_at_one_instant(formula):
+            return self._put("atom", self._row_of(formula))
+        if isinstance(formula, Combined):
+            first = self._add(formula.of[0])
+            if formula.sign == "not":
                 return self._put("not", first)
-            for one in what.of[1:]:
-                first = self._put(what.sign, first, self._add(one))
+            for operand in formula.of[1:]:
+                first = self._put(formula.sign, first, self._add(operand))
             return first
-        assert isinstance(what, Window)
-        begin, end = self._samples(what)
-        if what.sign != "until":
-            return self._put(what.sign, self._add(what.of[0]), 0, begin, end)
-        return self._until(what, begin, end)
+        assert isinstance(formula, Window)
+        begin, end = self._samples(formula)
+        if formula.sign != "until":
+            return self._put(formula.sign, self._add(formula.of[0]), 0, begin, end)
+        return self._until(formula, begin, end)
 
-    def _until(self, what: Window, begin: int, end: int) -> int:
+    def _until(self, window: Window, begin: int, end: int) -> int:
         """Append an until; one that begins later is: always before, and from there an until."""
         rest = _FOREVER if end == _FOREVER else end - begin
-        until = self._put("until", self._add(what.of[0]), self._add(what.of[1]), 0, rest)
+        until = self._put("until", self._add(window.of[0]), self._add(window.of[1]), 0, rest)
         if begin == 0:
             return until
         later = self._put("eventually", until, 0, begin, begin)
-        before = self._put("always", self._add(what.of[0]), 0, 0, begin - 1)
+        before = self._put("always", self._add(window.of[0]), 0, 0, begin - 1)
         return self._put("and", before, later)
 
-    def _samples(self, what: Window) -> tuple[int, int]:
-        begin = math.ceil(min(what.begin / self._period, 2.0**53) - _ROUNDING)
-        last = min(what.end / self._period, 2.0**53)
+    def _samples(self, window: Window) -> tuple[int, int]:
+        begin = math.ceil(min(window.begin / self._period, 2.0**53) - _ROUNDING)
+        last = min(window.end / self._period, 2.0**53)
         end = math.floor(last + _ROUNDING)
         if begin > end:
             rule = f"have intervals with a sample in them, every {self._period:g} s"
-            got = f"{what.sign}[{what.begin:g}, {what.end:g}]"
-            raise Refusal(self._where, self._quantity, rule, got)
+            text = f"{window.sign}[{window.begin:g}, {window.end:g}]"
+            raise Refusal(self._where, self._quantity, rule, text)
         begin = min(begin, self._longest)
         return begin, _FOREVER if end >= self._longest - 1 else end

@@ -67,14 +67,16 @@ def shrink(campaign: Campaign, case: Case) -> Shrunk:
         return not tries.margins(tries.keep_only(some))[requirement] >= 0.0
 
     changes = [] if fails([]) else find_fewest(changes, fails)
-    found = tries.keep_only(changes)
+    shortened = tries.keep_only(changes)
     if changes:
-        found = tries.find_shortest(found, requirement)
-    kept = {name: found.values[name] for name in changes if name in found.values}
-    faults = tuple(name.removeprefix(FAULT) for name in changes if name not in found.values)
-    margin = tries.margins(found)[requirement]
-    runs, seconds = tries.runs, min(found.seconds, campaign.nominal[0].seconds)
-    return Shrunk(requirement, before[requirement], margin, kept, faults, seconds, runs, found)
+        shortened = tries.find_shortest(shortened, requirement)
+    changes_left = {name: shortened.values[name] for name in changes if name in shortened.values}
+    faults = tuple(name.removeprefix(FAULT) for name in changes if name not in shortened.values)
+    margin = tries.margins(shortened)[requirement]
+    runs, seconds = tries.runs, min(shortened.seconds, campaign.nominal[0].seconds)
+    return Shrunk(
+        requirement, before[requirement], margin, changes_left, faults, seconds, runs, shortened
+    )
 
 
 def find_fewest(changes: Sequence[str], fails: Callable[[Sequence[str]], bool]) -> list[str]:
@@ -82,14 +84,14 @@ def find_fewest(changes: Sequence[str], fails: Callable[[Sequence[str]], bool]) 
     left, parts = list(changes), 2
     while len(left) > 1:
         pieces = [part.tolist() for part in np.array_split(np.array(left, object), parts)]
-        rests = [[one for one in left if one not in piece] for piece in pieces]
-        found = next((piece for piece in pieces if fails(piece)), None)
-        if found is not None:
-            left, parts = found, 2
+        rests = [[change for change in left if change not in piece] for piece in pieces]
+        failing = next((piece for piece in pieces if fails(piece)), None)
+        if failing is not None:
+            left, parts = failing, 2
             continue
-        found = next((rest for rest in rests if len(rest) < len(left) and fails(rest)), None)
-        if found is not None:
-            left, parts = found, max(2, parts - 1)
+        failing = next((rest for rest in rests if len(rest) < len(left) and fails(rest)), None)
+        if failing is not None:
+            left, parts = failing, max(2, parts - 1)
         elif parts >= len(left):
             break
         else:
@@ -139,25 +141,25 @@ class _Tries:
         """
         period = self._campaign.scene.servo_period
         plain = self.keep_only([])
-        least, most = 0, max(1, count_ticks(self._campaign.nominal[0].seconds, period))
-        while most - least > 1:
-            middle = (least + most) // 2
+        low, high = 0, max(1, count_ticks(self._campaign.nominal[0].seconds, period))
+        while high - low > 1:
+            middle = (low + high) // 2
             ended = replace(case, seconds=middle * period)
             holds = self.margins(replace(plain, seconds=ended.seconds))[requirement] >= 0.0
             if holds and not self.margins(ended)[requirement] >= 0.0:
-                most = middle
+                high = middle
             else:
-                least = middle
-        return replace(case, seconds=most * period)
+                low = middle
+        return replace(case, seconds=high * period)
 
 
-def write_shrunk(campaign: Campaign, found: Shrunk, folder: Path) -> Path:
+def write_shrunk(campaign: Campaign, shrunk: Shrunk, folder: Path) -> Path:
     """Write a campaign whose only run is the failure into a folder, which is made; return its file.
 
     Raises:
         Refusal: it cannot be written.
     """
-    file, data = folder / "campaign.yaml", _make_campaign(campaign, found, folder)
+    file, data = folder / "campaign.yaml", _make_campaign(campaign, shrunk, folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
@@ -167,7 +169,7 @@ def write_shrunk(campaign: Campaign, found: Shrunk, folder: Path) -> Path:
     return file
 
 
-def _make_campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str, Any]:
+def _make_campaign(campaign: Campaign, shrunk: Shrunk, folder: Path) -> dict[str, Any]:
     """Return the campaign of one run, whose files are named from the new folder."""
     data = {
         key: value
@@ -180,27 +182,27 @@ def _make_campaign(campaign: Campaign, found: Shrunk, folder: Path) -> dict[str,
         return make_path(folder, beside / name) if (beside / name).is_file() else name
 
     data["scene"] = seen(data["scene"])
-    data["scenario"] = dict(data["scenario"]) | {"seconds": found.seconds}
+    data["scenario"] = dict(data["scenario"]) | {"seconds": shrunk.seconds}
     if "table" in data["scenario"]:
         data["scenario"]["table"] = seen(data["scenario"]["table"])
     controller = dict(data.get("controller") or {})
     data["controller"] = controller | {
         key: seen(controller[key]) for key in ("servo", "motion") if key in controller
     }
-    requirement = campaign.requirements[found.requirement]
+    requirement = campaign.requirements[shrunk.requirement]
     if isinstance(requirement, Mapping) and "python" in requirement:
         file, _, function = str(requirement["python"]).partition(":")
         requirement = {**requirement, "python": f"{seen(file)}:{function}"}
-    data["requirements"] = {found.requirement: requirement}
+    data["requirements"] = {shrunk.requirement: requirement}
     noise = {
         f"noise_{k}": {"kind": "number", "name": "seed", "value": seed, "at": tick * period}
-        for k, (tick, seed) in enumerate(found.case.reseeds)
-        if tick * period < found.seconds
+        for k, (tick, seed) in enumerate(shrunk.case.reseeds)
+        if tick * period < shrunk.seconds
     }
-    data["faults"] = {name: campaign.data["faults"][name] for name in found.faults} | noise
-    vary = dict(found.changes)
+    data["faults"] = {name: campaign.data["faults"][name] for name in shrunk.faults} | noise
+    vary = dict(shrunk.changes)
     if campaign.scene.sensed and "seed" not in vary:
-        vary["seed"] = found.case.seed
+        vary["seed"] = shrunk.case.seed
     data |= {"vary": vary, "count": 1}
     return {key: value for key, value in data.items() if value not in ({}, None)}
 

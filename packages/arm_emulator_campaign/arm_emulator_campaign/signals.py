@@ -54,7 +54,7 @@ _sampler = compile_once(sampler_unit)
 
 def list_signal_units(scene: Scene) -> dict[str, str]:
     """Return the names of all signals of a scene, with their units."""
-    columns = {one.name: one.unit for one in list_columns(scene)}
+    columns = {column.name: column.unit for column in list_columns(scene)}
     units = {joint: columns[f"q.{joint}"] for joint in scene.joint_names}
     columns |= {f"target.{joint}": unit for joint, unit in units.items()}
     columns |= {f"error.{joint}": unit for joint, unit in units.items()}
@@ -76,23 +76,23 @@ class Samples:
 
     def __init__(self, scene: Scene, names: Sequence[str], arms: int, room: int) -> None:
         self.room = room
-        wanted = list(names)
+        columns = list(names)
         self._tool = {
-            wanted.index(name): place
+            columns.index(name): place
             for place, name in enumerate(TOOL_SIGNALS_NAME)
-            if name in wanted
+            if name in columns
         }
         self._scene, self._chains = scene, [ToolChain(scene)] if self._tool else []
         if self._tool:
-            wanted += [q for joint in scene.joint_names if (q := f"q.{joint}") not in wanted]
-        self._q = [wanted.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
-        own = {one.name: one for one in list_columns(scene)}
+            columns += [q for joint in scene.joint_names if (q := f"q.{joint}") not in columns]
+        self._q = [columns.index(f"q.{joint}") for joint in scene.joint_names if self._tool]
+        own = {column.name: column for column in list_columns(scene)}
         self._columns = {
-            place: own[name] for place, name in enumerate(wanted) if name not in TOOL_SIGNALS_NAME
+            place: own[name] for place, name in enumerate(columns) if name not in TOOL_SIGNALS_NAME
         }
         kinds = {value.path[0] for value in self._columns.values()}
         self.measures, self.truth = "measured" in kinds, kinds - {"measured"}
-        self._samples = np.zeros((arms, max(1, len(wanted)), room))
+        self._samples = np.zeros((arms, max(1, len(columns)), room))
         self._taken = np.zeros(arms, np.int64)
         self.calls = _sampler()
 
@@ -118,7 +118,7 @@ class Samples:
 
     def place_joints(self, numbers: Array) -> None:
         """Let tools be where joints stand by varied numbers of machines (arms, P)."""
-        names = [one.name for one in self._scene.varied]
+        names = [number.name for number in self._scene.varied]
         if self._tool and any(name.startswith("calibration.") for name in names):
             rows = (dict(zip(names, map(float, row), strict=True)) for row in numbers)
             self._chains = [ToolChain(self._scene, row) for row in rows]
@@ -132,13 +132,13 @@ class Samples:
         counts = self._taken.copy()
         self._taken[:] = 0
         if self._tool:
-            most = int(counts.max())
+            longest = int(counts.max())
             arms = np.array_split(np.arange(len(counts)), len(self._chains))
             for chain, some in zip(self._chains, arms, strict=True):
-                q = np.moveaxis(self._samples[some][:, self._q, :most], 1, 0)
+                q = np.moveaxis(self._samples[some][:, self._q, :longest], 1, 0)
                 p_WT = chain.positions(q.reshape(len(self._q), -1))
                 for row, axis in self._tool.items():
-                    self._samples[some, row, :most] = p_WT[axis].reshape(len(some), most)
+                    self._samples[some, row, :longest] = p_WT[axis].reshape(len(some), longest)
         return self._samples, counts
 
 

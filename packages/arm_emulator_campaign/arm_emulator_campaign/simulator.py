@@ -50,7 +50,7 @@ class Simulator:
         self._judges = Evaluators(campaign, ROOM)  # first, since its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
-        self._parameters = {one.name for one in campaign.scene.varied}
+        self._parameters = {number.name for number in campaign.scene.varied}
         self._sensed = campaign.scene.sensed
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
@@ -85,32 +85,32 @@ class Simulator:
 
     def _judge(self, case: Case) -> Outcomes:
         self._begin(case)
-        sampler, judges = self._sampler, self._judges
-        judges.begin()
+        sampler, evaluators = self._sampler, self._judges
+        evaluators.begin()
         sampler.begin()
         diverged = math.nan
         try:
             for _ in self._pieces():
                 if sampler.left < 1:
-                    judges.take(*sampler.take(), self._targets)
-            judges.take(*sampler.take(), self._targets)
+                    evaluators.take(*sampler.take(), self._targets)
+            evaluators.take(*sampler.take(), self._targets)
         except Diverged as fault:
             diverged = fault.t
             sampler.forget()
         finally:
             sampler.end()
-        robustness, measures = judges.end(np.isfinite([diverged]))
+        robustness, measures = evaluators.end(np.isfinite([diverged]))
         values = np.array([list(case.values.values())], np.float64)
         return Outcomes(np.array([case.index]), values, robustness, measures, np.array([diverged]))
 
     def drive(
-        self, case: Case, most: int = MOST, changed: Callable[[Change], None] | None = None
+        self, case: Case, max_ticks: int = MOST, changed: Callable[[Change], None] | None = None
     ) -> Iterator[int]:
         """Simulate a run piece by piece, for a recorder of the machine.
 
         Args:
             case: the run.
-            most: ticks of a piece.
+            max_ticks: of a piece.
             changed: gets what a fault has changed in the machine between two pieces.
 
         Yields:
@@ -118,7 +118,7 @@ class Simulator:
         """
         self._begin(case)
         yield 0
-        yield from self._pieces(most, changed)
+        yield from self._pieces(max_ticks, changed)
 
     # ------------------------------------------------------------------------------------- a run
 
@@ -170,7 +170,7 @@ class Simulator:
                 run.instructor.add(at, Pose(points[0], R_WT))
 
     def _pieces(
-        self, most: int = MOST, changed: Callable[[Change], None] | None = None
+        self, max_ticks: int = MOST, changed: Callable[[Change], None] | None = None
     ) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
@@ -182,7 +182,7 @@ class Simulator:
                 if changed is not None:
                     changed(change)
             until = min([last, *(tick for tick, _ in events[:1])])
-            ticks = min(until - session.tick, self._sampler.left, self._longest, most)
+            ticks = min(until - session.tick, self._sampler.left, self._longest, max_ticks)
             began = session.tick
             run.advance(ticks)
             if isinstance(run, OfflineRun) and began % run.motion_ticks == 0:
@@ -236,14 +236,14 @@ def bind_case(campaign: Campaign, case: Case) -> BoundCase:
     Raises:
         Refusal: a drawn value that is out of range.
     """
-    drawn = campaign.has_drawn_sections
-    given = campaign.bind_values(case.values) if drawn else campaign.nominal
-    scenario, faults, servo = given
+    has_random = campaign.has_drawn_sections
+    bound = campaign.bind_values(case.values) if has_random else campaign.nominal
+    scenario, faults, servo = bound
     there = [fault for name, fault in faults.items() if name not in case.without]
     changes = schedule_changes(there, campaign.scene, case.values) if there else []
     noise: list[tuple[int, Change]]
     noise = [(tick, NumberChange("seed", seed)) for tick, seed in case.reseeds]
-    changes = sorted(noise + changes, key=lambda one: one[0])
+    changes = sorted(noise + changes, key=lambda change: change[0])
     seconds = min(case.seconds, scenario.seconds)
     last = max(1, count_ticks(seconds, campaign.scene.servo_period))
     return BoundCase(scenario, servo, changes, last)

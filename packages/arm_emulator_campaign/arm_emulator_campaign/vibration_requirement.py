@@ -55,7 +55,7 @@ class VibrationRequirement:
         read, self._scale = "q", np.ones(len(joints))
         if self._source == "encoders":
             read, self._scale = "measured.encoder_counts", compute_count_angle(scene)
-            bare = [one.name for one in scene.joints if one.sensors.encoder is None]
+            bare = [joint.name for joint in scene.joints if joint.sensors.encoder is None]
             if bare:
                 raise section.refusal("from", "be truth without an encoder", ", ".join(bare))
         self._chain = ToolChain(scene)
@@ -69,7 +69,7 @@ class VibrationRequirement:
         end = find_reference_end(targets.T)
         places = self._chain.positions(self._scale[:, None] * read[:, end:]).T
         try:
-            found = measure_vibration(places, self._period, self._band)
+            vibration = measure_vibration(places, self._period, self._band)
         except Refusal:
             return -math.inf
-        return float(self._at_most - getattr(found, self._quantity))
+        return float(self._at_most - getattr(vibration, self._quantity))

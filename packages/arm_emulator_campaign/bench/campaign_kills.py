@@ -61,10 +61,10 @@ class Place(Protocol):
         """End what this has begun."""
 
 
-def waited_for(what: Callable[[], bool], patience: float = LONGEST) -> bool:
+def waited_for(condition: Callable[[], bool], patience: float = LONGEST) -> bool:
     """Wait until something is so; return whether it is, at the latest after so many seconds."""
     until = time.monotonic() + patience
-    while not what():
+    while not condition():
         if time.monotonic() > until:
             return False
         time.sleep(0.01)
@@ -267,36 +267,36 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="bench.campaign_kills", description=__doc__)
     parser.add_argument("--moments", type=int, default=70)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    rng, survived, when = np.random.default_rng(given.seed), Counter[str](), Counter[str]()
+    args = parser.parse_args()
+    rng, survived, when = np.random.default_rng(args.seed), Counter[str](), Counter[str]()
     with tempfile.TemporaryDirectory() as empty:
         folder = Path(empty)
         file = folder / "campaign.yaml"
         file.write_text(yaml.safe_dump(CAMPAIGN), encoding="utf-8")
-        wanted = digest_alone(file, folder / "alone")
+        expected = digest_alone(file, folder / "alone")
 
-        places: dict[str, Place] = {name: made() for name, made in PLACES.items()}
+        places: dict[str, Place] = {name: make_place() for name, make_place in PLACES.items()}
         kinds = [(name, victim) for name, place in places.items() for victim in place.victims]
         try:
             parts = {
                 name: count_of_parts(file, folder / name, place) for name, place in places.items()
             }
-            for moment in range(given.moments):
+            for moment in range(args.moments):
                 name, victim = kinds[moment % len(kinds)]
                 before, after = int(rng.integers(1, parts[name] + 1)), rng.uniform(0.0, LATER)
                 into = folder / f"{moment}"
-                one = one_moment(file, into, places[name], victim, after, rng, before)
-                survived[f"{name} {victim}"] += one.digest == wanted
-                when[one.when] += 1
-                good = "same digest" if one.digest == wanted else f"{one}"
+                trial = one_moment(file, into, places[name], victim, after, rng, before)
+                survived[f"{name} {victim}"] += trial.digest == expected
+                when[trial.when] += 1
+                good = "same digest" if trial.digest == expected else f"{trial}"
                 at = f"{after:.2f} s after part {before}"
-                print(f"{moment}: {name} {victim}, {at}, {one.when}: {good}", flush=True)
+                print(f"{moment}: {name} {victim}, {at}, {trial.when}: {good}", flush=True)
         finally:
             for place in places.values():
                 place.end()
     for kind in kinds:
         print(f"{' '.join(kind):<16} {survived[' '.join(kind)]}")
-    print(f"{survived.total()} of {given.moments} survived, digest {wanted[:16]}")
+    print(f"{survived.total()} of {args.moments} survived, digest {expected[:16]}")
     print(", ".join(f"{count} {name} the parts were written" for name, count in when.items()))
 
 

@@ -17,9 +17,9 @@ def run(quick: bool) -> list[Row]:
 def report(rows_of: list[Row]) -> str:
     """Return the table of the worst joint of each kind."""
     rows = []
-    for one in find_worst(rows_of):
-        after = "" if one.detected_by == NOBODY else f"{1e3 * one.after:.0f} ms"
-        rows.append((f"`{one.fault}`", one.detected_by, after, f"{1e3 * one.travel:.2g} mm"))
+    for row in find_worst(rows_of):
+        after = "" if row.detected_by == NOBODY else f"{1e3 * row.after:.0f} ms"
+        rows.append((f"`{row.fault}`", row.detected_by, after, f"{1e3 * row.travel:.2g} mm"))
     return table(("fault", "detected by", "after", "tool off its way"), rows)
 
 

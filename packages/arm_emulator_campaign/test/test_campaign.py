@@ -93,12 +93,12 @@ def changed(data, path, value):
 
 @pytest.mark.parametrize("data", [TABLE, MOVES])
 def test_a_run_is_a_function_of_its_index(tmp_path, data):
-    one = load_campaign(written(tmp_path, data))
-    first = Simulator(one)
+    definition = load_campaign(written(tmp_path, data))
+    first = Simulator(definition)
     runs = {index: first.run(index) for index in (0, 1, 2, 7)}
-    other = Simulator(load_campaign(one.file))
+    another = Simulator(load_campaign(definition.file))
     for index in (7, 2, 0, 2, 1):
-        assert other.run(index) == runs[index]
+        assert another.run(index) == runs[index]
     assert len({tuple(run.robustness.values()) for run in runs.values()}) == 4
 
 
@@ -108,18 +108,18 @@ def test_noise_differs_from_run_to_run_and_repeats(tmp_path):
     # The machine of `test_case_bag`, with a fault that does not come.
     data = changed(data, "set", {"payload": 1.0, "faults": ["elbow.command_lost"], **sensor})
     data = changed(data, "faults", {"cut": TABLE["faults"]["cut"]})
-    one = load_campaign(written(tmp_path, data))
-    first, other = Simulator(one), Simulator(one)
+    definition = load_campaign(written(tmp_path, data))
+    first, second = Simulator(definition), Simulator(definition)
     currents = [first.run(index).measures["current"] for index in (0, 1, 2)]
     assert len(set(currents)) == 3
-    assert [other.run(index).measures["current"] for index in (2, 1, 0)] == currents[::-1]
+    assert [second.run(index).measures["current"] for index in (2, 1, 0)] == currents[::-1]
 
 
 def test_faults_are_exact_to_the_tick(tmp_path):
     # The same by hand: orders to the session between ticks.
     data = changed(changed(TABLE, "vary", None), "requirements", {"q": "always q.elbow < 9"})
     data = changed(data, "measures", {f"{name}": f"last({name}.elbow)" for name in ("q", "v")})
-    found = Simulator(load_campaign(written(tmp_path, data))).run(0).measures
+    measures = Simulator(load_campaign(written(tmp_path, data))).run(0).measures
     machine = {"payload": 1.0, "varied": ["payload.mass"], "external_wrench": True}
     scene, servo = load_scene("three_axis", machine), load_gains("three_axis").servo
     q = scene.start.copy()
@@ -137,7 +137,7 @@ def test_faults_are_exact_to_the_tick(tmp_path):
     run.advance(20)
     session.set_varied("payload.mass", 0.2)
     run.advance(50)
-    assert found == {"q": session.state.q[2], "v": session.state.v[2]}
+    assert measures == {"q": session.state.q[2], "v": session.state.v[2]}
 
 
 def test_measures_and_functions_of_python_see_the_whole_trace(tmp_path):
@@ -150,10 +150,10 @@ def test_measures_and_functions_of_python_see_the_whole_trace(tmp_path):
     })  # fmt: skip
     data = changed(data, "measures", {"error": "max(abs(error.elbow))", "t": "last(t)"})
     data = changed(data, "scenario/seconds", 5.0)  # more samples than are taken at once
-    one = Simulator(load_campaign(written(tmp_path, data))).run(3)
-    margin = 0.5 - one.measures["error"]
-    assert one.robustness == {"python": margin + 5001, "formula": margin}
-    assert one.measures["t"] == 5.0
+    outcome = Simulator(load_campaign(written(tmp_path, data))).run(3)
+    margin = 0.5 - outcome.measures["error"]
+    assert outcome.robustness == {"python": margin + 5001, "formula": margin}
+    assert outcome.measures["t"] == 5.0
 
 
 def test_a_function_that_returns_no_margin_is_named(tmp_path):
@@ -286,12 +286,12 @@ def finished(file, into, *more):
 
 def digest_alone(file, count=None):
     """The digest of all runs, or the first ones, in random parts in this process."""
-    one = load_campaign(file)
-    runs, results = make_simulator(one), Results(file.parent / "alone", one)
-    order = np.random.default_rng(3).permutation(count or one.count)
+    definition = load_campaign(file)
+    runs, results = make_simulator(definition), Results(file.parent / "alone", definition)
+    order = np.random.default_rng(3).permutation(count or definition.count)
     for part in np.array_split(order, 7):
-        cases = [draw_case(one.variation, index) for index in sorted(part.tolist())]
-        write_part(results.folder, one, Outcomes.join(list(runs.runs(cases))))
+        cases = [draw_case(definition.variation, index) for index in sorted(part.tolist())]
+        write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
     return compute_digest(results.columns()), results.columns()
 
 
@@ -299,7 +299,8 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     file = written(tmp_path, TABLE)
     digest, columns = digest_alone(file)
     units = {
-        one.name: (one.metadata or {}).get(b"unit") for one in make_schema(load_campaign(file))
+        field.name: (field.metadata or {}).get(b"unit")
+        for field in make_schema(load_campaign(file))
     }
     assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
     assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
@@ -324,14 +325,12 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
         del data["vary"][name]
     file, rng = written(tmp_path, data), np.random.default_rng(1)
     digest, _ = digest_alone(file)
-    one, other = (
-        load_campaign(file),
-        load_campaign(written(tmp_path, {**data, "seed": 7}, "o.yaml")),
-    )
-    results, runs = Results(tmp_path / "alone", one), make_simulator(one)
+    definition = load_campaign(file)
+    reseeded = load_campaign(written(tmp_path, {**data, "seed": 7}, "o.yaml"))
+    results, runs = Results(tmp_path / "alone", definition), make_simulator(definition)
     foreign = write_part(
-        Results(tmp_path / "other", other).folder, other,
-        Outcomes.join(list(make_simulator(other).runs([draw_case(other.variation, 3)]))),
+        Results(tmp_path / "other", reseeded).folder, reseeded,
+        Outcomes.join(list(make_simulator(reseeded).runs([draw_case(reseeded.variation, 3)]))),
     )  # fmt: skip
     for round_ in range(60 if FULL else 12):
         some = results.parts[int(rng.integers(len(results.parts)))]
@@ -347,15 +346,15 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
             case _:  # with its own name, in the place of one that is missing
                 some.unlink()
                 (some.parent / foreign.name).write_bytes(foreign.read_bytes())
-        results = Results(tmp_path / "alone", one)  # as the next command finds them
+        results = Results(tmp_path / "alone", definition)  # as the next command finds them
         missing = results.missing(70)
         assert 1 <= sum(end - first for first, end in missing) <= 10, "of one part"
         assert ("is set aside" in capsys.readouterr().err) and not (
             some.parent / foreign.name
         ).exists()
         for first, end in missing:
-            cases = [draw_case(one.variation, k) for k in range(first, end)]
-            write_part(results.folder, one, Outcomes.join(list(runs.runs(cases))))
+            cases = [draw_case(definition.variation, k) for k in range(first, end)]
+            write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
         assert not results.missing(70) and compute_digest(results.columns()) == digest
     aside = list((tmp_path / "alone" / "set_aside").iterdir())
     assert aside, "they are kept"
@@ -372,18 +371,18 @@ def test_a_file_of_checks_is_beside_its_campaign_and_cannot_end_the_command(tmp_
     (inside / "link.py").symlink_to(outside)
     data = changed(TABLE, "scenario/seconds", 0.2)
     for name in (str(outside), "../out.py", "below/../../out.py", "link.py", "/dev/stdin"):
-        asked = {"c": {"python": f"{name}:f", "signals": ["q.elbow"]}}
-        file = written(inside, changed(data, "requirements", asked))
+        requirements = {"c": {"python": f"{name}:f", "signals": ["q.elbow"]}}
+        file = written(inside, changed(data, "requirements", requirements))
         with pytest.raises(Refusal, match="a file beside the campaign's or below its folder"):
             campaign(file, dry=True)
         assert not Path(f"{outside}.ran").exists(), "nothing of it ran"
-    asked = {"c": {"python": "below/checks.py:f", "signals": ["q.elbow"]}}
-    Simulator(load_campaign(written(inside, changed(data, "requirements", asked))))
+    requirements = {"c": {"python": "below/checks.py:f", "signals": ["q.elbow"]}}
+    Simulator(load_campaign(written(inside, changed(data, "requirements", requirements))))
     for text in ("import sys; sys.exit(0)", "exit()", "raise SystemExit"):
         (inside / "ends.py").write_text(text)
-        asked = {"c": {"python": "ends.py:f", "signals": ["q.elbow"]}}
+        requirements = {"c": {"python": "ends.py:f", "signals": ["q.elbow"]}}
         with pytest.raises(Refusal, match=r"be a file that Python can run, got SystemExit"):
-            campaign(written(inside, changed(data, "requirements", asked)), dry=True)
+            campaign(written(inside, changed(data, "requirements", requirements)), dry=True)
 
 
 def test_no_runs_are_no_success(tmp_path, monkeypatch):
@@ -417,11 +416,11 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     import pyarrow.parquet as pq
 
     file, record = written(tmp_path, TABLE), tmp_path / "r.parquet"
-    one = load_campaign(file)
-    beside = [draw_case(one.variation, index) for index in range(20)]
-    rows = Outcomes.join(list(make_simulator(one).runs(beside)))
-    kept = RunOutputs(record=record)
-    code = campaign(file, replay=17, kept=kept)
+    definition = load_campaign(file)
+    beside = [draw_case(definition.variation, index) for index in range(20)]
+    rows = Outcomes.join(list(make_simulator(definition).runs(beside)))
+    outputs = RunOutputs(record=record)
+    code = campaign(file, replay=17, kept=outputs)
     facts = json.loads(json.dumps(plain(output.collected)))
     assert code == int(facts["failed"]) and bool(facts["missed"]) == facts["failed"]
     assert list(facts["robustness"].values()) == rows.robustness[17].tolist()
@@ -439,8 +438,8 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
     rng = np.random.default_rng(5)
     file = written(tmp_path, changed(TABLE, "count", 2000))
     after = rng.uniform(0.0, 2.0)
-    one = one_moment(file, tmp_path / "killed", Here(), victim, after, rng)
-    assert one.digest == digest_alone(file)[0], one
+    trial = one_moment(file, tmp_path / "killed", Here(), victim, after, rng)
+    assert trial.digest == digest_alone(file)[0], trial
 
 
 def test_a_campaign_stops_when_it_knows_enough(tmp_path):
@@ -448,7 +447,7 @@ def test_a_campaign_stops_when_it_knows_enough(tmp_path):
     file = written(tmp_path, data)
     facts = finished(file, tmp_path / "two", "--workers", "2")
     assert facts["count"] == 200 and facts["digest"] == digest_alone(file, 200)[0]
-    assert all(one["high"] - one["low"] <= 0.16 for one in facts["shares"])
+    assert all(share["high"] - share["low"] <= 0.16 for share in facts["shares"])
 
 
 def test_the_price_is_known_beforehand(tmp_path):

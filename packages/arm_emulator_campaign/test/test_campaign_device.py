@@ -36,26 +36,26 @@ def test_runs_on_a_device_equal_those_in_lanes(
         monkeypatch.setattr(batch_simulator, "LARGEST_WIDTH", width)
         there = make_simulator(campaign, "processor")
         assert there.width == width
-        found = rows_of(Outcomes.join(list(there.runs(cases_of(campaign, range(count))))))
-        assert np.array_equal(found, expected, equal_nan=True)
+        rows = rows_of(Outcomes.join(list(there.runs(cases_of(campaign, range(count))))))
+        assert np.array_equal(rows, expected, equal_nan=True)
 
 
 def test_workers_with_a_device_each_write_the_results_of_lanes(tmp_path: Path) -> None:
     campaign = campaign_of(tmp_path, {"count": 200})
-    found = {}
+    columns_by_pool = {}
     for name, make_pool in POOLS.items():
         results = Results(tmp_path / name, campaign)
         run_campaign(campaign, results, WorkerPool(make_pool, 0.02, lambda progress: None))
-        found[name] = columns = results.columns()
+        columns_by_pool[name] = columns = results.columns()
         assert np.array_equal(columns["index"], np.arange(campaign.count))
         assert 0 < np.count_nonzero(columns["failed"])
-    assert compute_digest(found["devices"]) == compute_digest(found["lanes"])
+    assert compute_digest(columns_by_pool["devices"]) == compute_digest(columns_by_pool["lanes"])
     # A run that fails is repeated in lanes, as `--replay` does.
-    failed = int(np.flatnonzero(found["devices"]["failed"])[-1])
+    failed = int(np.flatnonzero(columns_by_pool["devices"]["failed"])[-1])
     again = make_simulator(campaign).run(*cases_of(campaign, [failed]))
     for kind, values in (("robustness", again.robustness), ("measure", again.measures)):
         for key, value in values.items():
-            assert found["devices"][f"{kind}.{key}"][failed] == value
+            assert columns_by_pool["devices"][f"{kind}.{key}"][failed] == value
 
 
 @pytest.mark.parametrize(

@@ -97,17 +97,17 @@ def test_a_campaign_that_ends_by_the_width_of_its_intervals_holds_what_it_states
     rng, stop = np.random.default_rng(1), Stop(width, confidence, 0.0)
     campaigns = 20_000 if FULL else CAMPAIGNS
     hits, running = np.zeros(campaigns, np.int64), np.ones(campaigns, bool)
-    count, before, held = FIRST_STAGE, 0, 0
+    count, before, covered = FIRST_STAGE, 0, 0
     while running.any():
         hits[running] += rng.binomial(count - before, share, np.count_nonzero(running))
         for k in np.unique(hits[running]):
             low, high = stop.interval(int(k), count)
             if high - low <= width:
                 ended = running & (hits == k)
-                held += np.count_nonzero(ended) if low <= share <= high else 0
+                covered += np.count_nonzero(ended) if low <= share <= high else 0
                 running &= ~ended
         before, count = count, math.ceil(GROWTH * count)
-    assert held / campaigns >= confidence - error_of(confidence, campaigns)
+    assert covered / campaigns >= confidence - error_of(confidence, campaigns)
 
 
 def lognormal(rng: np.random.Generator, deviation: float, zeros: float) -> NDArray[np.float64]:
@@ -123,12 +123,12 @@ def lognormal(rng: np.random.Generator, deviation: float, zeros: float) -> NDArr
 )
 def test_intervals_of_repetitions_hold_what_they_state(deviation: float, zeros: float) -> None:
     rng, cases = np.random.default_rng(1), CAMPAIGNS if FULL else 150
-    held = []
+    covered = []
     for _ in range(cases):
         low, high = bound_mean(lognormal(rng, deviation, zeros), 0.95)
-        held.append(low <= 1e-6 <= high)
+        covered.append(low <= 1e-6 <= high)
     # Above, too, or intervals without ends would pass; zeros alone are known less well.
-    assert 0.95 - error_of(0.95, cases) <= np.mean(held) <= 0.99
+    assert 0.95 - error_of(0.95, cases) <= np.mean(covered) <= 0.99
 
 
 def test_words_of_open_intervals() -> None:

@@ -103,17 +103,17 @@ def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, na
     runs, alone = make_simulator(campaign), Simulator(campaign)
     assert isinstance(runs, BatchSimulator)
     count = WIDTH + 5
-    whole = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, range(count))))))
-    assert len(np.unique(whole, axis=0)) == count
+    all_rows = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, range(count))))))
+    assert len(np.unique(all_rows, axis=0)) == count
     for index in some(range(count), 6):
-        one = alone.run(index)
-        single = [*one.robustness.values(), *one.measures.values(), one.diverged]
-        np.testing.assert_array_equal(whole[index], single, err_msg=f"run {index}")
+        outcome = alone.run(index)
+        single = [*outcome.robustness.values(), *outcome.measures.values(), outcome.diverged]
+        np.testing.assert_array_equal(all_rows[index], single, err_msg=f"run {index}")
     order = np.random.default_rng(1).permutation(count)
     again = rows_of(Outcomes.join(list(runs.runs(cases_of(campaign, order)))))
-    assert np.array_equal(again, whole[order], equal_nan=True)
+    assert np.array_equal(again, all_rows[order], equal_nan=True)
     few = rows_of(next(runs.runs(cases_of(campaign, order[:3]))))
-    assert np.array_equal(few, whole[order[:3]], equal_nan=True)
+    assert np.array_equal(few, all_rows[order[:3]], equal_nan=True)
 
 
 @pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
@@ -127,11 +127,11 @@ def test_arms_that_stick_and_drawn_gains_alike(tmp_path: Path) -> None:
     data["vary"] |= {"joints.*.friction.coulomb": "uniform(0.5, 4)"}
     campaign = load_campaign(written(tmp_path, data))
     runs, alone = make_simulator(campaign), Simulator(campaign)
-    whole = rows_of(next(runs.runs(cases_of(campaign, range(12)))))
+    all_rows = rows_of(next(runs.runs(cases_of(campaign, range(12)))))
     for index in (0, 5, 11):
-        one = alone.run(index)
-        single = [*one.robustness.values(), *one.measures.values(), one.diverged]
-        np.testing.assert_array_equal(whole[index], single, err_msg=f"run {index}")
+        outcome = alone.run(index)
+        single = [*outcome.robustness.values(), *outcome.measures.values(), outcome.diverged]
+        np.testing.assert_array_equal(all_rows[index], single, err_msg=f"run {index}")
 
 
 @pytest.mark.skipif(not FULL, reason="FULL=1: another scene")
@@ -139,35 +139,35 @@ def test_a_run_that_diverges_does_not_disturb_the_others(tmp_path: Path) -> None
     data = changed(TABLE, "vary", {"joints.elbow.gear.stiffness": "choice(1e4, 1e9)"})
     data = changed(changed(data, "faults", None), "set", {"integrator.scheme": "paper"})
     campaign = load_campaign(written(tmp_path, data))
-    (found,) = make_simulator(campaign).runs(cases_of(campaign, range(12)))
+    (outcomes,) = make_simulator(campaign).runs(cases_of(campaign, range(12)))
     alone = Simulator(campaign)
-    for index, diverged in enumerate(found.diverged):
-        one = alone.run(index)
-        assert one.failed == found.failed[index]
-        assert np.array_equal(one.diverged, diverged, equal_nan=True)
-        rest = [*one.robustness.values()]
-        np.testing.assert_array_equal(found.robustness[index], rest)
-    assert 0 < np.count_nonzero(found.diverged > 0) < 12
+    for index, diverged in enumerate(outcomes.diverged):
+        outcome = alone.run(index)
+        assert outcome.failed == outcomes.failed[index]
+        assert np.array_equal(outcome.diverged, diverged, equal_nan=True)
+        rest = [*outcome.robustness.values()]
+        np.testing.assert_array_equal(outcomes.robustness[index], rest)
+    assert 0 < np.count_nonzero(outcomes.diverged > 0) < 12
 
 
 def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
     data = changed(TABLE, "vary/payload.mass", "normal(1, 1)")
     campaign = load_campaign(written(tmp_path, data))
-    found: list[Outcomes] = []
+    outcomes: list[Outcomes] = []
     reason = r"c.yaml, run \d+: payload.mass must be a number >= 0 kg"
     with pytest.raises(Refusal, match=reason) as no:
         for run in make_simulator(campaign).runs(cases_of(campaign, range(200))):
-            found.append(run)
+            outcomes.append(run)
     refused = int(str(no.value).partition("run ")[2].partition(":")[0])
-    assert [*Outcomes.join(found).indices] == list(range(refused)) and refused > 0
+    assert [*Outcomes.join(outcomes).indices] == list(range(refused)) and refused > 0
 
 
 def test_the_motion_controller_leads_runs_one_by_one(tmp_path: Path) -> None:
     campaign = load_campaign(written(tmp_path, MOVES))
     runs = make_simulator(campaign)
     assert isinstance(runs, Simulator)
-    (found,) = runs.runs(cases_of(campaign, [3]))
-    assert found.robustness[0, 0] == runs.run(3).robustness["near"]
+    (outcomes,) = runs.runs(cases_of(campaign, [3]))
+    assert outcomes.robustness[0, 0] == runs.run(3).robustness["near"]
 
 
 # ----------------------------------------------------------------------------- the fleet by itself

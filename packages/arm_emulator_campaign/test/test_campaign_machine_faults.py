@@ -42,8 +42,8 @@ def test_a_fault_of_the_machine_begins_ends_and_varies(tmp_path: Path) -> None:
     per_rad = 1.0 / session.plant.link_angle_per_count[j] * session.scene.gear_ratios[j]
     for index in (3, 4):
         case = draw_case(campaign.variation, index)
-        shown = [session.tick for _ in simulator.drive(case)]
-        assert shown[-1] == round(0.2 / session.scene.servo_period)
+        ticks = [session.tick for _ in simulator.drive(case)]
+        assert ticks[-1] == round(0.2 / session.scene.servo_period)
         assert session.plant.parameters["faults.elbow.encoder_slips"] == 0.0
         magnitude = simulator.run(case).values["faults.slip.magnitude"]
         during = [

@@ -28,8 +28,12 @@ def test_no_kind_of_run_hides_the_other(share: float) -> None:
     columns = {name: rng.uniform(size=count) for name in "abc"}
     failed = rng.uniform(size=count) < share
     figure = draw_coordinates(columns, list(columns), failed, np.where(failed, -1.0, 1.0))
-    (lines,) = (one for one in figure.axes[0].collections if isinstance(one, LineCollection))
-    colors = [to_hex(one) for one in lines.get_color()]
+    (lines,) = (
+        collection
+        for collection in figure.axes[0].collections
+        if isinstance(collection, LineCollection)
+    )
+    colors = [to_hex(color) for color in lines.get_color()]
     encode_png(figure)  # closes it
     assert colors.count(FAILS) == colors.count(HOLDS) == MOST_LINES
     # Of 150 in turns, 50 of one kind in a row are drawn once in 1e15.
@@ -61,7 +65,7 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
         ),
     }[kind]()
     figure.canvas.draw()
-    seen = figure.bbox
+    frame = figure.bbox
     axes = [axis for axis in figure.axes if axis.get_visible()]
     labels = [
         label.get_window_extent()
@@ -70,9 +74,11 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
         if label.get_text()
     ]
     encode_png(figure)  # closes it
-    assert all(seen.x0 <= box.x0 and box.x1 <= seen.x1 for box in labels)
-    assert all(seen.y0 <= box.y0 and box.y1 <= seen.y1 for box in labels)
-    assert not any(one.overlaps(other) for k, one in enumerate(labels) for other in labels[k + 1 :])
+    assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 for box in labels)
+    assert all(frame.y0 <= box.y0 and box.y1 <= frame.y1 for box in labels)
+    assert not any(
+        label.overlaps(later) for k, label in enumerate(labels) for later in labels[k + 1 :]
+    )
 
 
 def test_a_text_is_broken_after_dots_and_kept_to_the_letter() -> None:

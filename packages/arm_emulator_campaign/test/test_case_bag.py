@@ -33,17 +33,19 @@ def campaign(folder: Path, name: str) -> Campaign:
 
 @pytest.mark.parametrize("name", [*DRAWN, "moves"])
 def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None:
-    one = campaign(tmp_path, name)
-    simulator = Simulator(one)
+    definition = campaign(tmp_path, name)
+    simulator = Simulator(definition)
     for index in some(range(12), 2):
-        case = draw_case(one.variation, int(index))
+        case = draw_case(definition.variation, int(index))
         bag = tmp_path / f"bag_{index}"
-        write_case_bag(one, simulator, case, bag)
-        found = compare(bag)
-        assert found.difference is None, found.difference
+        write_case_bag(definition, simulator, case, bag)
+        comparison = compare(bag)
+        assert comparison.difference is None, comparison.difference
         seconds = min(case.seconds, simulator._scenario.seconds)
-        assert found.tally.states == 1 + count_ticks(seconds, one.scene.servo_period)
-        assert found.tally.changes >= len(simulator._campaign.nominal[1]), "the faults are in it"
+        assert comparison.tally.states == 1 + count_ticks(seconds, definition.scene.servo_period)
+        assert comparison.tally.changes >= len(simulator._campaign.nominal[1]), (
+            "the faults are in it"
+        )
         simulator.run(case)  # as in the campaign: many ticks at a time
         *_, (_, last) = RecordedTopics(Bag(bag)).read("emulator/joint_states")
         assert list(last.position) == simulator.session.state.q.tolist()
@@ -51,7 +53,7 @@ def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None
 
 
 def test_a_fault_that_is_left_out_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    one = campaign(tmp_path, "all that varies")
+    definition = campaign(tmp_path, "all that varies")
     plain, kinds = RunBag.changed, []
 
     def all_but_the_push(bag: RunBag, kind: int) -> None:
@@ -60,10 +62,14 @@ def test_a_fault_that_is_left_out_is_found(tmp_path: Path, monkeypatch: pytest.M
             plain(bag, kind)
 
     monkeypatch.setattr(RunBag, "changed", all_but_the_push)
-    write_case_bag(one, Simulator(one), draw_case(one.variation, 0), tmp_path / "bag")
+    write_case_bag(
+        definition, Simulator(definition), draw_case(definition.variation, 0), tmp_path / "bag"
+    )
     assert kinds.count(MachineEvent.KIND_EXTERNAL_WRENCH) == 2
-    found = compare(tmp_path / "bag")
-    assert found.difference is not None and "tick 51" in found.difference, "from 0.05 s on"
+    comparison = compare(tmp_path / "bag")
+    assert comparison.difference is not None and "tick 51" in comparison.difference, (
+        "from 0.05 s on"
+    )
 
 
 def test_a_bag_that_exists_is_refused(tmp_path: Path) -> None:

@@ -91,11 +91,11 @@ def test_drawn_faults_are_those_of_a_file_with_their_numbers(
 def test_a_draw_is_refused_as_a_file_is(
     campaign: Campaign, tmp_path: Path, name: str, value: float
 ) -> None:
-    with pytest.raises(Refusal) as drawn:
+    with pytest.raises(Refusal) as refused:
         campaign.bind_values({name: value})
     with pytest.raises(Refusal) as read:
         loaded(tmp_path, written({name: value}))
-    assert str(drawn.value) == str(read.value)
+    assert str(refused.value) == str(read.value)
 
 
 def test_numbers_of_faults_have_units(campaign: Campaign) -> None:
@@ -122,26 +122,32 @@ def set_by(change: Change) -> tuple[str, Any]:
 def test_the_newest_fault_that_lasts_holds(campaign: Campaign, seed: int) -> None:
     """Faults that set the same, over each other in any way, against a look at every tick."""
     rng = np.random.default_rng(seed)
-    period, known = campaign.scene.servo_period, list(campaign.nominal[1].values())
+    period, nominal_faults = campaign.scene.servo_period, list(campaign.nominal[1].values())
     faults: list[tuple[Fault, int, int]] = []
     for _ in range(int(rng.integers(2, 7))):
         begins, ticks = int(rng.integers(0, 20)), int(rng.integers(1, 20))
         times = {"at": begins * period, "lasting": ticks * period}
-        one = known[int(rng.integers(len(known)))]
-        size = {"payload": "mass", "machine": "magnitude", "number": "value"}.get(one.kind)
+        nominal_fault = nominal_faults[int(rng.integers(len(nominal_faults)))]
+        size = {"payload": "mass", "machine": "magnitude", "number": "value"}.get(
+            nominal_fault.kind
+        )
         more = {} if size is None else {size: float(rng.uniform(0.1, 2.0))}
-        drawn = one.with_numbers([((key,), value) for key, value in {**times, **more}.items()])
-        assert drawn is not None
-        faults.append((drawn, begins, begins + ticks))
-    found = schedule_changes([one for one, *_ in faults], campaign.scene, {"payload.mass": 1.5})
-    assert [tick for tick, _ in found] == sorted(tick for tick, _ in found)
-    sound: dict[str, Any] = {one.name: one.value for one in campaign.scene.varied}
+        varied_fault = nominal_fault.with_numbers(
+            [((key,), value) for key, value in {**times, **more}.items()]
+        )
+        assert varied_fault is not None
+        faults.append((varied_fault, begins, begins + ticks))
+    changes = schedule_changes(
+        [fault for fault, *_ in faults], campaign.scene, {"payload.mass": 1.5}
+    )
+    assert [tick for tick, _ in changes] == sorted(tick for tick, _ in changes)
+    sound: dict[str, Any] = {number.name: number.value for number in campaign.scene.varied}
     sound |= {"payload.mass": 1.5, "power": True}
     now = dict(sound)
     for tick in range(ENDS):
-        now |= dict(set_by(change) for at, change in found if at == tick)
+        now |= dict(set_by(change) for at, change in changes if at == tick)
         expected = sound | {link: ExternalWrench() for link in now if link not in sound}
-        for one, begins, ends in sorted(faults, key=lambda fault: fault[1]):
+        for nominal_fault, begins, ends in sorted(faults, key=lambda fault: fault[1]):
             if begins <= tick < ends:
-                expected |= [set_by(one.begins(campaign.scene))]
+                expected |= [set_by(nominal_fault.begins(campaign.scene))]
         assert now == expected, f"tick {tick}"

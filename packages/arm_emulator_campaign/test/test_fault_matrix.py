@@ -22,16 +22,16 @@ def test_the_worst_of_each_kind_and_files(tmp_path: Path) -> None:
     assert find_worst(ROWS) == [ROWS[2], ROWS[1]]
     write_csv(ROWS, tmp_path / "rows.csv")
     with (tmp_path / "rows.csv").open() as file:
-        found = list(csv.DictReader(file))
-    assert [one["fault"] for one in found] == ["a.x", "b.x", "a.y"]
-    assert float(found[1]["travel"]) == 0.02
+        worst = list(csv.DictReader(file))
+    assert [row["fault"] for row in worst] == ["a.x", "b.x", "a.y"]
+    assert float(worst[1]["travel"]) == 0.02
     draw_matrix(ROWS, "rows", tmp_path / "rows.png")
     assert (tmp_path / "rows.png").read_bytes()[:4] == b"\x89PNG"
 
 
 @pytest.mark.skipif(not FULL, reason="a machine with all faults compiles for 13 s")
 def test_the_fault_matrix_of_the_three_axis_arm() -> None:
-    rows = {one.fault: one for one in try_faults("three_axis")}
+    rows = {row.fault: row for row in try_faults("three_axis")}
     stuck, sagging = rows["waist.encoder_stuck"], rows["supply_sags"]
     assert stuck.detected_by == "motion controller" and stuck.after < 0.5 and stuck.travel > 0.05
     assert sagging.travel == 0.0, "the move takes less than a fifth of the supply"

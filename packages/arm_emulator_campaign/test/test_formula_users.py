@@ -107,10 +107,10 @@ NOISY = {
 Answers = Sequence[float]
 
 
-def campaign_of(texts: Sequence[str], folder: Path, given: dict[str, object]) -> Campaign:
-    asked = {f"r{k}": f"always[0, 0] ({text})" for k, text in enumerate(texts)}
+def campaign_of(texts: Sequence[str], folder: Path, data: dict[str, object]) -> Campaign:
+    requirements = {f"r{k}": f"always[0, 0] ({text})" for k, text in enumerate(texts)}
     file = folder / "c.yaml"
-    file.write_text(yaml.safe_dump({**given, "requirements": asked}, sort_keys=False))
+    file.write_text(yaml.safe_dump({**data, "requirements": requirements}, sort_keys=False))
     return load_campaign(file)
 
 
@@ -120,12 +120,12 @@ def by_condition(texts: Sequence[str], folder: Path) -> list[bool]:
 
 
 def by_breakpoint(texts: Sequence[str], folder: Path) -> list[bool]:
-    plant, found = Plant(SCENE), []
+    plant, hits = Plant(SCENE), []
     for text in texts:
-        one = Breakpoint(plant, text)
-        found.append(bool(one.struct.held))
-        one.close()
-    return found
+        condition = Breakpoint(plant, text)
+        hits.append(bool(condition.struct.held))
+        condition.close()
+    return hits
 
 
 def by_lanes(texts: Sequence[str], folder: Path) -> Answers:
@@ -139,13 +139,13 @@ def by_simulator(texts: Sequence[str], folder: Path) -> Answers:
 
 
 def by_splitting(texts: Sequence[str], folder: Path) -> Answers:
-    found = []
+    margins = []
     for text in texts:
         search = {"method": "splitting", "of": "r0", "per_level": 20, "repetitions": 4}
         run = ForkingRun(campaign_of([text], folder, {**NOISY, "search": search}))
         run.begin(0, 1)
-        found.append(run.reach(-math.inf)[1])
-    return found
+        margins.append(run.reach(-math.inf)[1])
+    return margins
 
 
 VERDICTS = (by_condition, by_breakpoint)
@@ -154,23 +154,23 @@ MARGINS = (by_lanes, by_simulator)
 
 @pytest.mark.parametrize("user", VERDICTS)
 def test_verdicts(user: Callable[[Sequence[str], Path], list[bool]], tmp_path: Path) -> None:
-    found = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
-    assert found == {text: margin >= 0.0 for text, margin in TABLE.items()}
+    verdicts = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
+    assert verdicts == {text: margin >= 0.0 for text, margin in TABLE.items()}
 
 
 @pytest.mark.parametrize("user", MARGINS)
 def test_margins(user: Callable[[Sequence[str], Path], Answers], tmp_path: Path) -> None:
-    found = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
-    assert found == {text: reported(margin) for text, margin in TABLE.items()}
+    margins = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
+    assert margins == {text: reported(margin) for text, margin in TABLE.items()}
 
 
 def test_margins_of_splitting(tmp_path: Path) -> None:
     texts = [text for text in TABLE if "elbow" in text]
-    found = dict(zip(texts, by_splitting(texts, tmp_path), strict=True))
-    for text, least in found.items():
-        wanted = reported(TABLE[text])
+    margins = dict(zip(texts, by_splitting(texts, tmp_path), strict=True))
+    for text, margin in margins.items():
+        expected = reported(TABLE[text])
         # 0 is the level of failure: the sampled run goes on to its end by no other margin.
-        assert least == wanted or abs(least - wanted) <= sys.float_info.min, text
+        assert margin == expected or abs(margin - expected) <= sys.float_info.min, text
 
 
 def reported(margin: float) -> float:
@@ -185,22 +185,22 @@ def arithmetic(rng: np.random.Generator, depth: int) -> tuple[str, np.float64]:
         values |= {f"q.{joint}": q for joint, q in Q.items()}
         text = str(rng.choice(list(values)))
         return text, np.float64(values[text])
-    one, of_one = arithmetic(rng, depth - 1)
-    other, of_other = arithmetic(rng, depth - 1)
+    left, of_left = arithmetic(rng, depth - 1)
+    right, of_right = arithmetic(rng, depth - 1)
     match str(rng.choice(["+", "-", "*", "/", "abs", "sqrt", "min", "max"])):
         case "+":
-            return f"({one} + {other})", of_one + of_other
+            return f"({left} + {right})", of_left + of_right
         case "-":
-            return f"({one} - {other})", of_one - of_other
+            return f"({left} - {right})", of_left - of_right
         case "*":
-            return f"({one} * {other})", of_one * of_other
+            return f"({left} * {right})", of_left * of_right
         case "/":
-            quotient = of_one / of_other if of_other != 0.0 else np.float64(math.nan)
-            return f"({one} / {other})", quotient
+            quotient = of_left / of_right if of_right != 0.0 else np.float64(math.nan)
+            return f"({left} / {right})", quotient
         case "abs" | "sqrt" as name:
-            return f"{name}({one})", getattr(np, name)(of_one)
+            return f"{name}({left})", getattr(np, name)(of_left)
         case name:
-            return f"{name}({one}, {other})", getattr(np, f"{name}imum")(of_one, of_other)
+            return f"{name}({left}, {right})", getattr(np, f"{name}imum")(of_left, of_right)
 
 
 def formula(rng: np.random.Generator, depth: int) -> tuple[str, tuple[int, float]]:
@@ -214,23 +214,25 @@ def formula(rng: np.random.Generator, depth: int) -> tuple[str, tuple[int, float
         margin = 0.0 if more == less else float(more - less)
         holds = more > less or (more == less and "=" in sign)
         return f"{left} {sign} {right}", (1 if holds else -1, margin)
-    one, of_one = formula(rng, depth - 1)
+    left_term, value_of_left = formula(rng, depth - 1)
     if rng.random() < 0.25:
-        return f"not ({one})", (-of_one[0], -of_one[1])
-    other, of_other = formula(rng, depth - 1)
+        return f"not ({left_term})", (-value_of_left[0], -value_of_left[1])
+    right_term, value_of_right = formula(rng, depth - 1)
     sign = str(rng.choice(["and", "or"]))
-    joined = min(of_one, of_other) if sign == "and" else max(of_one, of_other)
-    return f"({one}) {sign} ({other})", joined
+    joined = (
+        min(value_of_left, value_of_right) if sign == "and" else max(value_of_left, value_of_right)
+    )
+    return f"({left_term}) {sign} ({right_term})", joined
 
 
 def test_random_formulas_by_all(tmp_path: Path) -> None:
     for seed in range(20 if FULL else 2):
         rng = np.random.default_rng(seed)
         with np.errstate(all="ignore"):
-            drawn = dict(formula(rng, 3) for _ in range(300))
-        texts = list(drawn)
-        holds = [rank > 0 for rank, _ in drawn.values()]
-        assert sum(rank == 0 for rank, _ in drawn.values()) > 20 and 50 < sum(holds) < 250
+            formulas = dict(formula(rng, 3) for _ in range(300))
+        texts = list(formulas)
+        holds = [rank > 0 for rank, _ in formulas.values()]
+        assert sum(rank == 0 for rank, _ in formulas.values()) > 20 and 50 < sum(holds) < 250
         for user in VERDICTS:
             assert dict(zip(texts, user(texts, tmp_path), strict=True)) == dict(
                 zip(texts, holds, strict=True)
@@ -243,7 +245,7 @@ def test_random_formulas_by_all(tmp_path: Path) -> None:
             else 0.0
             if rank > 0
             else FAILS_BY_0
-            for rank, margin in drawn.values()
+            for rank, margin in formulas.values()
         ]
         for judge in MARGINS:
             assert dict(zip(texts, judge(texts, tmp_path), strict=True)) == dict(
@@ -256,28 +258,28 @@ def test_a_moving_machine_has_the_same_signals_in_conditions_and_campaigns(
 ) -> None:
     """Time, tick and tool to the last bit: from the same machine at the same ticks."""
     file = tmp_path / "c.yaml"
-    asked = {"end": "eventually (tick >= 40)"}
+    requirements = {"end": "eventually (tick >= 40)"}
     signals = {name.replace(".", "_"): name for name in ("t", "tick", *TOOL)}
     measures = {name: f"last({signal})" for name, signal in signals.items()}
     file.write_text(yaml.safe_dump({
-        "scene": "three_axis", "requirements": asked, "measures": measures, "count": 1,
+        "scene": "three_axis", "requirements": requirements, "measures": measures, "count": 1,
         "scenario": {"seconds": 0.04, "targets": [{"at": 0.0, "elbow": 1.5}]},
     }))  # fmt: skip
     simulator = Simulator(load_campaign(file))
-    found = simulator.run(0).measures
+    values = simulator.run(0).measures
     session = simulator.session
-    assert session.tick == found["tick"] == 40
+    assert session.tick == values["tick"] == 40
     assert session.state.v.any()
-    for name, value in found.items():
+    for name, value in values.items():
         text = f"{value!r} <= {signals[name]} <= {value!r}"
         assert Condition(text, SCENE).holds(session), text
 
 
 def test_walks_of_long_formulas_need_no_recursion() -> None:
     text = "+".join(["v.*"] * 990) + " > 1"
-    known = [f"v.{joint}" for joint in SCENE.joint_names]
-    bound = bind_signals(parse_formula(text, "c", "r"), known, "c", "r")
-    assert find_formula_unit(bound, dict.fromkeys(known, "rad/s")) == "rad/s"
+    signal_names = [f"v.{joint}" for joint in SCENE.joint_names]
+    bound = bind_signals(parse_formula(text, "c", "r"), signal_names, "c", "r")
+    assert find_formula_unit(bound, dict.fromkeys(signal_names, "rad/s")) == "rad/s"
     assert not Breakpoint(Plant(SCENE), text).struct.held
 
 
@@ -285,6 +287,6 @@ def test_walks_of_long_formulas_need_no_recursion() -> None:
     "text", ["(" * 31 + "1" + ")" * 31 + " > 0", "-" * 70 + "1 > 0", "1+" * 2000 + "1 > 0"]
 )
 def test_texts_that_are_too_deep_or_long_are_refused_in_a_line(text: str) -> None:
-    for what in (lambda: Condition(text, SCENE), lambda: Breakpoint(Plant(SCENE), text)):
+    for refused_call in (lambda: Condition(text, SCENE), lambda: Breakpoint(Plant(SCENE), text)):
         with pytest.raises(Refusal, match=r"levels|characters"):
-            what()
+            refused_call()

@@ -90,8 +90,8 @@ def until(left, right, begin, end):
         last = min(t + end, len(rows["a"]) - 1)
         best = NONE
         for s in range(t + begin, int(last) + 1):
-            held = min((left(rows, r) for r in range(t, s)), default=ALL)
-            best = max(best, min(held, right(rows, s)))
+            left_margin = min((left(rows, r) for r in range(t, s)), default=ALL)
+            best = max(best, min(left_margin, right(rows, s)))
         return best
 
     return value
@@ -109,11 +109,11 @@ def drawn_interval(rng, horizon):
 
 def fed(text, rows, cuts, longest=None):
     count = len(rows["a"])
-    one = Judged(parse_formula(text, "test", "formula"), longest or count, room=count)
+    judged = Judged(parse_formula(text, "test", "formula"), longest or count, room=count)
     for _ in range(2):  # the second trace begins anew
         for first, last in zip([0, *cuts], [*cuts, count], strict=True):
-            one.feed({name: row[first:last] for name, row in rows.items()})
-        value = one.end()
+            judged.feed({name: row[first:last] for name, row in rows.items()})
+        value = judged.end()
     return value
 
 
@@ -123,13 +123,13 @@ class Judged:
     def __init__(self, formula, longest, quantity="formula", room=None):
         self.rows = Rows([], PERIOD)
         row_of = self.rows.of_formula
-        one = Robustness(judges(), formula, row_of, PERIOD, longest, "c.yaml", quantity)
-        self.program = Program(self.rows, [[one]], [], [], room or longest)
+        robustness = Robustness(judges(), formula, row_of, PERIOD, longest, "c.yaml", quantity)
+        self.program = Program(self.rows, [[robustness]], [], [], room or longest)
         self.program.begin()
 
     def feed(self, signals):
-        given = [signals[name] for name in self.rows.samples] or [*signals.values()]
-        self.program.take(np.array([given]), np.array([len(given[0])]))
+        samples = [signals[name] for name in self.rows.samples] or [*signals.values()]
+        self.program.take(np.array([samples]), np.array([len(samples[0])]))
 
     def end(self):
         value = float(self.program.end()[0][0, 0])
@@ -176,18 +176,18 @@ def test_samples_that_are_no_numbers_decide_nothing():
         rng = np.random.default_rng(k)
         for name in NAMES:
             rows[name][rng.integers(0, count, 2)] = math.nan
-        found, expected = fed(text, rows, cuts), margin_of(brute(rows, 0))
-        assert found == expected or (math.isnan(found) and math.isnan(expected)), (k, text)
-        if math.isnan(found):
+        margin, expected = fed(text, rows, cuts), margin_of(brute(rows, 0))
+        assert margin == expected or (math.isnan(margin) and math.isnan(expected)), (k, text)
+        if math.isnan(margin):
             undefined += 1
             continue
         for _ in range(5):
-            other = {
+            replaced = {
                 name: np.where(np.isnan(row), rng.uniform(-3.0, 3.0, count), row)
                 for name, row in rows.items()
             }
-            assert (margin_of(brute(other, 0)) >= 0.0) == (found >= 0.0), (k, text)
-        decided += math.isfinite(found) and any(np.isnan(row).any() for row in rows.values())
+            assert (margin_of(brute(replaced, 0)) >= 0.0) == (margin >= 0.0), (k, text)
+        decided += math.isfinite(margin) and any(np.isnan(row).any() for row in rows.values())
     assert undefined > 30 and decided > 100
 
 
@@ -195,13 +195,13 @@ def test_long_windows_over_a_long_trace():
     rng = np.random.default_rng(1)
     a = rng.normal(size=20_000)
     text = "always[0, 150] eventually[0.5, 3] (a >= 0.2 until[0.1, 1] a <= 1)"
-    one = Judged(parse_formula(text, "test", "formula"), len(a))
+    judged = Judged(parse_formula(text, "test", "formula"), len(a))
     values = []
     for piece in (1, 7, 501, 20_000):
         for first in range(0, len(a), piece):
             some = a[first : first + piece]
-            one.feed({"a": some})
-        values.append(one.end())
+            judged.feed({"a": some})
+        values.append(judged.end())
     last = 15_000 + 300 + 100
     inner = [
         max(min(a[t:s].min(initial=math.inf) - 0.2, 1.0 - a[s]) for s in range(t + 10, t + 101))
@@ -241,17 +241,19 @@ def test_bad_formulas_are_refused_in_a_line(text, reason):
 
 
 def test_stars_stand_for_all_joints():
-    known = ["q.elbow", "q.waist", "target.elbow", "target.waist", "v.waist"]
+    signal_names = ["q.elbow", "q.waist", "target.elbow", "target.waist", "v.waist"]
     formula = parse_formula("always abs(q.* - target.*) < 1", "c", "r")
-    assert list_signals(bind_signals(formula, known, "c", "r")) == set(known[:4])
+    assert list_signals(bind_signals(formula, signal_names, "c", "r")) == set(signal_names[:4])
     rows = Rows(["elbow", "waist"], PERIOD)
-    formula = bind_signals(formula, known, "c", "r")
-    one = Robustness(judges(), formula, rows.of_formula, PERIOD, 3)
-    program = Program(rows, [[one]], [], [], 3)
+    formula = bind_signals(formula, signal_names, "c", "r")
+    requirement = Robustness(judges(), formula, rows.of_formula, PERIOD, 3)
+    program = Program(rows, [[requirement]], [], [], 3)
     program.begin()
-    held = {"q.elbow": 0.0, "q.waist": 0.5}
+    positions = {"q.elbow": 0.0, "q.waist": 0.5}
     targets = Targets.of([([0], np.array([[0.25, -0.25]]))])
-    program.take(np.array([[[held[name]] * 3 for name in rows.samples]]), np.array([3]), targets)
+    program.take(
+        np.array([[[positions[name]] * 3 for name in rows.samples]]), np.array([3]), targets
+    )
     robustness, measures = program.end()
     assert robustness.tolist() == [[0.25]] and measures.shape == (1, 0)
 
@@ -265,15 +267,15 @@ def drawn_arithmetic(rng, depth, signals):
         name = str(rng.choice(sorted(signals)))
         return Signal(name), signals[name]
     sign = str(rng.choice(["+", "-", "*", "/", "abs", "sqrt", "min", "max"]))
-    one, of_one = drawn_arithmetic(rng, depth - 1, signals)
+    left, of_left = drawn_arithmetic(rng, depth - 1, signals)
     if sign in ("abs", "sqrt"):
-        return Operation(sign, (one,)), getattr(np, sign)(of_one)
-    other, of_other = drawn_arithmetic(rng, depth - 1, signals)
+        return Operation(sign, (left,)), getattr(np, sign)(of_left)
+    right, of_right = drawn_arithmetic(rng, depth - 1, signals)
     name = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide"}.get(sign, f"{sign}imum")
     if sign == "/":  # which numpy gives a sign of infinity
-        other_than_0 = np.where(of_other == 0.0, math.nan, of_other)
-        return Operation(sign, (one, other)), of_one / other_than_0
-    return Operation(sign, (one, other)), getattr(np, name)(of_one, of_other)
+        divisor = np.where(of_right == 0.0, math.nan, of_right)
+        return Operation(sign, (left, right)), of_left / divisor
+    return Operation(sign, (left, right)), getattr(np, name)(of_left, of_right)
 
 
 REDUCED = {"max": np.max, "min": np.min, "last": lambda row: row[-1],
@@ -291,32 +293,34 @@ def test_arithmetic_of_signals_equals_numpy(seed):
     signals = {name: rng.normal(size=count) for name in ("a", "q.x", "q.y.z")}
     signals |= {"t": ticks * PERIOD, "tick": ticks.astype(float)}
     for place, joint in enumerate(joints):
-        held = targets.q[np.searchsorted(since, ticks, "right") - 1, place]
-        signals |= {f"target.{joint}": held, f"error.{joint}": signals[f"q.{joint}"] - held}
+        target = targets.q[np.searchsorted(since, ticks, "right") - 1, place]
+        signals |= {f"target.{joint}": target, f"error.{joint}": signals[f"q.{joint}"] - target}
     rows = Rows(joints, PERIOD)
     with np.errstate(all="ignore"):
-        drawn = [drawn_arithmetic(rng, 4, signals) for _ in range(8)]
-    wanted = [rows.of(one) for one, _ in drawn]
-    measures = [(kind, row) for kind in REDUCED for row in wanted]
-    program = Program(rows, [()], measures, wanted, count)
-    whole = np.array([signals[name] for name in rows.samples]).reshape(-1, count)
+        expressions = [drawn_arithmetic(rng, 4, signals) for _ in range(8)]
+    traced = [rows.of(expression) for expression, _ in expressions]
+    measures = [(kind, row) for kind in REDUCED for row in traced]
+    program = Program(rows, [()], measures, traced, count)
+    samples = np.array([signals[name] for name in rows.samples]).reshape(-1, count)
     for _ in range(2):  # the second run begins anew
         program.begin()
-        found, first = [], 0
+        pieces, first = [], 0
         for last in [*np.sort(rng.integers(0, count + 1, 2)), count]:
-            piece = np.ascontiguousarray(whole[:, first:last])[np.newaxis]
+            piece = np.ascontiguousarray(samples[:, first:last])[np.newaxis]
             program.take(piece, np.array([last - first]), targets)
-            found.append(program.kept[0, :, : last - first].copy())
+            pieces.append(program.kept[0, :, : last - first].copy())
             first = last
         _, reduced = program.end()
-        assert np.array_equal(np.hstack(found), [values for _, values in drawn], equal_nan=True)
+        assert np.array_equal(
+            np.hstack(pieces), [values for _, values in expressions], equal_nan=True
+        )
     with np.errstate(all="ignore"):
-        by_numpy = [REDUCED[kind](values) for kind in REDUCED for _, values in drawn]
-    scale = [np.abs(values).max() for _, values in drawn] * len(REDUCED)
-    for value, expected, most in zip(reduced[0], by_numpy, scale, strict=True):
+        by_numpy = [REDUCED[kind](values) for kind in REDUCED for _, values in expressions]
+    scale = [np.abs(values).max() for _, values in expressions] * len(REDUCED)
+    for value, expected, magnitude in zip(reduced[0], by_numpy, scale, strict=True):
         # Sums in another order: rounding of `count` terms.
         same = value == expected or (math.isnan(value) and math.isnan(expected))
-        assert same or abs(value - expected) <= 1e-15 * count * most
+        assert same or abs(value - expected) <= 1e-15 * count * magnitude
 
 
 @pytest.mark.parametrize(

@@ -53,14 +53,14 @@ def written(folder, data, name="c.yaml"):
 
 def found_by(method, outputs_at, D, seed=1, outputs=("g",)):
     """Finding about a function of points (K, D) -> (K, M), and the points that were asked for."""
-    course, asked = method.sampler([f"x{k}" for k in range(D)], list(outputs), seed), []
+    sampler, requested = method.sampler([f"x{k}" for k in range(D)], list(outputs), seed), []
     try:
-        points = next(course)
+        points = next(sampler)
         while True:
-            asked.append(points)
-            points = course.send(np.reshape(outputs_at(points), (len(points), -1)))
+            requested.append(points)
+            points = sampler.send(np.reshape(outputs_at(points), (len(points), -1)))
     except StopIteration as end:
-        return end.value[0], np.concatenate(asked)
+        return end.value[0], np.concatenate(requested)
 
 
 # ---------------------------------------------------------------------------------- rare failures
@@ -114,10 +114,10 @@ def test_rare_probabilities_are_known_from_few_runs(beta, p):
 
 
 def test_a_requirement_that_never_fails_has_no_probability():
-    found = found_by(Subset(per_level=50), lambda z: 1.0 + 0.0 * z[:, 0], 2)[0]
-    assert found.rows[0][1:4] == (0.0, 0.0, 1.0) and "No level reached" in found.about
-    found = found_by(Subset(per_level=50, least=1e-3), plane(9.0, 2), 2)[0]
-    assert found.rows[0][1:4] == (0.0, 0.0, 1.0)
+    finding = found_by(Subset(per_level=50), lambda z: 1.0 + 0.0 * z[:, 0], 2)[0]
+    assert finding.rows[0][1:4] == (0.0, 0.0, 1.0) and "No level reached" in finding.about
+    finding = found_by(Subset(per_level=50, least=1e-3), plane(9.0, 2), 2)[0]
+    assert finding.rows[0][1:4] == (0.0, 0.0, 1.0)
 
 
 def test_subset_simulation_of_a_frequent_failure_is_plain_sampling():
@@ -142,11 +142,11 @@ def bowl(z):
 def test_falsification_finds_what_sampling_does_not(method):
     pytest.importorskip(method.package[0], reason=f"pip install {method.package[1]}")
     some = method(most=400, below=-1e300)
-    found, points = found_by(some, bowl, 3)
-    assert len(points) == 400 == found.rows[0][3] and np.abs(points).max() <= 3.0
-    drawn = bowl(np.random.default_rng(1).standard_normal((400, 3))).min()
-    assert found.rows[0][1] == bowl(points).min() < 0.5 * drawn
-    assert bowl(points)[found.rows[0][2]] == found.rows[0][1]
+    finding, points = found_by(some, bowl, 3)
+    assert len(points) == 400 == finding.rows[0][3] and np.abs(points).max() <= 3.0
+    sampled = bowl(np.random.default_rng(1).standard_normal((400, 3))).min()
+    assert finding.rows[0][1] == bowl(points).min() < 0.5 * sampled
+    assert bowl(points)[finding.rows[0][2]] == finding.rows[0][1]
     again = found_by(some, bowl, 3)[1]
     assert (again == points).all() and (found_by(some, bowl, 3, 2)[1] != points).any()
     stopped, points = found_by(replace(some, below=0.0), lambda z: bowl(z) - 1.0, 3)
@@ -163,30 +163,30 @@ def test_sobol_indices_are_those_of_ishigami():
         g = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
         return np.column_stack([g, 1e6 + g, 0.0 * g, np.where(z[:, 0] > 2.0, -np.inf, g)])
 
-    found, points = found_by(Sobol(base=1024), ishigami, 3, outputs=("g", "moved", "flat", "inf"))
+    finding, points = found_by(Sobol(base=1024), ishigami, 3, outputs=("g", "moved", "flat", "inf"))
     assert len(points) == Sobol(base=1024).runs(3) == 5 * 1024
-    rows = {(row[0], row[1]): row[2:] for row in found.rows}
+    rows = {(row[0], row[1]): row[2:] for row in finding.rows}
     truth = {"x0": (0.5576, 0.3139), "x1": (0.4424, 0.4424), "x2": (0.2437, 0.0)}
     for output, (name, of_all) in itertools.product(("g", "moved"), truth.items()):
         total, _, alone, _ = rows[output, name]
         assert (total, alone) == pytest.approx(of_all, abs=0.04), (output, name)
-    assert {row[0] for row in found.rows} == {"g", "moved"}
-    assert "flat: the same" in found.about and "inf: not finite" in found.about
+    assert {row[0] for row in finding.rows} == {"g", "moved"}
+    assert "flat: the same" in finding.about and "inf: not finite" in finding.about
 
 
 def test_morris_effects_of_a_sum_are_its_factors():
     pytest.importorskip("SALib", reason="pip install SALib")
-    found, points = found_by(
+    finding, points = found_by(
         Morris(trajectories=10), lambda z: special.ndtr(z) @ np.array([3.0, -2.0, 0.0]), 3
     )
     assert len(points) == 40
-    effects = {row[1]: (row[4], row[5]) for row in found.rows}  # mean and spread; 1 % to 99 %
+    effects = {row[1]: (row[4], row[5]) for row in finding.rows}  # mean and spread; 1 % to 99 %
     # The statement beside the effects names the quantiles between which steps lead.
     quantiles = np.unique(np.round(special.ndtr(points), 9))
     assert quantiles == pytest.approx([0.01, 0.01 + 0.98 / 3, 0.01 + 1.96 / 3, 0.99], abs=1e-9)
     steps = np.abs(np.diff(special.ndtr(points).reshape(10, 4, 3), axis=1)).max(axis=2)
     assert steps == pytest.approx(0.98 * 2 / 3, abs=1e-9)
-    assert "such as 1 and 66.3 %, divided by 0.667" in found.about
+    assert "such as 1 and 66.3 %, divided by 0.667" in finding.about
     assert effects["x0"] == pytest.approx((0.98 * 3.0, 0.0), abs=1e-9)
     assert effects["x1"] == pytest.approx((-0.98 * 2.0, 0.0), abs=1e-9)
     assert effects["x2"] == pytest.approx((0.0, 0.0), abs=1e-9)
@@ -215,18 +215,18 @@ class Here:
         pass
 
 
-def searched(one, folder, pool, workers, seconds=1e-3):
-    results, pool.workers = Results(folder, one), workers
-    crew = WorkerPool(lambda: pool, seconds, lambda _: None)
-    return Searcher(one, results, crew).run(), results.columns()
+def searched(campaign, folder, pool, workers, seconds=1e-3):
+    results, pool.workers = Results(folder, campaign), workers
+    worker_pool = WorkerPool(lambda: pool, seconds, lambda _: None)
+    return Searcher(campaign, results, worker_pool).run(), results.columns()
 
 
-def probability(one):
+def probability(campaign):
     """Integral over the payload of what forces fail, by bisection on the machine."""
-    simulator = Simulator(one)
+    simulator = Simulator(campaign)
 
     def margin(*z):
-        return simulator.run(place_case(one.variation, 0, z)).robustness["near"]
+        return simulator.run(place_case(campaign.variation, 0, z)).robustness["near"]
 
     def above(payload, sign):
         return stats.norm.sf(
@@ -239,19 +239,19 @@ def probability(one):
 
 
 def test_rare_failures_of_a_machine(tmp_path):
-    one = load_campaign(written(tmp_path, PUSHED))
-    (found,), columns = searched(one, tmp_path / "r", Here(), 2)
-    _, mean, low, high, runs = found.rows[0]
-    p = probability(one)
+    campaign = load_campaign(written(tmp_path, PUSHED))
+    (finding,), columns = searched(campaign, tmp_path / "r", Here(), 2)
+    _, mean, low, high, runs = finding.rows[0]
+    p = probability(campaign)
     assert p < 1e-4 and low <= p <= high and mean < 3.0 * p, (p, low, high)
     assert len(columns["index"]) == runs
     # A row is a function of its values: driven again, in another order.
     rng = np.random.default_rng(2)
     cases, places = [], rng.integers(0, runs, 20)
     for at in places:
-        values = {number.name: columns[number.name][at] for number in one.variation.numbers}
-        cases.append(make_case(one.variation, int(at), values))
-    (again,) = make_simulator(one).runs(cases)
+        values = {number.name: columns[number.name][at] for number in campaign.variation.numbers}
+        cases.append(make_case(campaign.variation, int(at), values))
+    (again,) = make_simulator(campaign).runs(cases)
     assert np.array_equal(again.robustness[:, 0], columns["robustness.near"][places])
 
 
@@ -260,16 +260,16 @@ def test_the_example_agrees_with_bisection_along_lines(tmp_path):
     """Draws of all numbers but the force; the failing forces of each by bisection."""
     text = (EXAMPLES / "search.yaml").read_text()
     (tmp_path / "c.yaml").write_text(f"{text}\nseed: 4\n")
-    one = load_campaign(tmp_path / "c.yaml")
-    (found,), _ = searched(one, tmp_path / "r", Here(), 2)
-    _, _, low, high, _ = found.rows[0]
-    simulator, rng = Simulator(one), np.random.default_rng(1)
-    names = [number.name for number in one.variation.numbers]
+    campaign = load_campaign(tmp_path / "c.yaml")
+    (finding,), _ = searched(campaign, tmp_path / "r", Here(), 2)
+    _, _, low, high, _ = finding.rows[0]
+    simulator, rng = Simulator(campaign), np.random.default_rng(1)
+    names = [number.name for number in campaign.variation.numbers]
     force = names.index("faults.push.force.2")
 
     def holds(z, size):
         z[force] = size
-        return simulator.run(place_case(one.variation, 0, z)).robustness["stays_near"] >= 0.0
+        return simulator.run(place_case(campaign.variation, 0, z)).robustness["stays_near"] >= 0.0
 
     p = np.zeros(100)
     for k in range(len(p)):
@@ -288,26 +288,26 @@ def test_the_example_agrees_with_bisection_along_lines(tmp_path):
 def test_a_search_does_not_depend_on_how_it_was_divided(tmp_path):
     data = json.loads(json.dumps(PUSHED))
     data["search"] |= {"per_level": 50, "repetitions": 4}
-    one = load_campaign(written(tmp_path, data))
-    found, whole = searched(one, tmp_path / "whole", Here(), 1)
+    campaign = load_campaign(written(tmp_path, data))
+    findings, full_results = searched(campaign, tmp_path / "whole", Here(), 1)
     into = tmp_path / "pieces"
     for chunks, workers in ((1, 1), (0, 2), (5, 3), (9, 2)):
         with pytest.raises(KeyboardInterrupt):
-            searched(one, into, Here(chunks), workers, seconds=0.1)
+            searched(campaign, into, Here(chunks), workers, seconds=0.1)
     assert len(list((into / "parts").iterdir())) == 15
-    again, pieces = searched(one, into, Here(), 7, seconds=0.05)
-    assert again == found and compute_digest(pieces) == compute_digest(whole)
-    done, _ = searched(one, into, Here(0), 1)  # nothing is simulated once more
-    assert done == found and json.loads((into / "search.json").read_text())[0]["title"]
+    again, pieces = searched(campaign, into, Here(), 7, seconds=0.05)
+    assert again == findings and compute_digest(pieces) == compute_digest(full_results)
+    done, _ = searched(campaign, into, Here(0), 1)  # nothing is simulated once more
+    assert done == findings and json.loads((into / "search.json").read_text())[0]["title"]
     # Runs that other versions of a package asked for are not taken for ours.
     part = sorted((into / "parts").iterdir())[0]
-    other = _with_other_values(part)
+    changed_table = _with_other_values(part)
     part.unlink()
-    part.with_name(f"{part.stem.rpartition('-')[0]}-{compute_checksum(other)}.parquet").write_bytes(
-        other
-    )
+    part.with_name(
+        f"{part.stem.rpartition('-')[0]}-{compute_checksum(changed_table)}.parquet"
+    ).write_bytes(changed_table)
     with pytest.raises(Refusal, match="have runs of this search"):
-        searched(one, into, Here(), 1)
+        searched(campaign, into, Here(), 1)
 
 
 def _with_other_values(part):
@@ -318,9 +318,9 @@ def _with_other_values(part):
 
     table = pq.read_table(part)
     at = table.column_names.index("payload.mass")
-    other = pa.array(table["payload.mass"].to_numpy() + 1e-9)
+    changed_masses = pa.array(table["payload.mass"].to_numpy() + 1e-9)
     stream = io.BytesIO()
-    pq.write_table(table.set_column(at, table.schema.field(at), other), stream)
+    pq.write_table(table.set_column(at, table.schema.field(at), changed_masses), stream)
     return stream.getvalue()
 
 
@@ -391,7 +391,7 @@ def test_the_fewest_changes_are_found():
 
         left = find_fewest(names, fails)
         assert fails(left) and set(left) in causes
-        assert not any(fails([one for one in left if one != name]) for name in left)
+        assert not any(fails([change for change in left if change != name]) for name in left)
 
 
 def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
@@ -402,21 +402,21 @@ def test_a_failure_is_shrunk_to_its_cause_and_written(tmp_path):
         "controller.joints.elbow.velocity_gain": "uniform(120, 180)",
         "scenario.targets.0.elbow": "uniform(0.79, 0.81)",
     }
-    one = load_campaign(written(tmp_path, data))
-    values = dict(draw_case(one.variation, 3).values) | {"faults.push.force.2": 900.0}
-    case = replace(draw_case(one.variation, 3), values=values)
-    found = shrink(one, case)
-    assert found.changes == {"faults.push.force.2": 900.0} and found.faults == ("push",)
+    campaign = load_campaign(written(tmp_path, data))
+    values = dict(draw_case(campaign.variation, 3).values) | {"faults.push.force.2": 900.0}
+    case = replace(draw_case(campaign.variation, 3), values=values)
+    shrunk = shrink(campaign, case)
+    assert shrunk.changes == {"faults.push.force.2": 900.0} and shrunk.faults == ("push",)
     # A period less does not fail: the machine alone, tick by tick.
-    assert 0.01 < found.seconds < 0.06 and found.margin < 0.0 and found.requirement == "near"
-    shorter = replace(found.case, seconds=found.seconds - one.scene.servo_period)
-    assert Simulator(one).run(shorter).robustness["near"] >= 0.0
-    again = load_campaign(write_shrunk(one, found, tmp_path / "shrunk"))
+    assert 0.01 < shrunk.seconds < 0.06 and shrunk.margin < 0.0 and shrunk.requirement == "near"
+    shorter = replace(shrunk.case, seconds=shrunk.seconds - campaign.scene.servo_period)
+    assert Simulator(campaign).run(shorter).robustness["near"] >= 0.0
+    again = load_campaign(write_shrunk(campaign, shrunk, tmp_path / "shrunk"))
     assert again.count == 1 and Simulator(again).run(0).robustness["near"] == pytest.approx(
-        found.margin, abs=1e-9
+        shrunk.margin, abs=1e-9
     )
     with pytest.raises(Refusal, match="must fail"):
-        shrink(one, draw_case(one.variation, 3))
+        shrink(campaign, draw_case(campaign.variation, 3))
 
 
 def test_numbers_of_scene_and_servo_are_written(tmp_path):
@@ -426,11 +426,13 @@ def test_numbers_of_scene_and_servo_are_written(tmp_path):
         "controller.joints.elbow.velocity_gain": "uniform(120, 180)",
     }
     data["requirements"] = {"short": "always error.elbow < -1"}
-    one = load_campaign(written(tmp_path, data))
-    found = shrink(one, draw_case(one.variation, 0))
-    assert found.changes == {} and found.faults == ()  # it fails without any change
+    campaign = load_campaign(written(tmp_path, data))
+    shrunk = shrink(campaign, draw_case(campaign.variation, 0))
+    assert shrunk.changes == {} and shrunk.faults == ()  # it fails without any change
     changes = {"payload.mass": 2.5, "controller.joints.elbow.velocity_gain": 133.0}
-    again = load_campaign(write_shrunk(one, replace(found, changes=changes), tmp_path / "shrunk"))
+    again = load_campaign(
+        write_shrunk(campaign, replace(shrunk, changes=changes), tmp_path / "shrunk")
+    )
     case = draw_case(again.variation, 0)
     assert case.values == changes
     gains = {joint.name: joint.velocity_gain for joint in bind_case(again, case).servo.joints}

@@ -106,15 +106,15 @@ def of_walk(bound):
 def test_repetitions_have_the_true_probability_in_their_mean():
     method, process = Splitting(of="g", per_level=60, repetitions=40), Walk(9.0)
     levels, leads = method.run_pilot(process, 1)
-    found = [method.run_repetition(process, levels, 1, k) for k in range(1, 41)]
-    p = np.array([one.probability for one in found])
+    repetitions = [method.run_repetition(process, levels, 1, k) for k in range(1, 41)]
+    p = np.array([repetition.probability for repetition in repetitions])
     truth = of_walk(9.0)
     assert leads and truth == pytest.approx(9.9e-4, rel=0.01)
     # Four standard errors of the mean: once in 16 000 draws of the seed.
     assert np.mean(p) == pytest.approx(truth, abs=4.0 * np.std(p) / math.sqrt(len(p)))
     assert np.std(p) < 2.0 * truth, "sampling as many runs would have 4 times that"
-    _, _, low, high, runs = method.finding("g", levels, found).rows[0]
-    assert low <= truth <= high and runs == sum(one.runs for one in found)
+    _, _, low, high, runs = method.finding("g", levels, repetitions).rows[0]
+    assert low <= truth <= high and runs == sum(repetition.runs for repetition in repetitions)
 
 
 def test_a_failure_that_no_level_leads_to_is_reported():
@@ -137,41 +137,41 @@ MOVES = {
 @pytest.mark.parametrize("change", [{}, MOVES], ids=["targets", "moves"])
 def test_a_fork_with_the_noise_of_its_run_is_that_run(tmp_path, change):
     """Faults that have begun and ended, power, servo and counts with it; whatever is between."""
-    one = ForkingRun(read(tmp_path, DRIFTS | change))
-    one.begin(3, 5)
-    whole = one.reach(-math.inf)[1]
-    state = bits(one)
-    one.begin(3, 5)
-    level = 0.9 * 0.004 + 0.1 * whole
-    assert one.reach(level)[0]
-    fork, tick = one.fork(), one.session.tick
-    one.begin(4, 6)  # another run between
-    one.reach(-math.inf)
-    one.go_on(fork, 5)
-    assert one.session.tick == tick
-    assert one.reach(-math.inf)[1] == whole and bits(one) == state
-    one.go_on(fork, 7)
-    one.reach(-math.inf)
-    assert bits(one) != state, "other noise"
+    run = ForkingRun(read(tmp_path, DRIFTS | change))
+    run.begin(3, 5)
+    minimum = run.reach(-math.inf)[1]
+    state = bits(run)
+    run.begin(3, 5)
+    level = 0.9 * 0.004 + 0.1 * minimum
+    assert run.reach(level)[0]
+    fork, tick = run.fork(), run.session.tick
+    run.begin(4, 6)  # another run between
+    run.reach(-math.inf)
+    run.go_on(fork, 5)
+    assert run.session.tick == tick
+    assert run.reach(-math.inf)[1] == minimum and bits(run) == state
+    run.go_on(fork, 7)
+    run.reach(-math.inf)
+    assert bits(run) != state, "other noise"
 
 
 def test_a_level_is_reached_at_its_tick(tmp_path):
     """Pieces of any length find the same tick."""
-    one, found = ForkingRun(read(tmp_path)), set()
+    run, states = ForkingRun(read(tmp_path)), set()
     for look in (1, 7, 1000):
-        one._look = one._at_most = look
-        one.begin(2, 9)
-        reached, least = one.reach(0.003)
-        found.add((reached, least, one.session.tick, bits(one)))
-    assert len(found) == 1 and found.pop()[0]
+        run._look = run._at_most = look
+        run.begin(2, 9)
+        reached, minimum = run.reach(0.003)
+        states.add((reached, minimum, run.session.tick, bits(run)))
+    assert len(states) == 1 and states.pop()[0]
 
 
 @pytest.mark.parametrize("change", [{}, MOVES], ids=["targets", "moves"])
 def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, change):
     """Bits of the machine where it fails, and its margin over the whole run, alone and in lanes."""
     own = {"faults.push.at": "uniform(0.01, 0.03)", "seed": "uniform(0, 1000)"}
-    one = read(tmp_path, DRIFTS | change | {"vary": own})
-    forks, seeds = ForkingRun(one), (5, 7, 2**31 + 9)
+    campaign = read(tmp_path, DRIFTS | change | {"vary": own})
+    forks, seeds = ForkingRun(campaign), (5, 7, 2**31 + 9)
     forks.begin(3, seeds[0])
     origin = Origin(3, ((0, seeds[0]),))
     for level, seed in zip((0.003, 0.002), seeds[1:], strict=True):
@@ -179,32 +179,32 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, ch
         forks.go_on(forks.fork(), seed)
         origin = Origin(3, (*origin.seeds, (forks.now, seed)))
     assert forks.reach(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
-    alone, case = Simulator(one), make_forked_case(one, origin)
+    alone, case = Simulator(campaign), make_forked_case(campaign, origin)
     for done in alone.drive(case, 1):
         if done == forks.now:
             assert bits(alone) == bits(forks)
-    whole = forks.reach(-math.inf)[1]
-    assert alone.run(case).robustness["counts"] == pytest.approx(whole, abs=1e-15)
-    (found,) = make_simulator(one).runs([case])
-    assert found.robustness[0, 0] == pytest.approx(whole, abs=1e-12)
+    minimum = forks.reach(-math.inf)[1]
+    assert alone.run(case).robustness["counts"] == pytest.approx(minimum, abs=1e-15)
+    (outcomes,) = make_simulator(campaign).runs([case])
+    assert outcomes.robustness[0, 0] == pytest.approx(minimum, abs=1e-12)
 
 
 def test_a_failure_is_replayed_and_shrunk_by_its_number(tmp_path):
-    one, into = read(tmp_path, RARE), tmp_path / "results"
-    results = Results(into, one)
-    found = Splitter(one, results, WorkerPool(Here, 1.0, lambda _: None)).run()
-    assert found[2].title == "Failures" and len(found[2].rows) == 10
+    campaign, into = read(tmp_path, RARE), tmp_path / "results"
+    results = Results(into, campaign)
+    findings = Splitter(campaign, results, WorkerPool(Here, 1.0, lambda _: None)).run()
+    assert findings[2].title == "Failures" and len(findings[2].rows) == 10
     first, *_ = read_failures(results)
-    assert found[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
+    assert findings[2].rows[0][:3] == (0, first.index, len(first.seeds) - 1)
     count = len(read_failures(results))
-    simulator = Simulator(one)
+    simulator = Simulator(campaign)
     for k in range(0, count, max(1, count // 5)):
-        assert simulator.run(find_case(one, into, k, "--replay")).robustness["counts"] < 0.0
+        assert simulator.run(find_case(campaign, into, k, "--replay")).robustness["counts"] < 0.0
     with pytest.raises(Refusal, match=f"be a failure of the search, got {count}"):
-        find_case(one, into, count, "--replay")
-    k = next(k for k, one in enumerate(read_failures(results)) if len(one.seeds) > 1)
-    shrunk = shrink(one, find_case(one, into, k, "--shrink"))
-    file = write_shrunk(one, shrunk, tmp_path / "shrunk")
+        find_case(campaign, into, count, "--replay")
+    k = next(k for k, failure in enumerate(read_failures(results)) if len(failure.seeds) > 1)
+    shrunk = shrink(campaign, find_case(campaign, into, k, "--shrink"))
+    file = write_shrunk(campaign, shrunk, tmp_path / "shrunk")
     again = Simulator(load_campaign(file)).run(0)
     assert again.robustness == {"counts": pytest.approx(shrunk.margin, abs=1e-15)}
 
@@ -224,19 +224,19 @@ class Here:
 
 
 def test_a_search_goes_on_and_has_the_same_end(tmp_path):
-    one = read(tmp_path, RARE)
-    results = Results(tmp_path / "results", one)
-    first = Splitter(one, results, WorkerPool(Here, 1.0, lambda _: None)).run()
+    campaign = read(tmp_path, RARE)
+    results = Results(tmp_path / "results", campaign)
+    first = Splitter(campaign, results, WorkerPool(Here, 1.0, lambda _: None)).run()
     for name in ("pilot", "0003"):  # as if it had been interrupted
         (results.folder / f"splitting/{name}.json").unlink()
-    seen = []
-    crew = WorkerPool(Here, 1.0, lambda now: seen.append(now.done))
-    assert Splitter(one, results, crew).run() == first
-    assert len(seen) == 2, "what was there was not done again"
+    progress = []
+    worker_pool = WorkerPool(Here, 1.0, lambda now: progress.append(now.done))
+    assert Splitter(campaign, results, worker_pool).run() == first
+    assert len(progress) == 2, "what was there was not done again"
     damaged = results.folder / "splitting/0002.json"
     damaged.write_text(damaged.read_text().replace("0", "1"))
-    assert Splitter(one, results, crew).run() == first
-    assert len(seen) == 3 and (results.folder / "set_aside/0002.json").exists()
+    assert Splitter(campaign, results, worker_pool).run() == first
+    assert len(progress) == 3 and (results.folder / "set_aside/0002.json").exists()
     ((name, mean, low, high, _),) = first[0].rows
     assert name == "counts" and low <= mean <= high
     rows = first[1].rows
@@ -248,7 +248,9 @@ def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     margins = [row[1] for row in rows]
     assert margins == sorted(margins, reverse=True) and margins[-1] == 0.0 and len(rows) > 1
     columns = results.columns()
-    report = write_report(one, results, columns, summarize(one, columns), first).read_text()
+    report = write_report(
+        campaign, results, columns, summarize(campaign, columns), first
+    ).read_text()
     for row in rows:
         assert f"<td>{row[0]}<td class=n>{row[1]:.4g}<td class=n>{row[2]:.4g}" in report
 

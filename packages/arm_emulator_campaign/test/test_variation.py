@@ -29,11 +29,11 @@ DISTRIBUTIONS = [
 
 @pytest.mark.parametrize(("text", "truth"), DISTRIBUTIONS)
 def test_quantiles_are_those_of_scipy(text, truth):
-    found = parse_distribution(text, "c", "x")
+    distribution = parse_distribution(text, "c", "x")
     for u in (1e-9, 0.01, 0.3, 0.5, 0.77, 0.999, 1 - 1e-9):
-        assert found.at(u, math.nan) == pytest.approx(truth.ppf(u), rel=1e-9, abs=1e-9)
-        if found.share is not None:
-            assert found.share(truth.ppf(u)) == pytest.approx(u, abs=1e-9)
+        assert distribution.at(u, math.nan) == pytest.approx(truth.ppf(u), rel=1e-9, abs=1e-9)
+        if distribution.share is not None:
+            assert distribution.share(truth.ppf(u)) == pytest.approx(u, abs=1e-9)
 
 
 @pytest.mark.parametrize(("text", "truth"), DISTRIBUTIONS)
@@ -51,10 +51,10 @@ def test_a_part_of_a_distribution_has_values_of_it_alone(text, truth):
 def test_choices_and_mixtures_have_their_shares():
     u = (np.arange(10_000) + 0.5) / 10_000
     choice = parse_distribution("choice(1, 2, 5)", "c", "x")
-    values = [choice.at(one, 0.0) for one in u]
-    assert [values.count(one) for one in (1.0, 2.0, 5.0)] == [3333, 3334, 3333]
+    values = [choice.at(level, 0.0) for level in u]
+    assert [values.count(value) for value in (1.0, 2.0, 5.0)] == [3333, 3334, 3333]
     mixture = parse_distribution("nominal * mixture(3, uniform(0, 1), 1, uniform(9, 10))", "c", "x")
-    mixed = np.array([mixture.at(one, 2.0) for one in u])
+    mixed = np.array([mixture.at(level, 2.0) for level in u])
     assert np.count_nonzero(mixed < 3.0) == 7500 and mixed.min() < 1e-3 and mixed.max() > 19.99
     assert parse_distribution(4, "c", "x").at(0.3, 0.0) == 4.0
 
@@ -71,12 +71,12 @@ def cube(of, count):
 @pytest.mark.parametrize("sampling", ["random", "sobol", "latin"])
 def test_points_are_functions_of_their_index(sampling):
     points = cube(variation(sampling, 64), 64)
-    other = variation(sampling, 64)
+    repeated = variation(sampling, 64)
     for index in (63, 0, 17, 18, 5, 5):
-        assert list(other.values(index).values()) == points[index].tolist()
+        assert list(repeated.values(index).values()) == points[index].tolist()
     assert len(np.unique(points)) == points.size
-    spread = stats.qmc.discrepancy(points)
-    assert spread < {"random": 0.1, "sobol": 0.0012, "latin": 0.01}[sampling]
+    discrepancy = stats.qmc.discrepancy(points)
+    assert discrepancy < {"random": 0.1, "sobol": 0.0012, "latin": 0.01}[sampling]
     strata = np.sort((points * 64).astype(int), axis=0)
     assert (strata == np.arange(64)[:, None]).all() == (sampling != "random")
 
@@ -84,8 +84,8 @@ def test_points_are_functions_of_their_index(sampling):
 def test_correlation_and_grids():
     points = cube(variation("random", 1, pairs=[(["x0", "x2"], 0.8)]), 4000)
     # Of the normal scores: 0.8; 4000 points know it to 0.36 / 63 = 0.006, five times that is a slip
-    found = np.corrcoef(stats.norm.ppf(points).T)
-    assert found[0, 2] == pytest.approx(0.8, abs=0.03) and abs(found[0, 1]) < 0.08
+    correlations = np.corrcoef(stats.norm.ppf(points).T)
+    assert correlations[0, 2] == pytest.approx(0.8, abs=0.03) and abs(correlations[0, 1]) < 0.08
     with pytest.raises(Refusal, match="hold together"):
         pairs = [(["x0", "x1"], 0.9), (["x1", "x2"], 0.9), (["x0", "x2"], -0.9)]
         variation("random", 1, pairs=pairs)
@@ -101,7 +101,7 @@ def test_numbers_may_follow_from_each_other():
         ([(["x0", "x1"], -1.0), (["x1", "x2"], -1.0), (["x0", "x2"], 1.0)], (-1, 1)),
     ):
         score = stats.norm.ppf(cube(variation("random", 1, pairs=pairs), 50))
-        for other, sign in enumerate(signs, 1):
-            assert score[:, other] == pytest.approx(sign * score[:, 0], abs=1e-12)
+        for place, sign in enumerate(signs, 1):
+            assert score[:, place] == pytest.approx(sign * score[:, 0], abs=1e-12)
     with pytest.raises(Refusal, match="hold together"):
         variation("random", 1, pairs=[(["x0", "x1"], 1.0), (["x1", "x2"], 0.5)])

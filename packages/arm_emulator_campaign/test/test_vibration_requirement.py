@@ -58,10 +58,10 @@ def test_the_margin_is_that_of_the_run_by_hand(tmp_path):
         if source == "encoders":
             q = q * [2.0 * np.pi * j.gear.ratio / j.counts_per_turn for j in scene.joints]
         places = np.array([tool.forward(row)[1] for row in q[end:]])
-        found = measure_vibration(places, PERIOD, 2e-4)
+        vibration = measure_vibration(places, PERIOD, 2e-4)
         for quantity, limit in (("largest", 0.01), ("rms", 0.02), ("settled", 0.5)):
             margin = robustness[f"{source}-{quantity}"]
-            assert margin == pytest.approx(limit - getattr(found, quantity), abs=1e-9)
+            assert margin == pytest.approx(limit - getattr(vibration, quantity), abs=1e-9)
     assert robustness["truth-largest"] < 0.0099, "the arm still moves when its reference has ended"
 
 
@@ -82,9 +82,9 @@ def test_a_run_that_ends_with_its_reference_fails(tmp_path):
         ({"vibration": "swing", "at_most": 1.0, "within": 1}, "still.within must be known"),
     ],
 )
-def test_a_requirement_that_makes_no_sense_is_refused(tmp_path, given, words):
+def test_a_requirement_that_makes_no_sense_is_refused(tmp_path, requirement, words):
     with pytest.raises(Refusal, match=words):
-        Simulator(load_campaign(write(tmp_path, {"still": given})))
+        Simulator(load_campaign(write(tmp_path, {"still": requirement})))
 
 
 def test_moves_of_the_motion_controller_are_judged_too(tmp_path):

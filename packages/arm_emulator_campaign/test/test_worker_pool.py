@@ -30,36 +30,36 @@ class APool:
 
 def work_of(kills, done_before_each):
     """Work on 12 pieces whose first pools are killed; the pools, and pieces that each has found."""
-    pools, left, found = [], list(range(12)), []
+    pools, left, missing_runs = [], list(range(12)), []
 
     def make_pool():
         pools.append(APool())
         return pools[-1]
 
     progress = Progress(12, 0)
-    crew = WorkerPool(make_pool, 1.0, lambda progress: None)
+    worker_pool = WorkerPool(make_pool, 1.0, lambda progress: None)
 
     def work(pool, missing, killed):
         assert pool is pools[-1] and killed == len(pools) - 1
-        found.append(list(missing))
+        missing_runs.append(list(missing))
         if killed < kills:
             del left[:done_before_each]
             progress.done += done_before_each
             raise Killed
         left.clear()
 
-    with Work(SimpleNamespace(where="campaign"), crew, progress) as all_of_it:
+    with Work(SimpleNamespace(where="campaign"), worker_pool, progress) as all_of_it:
         try:
             all_of_it.complete(lambda killed: list(left), work)
         finally:
             ended = [pool.ended for pool in pools]
     assert [pool.ended for pool in pools] == [1] * len(pools), "each ends, and once"
-    return found, ended
+    return missing_runs, ended
 
 
 def test_another_pool_does_what_is_left():
-    found, ended = work_of(5, 2)
-    assert [len(one) for one in found] == [12, 10, 8, 6, 4, 2]
+    work, ended = work_of(5, 2)
+    assert [len(piece) for piece in work] == [12, 10, 8, 6, 4, 2]
     assert ended == [1] * 5 + [0], "a pool that was not killed is there for more work"
 
 

@@ -47,11 +47,11 @@ def description(scene: Scene, compiled: str) -> str:
     ET.SubElement(hardware, "plugin").text = PLUGIN
     ET.SubElement(hardware, "param", name="scene").text = compiled
     for joint in scene.joints:
-        one = ET.SubElement(control, "joint", name=joint.name)
+        joint_element = ET.SubElement(control, "joint", name=joint.name)
         for name in COMMANDS:
-            ET.SubElement(one, "command_interface", name=name)
+            ET.SubElement(joint_element, "command_interface", name=name)
         for name in STATES:
-            state = ET.SubElement(one, "state_interface", name=name)
+            state = ET.SubElement(joint_element, "state_interface", name=name)
             if name == "position":
                 ET.SubElement(state, "param", name="initial_value").text = f"{joint.start!r}"
     power = ET.SubElement(control, "gpio", name=f"{scene.name}_power")
@@ -60,8 +60,8 @@ def description(scene: Scene, compiled: str) -> str:
     if scene.varied:
         numbers = ET.SubElement(control, "gpio", name=f"{scene.name}_varied")
         for number in scene.varied:
-            one = ET.SubElement(numbers, "command_interface", name=number.name)
-            ET.SubElement(one, "param", name="initial_value").text = f"{number.value!r}"
+            joint_element = ET.SubElement(numbers, "command_interface", name=number.name)
+            ET.SubElement(joint_element, "param", name="initial_value").text = f"{number.value!r}"
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -100,5 +100,5 @@ def controllers(scene: Scene) -> str:
     if scene.chain.forks:  # a planner of one arm names its joints alone
         trajectory["allow_partial_joints_goal"] = True
     nodes = {"controller_manager": manager, TRAJECTORY_CONTROLLER: trajectory}
-    parameters = {name: {"ros__parameters": one} for name, one in nodes.items()}
+    parameters = {name: {"ros__parameters": node} for name, node in nodes.items()}
     return yaml.safe_dump(parameters, sort_keys=False)

@@ -184,9 +184,9 @@ def _describe_robot(scene: Scene, package: str) -> str:
     for mesh in robot.iter("mesh"):
         # A wheel's packages are not in the index of ROS packages.
         rest = mesh.get("filename", "").removeprefix("package://")
-        found = next((file for at in folders if (file := at / rest).is_file()), None)
-        if found is not None:
-            mesh.set("filename", found.as_uri())
+        path = next((file for at in folders if (file := at / rest).is_file()), None)
+        if path is not None:
+            mesh.set("filename", path.as_uri())
     text = re.sub(r"\$(?=[({])", "$$", ET.tostring(robot, encoding="unicode"))
     return text.replace(">MACHINE/", f">$(find {package})/{MACHINE}/") + "\n"
 
@@ -231,11 +231,14 @@ def _configure_rviz() -> dict[str, Any]:
             "Pitch": 0.5, "Yaw": 0.8, "Target Frame": WORLD}  # fmt: skip
     tools = ["Interact", "MoveCamera", "Select"]
     return {
-        "Panels": [{"Class": f"rviz_common/{one}", "Name": one} for one in ("Displays", "Views")],
+        "Panels": [
+            {"Class": f"rviz_common/{panel_kind}", "Name": panel_kind}
+            for panel_kind in ("Displays", "Views")
+        ],
         "Visualization Manager": {
             "Displays": [grid, planning],
             "Global Options": {"Fixed Frame": WORLD},
-            "Tools": [{"Class": f"rviz_default_plugins/{one}"} for one in tools],
+            "Tools": [{"Class": f"rviz_default_plugins/{tool}"} for tool in tools],
             "Value": True,
             "Views": {"Current": view},
         },
@@ -259,7 +262,7 @@ def base_link(scene: Scene) -> str:
 def named_states(scene: Scene) -> dict[str, list[float]]:
     """Return poses by name: where the scene starts, and all joints at 0 where limits allow it."""
     arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
-    states = {"start": [float(one) for one in scene.start]}
+    states = {"start": [float(position) for position in scene.start]}
     within = (arm.lower <= 0.0) & (arm.upper >= 0.0)
     if np.all(within) and any(states["start"]):
         states["zero"] = [0.0] * len(scene.joints)
@@ -304,9 +307,9 @@ def joint_limits(scene: Scene, motion: MotionConfig) -> dict[str, Any]:
             "acceleration": min(limits[name].acceleration, motion.acceleration_limit),
         }
         of_joints[name] = {
-            key: given
-            for what, value in values.items()
-            for key, given in ((f"has_{what}_limits", True), (f"max_{what}", value))
+            key: option
+            for quantity, value in values.items()
+            for key, option in ((f"has_{quantity}_limits", True), (f"max_{quantity}", value))
         }
     return {
         "default_velocity_scaling_factor": 1.0,
@@ -348,7 +351,7 @@ def trajectory_execution(scene: Scene, network: bool) -> dict[str, Any]:
     """
     # MoveIt joins the controller's name and its action_ns.
     name, inner = (ACTION, "") if network else (TRAJECTORY_CONTROLLER, ACTION)
-    one = {
+    section = {
         "type": "FollowJointTrajectory",
         "action_ns": inner,
         "default": True,
@@ -362,5 +365,5 @@ def trajectory_execution(scene: Scene, network: bool) -> dict[str, Any]:
             "allowed_start_tolerance": 0.01,
         },
         "moveit_controller_manager": f"{simple}/MoveItSimpleControllerManager",
-        simple: {"controller_names": [name], name: one},
+        simple: {"controller_names": [name], name: section},
     }

@@ -147,12 +147,16 @@ def test_files_are_whole(files: tuple[str, dict[str, str]]) -> None:
     name, texts = files
     package = ET.fromstring(texts["package.xml"])
     assert package.findtext("name") == f"{name}_moveit_config" == package_name(load_scene(name))
-    assert {f"launch/{one}.launch.py" for one in (*LAUNCHES, "network")} <= texts.keys()
-    runs = {one.text for one in package.findall("exec_depend")}
+    assert {f"launch/{launch}.launch.py" for launch in (*LAUNCHES, "network")} <= texts.keys()
+    runs = {dependency.text for dependency in package.findall("exec_depend")}
     for path, text in texts.items():
         if path.endswith(".py"):
-            imports = [one for one in ast.walk(ast.parse(text)) if isinstance(one, ast.ImportFrom)]
-            modules = {str(one.module).split(".")[0] for one in imports}
+            imports = [
+                statement
+                for statement in ast.walk(ast.parse(text))
+                if isinstance(statement, ast.ImportFrom)
+            ]
+            modules = {str(statement.module).split(".")[0] for statement in imports}
             assert modules <= runs | {"launch", "launch_ros"}
     assistant = yaml.safe_load(texts[".setup_assistant"])["moveit_setup_assistant_config"]
     assert assistant["urdf"]["relative_path"] in texts

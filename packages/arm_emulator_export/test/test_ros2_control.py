@@ -34,18 +34,20 @@ def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
     (control,) = robot.findall("ros2_control")
     assert control.findtext("hardware/plugin") == PLUGIN
     assert control.findtext("hardware/param") == str(tmp_path / name)
-    of_robot = {one.get("name") for one in was.findall("joint")}
+    of_robot = {joint.get("name") for joint in was.findall("joint")}
     joints = control.findall("joint")
     assert tuple(joint.get("name") for joint in joints) == scene.joint_names
     assert of_robot.issuperset(scene.joint_names)
     for element, joint in zip(joints, scene.joints, strict=True):
-        commands = tuple(one.get("name") for one in element.findall("command_interface"))
-        states = tuple(one.get("name") for one in element.findall("state_interface"))
+        commands = tuple(
+            interface.get("name") for interface in element.findall("command_interface")
+        )
+        states = tuple(interface.get("name") for interface in element.findall("state_interface"))
         assert (commands, states) == (COMMANDS, STATES)
         (start,) = element.findall("state_interface[@name='position']/param")
         assert float(start.text or "") == joint.start
     robot.remove(control)
-    assert [one.attrib for one in robot] == [one.attrib for one in was]
+    assert [joint.attrib for joint in robot] == [joint.attrib for joint in was]
 
 
 def test_varied_numbers_are_commands_with_the_scene_s_values(tmp_path: Path) -> None:
@@ -97,9 +99,11 @@ def test_the_package_exports_the_plugin_of_descriptions() -> None:
     assert package.findtext("version") == ours.findtext("version")
     built = (PACKAGE / "CMakeLists.txt").read_text()
     for depend, start in (("depend", "^"), ("test_depend", "^  ")):
-        depends = {one.text for one in package.findall(depend)}
+        depends = {dependency.text for dependency in package.findall(depend)}
         packages = set(re.findall(rf"{start}find_package\((\w+)", built, re.M)) - {"ament_cmake"}
-        controllers = {one for one in depends if str(one).endswith("_controller")}
+        controllers = {
+            dependency for dependency in depends if str(dependency).endswith("_controller")
+        }
         assert depends - controllers == packages
 
 

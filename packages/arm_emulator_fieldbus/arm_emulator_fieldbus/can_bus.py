@@ -33,9 +33,9 @@ def open_bus(interface: str, channel: str, bitrate: int | None) -> Iterator[Pyth
         rule = "be installed (pip install python-can)"
         raise Refusal("canopen", "package python-can", rule, "none") from None
     logging.getLogger("can").setLevel(logging.CRITICAL)  # relevant events are published below
-    known = sorted(can.VALID_INTERFACES)
-    if interface not in known:
-        raise Refusal("canopen", "bus", "be one of python-can", interface, ", ".join(known))
+    interfaces = sorted(can.VALID_INTERFACES)
+    if interface not in interfaces:
+        raise Refusal("canopen", "bus", "be one of python-can", interface, ", ".join(interfaces))
     speed: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
     try:
         bus = can.Bus(interface=interface, channel=channel, **speed)

@@ -217,8 +217,8 @@ class CanServer:
             return
         if bool(member.unsent) != member.waits:
             member.waits = not member.waits
-            wanted = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.waits else 0)
-            self._selector.modify(member.connection, wanted)
+            events = selectors.EVENT_READ | (selectors.EVENT_WRITE if member.waits else 0)
+            self._selector.modify(member.connection, events)
 
 
 class _Member:

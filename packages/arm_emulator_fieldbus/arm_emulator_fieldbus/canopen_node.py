@@ -108,10 +108,10 @@ class Node:
         self._set_defaults()
         # Values after a reset of the communication.
         self._defaults = {
-            (one.index, one.sub): drives.read(drive, one.index, one.sub)
-            for one in list_entries()
-            if one.buses & CANOPEN and 0x1005 <= one.index < 0x2000 and one.access == "rw"
-            if one.index not in (0x1010, 0x1011)
+            (entry.index, entry.sub): drives.read(drive, entry.index, entry.sub)
+            for entry in list_entries()
+            if entry.buses & CANOPEN and 0x1005 <= entry.index < 0x2000 and entry.access == "rw"
+            if entry.index not in (0x1010, 0x1011)
         }
         self._configure()
 
@@ -160,18 +160,18 @@ class Node:
         self._emergency_id = None if emergency & INVALID else emergency & 0x7FF
         self.beat = self._number(0x1017, 0) * MS
         self._life = self._number(0x100C, 0) * self._number(0x100D, 0) * MS
-        self.sync_period, self._window = (self._number(one, 0) * US for one in (0x1006, 0x1007))
+        self.sync_period, self._window = (self._number(index, 0) * US for index in (0x1006, 0x1007))
         self._drives.set_cycle(self._drive, self.sync_period)
-        watched = self._number(0x1016, 1)
+        heartbeat = self._number(0x1016, 1)
         before = self._watched
-        self._watched = (watched >> 16 & 0x7F, (watched & 0xFFFF) * MS)
+        self._watched = (heartbeat >> 16 & 0x7F, (heartbeat & 0xFFFF) * MS)
         if self._watched != before:
             self._heard_at = None
-        for kept, first in ((self._receives, 0x1400), (self._sends, 0x1800)):
+        for pdos, first in ((self._receives, 0x1400), (self._sends, 0x1800)):
             new = [self._read_pdo(first + k, first + 0x200 + k) for k in range(PDOS)]
             # A PDO with unchanged settings keeps its waiting data.
-            kept[:] = [
-                old if old == one else one for old, one in zip(kept or new, new, strict=True)
+            pdos[:] = [
+                old if old == pdo else pdo for old, pdo in zip(pdos or new, new, strict=True)
             ]
 
     def _read_pdo(self, communication: int, mapping: int) -> _Pdo:

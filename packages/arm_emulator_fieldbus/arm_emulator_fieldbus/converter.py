@@ -116,9 +116,9 @@ def list_blocks(scene: Scene) -> tuple[Block, ...]:
         Block(MEASURED + 1, 2, 0, "tick, modulo 2^32", "uint32", "servo periods"),
     ]
     at = MEASURED + 3
-    for one in list_measured_blocks(scene):
-        rows.append(replace(one, address=at))
-        at += one.count
+    for block in list_measured_blocks(scene):
+        rows.append(replace(block, address=at))
+        at += block.count
     rows += [
         Block(COMMANDED, 1, 0, "control", "bits", "", True),
         Block(COMMANDED + 1, N, 1, "command", "int16", "full scale / 32768", True),
@@ -186,7 +186,7 @@ class Converter:
         largest = SETTINGS - COMMANDED - 1
         if inputs > largest:
             raise Refusal(scene.where, "inputs of motors", f"be at most {largest}", inputs)
-        measured = 3 + sum(one.count for one in list_measured_blocks(scene))
+        measured = 3 + sum(block.count for block in list_measured_blocks(scene))
         if measured > COMMANDED - MEASURED:
             rule = f"fill at most {COMMANDED - MEASURED} registers with measurements"
             raise Refusal(scene.where, "joints and their sensors", rule, measured)
@@ -210,9 +210,9 @@ class Converter:
         }
         starts = (MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS, FAULT_NAMES)
         self._sizes: dict[int, int] = {}  # of the blocks, by their first addresses
-        for one in list_blocks(scene):
-            start = max(base for base in starts if base <= one.address)
-            self._sizes[start] = one.address + one.count - start
+        for block in list_blocks(scene):
+            start = max(base for base in starts if base <= block.address)
+            self._sizes[start] = block.address + block.count - start
         self.on_commands: Callable[[], object] = lambda: None
         self._watchdog = watchdog
         self._forget()
@@ -334,12 +334,12 @@ class Converter:
         values = struct.unpack(f">{len(words) // PER_MAGNITUDE}d", raw)
         chosen = self._faults[at // PER_MAGNITUDE :][: len(values)]
         try:
-            for one, value in zip(chosen, values, strict=True):
-                one.number.take("modbus", value)
+            for fault, value in zip(chosen, values, strict=True):
+                fault.number.take("modbus", value)
         except Refusal:
             raise ModbusException(Code.VALUE) from None
-        for one, value in zip(chosen, values, strict=True):
-            self.session.set_varied(one.name, value)
+        for fault, value in zip(chosen, values, strict=True):
+            self.session.set_varied(fault.name, value)
 
     def _take_control(self, control: int) -> None:
         session = self.session

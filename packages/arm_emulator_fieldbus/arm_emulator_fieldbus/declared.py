@@ -30,15 +30,15 @@ _IN_C = {"readings": "readings[at.in_rows()]", "further": "further[at.in_rows()]
 
 def _number_objects() -> dict[str, int]:
     names = [value.name for value in KNOWN_OUTPUTS.values() if not value.cia]
-    names += dict.fromkeys(one.name for kind in PARTS for one in _list_inputs(kind))
-    found: dict[str, int] = {}
+    names += dict.fromkeys(part_input.name for kind in PARTS for part_input in _list_inputs(kind))
+    indices: dict[str, int] = {}
     for name in names:
         # By its name, so that other parts in a later version change nothing.
         place = zlib.crc32(name.encode())
-        while FIRST + place % COUNT in found.values():
+        while FIRST + place % COUNT in indices.values():
             place += 1
-        found[name] = FIRST + place % COUNT
-    return dict(sorted(found.items(), key=lambda one: one[1]))
+        indices[name] = FIRST + place % COUNT
+    return dict(sorted(indices.items(), key=lambda pair: pair[1]))
 
 
 def _list_inputs(kind: type[Part]) -> tuple[Input, ...]:
@@ -52,14 +52,14 @@ REPORTED = tuple(KNOWN_OUTPUTS[name] for name in _INDICES if name in KNOWN_OUTPU
 TAKEN = tuple(name for name in _INDICES if name not in KNOWN_OUTPUTS)
 
 
-def find_index(one: Output | Input) -> int:
+def find_index(output: Output | Input) -> int:
     """Return the object of an output, or of a further input."""
-    return one.cia if isinstance(one, Output) and one.cia else _INDICES[one.name]
+    return output.cia if isinstance(output, Output) and output.cia else _INDICES[output.name]
 
 
 def write_source() -> str:
     """Return the lists in C++."""
-    reported = "".join(f"{{{_format_output(one)}}},\n" for one in REPORTED)
+    reported = "".join(f"{{{_format_output(output)}}},\n" for output in REPORTED)
     taken = "".join(f"{{{_format_input(name)}}},\n" for name in TAKEN)
     return (
         '#include "declared.hpp"\nnamespace fieldbus {\n'
@@ -74,21 +74,26 @@ def _format_texts(name: str, *units: str) -> str:
 
 
 def _format_input(name: str) -> str:
-    units = [one.unit for kind in PARTS for one in _list_inputs(kind) if one.name == name]
+    units = [
+        part_input.unit
+        for kind in PARTS
+        for part_input in _list_inputs(kind)
+        if part_input.name == name
+    ]
     return f"0x{_INDICES[name]:04X}, {_format_texts(name, *units)}"
 
 
-def _format_output(one: Output) -> str:
-    array, _, field = one.symbol.partition(".")
+def _format_output(output: Output) -> str:
+    array, _, field = output.symbol.partition(".")
     place = _IN_C.get(array, f"{array}[at.joint]")
-    if one.per_unit:
+    if output.per_unit:
         place, field = f"{array}[at.row]", f"{field}[at.axis]"
-    units = _UNITS.get(one.kind, (one.unit, one.unit_of_slides))
+    units = _UNITS.get(output.kind, (output.unit, output.unit_of_slides))
     members = (
-        f"0x{_INDICES[one.name]:04X}",
-        _format_texts(one.name, *(unit for unit in units if unit != COMMAND_OUTPUT)),
-        f"Type::{_TYPES[one.kind]}",
-        str(one.per_unit).lower(),
+        f"0x{_INDICES[output.name]:04X}",
+        _format_texts(output.name, *(unit for unit in units if unit != COMMAND_OUTPUT)),
+        f"Type::{_TYPES[output.kind]}",
+        str(output.per_unit).lower(),
         "[](const arm_measurement& all, [[maybe_unused]] Place at) { "
         f"return word(all.{place}{field and '.'}{field}); }}",
     )
@@ -114,18 +119,18 @@ def find_places(scene: Scene, units: int) -> NDArray[np.int32]:
         if len(there) > units:
             rule = f"be at most {units} on the link of {joint.name}, for drives on a field bus"
             raise Refusal(scene.where, "imus", rule, len(there))
-    found = np.full((len(scene.joints), len(REPORTED), units), -1, np.int32)
+    places = np.full((len(scene.joints), len(REPORTED), units), -1, np.int32)
     rows, reported = list_rows(scene), list_outputs(scene)
-    for k, one in enumerate(REPORTED):
-        if one not in reported:
+    for k, output in enumerate(REPORTED):
+        if output not in reported:
             continue
-        if one.per_unit:
+        if output.per_unit:
             for j, there in enumerate(on):
-                found[j, k, : len(there)] = there
+                places[j, k, : len(there)] = there
         else:
-            of_array = rows.get(one.symbol, ())
-            found[:, k, 0] = of_array.index(one.name) if of_array else 0
-    return found
+            of_array = rows.get(output.symbol, ())
+            places[:, k, 0] = of_array.index(output.name) if of_array else 0
+    return places
 
 
 def find_input_rows(scene: Scene) -> NDArray[np.int32]:

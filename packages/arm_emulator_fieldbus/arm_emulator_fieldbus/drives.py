@@ -77,8 +77,8 @@ class Drives:
         check_servo(scene, servo)
         self._joints = _make_joints(scene, servo)
         self.withheld = withheld_modes(scene, servo, modes())
-        for one in self.withheld:
-            self._joints["modes"][one.joint] &= 0xFFFFFFFF ^ 1 << one.mode.number - 1
+        for loop in self.withheld:
+            self._joints["modes"][loop.joint] &= 0xFFFFFFFF ^ 1 << loop.mode.number - 1
         names = [_make_text(name) for name in (*scene.joint_names, scene.name)]
         self._joints["name"] = [int(DRIVES.ffi.cast("uintptr_t", name)) for name in names[:-1]]
         places, inputs = declared.find_places(scene, UNITS), declared.find_input_rows(scene)
@@ -107,7 +107,7 @@ class Drives:
         self._room = DRIVES.ffi.new("uint8_t[]", 256)
         self._replies = DRIVES.ffi.new("uint8_t[]", 8 * _SDO_REPLIES)
         self._size = DRIVES.ffi.new("uint32_t *")
-        self._entries = {(one.index, one.sub): one for one in read_entries(self.calls)}
+        self._entries = {(entry.index, entry.sub): entry for entry in read_entries(self.calls)}
 
     def __del__(self) -> None:
         pointer, self.pointer = getattr(self, "pointer", None), None
@@ -131,8 +131,8 @@ class Drives:
     def save(self) -> SavedDrives:
         """Return machine and drives as they are now, for `restore` of these drives."""
         state = self.calls.drives_save(self.pointer)
-        kept = DRIVES.ffi.gc(state, self.calls.drives_state_delete)
-        return SavedDrives(self.plant.save(), kept, self)
+        saved = DRIVES.ffi.gc(state, self.calls.drives_state_delete)
+        return SavedDrives(self.plant.save(), saved, self)
 
     def restore(self, saved: SavedDrives) -> None:
         """Go on from the tick at which `save` of these drives has returned this, to the last bit.
@@ -226,8 +226,8 @@ class Drives:
 
     def set(self, drive: int, index: int, value: int, sub: int = 0) -> None:
         """Set an entry that belongs to the bus, whatever its access and range."""
-        known = self.calls.drives_set(self.pointer, drive, index, sub, value)
-        assert known, "the dictionary has it"
+        is_set = self.calls.drives_set(self.pointer, drive, index, sub, value)
+        assert is_set, "the dictionary has it"
 
     def sdo(self, drive: int, request: bytes) -> list[bytes]:
         """Return the replies of a drive's SDO server on CANopen to a request of 8 bytes."""
@@ -270,13 +270,13 @@ def _make_text(words: str) -> CData:
 
 def _make_joints(scene: Scene, servo: ServoConfig) -> ServoRows:
     """Return rows of ``drives_joint`` in the scene's order of joints; names are left out."""
-    known = {joint.name: joint for joint in servo.joints}
-    reported = tuple(known[name] for name in scene.joint_names)
+    servo_joints = {joint.name: joint for joint in servo.joints}
+    reported = tuple(servo_joints[name] for name in scene.joint_names)
     rows = DRIVES.rows("drives_joint", len(reported))
     rows["servo"] = servo_numbers(reported, servo.period, servo.supply_voltage)
     limits = read_shaft_limits(scene.urdf, scene.joint_names)
     for row, joint, takes in zip(rows, scene.joints, list_modes(scene), strict=True):
-        if not math.isfinite(known[joint.name].largest_command(servo.supply_voltage)):
+        if not math.isfinite(servo_joints[joint.name].largest_command(servo.supply_voltage)):
             where = f"servo.joints.{joint.name}.current_limit"
             rule = "be given: the rated torque of its drive (0x6076) follows from it"
             raise Refusal(scene.where, where, rule, "nothing")

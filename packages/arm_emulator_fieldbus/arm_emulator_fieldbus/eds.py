@@ -24,8 +24,8 @@ def make_eds(node: Node, file_name: str, product: str) -> str:
         product: name of the device.
     """
     file_name, product = escape_to_line(file_name), escape_to_line(product)
-    entries = [one for one in list_entries() if one.buses & CANOPEN]
-    objects = [list(group) for _, group in groupby(entries, key=lambda one: one.index)]
+    entries = [entry for entry in list_entries() if entry.buses & CANOPEN]
+    objects = [list(group) for _, group in groupby(entries, key=lambda entry: entry.index)]
     indices = [group[0].index for group in objects]
     own = [index for index in indices if 0x2000 <= index < 0x6000]
     rest = [index for index in indices if index not in (*_MANDATORY, *own)]
@@ -74,8 +74,8 @@ def make_eds(node: Node, file_name: str, product: str) -> str:
             f"ObjectType=0x{first.code:X}",
             "",
         ]
-        for one in group:
-            lines += _write_variable(node, f"{section}sub{one.sub:X}", one, one.name)
+        for entry in group:
+            lines += _write_variable(node, f"{section}sub{entry.sub:X}", entry, entry.name)
     return "\n".join(lines)
 
 
@@ -87,23 +87,25 @@ def _write_list(name: str, indices: Sequence[int]) -> Iterable[str]:
     yield ""
 
 
-def _write_variable(node: Node, section: str, one: Entry, name: str) -> Iterable[str]:
+def _write_variable(node: Node, section: str, entry: Entry, name: str) -> Iterable[str]:
     yield f"[{section}]"
     yield f"ParameterName={name}"
     yield "ObjectType=0x7"
-    yield f"DataType=0x{_CODES[one.type]:04X}"
-    yield f"AccessType={one.access}"
-    if one.access in ("const", "rw") and (default := _find_default(node, one)) is not None:
+    yield f"DataType=0x{_CODES[entry.type]:04X}"
+    yield f"AccessType={entry.access}"
+    if entry.access in ("const", "rw") and (default := _find_default(node, entry)) is not None:
         yield f"DefaultValue={default}"
-    yield f"PDOMapping={int(one.rx or one.tx)}"
-    signed = one.type.startswith("INTEGER")
-    half = 1 << max(one.bits - 1, 0)
-    whole = one.bits and one.type not in REALS
-    if whole and (one.least, one.most) != ((-half, half - 1) if signed else (0, 2 * half - 1)):
-        yield f"LowLimit={_format_number(one.least, signed)}"
-        yield f"HighLimit={_format_number(one.most, signed)}"
-    if one.unit:
-        yield f"; unit: {one.unit}"  # the standard has no key for it
+    yield f"PDOMapping={int(entry.rx or entry.tx)}"
+    signed = entry.type.startswith("INTEGER")
+    half = 1 << max(entry.bits - 1, 0)
+    has_range = entry.bits and entry.type not in REALS
+    if has_range and (entry.least, entry.most) != (
+        (-half, half - 1) if signed else (0, 2 * half - 1)
+    ):
+        yield f"LowLimit={_format_number(entry.least, signed)}"
+        yield f"HighLimit={_format_number(entry.most, signed)}"
+    if entry.unit:
+        yield f"; unit: {entry.unit}"  # the standard has no key for it
     yield ""
 
 
@@ -111,16 +113,18 @@ def _format_number(value: int, signed: bool) -> str:
     return str(value) if signed else f"0x{value:X}"
 
 
-def _find_default(node: Node, one: Entry) -> str | None:
+def _find_default(node: Node, entry: Entry) -> str | None:
     """Return the text of an entry's value, or None if tools of masters read no common one."""
-    raw = node.upload(one.index, one.sub)
-    if not one.bits:
+    raw = node.upload(entry.index, entry.sub)
+    if not entry.bits:
         return raw.decode()
     value = int.from_bytes(raw, "little")
-    cob = one.index == 0x1014 or (one.sub == 1 and one.index & 0xFE00 in (0x1400, 0x1800))
+    cob = entry.index == 0x1014 or (entry.sub == 1 and entry.index & 0xFE00 in (0x1400, 0x1800))
     if cob:
         return f"$NODEID+0x{value - node.number:X}"
-    if one.type in REALS:  # Lely's tools read the bits as a whole number, others the number itself
+    if (
+        entry.type in REALS
+    ):  # Lely's tools read the bits as a whole number, others the number itself
         return None if any(raw) else "0"
-    signed = one.type.startswith("INTEGER")
+    signed = entry.type.startswith("INTEGER")
     return _format_number(int.from_bytes(raw, "little", signed=signed), signed)

@@ -82,8 +82,8 @@ def _group_entries(drives: Drives) -> Objects:
 def _add_profile(device: ET.Element, drives: Drives, objects: Objects) -> None:
     profile = _add_element(device, "Profile")
     _add_element(profile, "ProfileNo", "402")
-    known = _add_element(profile, "Dictionary")
-    types, rows = _add_element(known, "DataTypes"), _add_element(known, "Objects")
+    dictionary = _add_element(profile, "Dictionary")
+    types, rows = _add_element(dictionary, "DataTypes"), _add_element(dictionary, "Objects")
     plain: dict[str, int] = {}
     for index, entries in objects.items():
         row = _add_element(rows, "Object")
@@ -105,17 +105,17 @@ def _add_record(
     types: ET.Element, drives: Drives, index: int, entries: Iterable[Entry], plain: dict[str, int]
 ) -> int:
     """Add the data type of an object with subs; return its bits, sub 0 padded to 16."""
-    one = _add_element(types, "DataType")
-    _add_element(one, "Name", f"DT{index:04X}")
+    data_type = _add_element(types, "DataType")
+    _add_element(data_type, "Name", f"DT{index:04X}")
     subs, at = [], 0
     for entry in entries:
         name, bits = _find_type(drives, entry)
         plain[name] = bits
         subs.append((entry, name, bits, at))
         at += 16 if entry.sub == 0 else bits
-    _add_element(one, "BitSize", str(at))
+    _add_element(data_type, "BitSize", str(at))
     for entry, name, bits, place in subs:
-        sub = _add_element(one, "SubItem")
+        sub = _add_element(data_type, "SubItem")
         _add_texts(sub, SubIdx=str(entry.sub), Name=entry.name, Type=name)
         _add_texts(sub, BitSize=str(bits), BitOffs=str(place))
         _add_flags(sub, entry)
@@ -173,7 +173,7 @@ def _count_bytes(drives: Drives, assignment: int) -> int:
     bits = 0
     for k in range(drives.read(0, assignment)):
         index = drives.read(0, assignment, k + 1)
-        bits += sum(drives.read(0, index, one + 1) & 0xFF for one in range(drives.read(0, index)))
+        bits += sum(drives.read(0, index, sub + 1) & 0xFF for sub in range(drives.read(0, index)))
     return bits // 8
 
 
@@ -199,10 +199,10 @@ def _add_pdo(
 
 
 def _add_element(parent: ET.Element, tag: str, text: str = "", **attributes: str) -> ET.Element:
-    one = ET.SubElement(parent, tag, attributes)
+    element = ET.SubElement(parent, tag, attributes)
     if text:
-        one.text = text
-    return one
+        element.text = text
+    return element
 
 
 def _add_texts(parent: ET.Element, **texts: str) -> None:

@@ -136,18 +136,18 @@ class Receiver:
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take bytes, and return the requests that are complete."""
-        held = self._bytes
-        held += data
-        found = []
-        while (length := measure_request(held)) and len(held) >= length:
-            one = bytes(held[:length])
-            if not is_sound(one):
+        buffer = self._bytes
+        buffer += data
+        requests = []
+        while (length := measure_request(buffer)) and len(buffer) >= length:
+            request = bytes(buffer[:length])
+            if not is_sound(request):
                 break
-            found.append(one)
-            del held[:length]
+            requests.append(request)
+            del buffer[:length]
         # Nothing of a frame that is too long is kept; the silence after it is still to come.
-        del held[LARGEST_FRAME + 1 :]
-        return found
+        del buffer[LARGEST_FRAME + 1 :]
+        return requests
 
     def silence(self) -> list[bytes]:
         """Take note that nothing came for 3.5 characters; return the request that ended so."""

@@ -79,25 +79,25 @@ def list_entries() -> tuple[Entry, ...]:
 
 def read_entries(calls: Library) -> Iterator[Entry]:
     """Yield the entries that a library with drives has, in ascending order."""
-    one, slot = DRIVES.new("drives_entry"), 0
-    while calls.drives_list(slot, one):
+    entry, slot = DRIVES.new("drives_entry"), 0
+    while calls.drives_list(slot, entry):
         yield Entry(
-            one.index,
-            one.sub,
-            c_text(one.object),
-            c_text(one.name),
-            one.code,
-            one.last_sub,
-            TYPES[one.type],
-            one.bits,
-            ACCESS[one.access],
-            bool(one.pdo & 1),
-            bool(one.pdo & 2),
-            one.buses,
-            c_text(one.unit),
-            one.standard,
-            one.least,
-            one.most,
+            entry.index,
+            entry.sub,
+            c_text(entry.object),
+            c_text(entry.name),
+            entry.code,
+            entry.last_sub,
+            TYPES[entry.type],
+            entry.bits,
+            ACCESS[entry.access],
+            bool(entry.pdo & 1),
+            bool(entry.pdo & 2),
+            entry.buses,
+            c_text(entry.unit),
+            entry.standard,
+            entry.least,
+            entry.most,
         )
         slot += 1
 
@@ -109,8 +109,8 @@ def modes() -> tuple[LoopMode, ...]:
 
 
 def _read_modes(calls: Library) -> Iterator[LoopMode]:
-    one, row = DRIVES.new("drives_mode"), 0
-    while calls.drives_list_mode(row, one):
-        loops = tuple(loop for bit, loop in enumerate(ServoLoop) if one.loops >> bit & 1)
-        yield LoopMode(one.number, c_text(one.name), loops)
+    mode, row = DRIVES.new("drives_mode"), 0
+    while calls.drives_list_mode(row, mode):
+        loops = tuple(loop for bit, loop in enumerate(ServoLoop) if mode.loops >> bit & 1)
+        yield LoopMode(mode.number, c_text(mode.name), loops)
         row += 1

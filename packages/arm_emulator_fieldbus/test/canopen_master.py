@@ -16,7 +16,7 @@ from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fieldbus.object_dictionary import list_entries
 
 SYNC = Frame(0x80)
-ENTRIES = [one for one in list_entries() if one.buses & CANOPEN]
+ENTRIES = [entry for entry in list_entries() if entry.buses & CANOPEN]
 
 
 def drives_of(scene: Scene) -> Drives:

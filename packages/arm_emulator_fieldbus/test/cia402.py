@@ -61,9 +61,9 @@ def make(scene: Scene = PLAIN, bus: int = ETHERCAT) -> Drives:
 
 def state(drives: Drives, j: int = 0) -> str:
     word = drives.read(j, STATUS)
-    found = [name for name, (mask, value) in STATES.items() if word & mask == value]
-    assert len(found) == 1, f"states of the statusword 0x{word:04x}"
-    return found[0]
+    names = [name for name, (mask, value) in STATES.items() if word & mask == value]
+    assert len(names) == 1, f"states of the statusword 0x{word:04x}"
+    return names[0]
 
 
 def command(drives: Drives, word: int, periods: int = 1) -> None:
@@ -87,13 +87,13 @@ def enable(drives: Drives, mode: int) -> None:
     raise AssertionError("the drives are not enabled after a second")
 
 
-def until(drives: Drives, done: Callable[[], bool], most: int = 5000) -> int:
+def until(drives: Drives, done: Callable[[], bool], max_periods: int = 5000) -> int:
     """Go on until something is so; return how many periods that took."""
-    for periods in range(most):
+    for periods in range(max_periods):
         if done():
             return periods
         drives.period()
-    raise AssertionError(f"it is not so after {most} periods")
+    raise AssertionError(f"it is not so after {max_periods} periods")
 
 
 def truth(drives: Drives, name: str) -> np.ndarray:

@@ -20,9 +20,9 @@ MAILBOX = 128  # half of what slaves offer, so that more is cut into segments
 HEADER = bytes.fromhex("ffffffffffff 020000000001 88a4")
 
 
-def datagram(command: int, address: int, data: bytes, more: bool = False, **other: int) -> bytes:
+def datagram(command: int, address: int, data: bytes, more: bool = False, **options: int) -> bytes:
     """One datagram; `address`: position or station in the low word, offset in the high one."""
-    flags = len(data) | (0x8000 if more else 0) | other.get("flags", 0)
+    flags = len(data) | (0x8000 if more else 0) | options.get("flags", 0)
     return struct.pack("<BBIHH", command, 0, address, flags, 0) + data + b"\0\0"
 
 
@@ -31,7 +31,9 @@ def at(station: int, offset: int) -> int:
 
 
 def frame(*datagrams: tuple[int, int, bytes]) -> bytes:
-    chain = b"".join(datagram(*one, more=k + 1 < len(datagrams)) for k, one in enumerate(datagrams))
+    chain = b"".join(
+        datagram(*fields, more=k + 1 < len(datagrams)) for k, fields in enumerate(datagrams)
+    )
     return HEADER + struct.pack("<H", len(chain) | 0x1000) + chain
 
 
@@ -117,8 +119,8 @@ class Master:
             bits = 0
             for k in range(self.number(slave, assignment, 0)):
                 pdo = self.number(slave, assignment, k + 1)
-                for one in range(self.number(slave, pdo, 0)):
-                    bits += self.number(slave, pdo, one + 1) & 0xFF
+                for sub in range(self.number(slave, pdo, 0)):
+                    bits += self.number(slave, pdo, sub + 1) & 0xFF
             out.append(bits // 8)
         return out[0], out[1]
 
@@ -127,10 +129,10 @@ class Master:
         out, into = self.sizes(slave)
         self.guard(slave, 2, 0x1200, out, 0x64)
         self.guard(slave, 3, 0x1500, into, 0x20)
-        for k, (start, size, place, way) in enumerate(
+        for k, (start, size, place, direction) in enumerate(
             ((logical, out, 0x1200, 2), (logical + out, into, 0x1500, 1))
         ):
-            unit = struct.pack("<IHBBHBBB3x", start, size, 0, 7, place, 0, way, 1)
+            unit = struct.pack("<IHBBHBBB3x", start, size, 0, 7, place, 0, direction, 1)
             self.write(slave, 0x0600 + 16 * k, unit)
         return self.ask(slave, SAFEOP)
 
@@ -178,9 +180,9 @@ class Master:
     def coe(self, slave: int, service: int, body: bytes) -> bytes:
         """A request and its reply, without the header of CoE."""
         assert self.mail(slave, struct.pack("<H", service << 12) + body) == 1, "mailbox is full"
-        got = self.fetch(slave)
-        assert got is not None and got[0] == 3, f"no answer of CoE, but {got}"
-        return got[1][2:]
+        answer = self.fetch(slave)
+        assert answer is not None and answer[0] == 3, f"no answer of CoE, but {answer}"
+        return answer[1][2:]
 
     def sdo(self, slave: int, body: bytes) -> bytes:
         reply = self.coe(slave, 2, body.ljust(8, b"\0"))
@@ -238,9 +240,9 @@ class Master:
             assert bool(reply[0] & 0x80) == (left > 0), "fragments left are reported wrongly"
             if not left:
                 return out
-            got = self.fetch(slave)
-            assert got is not None, "a fragment is missing"
-            reply = got[1][2:]
+            answer = self.fetch(slave)
+            assert answer is not None, "a fragment is missing"
+            reply = answer[1][2:]
 
 
 def segment(lockstep: bool = True) -> Segment:

@@ -29,14 +29,14 @@ def server() -> Iterator[CanServer]:
     """The nodes of three_axis, served in a thread."""
     goes_on = threading.Event()
     goes_on.set()
-    one = CanServer(port=0)
-    service = BusService(one, load_segment("three_axis"), None)
+    bus_server = CanServer(port=0)
+    service = BusService(bus_server, load_segment("three_axis"), None)
     thread = threading.Thread(target=service.serve, args=(goes_on.is_set,))
     thread.start()
-    yield one
+    yield bus_server
     goes_on.clear()
     thread.join()
-    one.close()
+    bus_server.close()
 
 
 class Client:
@@ -81,28 +81,28 @@ class Client:
 
 
 def test_a_member_reaches_nodes_and_other_members(server: CanServer) -> None:
-    with Client(server) as one, Client(server) as other:
-        assert [one.device_type(node) for node in (1, 2, 3)] == [DEVICE_TYPE] * 3
-        other.frame(0x603)  # what one asks
-        assert len(other.frame(0x583)) == 8, "and the answer"
-        one.send("< send 123 3 1 a ff >< send 00000581 1 7 >< send 080 0 >")
-        assert other.frame(0x123) == b"\x01\x0a\xff", "data as they are"
-        line = other.line()
+    with Client(server) as first, Client(server) as second:
+        assert [first.device_type(node) for node in (1, 2, 3)] == [DEVICE_TYPE] * 3
+        second.frame(0x603)  # what one asks
+        assert len(second.frame(0x583)) == 8, "and the answer"
+        first.send("< send 123 3 1 a ff >< send 00000581 1 7 >< send 080 0 >")
+        assert second.frame(0x123) == b"\x01\x0a\xff", "data as they are"
+        line = second.line()
         assert line.startswith("< frame 00000581 ") and line.endswith(" 07 >"), "29 bits"
-        assert other.frame(0x080) == b"", "no data"
-        other.send("< echo >")
-        assert other.line() == "< echo >"
+        assert second.frame(0x080) == b"", "no data"
+        second.send("< echo >")
+        assert second.line() == "< echo >"
 
 
 def test_frames_that_come_early_wait_until_the_handshake_is_read(
     server: CanServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Clients read the reply to `rawmode` alone; what came with it would be taken for no reply."""
-    with Client(server) as one, socket.create_connection(server.address, timeout=20.0) as late:
+    with Client(server) as client, socket.create_connection(server.address, timeout=20.0) as late:
 
         def served() -> None:
-            one.send("< echo >")
-            assert one.line() == "< echo >", "the server has done what came before"
+            client.send("< echo >")
+            assert client.line() == "< echo >", "the server has done what came before"
 
         served()
         monkeypatch.setattr(can_server, "SETTLING", 1e9)  # s: until the test lets them go
@@ -112,12 +112,12 @@ def test_frames_that_come_early_wait_until_the_handshake_is_read(
         late.sendall(b"< rawmode >")
         assert late.recv(64, socket.MSG_PEEK) == b"< ok >"
         served()
-        one.send("< send 123 1 5 >")
+        client.send("< send 123 1 5 >")
         served()
         assert late.recv(64) == b"< ok >", "and no frame"
         for member in server._members.values():
             member.settled = 0.0
-        one.send("< send 124 0 >")
+        client.send("< send 124 0 >")
         served()
         words = b""
         while words.count(b">") < 2:
@@ -172,28 +172,30 @@ def test_a_member_that_sends_garbage_does_not_disturb_the_others(
     server: CanServer, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    with Client(server) as one:
+    with Client(server) as client:
         for _ in range(100):
             odd = socket.create_connection(server.address, timeout=20.0)
             with odd, contextlib.suppress(ConnectionError):
                 odd.sendall(b"< open arm >< rawmode >" * int(rng.integers(2)))
                 for _ in range(rng.integers(1, 5)):
                     odd.sendall(strange(rng))
-        one.send("< send 000 2 81 0 >")  # what it sent may have been a sound NMT: reset all nodes
-        assert one.device_type() == DEVICE_TYPE
+        client.send(
+            "< send 000 2 81 0 >"
+        )  # what it sent may have been a sound NMT: reset all nodes
+        assert client.device_type() == DEVICE_TYPE
     assert server.ignored > 0, "counted"
 
 
 def test_one_that_does_not_read_and_one_too_many_are_dropped(server: CanServer) -> None:
-    with Client(server) as one, Client(server) as deaf:
+    with Client(server) as client, Client(server) as deaf:
         for _ in range(60):
             deaf.send("< send 123 8 0 0 0 0 0 0 0 0 >" * 50)
-            one.send("< send 601 8 40 0 10 0 0 0 0 0 >" * 50)
+            client.send("< send 601 8 40 0 10 0 0 0 0 0 >" * 50)
             for _ in range(50):
-                one.frame(0x581)
-        assert one.device_type() == DEVICE_TYPE
+                client.frame(0x581)
+        assert client.device_type() == DEVICE_TYPE
         more = [socket.create_connection(server.address, timeout=20.0) for _ in range(MOST_CLIENTS)]
-        assert one.device_type() == DEVICE_TYPE
+        assert client.device_type() == DEVICE_TYPE
         assert any(late.recv(64) == b"" for late in more), "one too many is hung up on"
         for late in more:
             late.close()
@@ -202,12 +204,12 @@ def test_one_that_does_not_read_and_one_too_many_are_dropped(server: CanServer) 
 # ------------------------------------------------------------------------------------- python-can
 
 
-def message(**other: object) -> SimpleNamespace:
+def message(**options: object) -> SimpleNamespace:
     plain = {
         "arbitration_id": 0x123, "data": b"\1", "is_extended_id": False, "is_error_frame": False,
         "is_fd": False, "is_remote_frame": False,
     }  # fmt: skip
-    return SimpleNamespace(**{**plain, **other})
+    return SimpleNamespace(**{**plain, **options})
 
 
 def bus_of(comes: Callable[[], object]) -> PythonCanBus:
@@ -217,10 +219,10 @@ def bus_of(comes: Callable[[], object]) -> PythonCanBus:
 def test_messages_that_are_no_frames_are_counted() -> None:
     assert bus_of(message).receive(0.0) == Frame(0x123, b"\1")
     assert bus_of(lambda: None).receive(0.0) is None
-    for what in ({"arbitration_id": 1 << 11}, {"arbitration_id": -1}, {"arbitration_id": "x"},
+    for fields in ({"arbitration_id": 1 << 11}, {"arbitration_id": -1}, {"arbitration_id": "x"},
                  {"data": bytes(9)}, {"data": "text"}, {"is_fd": True}):  # fmt: skip
-        bus = bus_of(lambda what=what: message(**what))  # type: ignore[misc]
-        assert bus.receive(0.0) is None and bus.ignored == 1, what
+        bus = bus_of(lambda fields=fields: message(**fields))  # type: ignore[misc]
+        assert bus.receive(0.0) is None and bus.ignored == 1, fields
 
     def fails(cause: Exception) -> None:
         raise RuntimeError("could not unpack received message") from cause
@@ -252,14 +254,14 @@ def test_stray_datagrams_on_a_bus_by_udp_are_counted() -> None:
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             for k in range(300):
-                one = dict(sound)
-                one[str(rng.choice(list(one)))] = odd[rng.integers(len(odd))]
-                data = rng.bytes(int(rng.integers(60))) if k % 3 else msgpack.packb(one)
+                changed = dict(sound)
+                changed[str(rng.choice(list(changed)))] = odd[rng.integers(len(odd))]
+                data = rng.bytes(int(rng.integers(60))) if k % 3 else msgpack.packb(changed)
                 stranger.sendto(data, ("127.0.0.1", port))
                 sent += 1
-                found = bus.receive(5.0)
-                if found is not None:
-                    assert 0 <= found.id < 1 << 11 and len(found.data) <= 8
+                frame = bus.receive(5.0)
+                if frame is not None:
+                    assert 0 <= frame.id < 1 << 11 and len(frame.data) <= 8
                     sent -= 1
             stranger.sendto(msgpack.packb(sound), ("127.0.0.1", port))
             assert bus.receive(5.0) == Frame(0x123, b"\1"), "a sound one is still taken"

@@ -60,8 +60,8 @@ def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
         number = draw.choice(list(model))
         if command in (129, 130) and number in reached:
             toggle[number] = 0
-        for other in reached:
-            toggle[other] = 0 if command in (129, 130) else toggle[other]
+        for node_id in reached:
+            toggle[node_id] = 0 if command in (129, 130) else toggle[node_id]
         guarded = segment.receive(Frame(0x700 + number, remote=True))
         assert guarded == [Frame(0x700 + number, bytes((model[number] | toggle[number],)))]
         toggle[number] ^= 0x80
@@ -117,8 +117,8 @@ def test_transmit_pdos_on_event_on_request_and_by_timer(scene: Scene) -> None:
     put(segment, 1, 0x1802, 2, 253, 1)
     frames = segment.receive(Frame(0, b"\1\0"))
     assert len(sent(frames, 0x181)) == 1, "on entering operational"
-    came = [len(sent(segment.receive(SYNC), 0x181)) for _ in range(9)]
-    assert came == [0, 0, 1] * 3, "the statusword stands still: by the timer"
+    counts = [len(sent(segment.receive(SYNC), 0x181)) for _ in range(9)]
+    assert counts == [0, 0, 1] * 3, "the statusword stands still: by the timer"
     assert sent(segment.receive(Frame(0x281, remote=True)), 0x281), "sampled by SYNC"
     assert sent(segment.receive(Frame(0x381, remote=True)), 0x381), "sampled when asked for"
     put(segment, 1, 0x1802, 1, 0x80000381, 4)
@@ -196,20 +196,20 @@ def test_a_motion_by_frames_is_that_of_the_drives(
     turning = 2 * np.pi * rng.uniform(0.3, 1.0, 3)
     for tick in range(800):
         angle = turning * tick * 1e-3
-        wanted = {
+        positions = {
             8: np.array(start) + counts * (1 - np.cos(angle)) / 2,
             9: counts * turning * np.sin(angle) / 2,
             10: 40 * np.sin(angle),  # 4 % of the rated torque
         }[mode]
-        targets = np.rint(wanted).astype(int).tolist()
-        for k, one in enumerate(targets):
-            segment.receive(Frame(rx + 3 + k, struct.pack(layout, 15, one)))
+        targets = np.rint(positions).astype(int).tolist()
+        for k, position in enumerate(targets):
+            segment.receive(Frame(rx + 3 + k, struct.pack(layout, 15, position)))
         frames = segment.receive(SYNC)
-        for k, one in enumerate(targets):
+        for k, position in enumerate(targets):
             reported = struct.unpack(layout, sent(frames, tx + 3 + k)[0])
             assert reported == (drives.read(k, 0x6041), drives.read(k, actual)), f"at SYNC {tick}"
             drives.write(k, 0x6040, 15)
-            drives.write(k, target, one)
+            drives.write(k, target, position)
         drives.period()
         if mode == 8:  # 0.004 rad at the link, some periods' way
             assert all(abs(drives.read(k, actual) - targets[k]) < 60 for k in range(3))
@@ -266,15 +266,15 @@ def test_a_machine_that_diverged_stays_and_its_nodes_answer(
     segment = segment_of(scene, operational=True)
     segment.receive(SYNC)
     still = np.zeros(3)
-    gone = Diverged("waist", 0.001, scene, still, still, still)
+    diverged = Diverged("waist", 0.001, scene, still, still, still)
 
     def diverge() -> None:
-        raise gone
+        raise diverged
 
     monkeypatch.setattr(segment.drives, "period", diverge)
     for _ in range(3):
         assert sent(segment.receive(SYNC), 0x281), "SYNC is answered"
-    assert segment.fault is gone and segment.tick == 1
+    assert segment.fault is diverged and segment.tick == 1
     assert uploaded(segment, 1, 0x1000, 0) == b"\x92\x01\x02\0"
 
 
@@ -286,11 +286,11 @@ def test_data_sheets_that_cannot_be_written_are_refused() -> None:
 def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:
     """A frame of some kind that a node might take, sound or spoiled."""
     number = draw.choice(numbers)
-    one = draw.choice(ENTRIES)
+    entry = draw.choice(ENTRIES)
     match draw.randrange(8):
         case 0 | 1 | 2:  # SDO with an entry of the dictionary, any command
             head = draw.choice([0x40, 0x2F, 0x2B, 0x23, 0x21, 0xA4, 0xC6, draw.randrange(256)])
-            raw = struct.pack("<BHB", head, one.index, one.sub)
+            raw = struct.pack("<BHB", head, entry.index, entry.sub)
             value = draw.choice([draw.randbytes(4), bytes(4), struct.pack("<I", draw.randrange(9))])
             return Frame(0x600 + number, raw + value)
         case 3:  # segments, and anything else
@@ -323,8 +323,8 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
         if not look:
             continue
         aborted = frames and frames[0].id & 0x780 == 0x580 and frames[0].data[0] == 0x80
-        for_nobody = frame.id & 0x7F not in numbers and not frame.remote and not frames
-        if aborted or (for_nobody and frame.id not in ids_of(segment)):
+        unaddressed = frame.id & 0x7F not in numbers and not frame.remote and not frames
+        if aborted or (unaddressed and frame.id not in ids_of(segment)):
             assert whole(segment) == before, frame
             looked += 1
     assert looked > FRAMES // 4 // 50 // 8

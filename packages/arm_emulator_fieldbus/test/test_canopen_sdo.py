@@ -94,20 +94,20 @@ def test_block_uploads_bring_every_entry_whatever_is_lost(scene: Scene, seed: in
     def ask(request: bytes) -> list[bytes]:
         return sent(segment.receive(Frame(0x601, request)), 0x581)
 
-    for one in [entry for entry in ENTRIES if not entry.bits] + draw.sample(ENTRIES, 40):
+    for sampled in [entry for entry in ENTRIES if not entry.bits] + draw.sample(ENTRIES, 40):
         size = draw.randint(1, 127)
-        (reply,) = ask(struct.pack("<BHBBB2x", 0xA4, one.index, one.sub, size, 0))
-        expected = segment.nodes[0].upload(one.index, one.sub)
-        assert reply == struct.pack("<BHBI", 0xC6, one.index, one.sub, len(expected))
+        (reply,) = ask(struct.pack("<BHBBB2x", 0xA4, sampled.index, sampled.sub, size, 0))
+        expected = segment.nodes[0].upload(sampled.index, sampled.sub)
+        assert reply == struct.pack("<BHBI", 0xC6, sampled.index, sampled.sub, len(expected))
         value, segments = b"", ask(b"\xa3" + bytes(7))
         while True:
             assert [part[0] & 0x7F for part in segments] == list(range(1, len(segments) + 1))
             assert len(segments) <= size
-            got = draw.randint(0, len(segments)) if draw.random() < 0.5 else len(segments)
-            value += b"".join(part[1:] for part in segments[:got])
-            last = got and segments[got - 1][0] & 0x80
+            received = draw.randint(0, len(segments)) if draw.random() < 0.5 else len(segments)
+            value += b"".join(part[1:] for part in segments[:received])
+            last = received and segments[received - 1][0] & 0x80
             size = draw.randint(1, 127)
-            segments = ask(bytes((0xA2, got, size)) + bytes(5))
+            segments = ask(bytes((0xA2, received, size)) + bytes(5))
             if last:
                 break
         (end,) = segments
@@ -242,7 +242,7 @@ def test_data_sheet_holds_what_the_standard_names(scene: Scene) -> None:
     sheet.read_string(make_eds(segment_of(scene, 7).nodes[0], "a.eds", "a"))
     for name in sheet.sections():
         numbered = re.fullmatch(r"(Mandatory|Optional|Manufacturer)Objects|DummyUsage", name)
-        known = _KEYS.get(name) or (_KEYS["object"] if re.match(r"[0-9A-F]{4}", name) else "")
+        keys = _KEYS.get(name) or (_KEYS["object"] if re.match(r"[0-9A-F]{4}", name) else "")
         for key in sheet[name]:
             of_list = numbered and re.fullmatch(r"SupportedObjects|\d+|Dummy000\d", key)
-            assert of_list or key in known.split(), f"[{name}] {key}"
+            assert of_list or key in keys.split(), f"[{name}] {key}"

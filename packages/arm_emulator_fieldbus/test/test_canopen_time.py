@@ -45,14 +45,14 @@ def turning(segment: CanSegment) -> None:
     assert speed(segment) > 5000
 
 
-def cycle(segment: CanSegment, what: Sequence[str], word: int = 15) -> list[Frame]:
+def cycle(segment: CanSegment, messages: Sequence[str], word: int = 15) -> list[Frame]:
     """A servo period with some of the messages; guarding is answered and left out."""
     frames: list[Frame] = []
-    if "RPDO" in what:
+    if "RPDO" in messages:
         frames += segment.receive(Frame(0x401, struct.pack("<Hi", word, 9000)))
-    if "SYNC" in what:
+    if "SYNC" in messages:
         frames += segment.receive(SYNC)
-    if "guarding" in what:
+    if "guarding" in messages:
         segment.receive(Frame(0x701, remote=True))
     return frames + segment.pass_period()
 
@@ -64,14 +64,14 @@ LOSSES = {
 }
 
 
-@pytest.mark.parametrize("what", LOSSES)
-def test_a_motor_stops_when_sync_or_targets_or_guarding_cease(what: str) -> None:
+@pytest.mark.parametrize("messages", LOSSES)
+def test_a_motor_stops_when_sync_or_targets_or_guarding_cease(messages: str) -> None:
     """Monitored are 0x1006, 0x1400:5 of RPDOs, and 0x100C times 0x100D (CiA 301); 0: not.
 
     The drive reacts as 0x6007 selects: here by a fault, with the code that EMCY reports.
     """
-    index, sub, value, size, code, after = LOSSES[what]
-    others = [one for one in EVERYTHING if one != what]
+    index, sub, value, size, code, after = LOSSES[messages]
+    others = [name for name in EVERYTHING if name != messages]
     for monitored in (False, True):
         segment = can_segment(lockstep=False)
         if monitored:
@@ -79,9 +79,9 @@ def test_a_motor_stops_when_sync_or_targets_or_guarding_cease(what: str) -> None
             put(segment, 1, 0x100D, 0, 3, 1)
         turning(segment)
         # The last messages came before the last period; the time ends at a period's end.
-        frames = [one for _ in range(after - 1) for one in cycle(segment, others)]
+        frames = [frame for _ in range(after - 1) for frame in cycle(segment, others)]
         assert not sent(frames, 0x81), "not before the time"
-        frames = [one for _ in range(2) for one in cycle(segment, others)]
+        frames = [frame for _ in range(2) for frame in cycle(segment, others)]
         emergencies = [struct.unpack_from("<H", data)[0] for data in sent(frames, 0x81)]
         assert emergencies == ([code] if monitored else [])
         for _ in range(2000):
@@ -138,14 +138,14 @@ def test_a_sync_stands_for_its_period_and_not_for_the_interpolation_time() -> No
 
     A target is reached 50 ms after its SYNC, 5 SYNCs later; a SYNC lets 10 ms pass.
     """
-    for given in ("0x1006", "option"):
-        period = 0.01 if given == "option" else 0.0
+    for source in ("0x1006", "option"):
+        period = 0.01 if source == "option" else 0.0
         drives = Drives(Plant(PLAIN), SERVO, CANOPEN)
         segment = CanSegment(drives, 1, sync_period=period)
         segment.boot()
         put(segment, 1, 0x60C2, 1, 50, 1)
         put(segment, 1, 0x60C2, 2, 256 - 3, 1)
-        if given == "0x1006":
+        if source == "0x1006":
             for node in (1, 2, 3):
                 put(segment, node, 0x1006, 0, 10000, 4)
         enable_nodes(segment, CSP)

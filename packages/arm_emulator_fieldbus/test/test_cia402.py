@@ -47,16 +47,16 @@ from arm_emulator_fieldbus.object_dictionary import REALS, Aborted, Entry, list_
 def test_every_entry_can_be_read_and_begins_within_its_range() -> None:
     for bus in (ETHERCAT, CANOPEN):
         drives = make(bus=bus)
-        for one in list_entries():
-            if not one.buses & bus:
+        for entry in list_entries():
+            if not entry.buses & bus:
                 with pytest.raises(Aborted, match="06020000"):
-                    drives.upload(0, one.index, one.sub)
+                    drives.upload(0, entry.index, entry.sub)
                 continue
-            raw = drives.upload(0, one.index, one.sub)
-            if one.bits:
-                assert len(raw) == one.bits // 8, f"bytes of {one}"
-                value = drives.read(0, one.index, one.sub)
-                assert one.least <= value <= one.most, f"value of {one}"
+            raw = drives.upload(0, entry.index, entry.sub)
+            if entry.bits:
+                assert len(raw) == entry.bits // 8, f"bytes of {entry}"
+                value = drives.read(0, entry.index, entry.sub)
+                assert entry.least <= value <= entry.most, f"value of {entry}"
         assert drives.upload(1, 0x1008) == b"three_axis", "name of the device"
         assert drives.read(2, 0x1018, 4) == 3, "serial number of the third drive"
 
@@ -66,8 +66,8 @@ def test_units_are_those_of_the_scene() -> None:
     assert drives.read(0, 0x608F, 1) == 1024, "counts in a turn of the motor"
     assert drives.read(0, 0x6076) == 1000, "rated torque [mN m]: 20 A at 0.05 N m/A"
     assert drives.read(0, 0x6075) == 20000, "rated current [mA]"
-    most = 3.0 / 0.01 * 1024 / (2 * math.pi)  # of the link's 3 rad/s
-    assert drives.read(0, 0x607F) == math.floor(most), "largest speed [counts/s]"
+    max_speed = 3.0 / 0.01 * 1024 / (2 * math.pi)  # of the link's 3 rad/s
+    assert drives.read(0, 0x607F) == math.floor(max_speed), "largest speed [counts/s]"
     assert drives.read(1, ACTUAL) == math.floor(0.5 / 0.01 * 1024 / (2 * math.pi)), (
         "counts at start"
     )
@@ -80,23 +80,23 @@ FIXED = {0x6075, 0x6076, 0x607B, 0x608F, 0x6091, 0x6092, 0x6402}
 
 
 def expected_abort(
-    one: Entry | None, known_object: bool, raw: bytes, value: int, now: bytes = b""
+    entry: Entry | None, is_object: bool, raw: bytes, value: int, now: bytes = b""
 ) -> int:
     """Return the result of a write by CiA 301, where the entry has the bytes `now`."""
-    if one is None:
-        return 0x06090011 if known_object else 0x06020000
-    if one.access in ("const", "ro"):
+    if entry is None:
+        return 0x06090011 if is_object else 0x06020000
+    if entry.access in ("const", "ro"):
         return 0x06010002
     size = len(raw)
-    if size != one.bits // 8:
-        return 0x06070012 if size > one.bits // 8 else 0x06070013
-    if one.index in FIXED:
+    if size != entry.bits // 8:
+        return 0x06070012 if size > entry.bits // 8 else 0x06070013
+    if entry.index in FIXED:
         return 0 if raw == now else 0x06090030
-    if one.type == "REAL32" and not math.isfinite(*struct.unpack("<f", raw)):
+    if entry.type == "REAL32" and not math.isfinite(*struct.unpack("<f", raw)):
         return 0x06090030
-    if value > one.most:
+    if value > entry.most:
         return 0x06090031
-    return 0x06090032 if value < one.least else 0
+    return 0x06090032 if value < entry.least else 0
 
 
 FAULTS = range(0x2010, 0x2014)
@@ -115,37 +115,39 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
     """
     rng = random.Random(402)
     drives = make()
-    known = {(one.index, one.sub): one for one in list_entries() if one.buses & ETHERCAT}
-    objects = {index for index, _ in known}
-    model = {key: drives.upload(0, *key) for key in known}
-    writable = [key for key, one in known.items() if one.access == "rw"]
-    keys, taken, refused = list(known), 0, 0
+    entries = {
+        (entry.index, entry.sub): entry for entry in list_entries() if entry.buses & ETHERCAT
+    }
+    objects = {index for index, _ in entries}
+    model = {key: drives.upload(0, *key) for key in entries}
+    writable = [key for key, entry in entries.items() if entry.access == "rw"]
+    keys, taken, refused = list(entries), 0, 0
     for k in range(100_000 if FULL else 20_000):
         key = rng.choice(writable if rng.random() < 0.5 else keys)
         if rng.random() < 0.1:
             key = (rng.choice((key[0], rng.randrange(0x10000))), rng.randrange(256))
-        one = known.get(key)
+        entry = entries.get(key)
         if rng.random() < 0.3:
-            if one is None:
+            if entry is None:
                 code = 0x06090011 if key[0] in objects else 0x06020000
                 with pytest.raises(Aborted) as no:
                     drives.upload(0, *key)
                 assert no.value.code == code, f"reading {key}"
             else:
-                assert drives.upload(0, *key) == model[key], f"value of {one}"
+                assert drives.upload(0, *key) == model[key], f"value of {entry}"
             continue
-        size = one.bits // 8 if one and rng.random() < 0.9 else rng.randrange(9)
+        size = entry.bits // 8 if entry and rng.random() < 0.9 else rng.randrange(9)
         raw = rng.choice((rng.randbytes(size), bytes(size), b"\x01" + bytes(max(0, size - 1))))
         raw = raw[:size]
-        value = int.from_bytes(raw, "little", signed=bool(one and one.type.startswith("INT")))
-        expected = expected_abort(one, key[0] in objects, raw, value, model.get(key, b""))
+        value = int.from_bytes(raw, "little", signed=bool(entry and entry.type.startswith("INT")))
+        expected = expected_abort(entry, key[0] in objects, raw, value, model.get(key, b""))
         try:
             drives.download(0, *key, raw)
             code = 0
         except Aborted as no:
             code = no.code
         if key[0] not in SPECIAL:
-            assert code == expected, f"writing {raw.hex()} to {one or key}"
+            assert code == expected, f"writing {raw.hex()} to {entry or key}"
         if code == 0:
             taken += 1
             if key[0] not in (0x1003, 0x1011):
@@ -153,8 +155,8 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
         else:
             refused += 1
         if k % 5000 == 0:
-            assert {key: drives.upload(0, *key) for key in known} == model, "the whole dictionary"
-    assert {key: drives.upload(0, *key) for key in known} == model, "the whole dictionary"
+            assert {key: drives.upload(0, *key) for key in entries} == model, "the whole dictionary"
+    assert {key: drives.upload(0, *key) for key in entries} == model, "the whole dictionary"
     assert min(taken, refused) > 2_000, f"{taken} taken, {refused} refused"
     # The drive runs with any settings.
     drives.period(100)
@@ -252,7 +254,7 @@ def bring(drives: Drives, where: str) -> None:
 def test_every_state_takes_every_command_as_the_table_states() -> None:
     """All 32 words of bits 0 to 3 and 7, bit 7 with and without an edge, in every state."""
     drives = make()
-    seen = set()
+    transitions = set()
     low = [bits | reset for bits in range(16) for reset in (0, RESET)]
     for where in (name for name in STATES if name not in ("not ready", "fault reaction")):
         for word, before in itertools.product(low, (0, RESET)):
@@ -269,8 +271,10 @@ def test_every_state_takes_every_command_as_the_table_states() -> None:
             drives.period()
             transition, after = TABLE.get((where, reported), (0, where))
             assert state(drives) == after, f"from {where} by 0x{word:02x} after 0x{before:02x}"
-            seen.add(transition)
-    assert seen == {0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 16}, "transitions that were taken"
+            transitions.add(transition)
+    assert transitions == {0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 16}, (
+        "transitions that were taken"
+    )
 
 
 class Model:
@@ -315,7 +319,7 @@ class Model:
 def test_random_commands_options_and_losses_lead_where_a_model_states(seed: int) -> None:
     """3000 words and events on a drive that stands still: every stop is over in a few periods."""
     rng = random.Random(seed)
-    drives, model, seen = make(), Model(), set()
+    drives, model, states = make(), Model(), set()
     drives.write(0, MODE, CSV)
     likely = (SHUTDOWN, SWITCH_ON, ENABLE, ENABLE, RESET, 0, 0x0B, SHUTDOWN | RESET)
     for k in range(3000):
@@ -339,8 +343,8 @@ def test_random_commands_options_and_losses_lead_where_a_model_states(seed: int)
         drives.period(5)
         model.take(word)
         assert state(drives) == model.state, f"after word {k}, 0x{word:02x}, {model.options}"
-        seen.add(model.state)
-    assert len(seen) >= 5, f"states that it was in: {seen}"
+        states.add(model.state)
+    assert len(states) >= 5, f"states that it was in: {states}"
 
 
 def test_libraries_of_field_buses_are_compiled_ahead_on_request(
@@ -393,30 +397,32 @@ def dictionary_rows() -> list[str]:
     """
     drives = make()
     rows = ["| index | object | sub-indices | on |", "|---|---|---|---|"]
-    for one in list_entries():
-        if one.index < 0x2000 and one.sub == 0:
-            on = {1: "EtherCAT", 2: "CANopen", 3: "both"}[one.buses]
-            rows.append(f"| 0x{one.index:04X} | {one.object} | {one.last_sub or ''} | {on} |")
+    for entry in list_entries():
+        if entry.index < 0x2000 and entry.sub == 0:
+            on = {1: "EtherCAT", 2: "CANopen", 3: "both"}[entry.buses]
+            rows.append(f"| 0x{entry.index:04X} | {entry.object} | {entry.last_sub or ''} | {on} |")
     rows += [
         "",
         "| index | entry | type | access | PDO | unit | at first | range |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for one in list_entries():
-        if one.index < 0x2000 or one.index in OF_PARTS:
+    for entry in list_entries():
+        if entry.index < 0x2000 or entry.index in OF_PARTS:
             continue
-        where = f"0x{one.index:04X}" + (f":{one.sub}" if one.last_sub else "")
-        name = one.object if not one.sub else f"{one.object}: {one.name}"
-        pdo = " ".join(word for word, may in (("rx", one.rx), ("tx", one.tx)) if may)
-        value = drives.read(0, one.index, one.sub)
-        live = one.access == "ro" and one.tx
-        first = "" if live else str(one.standard) if value == one.standard else "scene"
-        signed = one.type.startswith("I")
-        whole = one.least == (-(1 << one.bits - 1) if signed else 0)
-        whole &= one.most == (1 << one.bits - signed) - 1
-        whole |= one.type in REALS
-        bounds = "" if whole or "w" not in one.access else f"{one.least} to {one.most}"
-        cells = (where, name, one.type, one.access, pdo, one.unit, first, bounds)
+        where = f"0x{entry.index:04X}" + (f":{entry.sub}" if entry.last_sub else "")
+        name = entry.object if not entry.sub else f"{entry.object}: {entry.name}"
+        pdo = " ".join(word for word, may in (("rx", entry.rx), ("tx", entry.tx)) if may)
+        value = drives.read(0, entry.index, entry.sub)
+        live = entry.access == "ro" and entry.tx
+        first = "" if live else str(entry.standard) if value == entry.standard else "scene"
+        signed = entry.type.startswith("I")
+        is_full_range = entry.least == (-(1 << entry.bits - 1) if signed else 0)
+        is_full_range &= entry.most == (1 << entry.bits - signed) - 1
+        is_full_range |= entry.type in REALS
+        bounds = (
+            "" if is_full_range or "w" not in entry.access else f"{entry.least} to {entry.most}"
+        )
+        cells = (where, name, entry.type, entry.access, pdo, entry.unit, first, bounds)
         rows.append(f"| {' | '.join(cells)} |")
     return rows
 

@@ -175,7 +175,7 @@ def test_cyclic_torque_gives_that_torque() -> None:
     np.testing.assert_allclose(np.mean(off, axis=0), 0.0, atol=1.0, err_msg="mean of what is off")
 
 
-def duration(way: float, begin: float, speed: float, up: float, down: float) -> float:
+def duration(distance: float, begin: float, speed: float, up: float, down: float) -> float:
     """Of the shortest motion over a way >= 0 that begins with a speed along it and ends at rest.
 
     The peak is found by halving: the way that it takes to speed up and to slow down grows with it.
@@ -187,8 +187,8 @@ def duration(way: float, begin: float, speed: float, up: float, down: float) -> 
     low, high = begin, speed
     for _ in range(100):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if covered(middle) < way else (low, middle)
-    return (low - begin) / up + low / down + max(0.0, way - covered(low)) / low
+        low, high = (middle, high) if covered(middle) < distance else (low, middle)
+    return (low - begin) / up + low / down + max(0.0, distance - covered(low)) / low
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -207,21 +207,21 @@ def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
     for index, value in ((0x6081, speed), (0x6083, up), (0x6084, down)):
         drives.write(0, index, value)
     # With and without a part at full speed.
-    way = int(speed * speed * (0.5 / up + 0.5 / down) * rng.choice([0.3, 3.0])) + 100
+    distance = int(speed * speed * (0.5 / up + 0.5 / down) * rng.choice([0.3, 3.0])) + 100
     if seed % 2:
-        set_point(drives, sign * way, 0x40)  # relative
+        set_point(drives, sign * distance, 0x40)  # relative
     else:
-        set_point(drives, start + sign * way)
+        set_point(drives, start + sign * distance)
     spent = 1
-    predicted = duration(way, 0.0, speed, up, down)
+    predicted = duration(distance, 0.0, speed, up, down)
     if seed >= 4:
         spent += (some := int(rng.uniform(0.1, 0.9) * predicted * speed / (speed + up) / T))
         drives.period(some)
         x, v = 0.5 * up * (spent * T) ** 2, up * spent * T
-        if v > speed or x + v * v / (2.0 * down) > way:
+        if v > speed or x + v * v / (2.0 * down) > distance:
             pytest.skip("it does not speed up any more")
         stop = v * v / (2.0 * down)
-        ahead = stop + way * rng.choice([0.1, 1.0]), stop - way, 0.5 * stop
+        ahead = stop + distance * rng.choice([0.1, 1.0]), stop - distance, 0.5 * stop
         new = float(round(x + ahead[seed % 3]))
         # A period passes until the bit is low, another until the set-point is taken.
         drives.write(0, CONTROL, ENABLE | 0x20)
@@ -239,15 +239,17 @@ def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
         drives.write(0, CONTROL, ENABLE | 0x30)
         drives.period()
         spent += 1
-        way = int(new)
-    end = start + sign * way
+        distance = int(new)
+    end = start + sign * distance
     periods = spent + until(
         drives, lambda: drives.read(0, 0x6062) == end and drives.read(0, 0x606B) == 0, 60000
     )
     # The first one that is whole, or one before: speeds are asked to half a count/s.
     assert predicted / T - 1 <= periods <= predicted / T + 1, "periods on the way"
     until(drives, lambda: bool(drives.read(0, STATUS) & REACHED))
-    assert abs(drives.read(0, ACTUAL) - start - sign * way) <= 10, "position, within its window"
+    assert abs(drives.read(0, ACTUAL) - start - sign * distance) <= 10, (
+        "position, within its window"
+    )
 
 
 def test_profiles_follow_one_another_or_change_at_once() -> None:
@@ -270,12 +272,12 @@ def test_profiles_follow_one_another_or_change_at_once() -> None:
     set_point(drives, start - 200, 0x20)
     at = drives.read(0, 0x6062)
     assert at < start + 4000, "it is on its way"
-    way = [drives.read(0, 0x6062) for _ in range(4000) if not drives.period()]
-    assert max(way) < start + 4900, "it turns round before the first is reached"
-    assert way[-1] == start - 200, "and goes to the second"
+    positions = [drives.read(0, 0x6062) for _ in range(4000) if not drives.period()]
+    assert max(positions) < start + 4900, "it turns round before the first is reached"
+    assert positions[-1] == start - 200, "and goes to the second"
     # No jump in speed: its differences change by the accelerations at most.
-    most = max(drives.read(0, 0x6083), drives.read(0, 0x6084)) * T * T
-    assert np.abs(np.diff(way, 2)).max() <= most + 2, "change of speed, rounding in it"
+    max_change = max(drives.read(0, 0x6083), drives.read(0, 0x6084)) * T * T
+    assert np.abs(np.diff(positions, 2)).max() <= max_change + 2, "change of speed, rounding in it"
 
 
 def test_halt_interrupts_a_profile_and_lets_it_go_on() -> None:

@@ -230,7 +230,8 @@ def test_windows_and_decelerations_scale_with_the_encoder(bits: int) -> None:
     units |= dict.fromkeys((0x6083, 0x6084, 0x6085, 0x609A), 0x2008)
     for index, unit in units.items():
         was, now = (
-            one.read(0, index) * (1 if unit == 1 else one.read(0, unit)) for one in (coarse, fine)
+            drive_set.read(0, index) * (1 if unit == 1 else drive_set.read(0, unit))
+            for drive_set in (coarse, fine)
         )
         # Rounded to whole counts, of 10 for the position window.
         tolerance = 0.03 if index == 0x6067 else 1e-3
@@ -303,8 +304,8 @@ def test_the_motor_type_is_that_of_the_motor() -> None:
     """
     from arm_emulator.machine.parts.known import MOTORS as ALL
 
-    known = {kind.kind: kind.cia_type for kind in ALL}
-    assert known == {"dc": 13, "pmsm": 10, "stepper": 9, "torque": 0, "current": 0}
+    types = {kind.kind: kind.cia_type for kind in ALL}
+    assert types == {"dc": 13, "pmsm": 10, "stepper": 9, "torque": 0, "current": 0}
     drives = make(load_scene("three_axis", {"joints.elbow.motor": MOTORS["pmsm"][0]}))
     assert [drives.read(j, 0x6402) for j in range(3)] == [13, 13, 10]
 
@@ -321,9 +322,9 @@ def test_properties_of_the_machine_may_be_written_as_they_are(index: int, sub: i
     drives = make()
     value = drives.upload(0, index, sub)
     drives.download(0, index, sub, value)
-    other = bytes([value[0] ^ 1]) + value[1:]
+    changed = bytes([value[0] ^ 1]) + value[1:]
     with pytest.raises(Aborted, match="06090030"):
-        drives.download(0, index, sub, other)
+        drives.download(0, index, sub, changed)
     assert drives.upload(0, index, sub) == value
 
 

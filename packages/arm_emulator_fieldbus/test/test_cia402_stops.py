@@ -106,8 +106,8 @@ def test_no_mode_leaves_the_software_limits(mode: int) -> None:
             farthest = max(farthest, sign * (drives.read(0, ACTUAL) - limit))
         # The arm swings when it is stopped: by 12000 counts/s for 10 ms where it is stopped dead,
         # by a third of that where it has slowed down before.
-        most = 130 if mode == CSP else 40
-        assert -40 <= farthest <= most, f"how far beyond the limit on side {sign} [counts]"
+        max_counts = 130 if mode == CSP else 40
+        assert -40 <= farthest <= max_counts, f"how far beyond the limit on side {sign} [counts]"
         if mode not in (PV, TQ, CST):
             assert drives.read(0, STATUS) & INTERNAL_LIMIT or mode == CSV, "internal limit"
 
@@ -282,7 +282,7 @@ def test_brakes_open_before_and_close_behind_the_motion() -> None:
     drives = make(RICH)
     drives.period(60)  # closed by now
     assert drives.read(1, 0x2004) == 1, "a drive that is not enabled is braked"
-    held = truth(drives, "theta_m").copy()
+    start = truth(drives, "theta_m").copy()
     for j in range(N):
         drives.write(j, MODE, CSP)
         drives.write(j, TARGET, drives.read(j, ACTUAL))
@@ -296,7 +296,7 @@ def test_brakes_open_before_and_close_behind_the_motion() -> None:
     assert closed == pytest.approx(CLOSE / T, abs=2), "periods until the brake is closed"
     drives.period(50)
     assert drives.plant.measured.applied[1] == 0.0, "the motor is let go once it is braked"
-    turned = (truth(drives, "theta_m") - held) * 1024 / (2 * math.pi)
+    turned = (truth(drives, "theta_m") - start) * 1024 / (2 * math.pi)
     # The weight moves from the brake to the motor, which finds it by its integral: some counts.
     assert np.abs(turned).max() < 12, "counts by which the motors have turned"
     enable(drives, CSP)
@@ -389,7 +389,7 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
     """Any value in any entry of the drive in motion: one state, no voltage unless it controls."""
     rng = random.Random(seed)
     drives = make(RICH if seed % 2 else PLAIN)
-    entries = [one for one in list_entries() if one.index >= 0x2000 and one.access == "rw"]
+    entries = [entry for entry in list_entries() if entry.index >= 0x2000 and entry.access == "rw"]
     lively = [entry for entry in entries if entry.rx and entry.index != CONTROL]
     likely = [
         SHUTDOWN,
@@ -398,24 +398,26 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
         0x0B,
         *(ENABLE | bits for bits in (0, 0, 0x10, 0x30, HALT)),
     ]
-    seen, before = set(), [""] * N
+    states, before = set(), [""] * N
     for k in range(1500):
         for j in range(N):
             if rng.random() < 0.05:
                 drives.write(j, CONTROL, rng.choice(likely))
-            one = rng.choice(lively if rng.random() < 0.8 else entries)
-            value = rng.choice((one.least, one.most, rng.randint(one.least, one.most), k % 128))
-            if one.index == TARGET:
+            target = rng.choice(lively if rng.random() < 0.8 else entries)
+            value = rng.choice(
+                (target.least, target.most, rng.randint(target.least, target.most), k % 128)
+            )
+            if target.index == TARGET:
                 value = drives.read(j, ACTUAL) + rng.randrange(-2000, 2000)
             with contextlib.suppress(Aborted):
-                drives.download(j, one.index, one.sub, value.to_bytes(9, "little", signed=True)
-                                [: one.bits // 8])  # fmt: skip
+                content = value.to_bytes(9, "little", signed=True)[: target.bits // 8]
+                drives.download(j, target.index, target.sub, content)
         if k % 100 == 0:
             drives.lost(rng.randrange(-1, N))
         drives.period()
         for j in range(N):
             now = state(drives, j)
-            seen.add(now)
+            states.add(now)
             # A fault comes at the end of a period. Brakes: the motor is held while they move.
             off = now in ("switch on disabled", "ready", "switched on", "fault")
             if off and before[j] == now and drives.plant.scene is PLAIN:
@@ -424,6 +426,6 @@ def test_a_master_that_writes_at_random_never_breaks_a_drive(seed: int) -> None:
                 f"command, period {k}"
             )
             before[j] = now
-    assert len(seen) >= 4, f"states that were seen: {seen}"
-    assert "operation enabled" in seen, "it was enabled"
+    assert len(states) >= 4, f"states that were seen: {states}"
+    assert "operation enabled" in states, "it was enabled"
     assert np.isfinite(drives.plant.state.q).all(), "the arm"

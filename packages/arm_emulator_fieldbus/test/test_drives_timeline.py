@@ -63,14 +63,14 @@ def enabled(drives: Drives) -> None:
 
 def whole(drives: Drives) -> tuple[bytes, list[bytes]]:
     """The machine, and every entry of every dictionary."""
-    found = []
+    values = []
     for j in range(N):
         for entry in drives.entries:
             try:
-                found.append(drives.upload(j, entry.index, entry.sub))
+                values.append(drives.upload(j, entry.index, entry.sub))
             except Aborted as no:
-                found.append(no.code.to_bytes(4, "little"))
-    return drives.plant.save(), found
+                values.append(no.code.to_bytes(4, "little"))
+    return drives.plant.save(), values
 
 
 def drawn(seed: int) -> list[tuple[int, Callable[[Drives], None]]]:
@@ -123,26 +123,26 @@ def test_forks_of_drives_go_on_as_if_they_were_alone() -> None:
     second = fork.fork()
     second.change("c", words(random.Random(3)))
     second.advance(40)
-    for one, seeds in ((line, ((0, 1),)), (fork, ((0, 2),)), (second, ((0, 2), (60, 3)))):
-        one.go_to(one.newest)
+    for branch, seeds in ((line, ((0, 1),)), (fork, ((0, 2),)), (second, ((0, 2), (60, 3)))):
+        branch.go_to(branch.newest)
         alone = make(RICH)
         enabled(alone)
         alone.period(100)
         for at, seed in seeds:
             alone.period(at)
             words(random.Random(seed))(alone)
-        alone.period(one.newest - alone.tick)
+        alone.period(branch.newest - alone.tick)
         assert whole(drives) == whole(alone)
 
 
 def test_other_states_are_refused() -> None:
-    one, other = make(), make()
-    for given in (other.save(), b"", None):
+    first, second = make(), make()
+    for state in (second.save(), b"", None):
         with pytest.raises(Refusal, match="the same drives"):
-            one.restore(given)  # type: ignore[arg-type]
-    before = whole(one)
-    saved = one.save()
+            first.restore(state)  # type: ignore[arg-type]
+    before = whole(first)
+    saved = first.save()
     assert len(saved) > len(saved.machine) + 1000
-    one.period(10)
-    one.restore(saved)
-    assert whole(one) == before
+    first.period(10)
+    first.restore(saved)
+    assert whole(first) == before

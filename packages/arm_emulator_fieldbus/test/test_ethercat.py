@@ -96,9 +96,9 @@ def test_objects_read_back_as_written(master: Master) -> None:
         assert master.one(FPRD, at(STATION + k, 0x0F80), bytes(8)) == (value, 1), "read again"
     union = bytes(a | b | c for a, b, c in zip(*values, strict=True))
     assert master.one(BRD, at(0, 0x0F80), bytes(8))[0] == union, "BRD adds bits"
-    other = bytes(8 * [0x5A])
-    assert master.one(FPRW, at(STATION, 0x0F80), other) == (values[0], 3), "what stood there"
-    assert master.one(FPRD, at(STATION, 0x0F80), bytes(8))[0] == other, "and now stands"
+    written = bytes(8 * [0x5A])
+    assert master.one(FPRW, at(STATION, 0x0F80), written) == (values[0], 3), "what stood there"
+    assert master.one(FPRD, at(STATION, 0x0F80), bytes(8))[0] == written, "and now stands"
     assert master.one(ARMW, at(-1, 0x0F80), bytes(8))[0] == values[1], "slave 1 is read"
     for k in (1, 2):  # slaves behind it are written what it has, those before what was sent
         assert master.one(FPRD, at(STATION + k, 0x0F80), bytes(8))[0] == values[1], f"slave {k}"
@@ -153,26 +153,26 @@ def test_the_eeprom_reports_what_a_slave_is(master: Master) -> None:
     identity = struct.unpack_from("<4I", image, 16)
     assert identity == tuple(drives.read(0, 0x1018, k) for k in (1, 2, 3, 4)), "as object 0x1018"
     assert struct.unpack_from("<5H", image, 0x30) == (0x1000, 256, 0x1100, 256, 4), "mailboxes, CoE"
-    place, found = 0x80, {}
+    place, sections = 0x80, {}
     while (kind := struct.unpack_from("<H", image, place)[0]) != 0xFFFF:
         size = 2 * struct.unpack_from("<H", image, place + 2)[0]
-        found[kind] = image[place + 4 : place + 4 + size]
+        sections[kind] = image[place + 4 : place + 4 + size]
         place += 4 + size
-    assert set(found) == {10, 30, 40, 41, 50, 51, 60}, "strings, general, FMMU, SM, PDOs, DC"
-    assert found[10][2:].startswith(b"arm_emulator drive"), "the first string is the name"
+    assert set(sections) == {10, 30, 40, 41, 50, 51, 60}, "strings, general, FMMU, SM, PDOs, DC"
+    assert sections[10][2:].startswith(b"arm_emulator drive"), "the first string is the name"
     texts, at_ = [b""], 1
-    for _ in range(found[10][0]):
-        texts.append(found[10][at_ + 1 : at_ + 1 + found[10][at_]])
-        at_ += 1 + found[10][at_]
+    for _ in range(sections[10][0]):
+        texts.append(sections[10][at_ + 1 : at_ + 1 + sections[10][at_]])
+        at_ += 1 + sections[10][at_]
     assert all(texts[1:]), "no empty texts"
-    assert [texts[found[60][k + 0x12]] for k in (0, 24)] == [b"FreeRun", b"DC SYNC0"], "clocks"
-    pdo = [found[51][k : k + 8] for k in range(8, 8 + 8 * found[51][2], 8)]
+    assert [texts[sections[60][k + 0x12]] for k in (0, 24)] == [b"FreeRun", b"DC SYNC0"], "clocks"
+    pdo = [sections[51][k : k + 8] for k in range(8, 8 + 8 * sections[51][2], 8)]
     names = {(entry.index, entry.sub): entry.name for entry in drives.entries}
     for entry in pdo:
         index, sub, name = struct.unpack_from("<HBB", entry)
         assert texts[name].decode() == names.get((index, sub), ""), f"the name of {index:#x}"
-    bits = sum(found[51][k] for k in range(13, 8 + 8 * found[51][2], 8))
-    assert struct.unpack_from("<HH", found[41], 16) == (0x1200, bits // 8), "outputs as mapped"
+    bits = sum(sections[51][k] for k in range(13, 8 + 8 * sections[51][2], 8))
+    assert struct.unpack_from("<HH", sections[41], 16) == (0x1200, bits // 8), "outputs as mapped"
 
 
 def test_the_eeprom_is_written_only_with_permission(master: Master) -> None:
@@ -192,8 +192,8 @@ def test_the_eeprom_is_written_only_with_permission(master: Master) -> None:
 
 def test_states_go_up_step_by_step_and_down_at_will(master: Master) -> None:
     assert master.word(0, 0x0130) == INIT, "at the beginning"
-    for wanted, code in ((SAFEOP, 0x11), (OP, 0x11), (BOOT, 0x13), (7, 0x12), (0, 0x12)):
-        assert master.ask(0, wanted) == (INIT | ERROR, code), f"INIT to {wanted}"
+    for target, code in ((SAFEOP, 0x11), (OP, 0x11), (BOOT, 0x13), (7, 0x12), (0, 0x12)):
+        assert master.ask(0, target) == (INIT | ERROR, code), f"INIT to {target}"
         assert master.ask(0, INIT) == (INIT | ERROR, code), "not without an acknowledgement"
         assert master.ask(0, INIT | ACKNOWLEDGE) == (INIT, 0), "acknowledged"
     assert master.ask(0, PREOP) == (INIT | ERROR, 0x16), "no mailboxes"
@@ -208,19 +208,19 @@ def test_states_go_up_step_by_step_and_down_at_will(master: Master) -> None:
         assert master.ask(0, state) == (state, 0), f"down to {state}"
 
 
-@pytest.mark.parametrize("way", [0, 1])
+@pytest.mark.parametrize("direction", [0, 1])
 @pytest.mark.parametrize("change", [(1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 2), (0, 0, 4)])
 def test_process_data_that_do_not_fit_are_refused(
-    master: Master, way: int, change: tuple[int, int, int]
+    master: Master, direction: int, change: tuple[int, int, int]
 ) -> None:
     master.preop(0)
     sizes = master.sizes(0)
     settings = [[0x1200, sizes[0], 0x64], [0x1500, sizes[1], 0x20]]
-    start, size, control = settings[way]
-    settings[way] = [start + change[0], size + change[1], control ^ change[2]]
+    start, size, control = settings[direction]
+    settings[direction] = [start + change[0], size + change[1], control ^ change[2]]
     for k, (start, size, control) in enumerate(settings):
         master.guard(0, 2 + k, start, size, control)
-    assert master.ask(0, SAFEOP) == (PREOP | ERROR, 0x1D + way), f"{settings[way]}"
+    assert master.ask(0, SAFEOP) == (PREOP | ERROR, 0x1D + direction), f"{settings[direction]}"
 
 
 def test_a_guard_that_is_switched_off_in_op_takes_the_slave_down(master: Master) -> None:
@@ -282,37 +282,39 @@ def test_counters_and_time_fit_the_states_under_any_order_of_a_master(seed: int)
     master = Master(segment())
     master.bring_up()
     each = master.out + master.into
-    seen: set[int] = set()
+    states: set[int] = set()
     for step in range(300):
         k = int(rng.integers(master.slaves))
         place = master.segment.memory(k)
-        what = rng.integers(8)
-        if what < 2:
+        action = rng.integers(8)
+        if action < 2:
             master.ask(k, int(rng.choice([INIT, PREOP, SAFEOP, OP])) | ACKNOWLEDGE)
-        elif what == 2 and place[0x0130] & 15 in (INIT, PREOP):
+        elif action == 2 and place[0x0130] & 15 in (INIT, PREOP):
             master.preop(k)
             master.safeop(k, 0x10000 + k * each)
-        elif what == 3:
+        elif action == 3:
             master.write(k, 0x0981, bytes([rng.choice([0, 1, 2, 3, 3, 3])]))
-        elif what == 4:
+        elif action == 4:
             cycle = int(rng.choice([0, 1, 2, 3, 7])) * PERIOD + int(
                 rng.choice([0, 0, 1, PERIOD // 2])
             )
             master.write(k, 0x09A0, struct.pack("<I", cycle))
-        elif what == 5:  # a guard that the drive knows nothing of, over its inputs
+        elif action == 5:  # a guard that the drive knows nothing of, over its inputs
             master.guard(k, 4, 0x1500, master.into, 0x20, int(rng.integers(2)))
-        elif what == 6 and rng.random() < 0.2:
+        elif action == 6 and rng.random() < 0.2:
             master.write(k, 0x0806 + 8 * int(rng.integers(4)), b"\0")
-        elif what == 7:
+        elif action == 7:
             unit = 0x060C + 16 * int(rng.integers(2))
             master.write(k, unit, bytes([place[unit] ^ 1]))
         memories = [master.segment.memory(j) for j in range(master.slaves)]
-        at_work = [one for one in memories if works(one)]
-        seen |= {one[0x0130] for one in memories}
+        at_work = [memory for memory in memories if works(memory)]
+        states |= {memory[0x0130] for memory in memories}
         assert all(map(sound_cycle, at_work)), f"step {step}: SYNC0 cuts periods"
-        whole = at_work and all(counts(one) == 3 for one in at_work)
+        counted = at_work and all(counts(memory) == 3 for memory in at_work)
         cycles = [
-            struct.unpack_from("<I", one, 0x09A0)[0] for one in at_work if one[0x0981] & 3 == 3
+            struct.unpack_from("<I", memory, 0x09A0)[0]
+            for memory in at_work
+            if memory[0x0981] & 3 == 3
         ]
         before = master.segment.drives.tick
         master.exchange([bytes(master.out)] * master.slaves)
@@ -320,8 +322,8 @@ def test_counters_and_time_fit_the_states_under_any_order_of_a_master(seed: int)
         passed = master.segment.drives.tick - before
         lasts = min(cycles, default=PERIOD) // PERIOD if at_work else 0
         # One that is not whole may complete what the exchange before has begun.
-        assert passed == lasts or (passed == 0 and not whole), f"step {step}: {passed} periods"
-    assert {INIT, PREOP, SAFEOP, OP, PREOP | ERROR} <= seen, "every state came by"
+        assert passed == lasts or (passed == 0 and not counted), f"step {step}: {passed} periods"
+    assert {INIT, PREOP, SAFEOP, OP, PREOP | ERROR} <= states, "every state came by"
 
 
 def test_a_reset_puts_a_controller_to_where_it_began(master: Master) -> None:
@@ -350,16 +352,19 @@ def test_the_description_agrees_with_what_the_slaves_report(master: Master, tmp_
     device = root.find(".//Device")
     assert device is not None
     master.preop(0)
-    sizes = [int(one.get("DefaultSize", "0")) for one in device.findall("Sm")]
+    sizes = [int(manager.get("DefaultSize", "0")) for manager in device.findall("Sm")]
     assert sizes == [256, 256, *master.sizes(0)], "sync managers"
     reported = {
-        int(one.findtext("Index", "")[2:], 16) for one in device.findall(".//Objects/Object")
+        int(device_object.findtext("Index", "")[2:], 16)
+        for device_object in device.findall(".//Objects/Object")
     }
     raw = master.information(0, 1, struct.pack("<H", 1))
     assert reported == set(struct.unpack(f"<{len(raw) // 2}H", raw)[1:]), "objects"
     for tag, index in (("RxPdo", 0x1600), ("TxPdo", 0x1A00)):
         pdo = next(
-            one for one in device.findall(tag) if int(one.findtext("Index", "")[2:], 16) == index
+            device_object
+            for device_object in device.findall(tag)
+            if int(device_object.findtext("Index", "")[2:], 16) == index
         )
         entries = [
             int(row.findtext("Index", "")[2:], 16) << 16

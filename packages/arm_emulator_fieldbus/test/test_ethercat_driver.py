@@ -53,8 +53,8 @@ LAYOUT = {"int8": "b", "int16": "h", "int32": "i", "uint16": "H", "uint32": "I"}
 CYCLE = 10  # servo periods; the control frequency is 100 Hz
 
 
-def layout(way: str) -> str:
-    return "<" + "".join(LAYOUT[one["type"]] for one in CONFIG[way][0]["channels"])
+def layout(direction: str) -> str:
+    return "<" + "".join(LAYOUT[channel["type"]] for channel in CONFIG[direction][0]["channels"])
 
 
 def configure(master: Master, k: int) -> None:
@@ -62,16 +62,16 @@ def configure(master: Master, k: int) -> None:
     master.preop(k)
     assert master.number(k, 0x1018, 1) == CONFIG["vendor_id"]
     assert master.number(k, 0x1018, 2) == CONFIG["product_id"]
-    for one in CONFIG["sdo"]:
-        value = struct.pack("<" + LAYOUT[one["type"]], one["value"])
-        master.download(k, one["index"], one["sub_index"], value)
-    for way, assignment in (("rpdo", 0x1C12), ("tpdo", 0x1C13)):
-        pdo = CONFIG[way][0]
+    for parameter in CONFIG["sdo"]:
+        value = struct.pack("<" + LAYOUT[parameter["type"]], parameter["value"])
+        master.download(k, parameter["index"], parameter["sub_index"], value)
+    for direction, assignment in (("rpdo", 0x1C12), ("tpdo", 0x1C13)):
+        pdo = CONFIG[direction][0]
         master.download(k, assignment, 0, b"\0")
         master.download(k, pdo["index"], 0, b"\0")
-        for place, one in enumerate(pdo["channels"], 1):
-            bits = 8 * struct.calcsize(LAYOUT[one["type"]])
-            word = one["index"] << 16 | one["sub_index"] << 8 | bits
+        for place, parameter in enumerate(pdo["channels"], 1):
+            bits = 8 * struct.calcsize(LAYOUT[parameter["type"]])
+            word = parameter["index"] << 16 | parameter["sub_index"] << 8 | bits
             master.download(k, pdo["index"], place, struct.pack("<I", word))
         master.download(k, pdo["index"], 0, bytes([len(pdo["channels"])]))
         master.download(k, assignment, 1, struct.pack("<H", pdo["index"]))
@@ -95,9 +95,9 @@ def test_a_configuration_of_ethercat_driver_ros2_moves_the_arm(master: Master) -
     def exchange(word: int, targets: list[int]) -> list[tuple[int, ...]]:
         """Process data of all drives: controlword, targets, offsets, mode."""
         data = [struct.pack(layout("rpdo"), word, target, 0, 0, 0, 0, 0, CSP) for target in targets]
-        return [struct.unpack(layout("tpdo"), one) for one in master.exchange(data)]
+        return [struct.unpack(layout("tpdo"), image) for image in master.exchange(data)]
 
-    start = [one[1] for one in exchange(0, [0] * master.slaves)]
+    start = [report[1] for report in exchange(0, [0] * master.slaves)]
     for word in (SHUTDOWN, SWITCH_ON, ENABLE, ENABLE):
         exchange(word, start)
     before, swing, pulse = master.segment.drives.tick, 4000, 2.0 * math.pi * 0.5  # counts, 1/s
@@ -105,10 +105,10 @@ def test_a_configuration_of_ethercat_driver_ros2_moves_the_arm(master: Master) -
     targets = start
     for n in range(cycles):
         reported = exchange(ENABLE, targets)
-        assert all(one[0] & 0x6F == 0x27 and one[4] == CSP for one in reported), "enabled"
+        assert all(report[0] & 0x6F == 0x27 and report[4] == CSP for report in reported), "enabled"
         if n > 20:
             worst = max(
-                worst, *(abs(one[1] - at) for one, at in zip(reported, targets, strict=True))
+                worst, *(abs(report[1] - at) for report, at in zip(reported, targets, strict=True))
             )
         t = 1e-9 * CYCLE * PERIOD * (n + 1)
         targets = [at + round(0.5 * swing * (1.0 - math.cos(pulse * t))) for at in start]
@@ -116,4 +116,4 @@ def test_a_configuration_of_ethercat_driver_ros2_moves_the_arm(master: Master) -
     # A reply has the positions at the end of the cycle before, at the target before: one cycle of
     # the largest speed away from the new one. A tenth of it is for the servo.
     assert worst < 1.1 * 0.5 * swing * pulse * 1e-9 * CYCLE * PERIOD
-    assert max(one[1] - at for one, at in zip(reported, start, strict=True)) > 0.9 * swing
+    assert max(report[1] - at for report, at in zip(reported, start, strict=True)) > 0.9 * swing

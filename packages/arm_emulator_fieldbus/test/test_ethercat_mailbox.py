@@ -33,8 +33,8 @@ def test_complete_access_reads_all_of_an_object(master: Master) -> None:
             continue
         count = min(drives.read(0, index), len(subs) - 1)
         values = b"".join(drives.upload(0, index, k + 1) for k in range(count))
-        whole = master.upload(0, index, 0, complete=True)
-        assert whole == struct.pack("<H", count) + values, f"{index:#x} from sub 0"
+        complete = master.upload(0, index, 0, complete=True)
+        assert complete == struct.pack("<H", count) + values, f"{index:#x} from sub 0"
         if count:
             assert master.upload(0, index, 1, complete=True) == values, f"{index:#x} from sub 1"
 
@@ -201,7 +201,7 @@ def test_a_mailbox_keeps_what_it_has_no_room_to_answer(master: Master) -> None:
     while master.mail(0, b"\0\x20" + bytes.fromhex("40 00 10 00") + bytes(4)):
         sent += 1
         assert sent < 100, "the mailbox never states that it is full"
-    got = 0
+    answered = 0
     while master.fetch(0):
-        got += 1
-    assert got == sent, "every request that was taken has its answer"
+        answered += 1
+    assert answered == sent, "every request that was taken has its answer"

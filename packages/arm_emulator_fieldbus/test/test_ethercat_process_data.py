@@ -74,10 +74,10 @@ def random_mapping(rng: np.random.Generator, entries: list[Entry]) -> list[list[
     for _ in range(rng.integers(0, 4)):
         chosen = rng.choice(len(entries), int(rng.integers(1, 6)), replace=False)
         words = []
-        for one in (entries[k] for k in chosen):
+        for entry in (entries[k] for k in chosen):
             if rng.random() < 0.3:
                 words.append(int(rng.choice([8, 16])))  # a gap
-            words.append(one.index << 16 | one.sub << 8 | one.bits)
+            words.append(entry.index << 16 | entry.sub << 8 | entry.bits)
         out.append(words)
     return out
 
@@ -90,10 +90,10 @@ def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
     master.slaves = 1
     master.preop(0)
     there = [entry for entry in drives.entries if entry.buses & ETHERCAT and entry.bits]
-    ways = []
+    mapped = []
     for assignment, first, entries in (
-        (0x1C12, 0x1600, [one for one in there if one.rx]),
-        (0x1C13, 0x1A00, [one for one in there if one.tx]),
+        (0x1C12, 0x1600, [entry for entry in there if entry.rx]),
+        (0x1C13, 0x1A00, [entry for entry in there if entry.tx]),
     ):
         mapping = random_mapping(rng, entries)
         master.download(0, assignment, 0, b"\0")
@@ -104,7 +104,7 @@ def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
             f"<BB{len(mapping)}H", len(mapping), 0, *range(first, first + len(mapping))
         )
         master.download(0, assignment, 0, data, complete=True)
-        ways.append([word for words in mapping for word in words])
+        mapped.append([word for words in mapping for word in words])
     out, into = master.sizes(0)
     status = master.safeop(0, 0x10000)
     assert status == (SAFEOP, 0), f"{out} and {into} bytes: {status}"
@@ -112,11 +112,11 @@ def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
     for _ in range(5):
         expected = b"".join(
             twin.upload(0, word >> 16, word >> 8 & 0xFF) if word >> 16 else bytes(word // 8)
-            for word in ways[1]
+            for word in mapped[1]
         )
         sent = rng.bytes(out)
         place = 0
-        for word in ways[0]:
+        for word in mapped[0]:
             size = (word & 0xFF) // 8
             if word >> 16:
                 with contextlib.suppress(DictionaryAborted):  # a value out of its range
@@ -128,10 +128,12 @@ def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
         if out or into:
             twin.period()
         assert drives.tick == twin.tick, "as many servo periods"
-        for one in there:
-            if not 0x1600 <= one.index <= 0x1C13:
-                value = drives.upload(0, one.index, one.sub)
-                assert value == twin.upload(0, one.index, one.sub), f"{one.index:#x}:{one.sub}"
+        for mapped_entry in there:
+            if not 0x1600 <= mapped_entry.index <= 0x1C13:
+                value = drives.upload(0, mapped_entry.index, mapped_entry.sub)
+                assert value == twin.upload(0, mapped_entry.index, mapped_entry.sub), (
+                    f"{mapped_entry.index:#x}:{mapped_entry.sub}"
+                )
 
 
 @pytest.mark.parametrize("shift", range(1, 8))
@@ -140,8 +142,12 @@ def test_single_bits_are_mapped_where_they_shall_be(master: Master, shift: int) 
     master.preop(0)
     out, into = master.sizes(0)
     master.safeop(0, 0)
-    for k, (logical, size, place, way) in enumerate(((0, out, 0x1200, 2), (64, into, 0x1500, 1))):
-        unit = struct.pack("<IHBBHBBB3x", logical, size + 1, shift, shift - 1, place, 0, way, 1)
+    for k, (logical, size, place, direction) in enumerate(
+        ((0, out, 0x1200, 2), (64, into, 0x1500, 1))
+    ):
+        unit = struct.pack(
+            "<IHBBHBBB3x", logical, size + 1, shift, shift - 1, place, 0, direction, 1
+        )
         master.write(0, 0x0600 + 16 * k, unit)
     rng = np.random.default_rng(shift)
     value = int.from_bytes(rng.bytes(out), "little") & ~(0xFFFF | 0xFF << 112)
@@ -153,8 +159,8 @@ def test_single_bits_are_mapped_where_they_shall_be(master: Master, shift: int) 
     )
     expected = master.segment.memory(0)[0x1500 : 0x1500 + into]
     # The frame reports inputs as they were before the servo period that it set off.
-    got = int.from_bytes(back[64:], "little") >> shift
-    reported = got.to_bytes(into + 1, "little")[:into]
+    bits = int.from_bytes(back[64:], "little") >> shift
+    reported = bits.to_bytes(into + 1, "little")[:into]
     assert reported[:2] == expected[:2], "the statusword, which has not changed"
 
 
@@ -196,7 +202,7 @@ def enable(master: Master, mode: int = 8) -> list[tuple[int, int]]:
             struct.pack("<HiihbB", ON.get(status & 0x6F, 0), position, 0, 0, mode, 0)
             for status, position in reported
         ]
-        reported = [struct.unpack_from("<Hi", one) for one in master.exchange(outputs)]
+        reported = [struct.unpack_from("<Hi", image) for image in master.exchange(outputs)]
         if not master.segment.lockstep:
             master.now += PERIOD
             master.segment.period(master.now)
@@ -216,7 +222,7 @@ def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
         assert (master.word(k, 0x0130), master.word(k, 0x0134)) == (SAFEOP | ERROR, 0x1B), "lost"
         assert master.number(k, 0x603F) == 0x821B, "the drive's error: its sync manager's watchdog"
         assert master.number(k, 0x6041) & 0x4F == 0x08, "Fault"
-    assert [(one.slave, one.code) for one in master.emergencies] == [
+    assert [(emergency.slave, emergency.code) for emergency in master.emergencies] == [
         (k, 0x821B) for k in range(master.slaves)
     ], "an emergency of each"
     for k in range(master.slaves):
@@ -224,7 +230,9 @@ def test_a_lost_master_faults_the_drives_until_they_are_reset() -> None:
     enable(master)
     for k in range(master.slaves):
         assert master.fetch(k) is None, "no more messages"
-    assert [one.code for one in master.emergencies[master.slaves :]] == [0] * master.slaves, "over"
+    assert [emergency.code for emergency in master.emergencies[master.slaves :]] == [
+        0
+    ] * master.slaves, "over"
 
 
 def test_lost_cycles_are_counted_by_the_clock() -> None:
@@ -252,7 +260,7 @@ def test_a_master_finds_delays_and_sets_clocks_alike() -> None:
     local = [struct.unpack("<Q", master.read(k, 0x0918, 8))[0] for k in range(master.slaves)]
     assert times[-1][1] == 0, "nothing came back at the last slave"
     rounds = [(b - a) & 0xFFFFFFFF if b else 0 for a, b in times]
-    delays = [(rounds[0] - one) // 2 for one in rounds]
+    delays = [(rounds[0] - round_trip) // 2 for round_trip in rounds]
     assert delays == [0, 500, 1000], "half of what the way there and back takes"
     target = 700_000_000_000_000_000
     for k in range(master.slaves):
@@ -389,23 +397,23 @@ def test_frames_of_any_shape_do_no_harm(master: Master) -> None:
     rng = np.random.default_rng(3)
     for _ in some(range(30_000), 2_000):
         body = rng.bytes(int(rng.integers(0, 120)))
-        one = HEADER + struct.pack("<H", 0x1000 | len(body)) + body
-        back = master.segment.frame(one if rng.random() < 0.9 else rng.bytes(len(one)))
-        assert back == b"" or len(back) == len(one), "a frame keeps its length"
+        ethernet = HEADER + struct.pack("<H", 0x1000 | len(body)) + body
+        back = master.segment.frame(ethernet if rng.random() < 0.9 else rng.bytes(len(ethernet)))
+        assert back == b"" or len(back) == len(ethernet), "a frame keeps its length"
     for k in range(master.slaves):
         assert master.segment.memory(k)[0x0130] & 15 in (INIT, PREOP, SAFEOP, OP), "a state"
 
 
 def test_real_time_keeps_up_with_the_clock() -> None:
     """Many short turns, in which the command looks for Ctrl-C, lose no period between them."""
-    one = segment(lockstep=False)
-    silent, other = socket.socketpair()
-    with silent, other:
+    served = segment(lockstep=False)
+    silent, far_end = socket.socketpair()
+    with silent, far_end:
         began = time.monotonic()
         for _ in range(400):
-            one.serve(silent.fileno(), 0.0013)
+            served.serve(silent.fileno(), 0.0013)
         passed = (time.monotonic() - began) * 1e9 / PERIOD
-    counted = one.figures.periods + one.figures.late_periods
+    counted = served.figures.periods + served.figures.late_periods
     # Turns that begin anew would lose 0.3 periods each; the host may sleep 50 ms at the end.
     assert passed - 50 < counted <= passed, f"{counted} periods in {passed:.1f} ms"
 

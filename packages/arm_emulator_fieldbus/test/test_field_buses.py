@@ -96,18 +96,20 @@ class EtherCat:
         assert self.master.count == 3 * len(DRIVES), "all are in OP"
         for k in DRIVES:
             assert self.master.fetch(k) is None, "no message but emergencies"
-        found = self.master.emergencies
-        self.emergencies += [(one.slave, one.code) for one in found]
-        found.clear()
+        emergencies = self.master.emergencies
+        self.emergencies += [(emergency.slave, emergency.code) for emergency in emergencies]
+        emergencies.clear()
 
 
 REQUESTS = 1000
 # Not the bus's own objects, nor values that only a mailbox sends in its first reply: texts, and
 # those of more than four bytes.
 BOTH = [
-    one
-    for one in list_entries()
-    if one.buses == ETHERCAT | CANOPEN and 0 < one.bits <= 32 and not 0x1003 <= one.index < 0x2000
+    entry
+    for entry in list_entries()
+    if entry.buses == ETHERCAT | CANOPEN
+    and 0 < entry.bits <= 32
+    and not 0x1003 <= entry.index < 0x2000
 ]
 ABORT = 0x80
 
@@ -116,28 +118,28 @@ Bus = CanOpen | EtherCat
 
 @pytest.fixture(params=[CanOpen, EtherCat])
 def bus(request: pytest.FixtureRequest) -> Bus:
-    one: Bus = request.param()
-    return one
+    bus_under_test: Bus = request.param()
+    return bus_under_test
 
 
 def test_every_entry_is_read_and_written_as_the_drive_has_it(bus: Bus) -> None:
     draw, count = random.Random(2), 0
-    for one in list_entries():
-        if not one.buses & bus.kind:
+    for entry in list_entries():
+        if not entry.buses & bus.kind:
             continue
-        at = one.index, one.sub
-        assert bus.upload(*at) == bus.own.get(at, bus.drives.upload(1, *at)), one
+        at = entry.index, entry.sub
+        assert bus.upload(*at) == bus.own.get(at, bus.drives.upload(1, *at)), entry
         count += 1
-        if one.access == "rw" and one.index >= 0x6000 and one.index != 0x6040:
-            value = draw.randint(one.least, one.most) & (1 << one.bits) - 1
-            raw, expected = value.to_bytes(one.bits // 8, "little"), 0
+        if entry.access == "rw" and entry.index >= 0x6000 and entry.index != 0x6040:
+            value = draw.randint(entry.least, entry.most) & (1 << entry.bits) - 1
+            raw, expected = value.to_bytes(entry.bits // 8, "little"), 0
             try:  # what another drive answers to the same
                 bus.drives.download(2, *at, raw)
             except dictionaries.Aborted as no:
                 expected = no.code
-            assert bus.download(*at, raw) == expected, one
+            assert bus.download(*at, raw) == expected, entry
             if expected == 0:
-                assert bus.upload(*at) == raw, one
+                assert bus.upload(*at) == raw, entry
     assert count > 150, "the whole dictionary"
 
 
@@ -161,18 +163,18 @@ ABORTS = [
 ]
 
 
-@pytest.mark.parametrize(("what", "requests", "code"), ABORTS, ids=[one[0] for one in ABORTS])
+@pytest.mark.parametrize(("what", "requests", "code"), ABORTS, ids=[abort[0] for abort in ABORTS])
 def test_an_sdo_that_cannot_be_changes_nothing(
-    bus: Bus, what: str, requests: list[str], code: int
+    bus: Bus, case: str, requests: list[str], code: int
 ) -> None:
-    entries = [one for one in list_entries() if one.buses & bus.kind]
+    entries = [entry for entry in list_entries() if entry.buses & bus.kind]
     before = [bus.drives.upload(1, entry.index, entry.sub) for entry in entries]
     for text in requests:
         request = bytes.fromhex(text)
         reply = bus.sdo(request)
     assert (reply[0], reply[4:]) == (0x80, struct.pack("<I", code)), reply.hex()
-    if "nothing" not in what:  # else it is any object
-        named = bytes.fromhex(requests[0])[1:4] if what != "which ends the transfer" else b""
+    if "nothing" not in case:  # else it is any object
+        named = bytes.fromhex(requests[0])[1:4] if case != "which ends the transfer" else b""
         assert reply[1:4] == named.ljust(3, b"\0"), "the object of the transfer"
     assert [bus.drives.upload(1, entry.index, entry.sub) for entry in entries] == before
     assert bus.upload(0x1008, 0) == SCENE.name.encode(), "the server goes on"
@@ -205,12 +207,12 @@ def test_a_following_error_is_reported_once_and_reset(bus: Bus) -> None:
 
 def request(draw: random.Random, toggle: int, announced: int) -> bytes:
     """Return 8 bytes that mean the same on both buses; a segment where bytes are announced."""
-    one = draw.choice(BOTH)
+    entry = draw.choice(BOTH)
     index, sub = (
-        (one.index, one.sub) if draw.random() < 0.9 else (draw.randrange(0x7000, 0x10000), 1)
+        (entry.index, entry.sub) if draw.random() < 0.9 else (draw.randrange(0x7000, 0x10000), 1)
     )
-    value = draw.choice((0, 1, one.least, one.most, one.standard)) & 0xFFFFFFFF
-    size = one.bits // 8 if draw.random() < 0.8 else draw.choice((1, 2, 3, 4))
+    value = draw.choice((0, 1, entry.least, entry.most, entry.standard)) & 0xFFFFFFFF
+    size = entry.bits // 8 if draw.random() < 0.8 else draw.choice((1, 2, 3, 4))
     part = min(announced, 7) if announced and draw.random() < 0.8 else size
     match 3 if announced and draw.random() < 0.8 else draw.randrange(5):
         case 0:
@@ -220,9 +222,9 @@ def request(draw: random.Random, toggle: int, announced: int) -> bytes:
         case 2:  # segments follow
             return struct.pack("<BHBI", 0x21, index, sub, draw.choice((size, size, 5, 1 << 20)))
         case 3:
-            last, other = draw.random() < 0.7, 0x10 * (draw.random() < 0.1)
+            last, flipped = draw.random() < 0.7, 0x10 * (draw.random() < 0.1)
             data = value.to_bytes(7, "little")
-            return bytes(((toggle ^ other) | (7 - part) << 1 | last,)) + data
+            return bytes(((toggle ^ flipped) | (7 - part) << 1 | last,)) + data
         case _:
             return bytes((draw.choice((0x60, 0x70, 0x80, 0xE0)),)) + draw.randbytes(7)
 
@@ -234,24 +236,24 @@ def test_both_buses_answer_alike(seed: int) -> None:
     master.preop(0)
     toggle, announced, aborts, taken = 0, 0, set(), 0
     for _ in range(REQUESTS):
-        asked = request(draw, toggle, announced)
-        replies = by_can.sdo(0, asked)
-        if asked[0] >> 5 == 4:
+        sdo_request = request(draw, toggle, announced)
+        replies = by_can.sdo(0, sdo_request)
+        if sdo_request[0] >> 5 == 4:
             assert replies == [], "a client that gives up gets no answer"
-            master.mail(0, b"\0\x20" + asked)
+            master.mail(0, b"\0\x20" + sdo_request)
             assert master.fetch(0) is None
             toggle, announced = 0, 0
             continue
         (reply,) = replies
-        assert master.coe(0, 2, asked) == reply, asked.hex()
+        assert master.coe(0, 2, sdo_request) == reply, sdo_request.hex()
         if reply[0] == ABORT:
             aborts.add(reply[4:])
         taken += reply[0] >> 5 == 1
-        began = asked[0] == 0x21 and reply[0] != ABORT
-        announced = int.from_bytes(asked[4:], "little") if began else 0
-        toggle = toggle ^ 0x10 if asked[0] >> 5 == 0 and reply[0] != ABORT else 0
+        began = sdo_request[0] == 0x21 and reply[0] != ABORT
+        announced = int.from_bytes(sdo_request[4:], "little") if began else 0
+        toggle = toggle ^ 0x10 if sdo_request[0] >> 5 == 0 and reply[0] != ABORT else 0
     assert len(aborts) >= 6, "kinds of aborts"
     assert taken >= 10, "segments that were taken"
-    for one in BOTH:
-        at = one.index, one.sub
-        assert by_can.upload(0, *at) == master.segment.drives.upload(0, *at), one
+    for entry in BOTH:
+        at = entry.index, entry.sub
+        assert by_can.upload(0, *at) == master.segment.drives.upload(0, *at), entry

@@ -116,8 +116,8 @@ def test_a_fault_over_sdo_is_that_of_a_session_from_its_tick_on(scene: Scene, bu
     twin = Drives(session.plant, SERVO, KINDS[bus])
     sound = Drives(Plant(scene), SERVO, KINDS[bus])
     alike = (drives, twin, sound)
-    for one in alike:
-        enable(one, CSP)
+    for drive_set in alike:
+        enable(drive_set, CSP)
     start, moved = twin.read(2, TARGET), set()
     magnitudes = {"faults.elbow.command_late": 2.0, "faults.elbow.encoder_slips": SLIPS}
     for tick in range(TICKS):
@@ -127,9 +127,9 @@ def test_a_fault_over_sdo_is_that_of_a_session_from_its_tick_on(scene: Scene, bu
                 assert write(NUMBER, struct.pack("<H", k + 1)) == 0
                 assert write(MAGNITUDE, struct.pack("<d", value)) == 0
                 session.set_varied(name, value)
-        for one in alike:
-            one.write(2, TARGET, start + round(400 * (1.0 - np.cos(0.05 * tick))))
-            one.period()
+        for drive_set in alike:
+            drive_set.write(2, TARGET, start + round(400 * (1.0 - np.cos(0.05 * tick))))
+            drive_set.period()
         assert drives.plant.save() == session.plant.save(), f"tick {tick}"
         moved.add(np.array_equal(drives.plant.state.q, sound.plant.state.q))
         assert tick >= BEGIN or moved == {True}, "before it begins"
@@ -180,12 +180,12 @@ def test_registers_set_faults_as_a_session_does(scene: Scene) -> None:
     ],
 )
 def test_registers_are_taken_whole_or_not_at_all(
-    scene: Scene, address: int, given: tuple[int, ...], code: Code
+    scene: Scene, address: int, register_values: tuple[int, ...], code: Code
 ) -> None:
     line, converter = line_of(scene)
     before = converter.session.plant.save()
-    n = len(given)
-    body = struct.pack(f">BHHB{n}H", 16, OF_REGISTERS + address, n, 2 * n, *given)
+    n = len(register_values)
+    body = struct.pack(f">BHHB{n}H", 16, OF_REGISTERS + address, n, 2 * n, *register_values)
     assert Line(line).ask(body) == bytes((0x90, code))
     assert converter.session.plant.save() == before
 

@@ -132,7 +132,7 @@ def test_the_speed_of_cyclic_positions_is_even_at_a_slow_sync0(master: Master) -
         if n > 5:
             targets[0] += speed * cycle
         data = [struct.pack("<HiihbB", word, target, 0, 0, CSP, 0) for target in targets]
-        master.exchange([one[: master.out] for one in data])
+        master.exchange([row[: master.out] for row in data])
         if n > 150:
             demand = drives.read(0, 0x606B)
             assert demand == pytest.approx(1000 * speed, rel=1e-6), "demand, of the line"
@@ -143,18 +143,20 @@ def test_the_speed_of_cyclic_positions_is_even_at_a_slow_sync0(master: Master) -
 def cyclic_position(master: Master, words: Sequence[int], targets: Sequence[int]) -> None:
     """One exchange of the first mapping: a controlword and a target for each slave."""
     pairs = zip(words, targets, strict=True)
-    master.exchange([struct.pack("<HiihbB", word, one, 0, 0, CSP, 0) for word, one in pairs])
+    master.exchange(
+        [struct.pack("<HiihbB", word, position, 0, 0, CSP, 0) for word, position in pairs]
+    )
 
 
-@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("others_stand", [True, False])
 def test_a_master_that_sets_the_interpolation_time_alone_gets_lines(
-    master: Master, held: bool
+    master: Master, others_stand: bool
 ) -> None:
     """Data in every period, a new target every 8 periods, 0x60C2 of 8 ms, no SYNC0 and no 0x1C32.
 
     A target is reached when the interpolation time has passed (Nanotec PD4-E, 0x60C2): the demand
-    moves by the same counts in each period, and its speed is even. `held`: slaves beside the first
-    keep their targets.
+    moves by the same counts in each period, and its speed is even. `others_stand`: slaves
+    beside the first keep their targets.
     """
     periods, step = 8, 64
     for k in range(master.slaves):
@@ -170,7 +172,7 @@ def test_a_master_that_sets_the_interpolation_time_alone_gets_lines(
     targets = start = [drives.read(k, ACTUAL) for k in range(master.slaves)]
     for word in (6, 7, 15, 15):
         cyclic_position(master, [word] * master.slaves, targets)
-    moving = range(1 if held else master.slaves)
+    moving = range(1 if others_stand else master.slaves)
     for n in range(25 * periods):
         steps = step * (n // periods + 1)
         targets = [at + steps if k in moving else at for k, at in enumerate(start)]

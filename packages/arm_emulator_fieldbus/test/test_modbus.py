@@ -249,12 +249,12 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
         ({"link": Path("/no/such/folder")}, r"modbus: link .* got No such file or directory"),
     ],
 )
-def test_impossible_options_are_refused(given: dict[str, object], line: str) -> None:
-    usual = dict(
+def test_impossible_options_are_refused(options: dict[str, object], line: str) -> None:
+    defaults = dict(
         clock="lockstep", baud=9600, station=1, error_rate=0.0, seed=0, watchdog=0, link=None
     )
     with pytest.raises(Refusal, match=line):
-        modbus("three_axis", **{**usual, **given})  # type: ignore[arg-type]
+        modbus("three_axis", **{**defaults, **options})  # type: ignore[arg-type]
 
 
 def test_full_scale_is_the_supply_or_the_limit_of_the_motor(tmp_path: Path) -> None:
@@ -263,9 +263,9 @@ def test_full_scale_is_the_supply_or_the_limit_of_the_motor(tmp_path: Path) -> N
         ("current", {"current_limit": 12.0, "torque_constant": 0.1}),
     ):
         motor = {"kind": kind, "rotor_inertia": 1e-4, **numbers}
-        given = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
+        limited = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
         limit = numbers[f"{kind}_limit"]
-        assert registers.find_full_scale(given, given.joints[0]) == limit
+        assert registers.find_full_scale(limited, limited.joints[0]) == limit
         del motor[f"{kind}_limit"]
         without = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
         with pytest.raises(Refusal, match=rf"joints.joint.motor.{kind}_limit must be given"):

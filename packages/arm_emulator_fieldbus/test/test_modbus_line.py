@@ -61,9 +61,9 @@ def test_checksum_sees_every_damaged_byte_and_every_two_flipped_bits() -> None:
             spoiled = bytearray(data)
             spoiled[place] ^= draw.randrange(1, 256)
             assert not is_sound(bytes(spoiled)), "a byte damaged"
-            one, two = draw.sample(range(8 * len(data)), 2)
+            bit, two = draw.sample(range(8 * len(data)), 2)
             spoiled = bytearray(data)
-            spoiled[one // 8] ^= 1 << one % 8
+            spoiled[bit // 8] ^= 1 << bit % 8
             spoiled[two // 8] ^= 1 << two % 8
             assert not is_sound(bytes(spoiled)), "two bits flipped"
 
@@ -71,11 +71,11 @@ def test_checksum_sees_every_damaged_byte_and_every_two_flipped_bits() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_frames_are_found_in_whatever_pieces_they_come(seed: int) -> None:
     draw = random.Random(seed)
-    receiver, sent, found = Receiver(), [], []
+    receiver, sent, frames = Receiver(), [], []
     stream = b""
     for _ in range(200):
         n = draw.randrange(1, 122)
-        one = sound(
+        frame = sound(
             draw.choice(
                 [
                     struct.pack(
@@ -86,13 +86,13 @@ def test_frames_are_found_in_whatever_pieces_they_come(seed: int) -> None:
                 ]
             )
         )
-        sent.append(one)
-        stream += one
+        sent.append(frame)
+        stream += frame
     while stream:
         cut = draw.randrange(1, 300)
-        found += receiver.feed(stream[:cut])
+        frames += receiver.feed(stream[:cut])
         stream = stream[cut:]
-    assert found == sent and receiver.damaged == 0
+    assert frames == sent and receiver.damaged == 0
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -103,16 +103,16 @@ def test_line_takes_its_time(scene: Scene, seed: int) -> None:
     line, converter = line_of(scene, "line", baud=baud, watchdog=0)
     master, truth = Master(line), Session(scene, "lockstep", "first_answer")
     period, now, silence = 1_000_000, 0.0, compute_silence(baud)
-    held = wanted = np.zeros(3)
+    zoh = volts = np.zeros(3)
     for _ in range(40):
         words = [draw.randrange(-9999, 9999) & 0xFFFF for _ in range(3)]
         count = draw.randrange(1, 10)
         reported = master.exchange(1000 + 1, 2 + count, 2001, words)
         now += 19 * 11 / baud * 1e9 + silence  # 19 bytes ask
         while (truth.tick + 1) * period <= now:
-            truth.advance_under(held, truth.tick)
-            held = wanted
-        wanted = np.array(words, np.uint16).astype(np.int16) * (48.0 / 32768)
+            truth.advance_under(zoh, truth.tick)
+            zoh = volts
+        volts = np.array(words, np.uint16).astype(np.int16) * (48.0 / 32768)
         assert reported[:2] == [0, truth.tick], "the tick when the request was complete"
         now += (5 + 2 * (2 + count)) * 11 / baud * 1e9 + silence
         assert line.time == pytest.approx(now, abs=1.0)
@@ -192,16 +192,16 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
 
 def test_errors_do_not_depend_on_pieces() -> None:
     data, draw = random.Random(5).randbytes(20_000), random.Random(6)
-    whole = LineErrors(0.03, 7)
-    arrived = whole.damage(data)
+    line_errors = LineErrors(0.03, 7)
+    arrived = line_errors.damage(data)
     pieces, at = LineErrors(0.03, 7), 0
     joined = b""
     while at < len(data):
         cut = draw.randrange(1, 300)
         joined += pieces.damage(data[at : at + cut])
         at += cut
-    assert joined == arrived and pieces.count == whole.count
-    assert abs(whole.count - 600) < 5 * math.sqrt(600)
+    assert joined == arrived and pieces.count == line_errors.count
+    assert abs(line_errors.count - 600) < 5 * math.sqrt(600)
     assert LineErrors(0.03, 8).damage(data) != arrived
 
 

@@ -52,13 +52,13 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
 def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
     assert withheld_modes(scene, servo, modes()) == []
-    seen = {
+    loops = {
         (figure.joint, figure.loop, figure.braked) for figure in ModeLoops(scene, servo).figures
     }
     for j, joint in enumerate(scene.joints):
         for loop in set(Loop) - {Loop.POSITION}:
-            assert (j, loop, False) in seen
-            assert ((j, loop, True) in seen) == (joint.brake is not None)
+            assert (j, loop, False) in loops
+            assert ((j, loop, True) in loops) == (joint.brake is not None)
 
 
 @pytest.mark.parametrize("name", some(SHIPPED, 2))
@@ -80,7 +80,7 @@ def test_torques_are_what_was_asked_for_on_arms_that_are_made_new() -> None:
             scene, servo = load_scene(file), load_gains(file).servo
             withheld = withheld_modes(scene, servo, modes())
             bad += withheld_words(scene, withheld)
-            if not any(one.mode.number in (PROFILE_TORQUE, CYCLIC_TORQUE) for one in withheld):
+            if not any(loop.mode.number in (PROFILE_TORQUE, CYCLIC_TORQUE) for loop in withheld):
                 bad += list(faults(scene, servo))
         count += 1
     assert count >= 40, f"{count} arms"
@@ -90,7 +90,7 @@ def test_torques_are_what_was_asked_for_on_arms_that_are_made_new() -> None:
 def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
     scene, servo = by_voltage()
     withheld = withheld_modes(scene, servo, modes())
-    withheld_of = {(one.joint, one.mode.number) for one in withheld}
+    withheld_of = {(loop.joint, loop.mode.number) for loop in withheld}
     assert withheld_of == {(j, mode) for j in range(6) for mode in (PROFILE_TORQUE, CYCLIC_TORQUE)}
     drives = enabled(scene, servo)
     assert drives.withheld == withheld
@@ -119,8 +119,8 @@ def test_it_swings_as_its_eigenvalues_state() -> None:
     torque = [
         figure for figure in loops.figures if figure.loop is Loop.TORQUE and figure.joint == 0
     ]
-    (one,) = [one for one in torque if not one.braked and not one.alike]
-    assert not one.holds and one.swing > 1.01
+    (loop,) = [loop for loop in torque if not loop.braked and not loop.alike]
+    assert not loop.holds and loop.swing > 1.01
     # Its own drives, asked for the mode behind the dictionary's back.
     drives = enabled(scene, servo, withheld=True)
     drives.write(0, 0x6071, 0)
@@ -136,7 +136,7 @@ def test_it_swings_as_its_eigenvalues_state() -> None:
     heard = float(np.argmax(spectrum)) / 4096.0 / servo.period
     assert np.std(currents[-300:]) > 1.0, "A: it swings to the limits of its current"
     # Limits and the pose bend the frequency of small motions a little.
-    assert heard == pytest.approx(one.frequency, rel=0.35)
+    assert heard == pytest.approx(loop.frequency, rel=0.35)
 
 
 def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConfig] | None:
@@ -184,13 +184,13 @@ def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoCon
 def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
     """In each loop, of motors slow and fast against the period, only unstable modes grow."""
     rng = np.random.default_rng(4)
-    held, grew = 0, 0
+    stable, grew = 0, 0
     for draw in range(200 if FULL else 16):
         (folder := tmp_path / str(draw)).mkdir()
-        made = drawn_drive(rng, folder)
-        if made is None:
+        scene_and_servo = drawn_drive(rng, folder)
+        if scene_and_servo is None:
             continue
-        scene, servo = made
+        scene, servo = scene_and_servo
         figures = ModeLoops(scene, servo).figures
         for loop, mode in ((Loop.TORQUE, CYCLIC_TORQUE), (Loop.SPEED, 9), (Loop.POSITION, 8)):
             own = [
@@ -213,8 +213,8 @@ def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
             swing = swings(np.array(torque))
             about = f"draw {draw}, {loop.value}: growth {growth:.3g} 1/s, swings by {swing:.3g} %"
             assert (swing > 1.0) == (growth > 1.0), about
-            held, grew = held + (growth < 1.0), grew + (growth > 1.0)
-    assert held > 15 and grew > 1, f"{held} that hold, {grew} that do not"
+            stable, grew = stable + (growth < 1.0), grew + (growth > 1.0)
+    assert stable > 15 and grew > 1, f"{stable} that hold, {grew} that do not"
 
 
 def test_a_held_rotor_is_one_of_infinite_inertia() -> None:
@@ -226,11 +226,11 @@ def test_a_held_rotor_is_one_of_infinite_inertia() -> None:
         scene, heavy = (load_scene("three_axis", {**own, **more}) for more in ({}, {name: 1e9}))
         q = np.array([0.3, -0.4, 0.8])
         J, _ = SmallMotions(Plant(scene), q).braked(2)
-        other = SmallMotions(Plant(heavy), q).J
+        inertia_J = SmallMotions(Plant(heavy), q).J
         # The slowest are the rotor's own, 0 and nearly so.
-        one, two = (np.sort_complex(np.linalg.eigvals(matrix)) for matrix in (J, other))
-        size = np.abs(one).max()
-        assert np.abs(one - two).max() < 1e-4 * size, f"{one} {two}"
+        eigenvalues, two = (np.sort_complex(np.linalg.eigvals(matrix)) for matrix in (J, inertia_J))
+        size = np.abs(eigenvalues).max()
+        assert np.abs(eigenvalues - two).max() < 1e-4 * size, f"{eigenvalues} {two}"
 
 
 def test_without_motor_torques_an_arm_falls_as_its_links_do() -> None:
@@ -240,8 +240,8 @@ def test_without_motor_torques_an_arm_falls_as_its_links_do() -> None:
     assert 0.0 < motions.falls < 10.0
     upright = np.array([0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0])
     hanging = np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0, 0.0])
-    standing = SmallMotions(plant, upright).falls
-    assert standing > 2.0 * SmallMotions(plant, hanging).falls, "a pendulum that stands"
+    upright_rate = SmallMotions(plant, upright).falls
+    assert upright_rate > 2.0 * SmallMotions(plant, hanging).falls, "a pendulum that stands"
 
 
 def test_check_scene_shows_all_loops_and_warns_of_what_is_withheld(tmp_path: Path) -> None:
@@ -277,9 +277,9 @@ def test_the_page_has_the_table_of_every_mode(name: str) -> None:
     advice = "make it anew: python -m bench.modes"
     for line, expected in zip(there.splitlines(), now.splitlines(), strict=True):
         assert number.sub("#", line) == number.sub("#", expected), advice
-        found = [float(one) for one in number.findall(line)]
-        today = [float(one) for one in number.findall(expected)]
-        assert found == pytest.approx(today, rel=2e-2, abs=2e-3), f"{line}: {advice}"
+        numbers = [float(text) for text in number.findall(line)]
+        today = [float(text) for text in number.findall(expected)]
+        assert numbers == pytest.approx(today, rel=2e-2, abs=2e-3), f"{line}: {advice}"
 
 
 def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
@@ -293,6 +293,6 @@ def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
         9: ("cyclic velocity", (speed,)),
         10: ("cyclic torque", (torque, limit)),
     }
-    (supported,) = (one for one in list_entries() if one.index == 0x6502)
+    (supported,) = (entry for entry in list_entries() if entry.index == 0x6502)
     assert supported.standard == sum(1 << mode.number - 1 for mode in modes())
     assert isinstance(LoopFigure.holds, property)

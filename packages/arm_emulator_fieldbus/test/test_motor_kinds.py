@@ -84,9 +84,9 @@ def machine(kind: str) -> Scene:
 def servo_of(scene: Scene) -> ServoConfig:
     """Gains that are computed for it, from the data sheet in its scene."""
     servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
-    known = {joint.name: joint for joint in servo.joints}
+    servo_joints = {joint.name: joint for joint in servo.joints}
     joints = tuple(
-        dataclasses.replace(known[joint.name], **data_sheet(joint, scene.supply_voltage))
+        dataclasses.replace(servo_joints[joint.name], **data_sheet(joint, scene.supply_voltage))
         for joint in scene.joints
     )
     return compute(scene, dataclasses.replace(servo, joints=joints), link_inertias([scene]))
@@ -104,8 +104,8 @@ OTHERS = [kind for kind in MOTORS if kind not in SIZED_MOTORS]
 @pytest.mark.parametrize("kind", OTHERS, ids=lambda kind: kind.kind)
 def test_a_motor_that_is_not_sized_is_refused_with_our_servo(kind: type[Motor]) -> None:
     good = load_scene("three_axis")
-    drawn = {"kind": kind.kind, **ROTOR, **draw_part(kind, np.random.default_rng(1))}
-    scene = load_scene("three_axis", {"joints.elbow.motor": drawn})
+    motor = {"kind": kind.kind, **ROTOR, **draw_part(kind, np.random.default_rng(1))}
+    scene = load_scene("three_axis", {"joints.elbow.motor": motor})
     with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
         check_joints(scene, servo_of(good))
     with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
@@ -245,7 +245,7 @@ def test_files_refuse_data_that_contradict_each_other() -> None:
            ("period", "motion_period", "hold_after", "cut_after", "supply_voltage")},
         "joint_names": ["waist"],
     }  # fmt: skip
-    given = {key: value for key, value in dataclasses.asdict(good.joints[0]).items()
+    fields = {key: value for key, value in dataclasses.asdict(good.joints[0]).items()
              if key != "name" and value != math.inf}  # fmt: skip
     for change, words in (
         ({"resistance": 0.0}, "resistance must be a number > 0 ohm where the command is a voltage"),
@@ -254,4 +254,4 @@ def test_files_refuse_data_that_contradict_each_other() -> None:
          "torque_bandwidth must be absent together with a current_bandwidth"),
     ):  # fmt: skip
         with pytest.raises(Refusal, match=words):
-            ServoConfig.from_mapping({**plain, "joints": {"waist": given | change}}, "x.yaml")
+            ServoConfig.from_mapping({**plain, "joints": {"waist": fields | change}}, "x.yaml")

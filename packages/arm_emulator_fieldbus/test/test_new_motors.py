@@ -74,8 +74,8 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     for _ in range(2):
         pair = reachable(kinematics, 0.05, rng)
         assert pair is not None
-        one = move(scene, gains, "50 mm", *pair)
-        assert not one.words, one.words
+        motion = move(scene, gains, "50 mm", *pair)
+        assert not motion.words, motion.words
     assert withheld_modes(scene, gains.servo, modes()) == []
     if FULL:
         assert list(faults(scene, gains.servo)) == []

@@ -90,19 +90,21 @@ def faults(scene: Scene, servo: ServoConfig) -> Iterator[str]:
                 at = f"{scene.name}, {joint.name}, mode {mode}, brake closed {braked}"
                 rest = torque_run(scene, servo, j, mode, 0, braked)
                 flows = rest.current[: len(rest.free)]
-                for what, values in (("reports", rest.free), ("flows", flows)):
+                for quantity, values in (("reports", rest.free), ("flows", flows)):
                     if len(values) < 20 or values.std() > 1.0:
-                        yield f"{at}: at 0 {what} {values.std():.3g} % over {len(values)} periods"
+                        yield (
+                            f"{at}: at 0 {quantity} {values.std():.3g} % over {len(values)} periods"
+                        )
                 # At a limit of the speed a count of the encoder is some torque.
                 if swings(rest.torque) > 5.0:
                     yield f"{at}: at 0 swings by {swings(rest.torque):.3g} % at its limits"
                 step = torque_run(scene, servo, j, mode, STEP, braked)
-                wanted = STEP / 10.0
-                if len(step.free) < 20 or step.free.max() > 1.1 * wanted:
-                    yield f"{at}: a step of {wanted:g} % reaches {step.free.max(initial=0.0):.3g} %"
+                size = STEP / 10.0
+                if len(step.free) < 20 or step.free.max() > 1.1 * size:
+                    yield f"{at}: a step of {size:g} % reaches {step.free.max(initial=0.0):.3g} %"
                 late = step.free[10:]
-                if len(late) and np.abs(late - wanted).max() > 0.1 * wanted:
+                if len(late) and np.abs(late - size).max() > 0.1 * size:
                     yield f"{at}: after a step it is {late.min():.3g} to {late.max():.3g} %"
-                for most, values in ((1.0, late), (5.0, step.torque[10:])):
-                    if swings(values) > most:
+                for limit, values in ((1.0, late), (5.0, step.torque[10:])):
+                    if swings(values) > limit:
                         yield f"{at}: after a step it swings by {swings(values):.3g} %"

@@ -133,7 +133,8 @@ class _Reader:
         fields["preload"] = top.flag("preload")
         rows = {
             "region": tuple(
-                {"at": one.at, "size": one.size, "kind": _KINDS[one.kind]} for one in regions
+                {"at": region.at, "size": region.size, "kind": _KINDS[region.kind]}
+                for region in regions
             ),
             "word": self._entries("values", self._word),
             "encoder": self._of_joints("encoders", self._encoder),
@@ -160,7 +161,9 @@ class _Reader:
     def _vectors(self, memory: tuple[Region, ...], default: int) -> int:
         at = _read_word(self._top, "vectors", default)
         size = 4 * (16 + self._interrupts)
-        if at % 128 or not any(one.at <= at <= one.at + one.size - size for one in memory):
+        if at % 128 or not any(
+            region.at <= at <= region.at + region.size - size for region in memory
+        ):
             rule = f"be a multiple of 128 with {size} bytes of memory from there on"
             raise self._top.refusal("vectors", rule, hex(at))
         return at
@@ -203,7 +206,7 @@ class _Reader:
 
     def _adc(self, _name: str, section: Section) -> Row:
         sections = self._sections(section, "channels")
-        channels = [self._channel(one) for _, one in sections]
+        channels = [self._channel(section) for _, section in sections]
         for (joint, _), channel in zip(sections, channels, strict=True):
             self._check_joint(section, "channels", joint)
             channel |= {"joint": self._joints.index(joint), "adc": self._adcs}
@@ -213,8 +216,10 @@ class _Reader:
         control = self._own(section, "control") if section.has("control") else 0
         for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
             if section.has(key) and not needs:
-                what = "control" if key == "enable" else "status"
-                raise section.refusal(key, f"be given together with `{what}`, a register", "none")
+                register = "control" if key == "enable" else "status"
+                raise section.refusal(
+                    key, f"be given together with `{register}`, a register", "none"
+                )
         return {
             "status": status,
             "flag": section.integer(_BIT.named("flag")) if status else 0,
@@ -315,7 +320,7 @@ class _Reader:
         return self._entries(key, read)
 
     def _entries(self, key: str, read: Callable[[str, Section], _Entry]) -> tuple[_Entry, ...]:
-        return tuple(read(name, one) for name, one in self._sections(self._top, key))
+        return tuple(read(name, section) for name, section in self._sections(self._top, key))
 
     @staticmethod
     def _sections(above: Section, key: str) -> list[tuple[str, Section]]:
@@ -336,15 +341,15 @@ class _Reader:
 
     def _register(self, section: Section, key: str) -> int:
         at = _read_word(section, key)
-        if at % 4 or not any(one.at <= at < one.at + one.size for one in self._blocks):
-            known = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"
+        if at % 4 or not any(block.at <= at < block.at + block.size for block in self._blocks):
+            blocks = ", ".join(f"{b.name} from {b.at:#x}" for b in self._blocks) or "no block"
             rule = "be a multiple of 4 within a block of `registers`"
-            raise section.refusal(key, rule, hex(at), known)
+            raise section.refusal(key, rule, hex(at), blocks)
         return at
 
 
 def _read_numbers(section: Section, declared: Sequence[Number]) -> Row:
-    return {one.name: section.number(one) for one in declared}
+    return {number.name: section.number(number) for number in declared}
 
 
 def _read_word(section: Section, key: str, default: int | None = None) -> int:
@@ -358,11 +363,11 @@ def _read_word(section: Section, key: str, default: int | None = None) -> int:
 
 
 def _check_regions(where: str, regions: tuple[Region, ...]) -> None:
-    ordered = sorted(regions, key=lambda one: one.at)
-    for one, other in pairwise(ordered):
-        if one.at + one.size > other.at:
-            rule = f"end before {other.name} begins, at {other.at:#x}"
-            raise Refusal(where, f"region {one.name}", rule, hex(one.at + one.size))
+    ordered = sorted(regions, key=lambda region: region.at)
+    for region, following in pairwise(ordered):
+        if region.at + region.size > following.at:
+            rule = f"end before {following.name} begins, at {following.at:#x}"
+            raise Refusal(where, f"region {region.name}", rule, hex(region.at + region.size))
 
 
 def make_board_struct(
@@ -381,20 +386,20 @@ def make_board_struct(
     rows = dict(board.rows)
     rows["pwm"] = tuple({"full_scale": _find_full_scale(row, scene), **row} for row in rows["pwm"])
     rows["uart"] = tuple(
-        {**one, **dict(zip(("out", "in"), uarts.get(name, (-1, -1)), strict=True))}
-        for name, one in zip(board.uarts, rows["uart"], strict=True)
+        {**settings, **dict(zip(("out", "in"), uarts.get(name, (-1, -1)), strict=True))}
+        for name, settings in zip(board.uarts, rows["uart"], strict=True)
     )
     fields = dict(board.fields)
-    kept: dict[str, CData] = {}  # the struct points to them
+    arrays: dict[str, CData] = {}  # the struct points to them
     for name, some in rows.items():
-        fields[name] = kept[name] = RUNNER.ffi.new(f"mcu_{name}[]", some)
+        fields[name] = arrays[name] = RUNNER.ffi.new(f"mcu_{name}[]", some)
         fields[f"{name}s"] = len(some)
     if "mailbox" in fields:
-        at = kept["at"] = RUNNER.ffi.new("uint32_t[]", fields["mailbox"]["at"])
+        at = arrays["at"] = RUNNER.ffi.new("uint32_t[]", fields["mailbox"]["at"])
         mailbox = RUNNER.new("mcu_mailbox", **{**fields["mailbox"], "at": at})
-        fields["mailbox"] = kept["mailbox"] = mailbox
+        fields["mailbox"] = arrays["mailbox"] = mailbox
     period = round(scene.servo_period * 1e9)
-    return RUNNER.new("mcu_board", joints=len(scene.joints), period=period, **fields), kept
+    return RUNNER.new("mcu_board", joints=len(scene.joints), period=period, **fields), arrays
 
 
 def _find_full_scale(pwm: Row, scene: Scene) -> float:

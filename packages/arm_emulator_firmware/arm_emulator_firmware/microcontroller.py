@@ -88,13 +88,13 @@ class Microcontroller(ControlCode):
             raise Refusal(board.where, "board", "be one that Unicorn runs", c_text(why))
         for at, piece in image.pieces:
             if not self._calls.mcu_load(self.with_, at, piece, len(piece)):
-                known = ", ".join(
-                    f"{one.name} {one.at:#x} to {one.at + one.size:#x}"
-                    for one in board.regions
-                    if one.kind != "registers"
+                regions = ", ".join(
+                    f"{region.name} {region.at:#x} to {region.at + region.size:#x}"
+                    for region in board.regions
+                    if region.kind != "registers"
                 )
-                got = f"{len(piece)} bytes at {at:#x}"
-                raise Refusal(image.name, "what is loaded", "fit into the memory", got, known)
+                size = f"{len(piece)} bytes at {at:#x}"
+                raise Refusal(image.name, "what is loaded", "fit into the memory", size, regions)
         self.step = self._calls.mcu_step
         self.stop = self._calls.mcu_stopped(self.with_)
 
@@ -108,9 +108,9 @@ class Microcontroller(ControlCode):
         Raises:
             Refusal: a debugger is connected, or bytes of a serial line go in or out.
         """
-        if got := self._calls.mcu_unkept(self.with_):
+        if refusal := self._calls.mcu_unkept(self.with_):
             rule, valid = "be one that can be saved: without debugger and wired serial lines", ""
-            raise Refusal(self.name, "the chip", rule, c_text(got), valid)
+            raise Refusal(self.name, "the chip", rule, c_text(refusal), valid)
         size = RUNNER.ffi.new("int64_t *")
         saved = self._calls.mcu_save(self.with_, size)
         return zlib.compress(RUNNER.ffi.buffer(saved, size[0]), 1)

@@ -17,8 +17,8 @@ def find_package(package: str, distribution: str) -> Path:
     Raises:
         Refusal: it is not installed.
     """
-    found = importlib.util.find_spec(package)
-    if found is None or not found.submodule_search_locations:
+    spec = importlib.util.find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
         raise Refusal(
             "firmware",
             f"the Python package {distribution}",
@@ -26,7 +26,7 @@ def find_package(package: str, distribution: str) -> Path:
             "none",
             f"pip install {distribution}",
         )
-    return Path(found.submodule_search_locations[0])
+    return Path(spec.submodule_search_locations[0])
 
 
 def find_headers() -> Path:

@@ -103,12 +103,12 @@ def load(content: object, folder: Path) -> Board:
 
 def places(content: dict[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
     """Return the paths to all keys."""
-    found = []
+    keys = []
     for key, value in content.items():
-        found.append((*above, key))
+        keys.append((*above, key))
         if isinstance(value, dict):
-            found += places(value, (*above, key))
-    return found
+            keys += places(value, (*above, key))
+    return keys
 
 
 def changed(path: tuple[str, ...], value: object) -> dict[str, Any]:
@@ -224,11 +224,11 @@ def test_any_change_of_a_board_is_read_or_refused_in_one_line(seed: int, tmp_pat
                 section = section.get(key, {}) if isinstance(section, dict) else {}
             if not isinstance(section, dict) or path[-1] not in section:
                 continue
-            what = rng.integers(4)
+            change = rng.integers(4)
             value = section[path[-1]]
-            if what == 0:
+            if change == 0:
                 del section[path[-1]]
-            elif what == 1:
+            elif change == 1:
                 section[str(rng.choice(["more", "kind", "at", "c", "joint"]))] = value
             else:
                 section[path[-1]] = copy.deepcopy(odd[rng.integers(len(odd))])

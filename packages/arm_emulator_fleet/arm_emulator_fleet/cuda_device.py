@@ -81,8 +81,8 @@ class _Driver:
         try:
             self._library = Library(LIBRARY, [DRIVER])
         except OSError as error:
-            got = "none" if "cannot open shared object" in str(error) else error
-            raise Refusal(where, quantity, rule, got, OTHERWISE) from None
+            reason = "none" if "cannot open shared object" in str(error) else error
+            raise Refusal(where, quantity, rule, reason, OTHERWISE) from None
         except DRIVER.ffi.error as error:  # older than CUDA 10.2
             raise Refusal(where, quantity, rule, error, OTHERWISE) from None
         try:
@@ -122,8 +122,8 @@ class _Driver:
         return result[0]
 
     def _explain(self, function: str, code: int) -> str:
-        found = DRIVER.ffi.new("const char **")
-        return "" if self.call_quietly(function, code, found) else c_text(found[0])
+        text = DRIVER.ffi.new("const char **")
+        return "" if self.call_quietly(function, code, text) else c_text(text[0])
 
 
 class CudaDevice(Device):
@@ -170,11 +170,11 @@ class CudaDevice(Device):
                 self.driver.call("cuStreamSynchronize", DRIVER.ffi.cast("CUstream", stream))
 
     def has_address(self, pointer: int) -> bool:  # noqa: D102
-        found = DRIVER.ffi.new("int *", -1)
+        ordinal = DRIVER.ffi.new("int *", -1)
         attribute = DRIVER.constant("CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL")
         with self.current():
-            self.driver.call_quietly("cuPointerGetAttribute", found, attribute, pointer)
-        return bool(found[0] == self.dlpack[1])
+            self.driver.call_quietly("cuPointerGetAttribute", ordinal, attribute, pointer)
+        return bool(ordinal[0] == self.dlpack[1])
 
     def free(self, pointer: int) -> None:  # noqa: D102
         self.end("cuMemFree_v2", pointer)
@@ -195,8 +195,8 @@ class CudaDevice(Device):
         """
         if os.getpid() != self._process:
             rule = "be used by the process that opened it"
-            got = f"process {os.getpid()}, a fork of process {self._process}"
-            raise Refusal("Device", self.name, rule, got, "a process that is spawned")
+            process = f"process {os.getpid()}, a fork of process {self._process}"
+            raise Refusal("Device", self.name, rule, process, "a process that is spawned")
         self.driver.call("cuCtxPushCurrent_v2", self._context)
         try:
             yield
@@ -280,8 +280,8 @@ class CudaModule(Module):
                 if error.code not in [DRIVER.constant(name) for name in REFUSED_IMAGES]:
                     raise
                 rule = f"be PTX or cubin for {device.name} ({device.architecture})"
-                got = " ".join(filter(None, [str(error), c_text(log)]))
-                raise Refusal("Device.load", "image", rule, got) from None
+                message = " ".join(filter(None, [str(error), c_text(log)]))
+                raise Refusal("Device.load", "image", rule, message) from None
         weakref.finalize(self, device.end, "cuModuleUnload", self._module).atexit = False
 
     def global_memory(self, name: str) -> Memory:  # noqa: D102
@@ -297,8 +297,8 @@ class CudaModule(Module):
         if function is None:
             return None
         with self._card.current():
-            most = self._attribute(function, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
-        return function, most
+            max_threads = self._attribute(function, "CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK")
+        return function, max_threads
 
     def _get(self, function: str, kind: str, *arguments: Any) -> Any:
         """Return what the module has of a name, or None."""
@@ -310,14 +310,14 @@ class CudaModule(Module):
                     raise
                 return None
 
-    def _describe(self, found: tuple[CData, int]) -> dict[str, int]:
-        function, most = found
+    def _describe(self, kernel: tuple[CData, int]) -> dict[str, int]:
+        function, max_threads = kernel
         with self._card.current():
             return {
                 "registers": self._attribute(function, "CU_FUNC_ATTRIBUTE_NUM_REGS"),
                 "stack": self._attribute(function, "CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES"),
                 "shared": self._attribute(function, "CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES"),
-                "block": most,
+                "block": max_threads,
             }
 
     def _attribute(self, function: CData, name: str) -> int:
@@ -325,15 +325,15 @@ class CudaModule(Module):
 
     def _launch(
         self,
-        found: tuple[CData, int],
+        kernel: tuple[CData, int],
         threads: int,
         packed: ctypes.Array[Any],
         block: int,
         shared: int,
     ) -> None:
-        function, most = found
-        if block > most:
-            rule = f"be at most {most} threads, by the registers that the kernel uses"
+        function, max_threads = kernel
+        if block > max_threads:
+            rule = f"be at most {max_threads} threads, by the registers that the kernel uses"
             raise Refusal("Module.launch", "block", rule, block)
         count = ctypes.c_int64(threads)
         pointers = (ctypes.c_void_p * (1 + len(packed)))(ctypes.addressof(count), *packed)

@@ -312,9 +312,9 @@ class Module(ABC):
         threads = check_count(where, "threads", threads, 0, LARGEST_GRID * block)
         shared = check_count(where, "shared", shared, 0, 2**31 - 1)
         packed = _pack_arguments(where, self.device, arguments)
-        found = self._find(where, kernel)
+        handle = self._find(where, kernel)
         if threads:
-            self._launch(found, threads, packed, block, shared)
+            self._launch(handle, threads, packed, block, shared)
 
     def describe(self, kernel: str) -> dict[str, int]:
         """Return what a kernel needs of a card: registers, bytes of stack, of shared memory.
@@ -338,18 +338,18 @@ class Module(ABC):
 
     @abstractmethod
     def _launch(
-        self, found: Any, threads: int, packed: ctypes.Array[Any], block: int, shared: int
+        self, handle: Any, threads: int, packed: ctypes.Array[Any], block: int, shared: int
     ) -> None: ...
 
-    def _describe(self, found: Any) -> dict[str, int]:
+    def _describe(self, handle: Any) -> dict[str, int]:
         return {}
 
     def _find(self, where: str, kernel: str) -> Any:
         if kernel not in self._kernels:
-            found = self._look_up(kernel)
-            if found is None:
+            function = self._look_up(kernel)
+            if function is None:
                 raise Refusal(where, "kernel", "be in the module", kernel)
-            self._kernels[kernel] = found
+            self._kernels[kernel] = function
         return self._kernels[kernel]
 
 

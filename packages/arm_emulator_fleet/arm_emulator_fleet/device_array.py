@@ -331,15 +331,17 @@ def _share_capsule(device: Device, values: Any, to_write: bool) -> DeviceArray |
 
 
 def _share_interface(device: Device, values: Any, to_write: bool) -> DeviceArray | None:
-    given = values.__cuda_array_interface__
-    pointer, read_only = given["data"]
-    if (to_write and read_only) or given.get("strides") is not None or given.get("mask"):
+    interface = values.__cuda_array_interface__
+    pointer, read_only = interface["data"]
+    if (to_write and read_only) or interface.get("strides") is not None or interface.get("mask"):
         return None
     if pointer and not device.has_address(pointer):
         return None
-    if given.get("stream") is not None:
-        device.synchronize(given["stream"])
-    return _share(device, pointer, np.dtype(given["typestr"]), tuple(given["shape"]), values)
+    if interface.get("stream") is not None:
+        device.synchronize(interface["stream"])
+    return _share(
+        device, pointer, np.dtype(interface["typestr"]), tuple(interface["shape"]), values
+    )
 
 
 def _share(

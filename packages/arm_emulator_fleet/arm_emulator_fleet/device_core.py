@@ -188,9 +188,9 @@ class DeviceCore:
         self, fleet: DeviceFleet, mask: CData, link: int, wrench: CData
     ) -> int:
         """See core/arm_fleet.h; the link is one, and the wrench finite."""
-        given = self.copy_in(wrench, fleet.count * ARM.sizeof("arm_wrench"))
+        wrenches = self.copy_in(wrench, fleet.count * ARM.sizeof("arm_wrench"))
         mask = self._mask(fleet, mask)
-        self._launch_on(fleet, "fleet_set_wrench", mask=mask, link=link, wrench=given)
+        self._launch_on(fleet, "fleet_set_wrench", mask=mask, link=link, wrench=wrenches)
         return OK
 
     def arm_fleet_power(self, fleet: DeviceFleet, on: CData) -> None:
@@ -241,12 +241,12 @@ class DeviceCore:
     ) -> int:
         """See core/arm_fleet.h; of all arms, and the commands are finite."""
         size = 8 * rows * fleet.count * self._N
-        given, reached = self.copy_in(command, size), self.device.allocate(size)
+        commands, reached = self.copy_in(command, size), self.device.allocate(size)
         self._check_and_do(
             fleet,
             ("fleet_advance",),
             motion=_UNDER_ROWS,
-            command=given,
+            command=commands,
             rows=rows,
             steps=steps,
             q=reached,
@@ -335,7 +335,7 @@ class DeviceCore:
 
     def _bounds(self, fleet: DeviceFleet) -> Memory:
         if "bounds" not in fleet.rooms:
-            bounds = [np.broadcast_to(one.most, self._N) for one in bound_start(self._scene)]
+            bounds = [np.broadcast_to(bound.most, self._N) for bound in bound_start(self._scene)]
             self._keep(fleet, "bounds", np.concatenate(bounds))
         return fleet.rooms["bounds"]
 
@@ -346,7 +346,7 @@ class DeviceCore:
         arms: int,
         control: CData,
         periods: int,
-        way: CData,
+        schedule: CData,
         measurement: CData,
         truth: CData,
     ) -> int:
@@ -354,14 +354,14 @@ class DeviceCore:
 
         Measurement and truth have pointers of the device.
         """
-        own = FLEET.new("arm_fleet_way", look=way.look, **{"with": getattr(way, "with")})
+        own = FLEET.new("arm_fleet_way", look=schedule.look, **{"with": getattr(schedule, "with")})
         links, stays = None, arms < fleet.count  # rows of the others stay as they are
-        if way.links != NULL:
+        if schedule.links != NULL:
             links = self.device.allocate(8 * periods * fleet.count * self._N)
             if stays:
-                self.device.write(links, view_bytes(way.links, links.size))
+                self.device.write(links, view_bytes(schedule.links, links.size))
             own.links = cast_pointer(links)
-        self._put_changes(fleet, way, own)
+        self._put_changes(fleet, schedule, own)
         result = self._check_and_do(
             fleet,
             ("fleet_check_changes", "fleet_advance"),
@@ -375,12 +375,12 @@ class DeviceCore:
             truth=truth[0],
         )
         if links is not None:
-            self._copy_out(links, way.links, links.size)
+            self._copy_out(links, schedule.links, links.size)
         return result
 
-    def look(self, fleet: DeviceFleet, way: CData) -> None:
+    def look(self, fleet: DeviceFleet, schedule: CData) -> None:
         """Let a function of the device look at all arms, see `find_function`."""
-        self._launch_on(fleet, "fleet_look", way=way[0])
+        self._launch_on(fleet, "fleet_look", way=schedule[0])
 
     def find_function(self, name: str) -> int:
         """Return the address of a function of the device that ARM_ADDRESS names (core/kernel.hpp).
@@ -391,23 +391,25 @@ class DeviceCore:
         place = self._module.global_memory(name)
         return int(self.device.read(place, np.uint64, (1,))[0])
 
-    def _put_changes(self, fleet: DeviceFleet, way: CData, own: CData) -> None:
+    def _put_changes(self, fleet: DeviceFleet, schedule: CData, own: CData) -> None:
         """Copy changes of arms, and the wrenches that they point to."""
-        if way.change == NULL:
+        if schedule.change == NULL:
             return
-        count = int(way.first_change[fleet.count])
+        count = int(schedule.first_change[fleet.count])
         size = count * FLEET.sizeof("arm_fleet_change")
-        changes = view_bytes(way.change, size).view(FLEET.dtype("arm_fleet_change")).copy()
+        changes = view_bytes(schedule.change, size).view(FLEET.dtype("arm_fleet_change")).copy()
         pushes = np.flatnonzero(changes["wrench"])
         each = ARM.sizeof("arm_wrench")
         wrenches = [
             view_bytes(ARM.ffi.cast("arm_wrench *", int(host)), each)
             for host in changes["wrench"][pushes]
         ]
-        given = self._keep(fleet, "wrenches", np.concatenate([*wrenches, np.zeros(each, np.uint8)]))
-        changes["wrench"][pushes] = given.pointer + each * np.arange(len(pushes))
+        wrench_array = self._keep(
+            fleet, "wrenches", np.concatenate([*wrenches, np.zeros(each, np.uint8)])
+        )
+        changes["wrench"][pushes] = wrench_array.pointer + each * np.arange(len(pushes))
         own.change = cast_pointer(self._keep(fleet, "changes", changes.view(np.uint8)))
-        first = view_bytes(way.first_change, 8 * (fleet.count + 1))
+        first = view_bytes(schedule.first_change, 8 * (fleet.count + 1))
         own.first_change = cast_pointer(self._keep(fleet, "first_change", first))
 
     def _keep(self, fleet: DeviceFleet, purpose: str, array: NDArray[Any]) -> Memory:
@@ -469,7 +471,7 @@ class DeviceCore:
         return len(list_rows(self._scene)["further"])
 
     def _place(self, name: bytes) -> int:
-        return [one.name for one in self._scene.varied].index(name.decode())
+        return [number.name for number in self._scene.varied].index(name.decode())
 
     def _mask(self, fleet: DeviceFleet, mask: CData) -> Memory | CData:
         return mask if mask == NULL else self.copy_in(mask, fleet.count)

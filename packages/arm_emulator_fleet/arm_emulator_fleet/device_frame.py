@@ -85,7 +85,7 @@ class DeviceMeasured:
         self._begin = _address(record)
         self._memory: Memory = core.device.allocate(record.itemsize)
         core.device.fill(self._memory, 0)
-        there = {one.symbol.partition(".")[0] for one in list_outputs(scene)}
+        there = {output.symbol.partition(".")[0] for output in list_outputs(scene)}
         self.places = {
             name: cast_address(self._memory.pointer + _address(record[name]) - self._begin)
             for name in record.dtype.names or ()

@@ -46,10 +46,10 @@ class DeviceServos:
 
     def servo_fleet_reset(self, servos: CData, arms: int, mask: CData) -> None:
         """Have the servos of a mask forget everything; targets begin anew."""
-        given = self._device.allocate(arms)
-        self._device.write(given, view_bytes(mask, arms))
+        mask_bytes = self._device.allocate(arms)
+        self._device.write(mask_bytes, view_bytes(mask, arms))
         groups = self._core.count_groups(arms)
-        self._core.launch("servos_reset", groups, servos=self._servos, arms=arms, mask=given)
+        self._core.launch("servos_reset", groups, servos=self._servos, arms=arms, mask=mask_bytes)
 
     def servo_fleet_aim(self, servos: CData, arms: int) -> None:
         """Take over motion periods and rows of targets."""
@@ -60,9 +60,9 @@ class DeviceServos:
     def servo_fleet_retune(self, servos: CData, arm: int, joint: CData) -> None:
         """Change the numbers of the joints of an arm."""
         size = self._joints * SERVOS.sizeof("servo_joint")
-        given = self._device.allocate(size)
-        self._device.write(given, view_bytes(joint, size))
-        self._core.launch("servos_retune", 1, servos=self._servos, arm=arm, joint=given)
+        gains = self._device.allocate(size)
+        self._device.write(gains, view_bytes(joint, size))
+        self._core.launch("servos_retune", 1, servos=self._servos, arm=arm, joint=gains)
 
     def _put(self, servos: CData) -> None:
         """Copy a struct and all that it points to."""

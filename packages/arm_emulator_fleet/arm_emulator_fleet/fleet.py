@@ -161,8 +161,8 @@ class Fleet(CoreMachines):
         if isinstance(arm, slice):
             return [self[k] for k in range(self._count)[arm]]
         arm = check_count("Fleet", "arm", arm, -self._count, self._count - 1) % self._count
-        if (known := self._arms.get(arm)) is not None:
-            return known
+        if (view := self._arms.get(arm)) is not None:
+            return view
         machine = self.core.arm_fleet_machine(self._fleet, arm)
         plant = self._arms[arm] = Plant(self.scene, of=BorrowedMachine(self, self.core, machine))
         weakref.finalize(plant, _give_back, weakref.WeakMethod(self._give_back), arm)
@@ -230,17 +230,19 @@ class Fleet(CoreMachines):
         rows = self._arguments.commands(command, where)
         tick = check_count(where, "tick", tick, -1)
         check_inputs(where, self.scene, further)
-        given = {
-            name: self._arguments.commands(one, where, ANY_COMMAND.named(name))
-            for name, one in further.items()
+        named_rows = {
+            name: self._arguments.commands(row, where, ANY_COMMAND.named(name))
+            for name, row in further.items()
         }
-        others = arrange_further_rows(where, self.scene, given, self._count)
+        others = arrange_further_rows(where, self.scene, named_rows, self._count)
         exchange = self.core.arm_fleet_exchange
         with self.turn:
             self._commands["value"] = rows
             places = {"joint": self._commands} | ({} if others is None else {"further": others})
-            one = ARM.new("arm_command", tick=tick, **places)
-            self._shares.do(self._period_worth, lambda *share: exchange(self._fleet, *share, one))
+            struct = ARM.new("arm_command", tick=tick, **places)
+            self._shares.do(
+                self._period_worth, lambda *share: exchange(self._fleet, *share, struct)
+            )
 
     @synchronized
     def step(
@@ -268,12 +270,12 @@ class Fleet(CoreMachines):
         periods = check_count(where, "periods", periods, 0, 10**9)
         out = self._frame(where, out)
         self._put_commands(where, command)
-        step, fleet, given = self.core.arm_fleet_step, self._fleet, self._held
+        step, fleet, zoh_command = self.core.arm_fleet_step, self._fleet, self._held
         places, results = (out.measurement, out.truth), []
         for _, some in self._pieces(periods):
             self._shares.do(
                 self._period_worth * some,
-                lambda *share, n=some: results.append(step(fleet, *share, given, n, *places)),
+                lambda *share, n=some: results.append(step(fleet, *share, zoh_command, n, *places)),
             )
             if REFUSED in results:  # of a device, whose commands nobody else checks
                 raise self._refusal(where, "")
@@ -346,7 +348,7 @@ class Fleet(CoreMachines):
         by = FLEET.new("arm_fleet_way") if way is None else way.struct
         if arms is not None:
             arms = check_count(where, "arms", arms, 1, self._count)
-        given = FLEET.new(
+        arguments = FLEET.new(
             "arm_fleet_control",
             joint=self._commands,
             **control.functions,
@@ -356,7 +358,7 @@ class Fleet(CoreMachines):
         follow, fleet, refused = self.core.arm_fleet_follow, self._fleet, []
 
         def go(some: int, first: int, arms: int) -> None:
-            if follow(fleet, first, arms, given, some, by, *places) == REFUSED:
+            if follow(fleet, first, arms, arguments, some, by, *places) == REFUSED:
                 refused.append(first)
 
         for done, some in self._pieces(periods):
@@ -394,14 +396,14 @@ class Fleet(CoreMachines):
             place = f"on {control.device or 'the processor'}"
             raise Refusal(where, "control", rule, control.name or place)
 
-    def _place_look(self, where: str, way: FleetWay) -> None:
+    def _place_look(self, where: str, schedule: FleetWay) -> None:
         """Find the function of a way where the arms are."""
-        if way.looks and (way.look_name is None) != (self.device is None):
+        if schedule.looks and (schedule.look_name is None) != (self.device is None):
             rule = "be a pointer in lanes, and on a device a name"
-            raise Refusal(where, "look", rule, way.look_name or "a function of the processor")
-        if way.look_name is not None:
-            address = self.core.find_function(way.look_name)
-            FLEET.fill(way.struct, look=FLEET.ffi.cast(_LOOK, address))
+            raise Refusal(where, "look", rule, schedule.look_name or "a function of the processor")
+        if schedule.look_name is not None:
+            address = self.core.find_function(schedule.look_name)
+            FLEET.fill(schedule.struct, look=FLEET.ffi.cast(_LOOK, address))
 
     def _pieces(self, periods: int) -> Iterator[tuple[int, int]]:
         """Yield begin and length of pieces between checks for Ctrl-C."""
@@ -453,9 +455,11 @@ class Fleet(CoreMachines):
     @synchronized
     def diverged(self) -> dict[int, Diverged]:
         """Reasons for which arms have stopped, by their index."""
-        one = self.__getitem__ if self.device is None else self.copy_arm
-        found = {int(arm): one(int(arm)).diverged for arm in np.flatnonzero(self.faults >= 0)}
-        return {arm: why for arm, why in found.items() if why is not None}
+        get_arm = self.__getitem__ if self.device is None else self.copy_arm
+        divergences = {
+            int(arm): get_arm(int(arm)).diverged for arm in np.flatnonzero(self.faults >= 0)
+        }
+        return {arm: why for arm, why in divergences.items() if why is not None}
 
     def _run(self, rows: Array, steps: int) -> Array:
         # A sum is quick, and not finite if any of them is not.
@@ -476,10 +480,10 @@ class Fleet(CoreMachines):
         return q
 
     def _advance(self, rows: Array, steps: int, q: Array) -> None:
-        given = pointer(rows), len(rows), steps, pointer(q)
+        arguments = pointer(rows), len(rows), steps, pointer(q)
         run = self.core.arm_fleet_run
         worth = rows[..., 0].size * steps
-        self._shares.do(worth, lambda *share: run(self._fleet, *share, *given))
+        self._shares.do(worth, lambda *share: run(self._fleet, *share, *arguments))
 
 
 def _restore_fleet(
@@ -493,7 +497,7 @@ def _restore_fleet(
     return Fleet(scene, count, workers=workers, device=device, kernels=kernels)
 
 
-def _give_back(way: weakref.WeakMethod[Callable[[int], None]], arm: int) -> None:
-    give_back = way()
+def _give_back(method: weakref.WeakMethod[Callable[[int], None]], arm: int) -> None:
+    give_back = method()
     if give_back is not None:
         give_back(arm)

@@ -122,7 +122,7 @@ class FleetFrame:
         self._rows = (*places.values(), self.faults, self.powered, *place.arrays.values())
         # For the core.
         # Outputs that the scene does not have stay 0.
-        there = {one.symbol.partition(".")[0] for one in list_outputs(scene)}
+        there = {output.symbol.partition(".")[0] for output in list_outputs(scene)}
         arrays = {name: rows for name, rows in place.arrays.items() if name in there}
         self.measurement = FLEET.new("arm_fleet_measurement", powered=powered, **arrays)
         self.truth = FLEET.new("arm_fleet_truth", fault=self.faults, **places)
@@ -134,8 +134,8 @@ class FleetFrame:
         return [rows.copy() for rows in self._rows]
 
     def __setstate__(self, rows: list[NDArray[Any]]) -> None:
-        for own, given in zip(self._rows, rows, strict=True):
-            own[...] = given
+        for own, row in zip(self._rows, rows, strict=True):
+            own[...] = row
 
     def __repr__(self) -> str:
         return f"<FleetFrame of {self.of[1]} {self.of[0].name}>"

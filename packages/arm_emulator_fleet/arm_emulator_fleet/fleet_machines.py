@@ -89,7 +89,7 @@ class CoreMachines(Synchronized):
         self.core: Any = load_core(scene, device, kernels)  # the functions of core/arm_fleet.h
         self.lanes = int(self.core.arm_fleet_lanes())
         self.link_angle_per_count = compute_count_angle(scene)
-        values = np.tile([one.value for one in scene.varied], (self._count, 1))
+        values = np.tile([number.value for number in scene.varied], (self._count, 1))
         options = make_options(scene, np.ascontiguousarray(values, np.float64))
         self._fleet = self.core.arm_fleet_new(options, self._count)
         self._place = MeasuredPlace(scene, self._count)
@@ -168,8 +168,10 @@ class CoreMachines(Synchronized):
             raise Refusal(where, "arms", "be a mask of bool or uint8", mask.dtype)
         starts = (("q", q, self.scene.start), ("v", v, np.zeros(self._N)))
         rows = [
-            take_array(where, name, device, _row_of_each(given, at, count), shape, np.float64)
-            for name, given, at in starts
+            take_array(
+                where, name, device, _row_of_each(start_values, at, count), shape, np.float64
+            )
+            for name, start_values, at in starts
         ]
         for name in varied:
             find_varied(self.scene.varied, name, where)
@@ -240,7 +242,7 @@ class CoreMachines(Synchronized):
     @synchronized
     def parameters(self) -> dict[str, Array]:
         """The numbers that the scene lists as varied, by name, with each arm's value (count,)."""
-        values = {one.name: np.zeros(self._count) for one in self.scene.varied}
+        values = {number.name: np.zeros(self._count) for number in self.scene.varied}
         for name, column in values.items():
             self.core.arm_fleet_get_parameter(self._fleet, name.encode(), pointer(column))
         return values
@@ -275,13 +277,13 @@ class CoreMachines(Synchronized):
         where, shape = "Fleet.set_parameters", (self._count, len(self.scene.varied))
         if np.shape(rows) != shape:
             raise Refusal(where, "rows", f"have shape {shape}", np.shape(rows))
-        given = np.ascontiguousarray(rows, np.float64)
-        if self.core.arm_fleet_set_parameters(self._fleet, NULL, pointer(given)) == REFUSED:
+        values = np.ascontiguousarray(rows, np.float64)
+        if self.core.arm_fleet_set_parameters(self._fleet, NULL, pointer(values)) == REFUSED:
             raise self._refusal(where, "another value")
 
     def _set_parameter(self, name: str, column: Array, mask: NDArray[np.bool_]) -> None:
-        given = get_mask_bytes(mask), name.encode(), pointer(column)
-        if self.core.arm_fleet_set_parameter(self._fleet, *given) == REFUSED:
+        arguments = get_mask_bytes(mask), name.encode(), pointer(column)
+        if self.core.arm_fleet_set_parameter(self._fleet, *arguments) == REFUSED:
             raise self._refusal("Fleet.set_parameter", "another value")
 
     @synchronized
@@ -330,10 +332,10 @@ class CoreMachines(Synchronized):
                 nothing has changed.
         """
         where = "Fleet.restore"
-        one = self.core.arm_saved_size()
+        size = self.core.arm_saved_size()
         valid = isinstance(saved, bytes | bytearray | memoryview)
-        if not valid or len(bytes(saved)) not in (one, self._count * one):
-            rule = f"be the {self._count * one} bytes of `save`, or {one} of one arm"
+        if not valid or len(bytes(saved)) not in (size, self._count * size):
+            rule = f"be the {self._count * size} bytes of `save`, or {size} of one arm"
             raise Refusal(where, "saved fleet", rule, saved)
         self._restore(where, bytes(saved), len(bytes(saved)), arms)
 
@@ -432,12 +434,12 @@ def has_device_array(numbers: Sequence[object]) -> bool:
     return any(map(is_device_array, numbers))
 
 
-def _row_of_each(given: Any, otherwise: Array, count: int) -> Any:
+def _row_of_each(rows: Any, otherwise: Array, count: int) -> Any:
     """Return numbers with a row for each arm, as they are if they are on a device."""
-    if given is not None and not isinstance(given, np.ndarray):
-        return given
+    if rows is not None and not isinstance(rows, np.ndarray):
+        return rows
     return np.ascontiguousarray(
-        np.broadcast_to(otherwise if given is None else given, (count, len(otherwise))), np.float64
+        np.broadcast_to(otherwise if rows is None else rows, (count, len(otherwise))), np.float64
     )
 
 
@@ -476,44 +478,44 @@ class FleetArguments:
 
     def column(self, where: str, name: str, values: ArrayLike, mask: NDArray[np.bool_]) -> Array:
         """Return the values of a varied number (count,), checked for those of the mask."""
-        one = find_varied(self._scene.varied, name, where)
-        given = one.number.numbers(where, values)
-        column = np.full(self._count, one.value, np.float64)
+        varied = find_varied(self._scene.varied, name, where)
+        numbers = varied.number.numbers(where, values)
+        column = np.full(self._count, varied.value, np.float64)
         many = int(mask.sum())
-        if given.shape not in ((), (many,), (self._count,)):
+        if numbers.shape not in ((), (many,), (self._count,)):
             shapes = " or ".join(f"({n},)" for n in sorted({many, self._count}))
-            raise Refusal(where, name, f"have shape {shapes} or ()", given.shape)
-        column[mask] = given[mask] if given.shape == (self._count,) else given
-        one.number.check(where, column)
+            raise Refusal(where, name, f"have shape {shapes} or ()", numbers.shape)
+        column[mask] = numbers[mask] if numbers.shape == (self._count,) else numbers
+        varied.number.check(where, column)
         return column
 
     def commands(self, command: Commands, where: str, bound: Number = ANY_COMMAND) -> Array:
         """Return commands (count, N), given for all arms, one each, or by names of joints."""
-        given = order_by_joint(command, self._scene, where)
-        if given is not command:
-            columns = [bound.numbers(where, one) for one in given]  # type: ignore[attr-defined]
+        ordered = order_by_joint(command, self._scene, where)
+        if ordered is not command:
+            columns = [bound.numbers(where, column) for column in ordered]  # type: ignore[attr-defined]
             if any(column.shape not in ((), (self._count,)) for column in columns):
                 shapes = [column.shape for column in columns]
                 rule = f"have shape () or ({self._count},) for each joint"
                 raise Refusal(where, bound.name, rule, shapes)
-            given = np.column_stack([np.broadcast_to(column, self._count) for column in columns])
-        return self.rows(given, None, where, bound)
+            ordered = np.column_stack([np.broadcast_to(column, self._count) for column in columns])
+        return self.rows(ordered, None, where, bound)
 
     def rows(self, values: Any, mask: NDArray[np.bool_] | None, where: str, bound: Number) -> Array:
         """Return a row for each arm, checked; those of other arms than the mask's are 0."""
-        given = bound.numbers(where, values)
+        numbers = bound.numbers(where, values)
         shape = (self._count, self._N)
         many = self._count if mask is None else int(mask.sum())
-        if given.shape not in ((self._N,), (many, self._N), shape):
+        if numbers.shape not in ((self._N,), (many, self._N), shape):
             shapes = " or ".join(f"({n}, {self._N})" for n in sorted({many, self._count}))
-            raise Refusal(where, bound.name, f"have shape ({self._N},) or {shapes}", given.shape)
-        if mask is None and given.shape == shape:
-            rows = given
+            raise Refusal(where, bound.name, f"have shape ({self._N},) or {shapes}", numbers.shape)
+        if mask is None and numbers.shape == shape:
+            rows = numbers
         elif mask is None or mask.all():
-            rows = np.ascontiguousarray(np.broadcast_to(given, shape))
+            rows = np.ascontiguousarray(np.broadcast_to(numbers, shape))
         else:
             rows = np.zeros(shape)
-            rows[mask] = given[mask] if given.shape == shape else given
+            rows[mask] = numbers[mask] if numbers.shape == shape else numbers
         bound.check(where, rows)
         return rows
 
@@ -552,8 +554,8 @@ def choose_arms(where: str, arms: ArrayLike | None, count: int) -> NDArray[np.bo
     if chosen.dtype == np.bool_ and chosen.shape == (count,):
         return np.ascontiguousarray(chosen)
     mask = np.zeros(count, bool)
-    whole = chosen.dtype.kind in "iu" or chosen.size == 0
-    if not whole or chosen.ndim > 1 or (np.abs(chosen + 0.5) > count).any():
+    are_indices = chosen.dtype.kind in "iu" or chosen.size == 0
+    if not are_indices or chosen.ndim > 1 or (np.abs(chosen + 0.5) > count).any():
         raise Refusal(where, "arms", f"be a mask of {count}, or indices of {count} arms", arms)
     mask[chosen.astype(np.int64)] = True
     if mask.sum() < chosen.size:  # such as a mask of 0 and 1

@@ -55,7 +55,7 @@ class FleetWay(NonCopyable):
         scene = coerce_kind(scene, Scene, "FleetWay", "scene", "be a Scene")
         count = check_count("FleetWay", "count", count, 1, LARGEST_FLEET)
         self.of = scene, count
-        self._places = {one.name: place for place, one in enumerate(scene.varied)}
+        self._places = {number.name: place for place, number in enumerate(scene.varied)}
         self.struct = FLEET.new("arm_fleet_way")
         self.looks, self.look_name = look is not None, look if isinstance(look, str) else None
         if look is not None:
@@ -92,9 +92,9 @@ class FleetWay(NonCopyable):
                 before = tick
                 kind, place, value = _POWER, 0, 0.0
                 if isinstance(change, NumberChange):
-                    one = find_varied(scene.varied, change.name, where)
+                    varied = find_varied(scene.varied, change.name, where)
                     kind, place = _PARAMETER, self._places[change.name]
-                    value = one.number.take(where, change.value)
+                    value = varied.number.take(where, change.value)
                 elif isinstance(change, WrenchChange):
                     kind = _WRENCH
                     place, moved = move_to_moving_link(scene, where, change.link, change.wrench)
@@ -128,7 +128,7 @@ class FleetWay(NonCopyable):
             of = self._wrenches
             of["size"], of["axes"] = of.itemsize, axes
             for name in ("point", "force", "moment"):
-                of[name] = [getattr(one, name) for one in moved]
+                of[name] = [getattr(change, name) for change in moved]
             began = of.__array_interface__["data"][0]
             self._rows["wrench"][list(at)] = began + of.itemsize * np.arange(len(of))
         FLEET.fill(

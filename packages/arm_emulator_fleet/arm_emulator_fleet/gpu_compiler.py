@@ -193,10 +193,12 @@ def _choose_target(command: tuple[str, ...], where: str, architecture: str) -> s
     about = _ask(command, where, "--version")
     version = re.search(r"clang version (\d+)", about)
     if version is None or int(version[1]) < OLDEST:
-        got = about.strip().splitlines()[:1]
+        lines = about.strip().splitlines()[:1]
         remedy = f"install clang-{OLDEST}, or set {VARIABLE}"
         rule = f"be clang {OLDEST} or later for cards"
-        raise Refusal(where, f"compiler {command[0]}", rule, got[0] if got else "nothing", remedy)
+        raise Refusal(
+            where, f"compiler {command[0]}", rule, lines[0] if lines else "nothing", remedy
+        )
     text = _ask(command, where, "--target=nvptx64-nvidia-cuda", "--print-supported-cpus")
     targets = [int(number) for number in re.findall(r"^\s*sm_(\d+)$", text, re.M)]
     card = re.fullmatch(r"sm_(\d+)[af]?", architecture)

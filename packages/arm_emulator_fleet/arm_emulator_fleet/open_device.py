@@ -26,10 +26,10 @@ def open_device(where: str, name: str) -> Device:
     """
     if name == "processor":
         return PROCESSOR()
-    found = GPU.fullmatch(name) if isinstance(name, str) else None
-    if found is None:
+    match = GPU.fullmatch(name) if isinstance(name, str) else None
+    if match is None:
         raise Refusal(where, "device", "be known", name, '"processor", "gpu", "gpu:1"')
     # Nothing of it is loaded for the processor.
     from arm_emulator_fleet.cuda_device import open_card
 
-    return open_card(where, int(found[1] or 0))
+    return open_card(where, int(match[1] or 0))

@@ -124,11 +124,11 @@ class ProcessorModule(Module):
         return _LOADER.ffi.cast(KERNEL, address) if address else None
 
     def _launch(
-        self, found: CData, threads: int, packed: ctypes.Array[Any], block: int, shared: int
+        self, kernel: CData, threads: int, packed: ctypes.Array[Any], block: int, shared: int
     ) -> None:
         arguments = _LOADER.ffi.cast("void **", ctypes.addressof(packed))
         work = self._processor.share(threads)
-        work.do(threads, lambda first, count: found(first, count, arguments))
+        work.do(threads, lambda first, count: kernel(first, count, arguments))
 
 
 _LOADER = Header(Path(__file__).with_name("dynamic_loader.h"))

@@ -100,18 +100,26 @@ class ServoFleet(FleetControl):
         if len(configs) not in (1, self._count):
             rule = f"be one, or one for each of {self._count} arms"
             raise Refusal("ServoFleet", "config", rule, len(configs))
-        read = [load_servo_config(one) if isinstance(one, str | Path) else one for one in configs]
-        for one in read:
-            if not isinstance(one, ServoConfig):
-                raise Refusal("ServoFleet", "config", "be a ServoConfig, a name or a file", one)
-            check_servo(scene, one)
-        if len({one.joint_names for one in read}) > 1:
+        read = [
+            load_servo_config(source) if isinstance(source, str | Path) else source
+            for source in configs
+        ]
+        for servo_config in read:
+            if not isinstance(servo_config, ServoConfig):
+                raise Refusal(
+                    "ServoFleet", "config", "be a ServoConfig, a name or a file", servo_config
+                )
+            check_servo(scene, servo_config)
+        if len({servo_config.joint_names for servo_config in read}) > 1:
             raise Refusal("ServoFleet", "config", "have the joints in one order", "several")
         self._scene, self._N = scene, len(scene.joints)
         self._joint_names = read[0].joint_names
-        self._period, self._hold_after = scene.servo_period, min(one.hold_after for one in read)
+        self._period, self._hold_after = (
+            scene.servo_period,
+            min(servo_config.hold_after for servo_config in read),
+        )
         self._place = np.array([scene.joint_names.index(n) for n in read[0].joint_names], np.int32)
-        drives = [ServoArm(one) for one in read]
+        drives = [ServoArm(servo_config) for servo_config in read]
         self._drives = drives  # they own the numbers
         N, count = self._N, self._count
         self._calls: Library | DeviceServos = _load_servos(fleet)
@@ -169,11 +177,13 @@ class ServoFleet(FleetControl):
             rule = f"be at most {int(self._hold_after / self._period)}: hold_after of the servo"
             raise Refusal(where, "every", rule, every)
         rows = [self._targets(where, POSITION.named("q"), q)]
-        for bound, given in ((VELOCITY.named("v"), v), (EFFORT.named("tau"), tau)):
-            one = None if given is None else self._targets(where, bound, given)
-            if one is not None and one.shape != rows[0].shape:
-                raise Refusal(where, bound.name, f"have the shape of q, {rows[0].shape}", one.shape)
-            rows.append(one)  # type: ignore[arg-type]
+        for bound, values in ((VELOCITY.named("v"), v), (EFFORT.named("tau"), tau)):
+            targets = None if values is None else self._targets(where, bound, values)
+            if targets is not None and targets.shape != rows[0].shape:
+                raise Refusal(
+                    where, bound.name, f"have the shape of q, {rows[0].shape}", targets.shape
+                )
+            rows.append(targets)  # type: ignore[arg-type]
         self._rows = tuple(rows)
         self.struct.since = NULL
         of_arms = rows[0].ndim == 3
@@ -245,17 +255,17 @@ class ServoFleet(FleetControl):
         arm = check_count(where, "arm", arm, 0, self._count - 1)
         check_joints(where, config, self._joint_names)
         rows = servo_numbers(config.joints, config.period, config.supply_voltage)
-        given = SERVOS.pointer("servo_joint", rows)
-        self._calls.servo_fleet_retune(self.struct, arm, given)
+        joints = SERVOS.pointer("servo_joint", rows)
+        self._calls.servo_fleet_retune(self.struct, arm, joints)
 
     def _targets(self, where: str, bound: Number, values: ArrayLike) -> Array:
-        given = bound.numbers(where, values)
+        numbers = bound.numbers(where, values)
         shapes = (self._N,), (self._count, self._N)
-        if given.ndim not in (2, 3) or given.shape[1:] not in shapes or not len(given):
+        if numbers.ndim not in (2, 3) or numbers.shape[1:] not in shapes or not len(numbers):
             rule = f"have shape (K, {self._N}) or (K, {self._count}, {self._N})"
-            raise Refusal(where, bound.name, rule, given.shape)
-        bound.check(where, given)
-        return np.ascontiguousarray(given[..., self._place])
+            raise Refusal(where, bound.name, rule, numbers.shape)
+        bound.check(where, numbers)
+        return np.ascontiguousarray(numbers[..., self._place])
 
     def reset(self, arms: ArrayLike | None = None) -> None:
         """Forget what was measured; targets begin with their first row again.

@@ -97,12 +97,12 @@ class WorkThreads:
         try:
             take_shares()
         finally:
-            for other in others:
-                if not other.cancel():
-                    other.result()
+            for future in others:
+                if not future.cancel():
+                    future.result()
 
     def _is_shared_quicker(self, size: int, worth: int) -> bool:
-        alone, shared = (self._taken.get((size, way)) for way in (False, True))
+        alone, shared = (self._taken.get((size, exclusive)) for exclusive in (False, True))
         if alone is None or shared is None:
             return worth > WORTH_A_THREAD if alone is shared else shared is None
         slower = max(alone, shared) * worth

@@ -101,10 +101,10 @@ def device(request: pytest.FixtureRequest) -> Any:
 def fleet_cards(cards: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stub]:
     """The two cards, for fleets: their kernels are the processor's, with the memory of a card's."""
 
-    def load(given: Unit, architecture: str) -> bytes:
+    def load(unit: Unit, architecture: str) -> bytes:
         assert architecture == "sm_90"
-        source = f'#include "pool.hpp"\n{given.source}'
-        return Path(compiled_library(replace(given, source=source)).file).read_bytes()
+        source = f'#include "pool.hpp"\n{unit.source}'
+        return Path(compiled_library(replace(unit, source=source)).file).read_bytes()
 
     monkeypatch.setattr(gpu_compiler, "load_ptx", load)
     monkeypatch.setattr(gpu_compiler, "load_cubin", load)

@@ -97,7 +97,7 @@ def test_a_refused_copy_changes_nothing(device: str | None, scene: Scene) -> Non
     before = fleet.save()
     faster = load_scene("three_axis", overrides={**SENSED, "integrator.dt": 5e-4})
     elsewhere = "processor" if device is None else None
-    for arm, arms, of, what in (
+    for arm, arms, of, reason in (
         (COUNT, None, None, "arm must"),
         (-COUNT - 1, None, None, "arm must"),
         ("0", None, None, "arm must"),
@@ -107,7 +107,7 @@ def test_a_refused_copy_changes_nothing(device: str | None, scene: Scene) -> Non
         (0, None, Fleet("three_axis", 1, device=device), "of must be a fleet of this scene"),
         (0, None, Fleet(faster, 1, device=device), "arm 0: saved machine must have this step"),
     ):
-        with pytest.raises(Refusal, match=f"Fleet.copy_state: {what}"):
+        with pytest.raises(Refusal, match=f"Fleet.copy_state: {reason}"):
             fleet.copy_state(arm, arms, of=of)  # type: ignore[arg-type]
     spoiled = bytearray(fleet.save()[: len(before) // COUNT])
     spoiled[-20] ^= 1

@@ -128,10 +128,10 @@ def test_more_memory_than_there_is_is_refused(device: Device, request) -> None:
     with pytest.raises(Refusal, match=r"Device.allocate: size must fit into .*, got 4611686018427"):
         device.allocate(2**62)
     if not isinstance(device, ProcessorDevice):
-        held = device.allocate(60 << 20)
+        array = device.allocate(60 << 20)
         with pytest.raises(Refusal, match=f"valid: {4 << 20} are free"):
             device.allocate(5 << 20)
-        del held
+        del array
         device.allocate(5 << 20)
 
 
@@ -151,8 +151,8 @@ def test_memory_is_freed_when_nothing_refers_to_it(cards: SimpleNamespace) -> No
 def test_memory_is_freed_by_any_thread(cards: SimpleNamespace) -> None:
     card, in_use = cards.open(), cards.stub.calls.stub_memory_in_use
     before = in_use()
-    held = [card.allocate(100) for _ in range(50)]
-    threads = [threading.Thread(target=lambda: held.pop() and None) for _ in range(50)]
+    arrays = [card.allocate(100) for _ in range(50)]
+    threads = [threading.Thread(target=lambda: arrays.pop() and None) for _ in range(50)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -222,8 +222,8 @@ def test_arguments_arrive_as_what_they_are(device: Device, kernels: Path) -> Non
     module = device.load(kernels.read_bytes())
     result = DeviceArray((2, 3), "f8", device)
     for number in (0, 1, -1, 2**53, -(2**63)):
-        for given in (number, np.int64(number), struct.pack("q", number)):
-            module.launch("take", 3, result[1], given, 0.25, np.float32(0.125))
+        for argument in (number, np.int64(number), struct.pack("q", number)):
+            module.launch("take", 3, result[1], argument, 0.25, np.float32(0.125))
             np.testing.assert_array_equal(result[1].numpy(), float(number) + 0.25 + 0.125)
     module.launch("take", 6, result.memory, 1, np.float64(2.0), np.float32(0.5))
     np.testing.assert_array_equal(result.numpy(), 3.5)
@@ -237,9 +237,9 @@ def test_an_argument_that_no_kernel_takes_is_refused(device: Device, kernels: Pa
 
 def test_memory_of_another_device_is_no_argument(cards: SimpleNamespace, kernels: Path) -> None:
     module = cards.open(0).load(kernels)
-    for other in (cards.open(1), ProcessorDevice(1)):
+    for foreign_device in (cards.open(1), ProcessorDevice(1)):
         with pytest.raises(Refusal, match=r"memory must be on stub 0, got memory on "):
-            module.launch("take", 1, DeviceArray(1, "f8", other))
+            module.launch("take", 1, DeviceArray(1, "f8", foreign_device))
 
 
 @pytest.mark.parametrize(
@@ -340,10 +340,10 @@ def test_a_module_describes_its_kernels(cards: SimpleNamespace, kernels: Path) -
 
 def test_shared_memory_beyond_48_kb_is_asked_for(cards: SimpleNamespace, kernels: Path) -> None:
     module, array = cards.open().load(kernels), DeviceArray(4, "f8", cards.open())
-    for size, asked in ((48 << 10, False), ((48 << 10) + 1, True), (200 << 10, True)):
+    for size, is_requested in ((48 << 10, False), ((48 << 10) + 1, True), (200 << 10, True)):
         cards.stub.calls.stub_forget()
         module.launch("scale", 4, scaled(array, 0.0, 0), shared=size)
-        assert ("cuFuncSetAttribute" in dict(cards.stub.notes)) is asked
+        assert ("cuFuncSetAttribute" in dict(cards.stub.notes)) is is_requested
     with pytest.raises(DeviceError, match="cuFuncSetAttribute"):
         module.launch("scale", 4, scaled(array, 0.0, 0), shared=1 << 20)
 

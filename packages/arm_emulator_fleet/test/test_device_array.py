@@ -161,9 +161,9 @@ def test_numbers_are_converted_without_loss_of_their_kind(device: Device) -> Non
     for values in ([1, 2, 3], np.array([1, 2, 3], "u1"), np.array([1, 2, 3], "f4"), (1, 2.0, 3)):
         array.copy_from(values)
         np.testing.assert_array_equal(array.numpy(), [1.0, 2.0, 3.0])
-    whole = DeviceArray(3, "i4", device)
+    full_array = DeviceArray(3, "i4", device)
     with pytest.raises(Refusal, match="values must be of type int32, got float64"):
-        whole.copy_from(array)
+        full_array.copy_from(array)
     array.copy_from(place(device, np.array([4, 5, 6], "i2")))
     np.testing.assert_array_equal(array.numpy(), [4.0, 5.0, 6.0])
 
@@ -435,10 +435,10 @@ def test_arrays_of_numpy_are_shared_where_they_can(cards: SimpleNamespace) -> No
     device, card, numbers = ProcessorDevice(1), cards.open(), draw(shape=(4, 3))
     shared = as_device_array(device, numbers)
     assert shared.pointer == numbers.ctypes.data
-    for other in (numbers.T, numbers[::2], numbers[:, 1], numbers.astype(">f8"), numbers.tolist()):
+    for view in (numbers.T, numbers[::2], numbers[:, 1], numbers.astype(">f8"), numbers.tolist()):
         for where in (device, card):
-            taken = as_device_array(where, other)
-            assert np.array_equal(taken.numpy(), np.asarray(other))
+            taken = as_device_array(where, view)
+            assert np.array_equal(taken.numpy(), np.asarray(view))
             assert taken.pointer != numbers.ctypes.data
     assert as_device_array(device, numbers, "f8").pointer == numbers.ctypes.data
     single = as_device_array(device, numbers, "f4")
@@ -453,8 +453,8 @@ def test_arrays_of_a_library_on_the_processor_are_shared() -> None:
         def __init__(self, numbers: np.ndarray) -> None:
             self.numbers = numbers
 
-        def __dlpack__(self, **given) -> object:
-            return self.numbers.__dlpack__(**given)
+        def __dlpack__(self, **options) -> object:
+            return self.numbers.__dlpack__(**options)
 
         def __dlpack_device__(self) -> tuple[int, int]:
             return self.numbers.__dlpack_device__()

@@ -263,7 +263,9 @@ def refusals() -> Iterator[tuple[str, Any, str]]:
 
 
 @pytest.mark.parametrize(
-    ("attempt", "words"), [one[1:] for one in refusals()], ids=[one[0] for one in refusals()]
+    ("attempt", "words"),
+    [refusal[1:] for refusal in refusals()],
+    ids=[refusal[0] for refusal in refusals()],
 )
 def test_senseless_arguments_are_refused(attempt: Any, words: str, tmp_path: Path) -> None:
     scene = mixture(tmp_path, 16)

@@ -78,8 +78,8 @@ def test_every_arm_moves_as_machine_and_servo_alone(scene: Scene, device: str | 
     fleet.follow(servos, 60, links=links[100:160])
     fleet.powered = True
     frame = fleet.follow(servos, 80, links=links[160:])
-    shown = frame.q, frame.faults, frame.measured.encoder_counts
-    q_end, faults, counts = (to_numpy(rows) for rows in shown)
+    results = frame.q, frame.faults, frame.measured.encoder_counts
+    q_end, faults, counts = (to_numpy(rows) for rows in results)
     assert np.array_equal(q_end, links[-1]) and (faults == -1).all()
     assert np.array_equal(counts, fleet.measured.encoder_counts)
     rested = 0
@@ -326,8 +326,8 @@ def test_senseless_arguments_are_refused(three_axis: Scene) -> None:
 def test_a_look_is_a_pointer_in_lanes_and_a_name_on_a_device() -> None:
     fleet = Fleet("three_axis", 2)
     servos = ServoFleet(fleet, load_gains("three_axis").servo)
-    way = FleetWay(fleet.scene, 2, "sampler_look")
-    calls = lambda: fleet.follow(servos, 1, way=way), lambda: fleet.look(way)
+    schedule = FleetWay(fleet.scene, 2, "sampler_look")
+    calls = lambda: fleet.follow(servos, 1, way=schedule), lambda: fleet.look(schedule)
     for call in calls:
         with pytest.raises(
             Refusal, match="look must be a pointer in lanes, and on a device a name"

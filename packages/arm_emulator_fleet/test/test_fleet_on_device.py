@@ -122,9 +122,9 @@ def name_results(results: Any) -> dict[str, np.ndarray]:
     return {str(place): np.asarray(row) for place, row in enumerate(rows)}
 
 
-def assert_bits(actual: np.ndarray, expected: np.ndarray, what: str) -> None:
-    np.testing.assert_array_equal(actual, expected, err_msg=what)
-    assert actual.tobytes() == expected.tobytes(), f"signs of 0 in {what}"
+def assert_bits(actual: np.ndarray, expected: np.ndarray, context: str) -> None:
+    np.testing.assert_array_equal(actual, expected, err_msg=context)
+    assert actual.tobytes() == expected.tobytes(), f"signs of 0 in {context}"
 
 
 class Pair:
@@ -134,14 +134,14 @@ class Pair:
         self.scene, self.count, self.N = scene, count, len(scene.joints)
         self.rng = np.random.default_rng(seed)
         self.varied = {
-            one.name: np.clip(
-                np.round(one.value * self.rng.uniform(0.7, 1.4, count))
-                if one.name == "seed"
-                else one.value * self.rng.uniform(0.7, 1.4, count),
-                one.number.least,
-                one.number.most,
+            number.name: np.clip(
+                np.round(number.value * self.rng.uniform(0.7, 1.4, count))
+                if number.name == "seed"
+                else number.value * self.rng.uniform(0.7, 1.4, count),
+                number.number.least,
+                number.number.most,
             )
-            for one in scene.varied
+            for number in scene.varied
         }
         began = self.starts(count), 0.1 * self.rng.normal(size=(count, self.N))
         self.fleets = [
@@ -161,7 +161,9 @@ class Pair:
 
     def has_input(self, name: str) -> np.ndarray:
         """Return whether the motor of each joint has a further input."""
-        return np.array([name in [one.name for one in j.inputs[1:]] for j in self.scene.joints])
+        return np.array(
+            [name in [joint_input.name for joint_input in j.inputs[1:]] for j in self.scene.joints]
+        )
 
     def mask(self) -> np.ndarray:
         return self.rng.random(self.count) < 0.4
@@ -169,7 +171,7 @@ class Pair:
     def both(self, act: Callable[..., Any], *of_each: Any) -> None:
         """Let both do something, which must return the same bits."""
         first, second = (
-            name_results(act(*given)) for given in zip(self.fleets, *of_each, strict=True)
+            name_results(act(*arguments)) for arguments in zip(self.fleets, *of_each, strict=True)
         )
         assert first.keys() >= second.keys()
         for name, rows in second.items():
@@ -298,12 +300,12 @@ class Pair:
         if not self.servos:
             return
         periods = int(self.rng.integers(0, 40))
-        ways: list[FleetWay | None] = [None, None]
+        schedules: list[FleetWay | None] = [None, None]
         if self.rng.random() < 0.7:
             changes = self.draw_changes()
-            ways = [FleetWay(fleet.scene, self.count) for fleet in self.fleets]
-            for way in ways:
-                way.set_changes(changes)
+            schedules = [FleetWay(fleet.scene, self.count) for fleet in self.fleets]
+            for schedule in schedules:
+                schedule.set_changes(changes)
         links = np.zeros((2, periods, self.count, self.N))
         some_arms = int(self.rng.integers(1, self.count + 1)) if self.rng.random() < 0.2 else None
         if some_arms is not None:  # whole groups of either
@@ -321,7 +323,7 @@ class Pair:
             fleet.follow(servos, periods, frame, links=rows, way=way, arms=some_arms)
             return show(frame) | {"links": rows}
 
-        self.both(go, self.servos, ways, links, frames)
+        self.both(go, self.servos, schedules, links, frames)
         assert periods == 0 or some_arms is not None or links[0, -1].any()
 
     def aim(self) -> None:
@@ -485,7 +487,7 @@ def test_however_the_processor_divides_its_threads(
 
 def test_pieces_change_no_bit(located: Scene, device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between pieces of long calls there are looks for Ctrl-C."""
-    whole = Fleet(located, COUNT, device=device)
+    fleet = Fleet(located, COUNT, device=device)
     monkeypatch.setattr("arm_emulator_fleet.fleet.PIECE", 3 * located.steps_per_period + 1)
     pieces = Fleet(located, COUNT, device=device)
     rng, servo = np.random.default_rng(6), find_servo(located)
@@ -493,20 +495,20 @@ def test_pieces_change_no_bit(located: Scene, device: str, monkeypatch: pytest.M
     rows = rng.uniform(-9.0, 9.0, (7, COUNT, 3))
     q = located.start + np.cumsum(0.01 * rng.normal(size=(20, 3)), axis=0)
     links = np.zeros((2, 20, COUNT, 3))
-    way = FleetWay(located, COUNT)
-    way.set_changes([[(5, PowerChange(on=False)), (9, PowerChange(on=True))]] * COUNT)
-    for one, of_links in zip((whole, pieces), links, strict=True):
-        servos = ServoFleet(one, servo)
+    schedule = FleetWay(located, COUNT)
+    schedule.set_changes([[(5, PowerChange(on=False)), (9, PowerChange(on=True))]] * COUNT)
+    for stepped, of_links in zip((fleet, pieces), links, strict=True):
+        servos = ServoFleet(stepped, servo)
         servos.aim(q)
-        one.follow(servos, 20, links=of_links, way=way)
+        stepped.follow(servos, 20, links=of_links, way=schedule)
     assert links[0].tobytes() == links[1].tobytes() and links[0, -1].any()
-    assert whole.run(rows, 25).tobytes() == pieces.run(rows, 25).tobytes()
-    assert whole.advance(rows[0], 333).tobytes() == pieces.advance(rows[0], 333).tobytes()
+    assert fleet.run(rows, 25).tobytes() == pieces.run(rows, 25).tobytes()
+    assert fleet.advance(rows[0], 333).tobytes() == pieces.advance(rows[0], 333).tobytes()
     assert (
-        show(whole.step(rows[1], 31))["q"].tobytes()
+        show(fleet.step(rows[1], 31))["q"].tobytes()
         == show(pieces.step(rows[1], 31))["q"].tobytes()
     )
-    assert whole.save() == pieces.save()
+    assert fleet.save() == pieces.save()
 
 
 def refusals(scene: Scene) -> Iterator[Callable[[Fleet, ServoFleet], Any]]:
@@ -574,9 +576,9 @@ def test_senseless_calls_are_refused_alike_and_change_nothing(located: Scene, de
     before = pair.fleets[1].save()
     for index, attempt in enumerate(refusals(located)):
         lines = []
-        for one, servos in zip(pair.fleets, pair.servos, strict=True):
+        for fleet, servos in zip(pair.fleets, pair.servos, strict=True):
             with pytest.raises(Refusal) as refused:
-                attempt(one, servos)
+                attempt(fleet, servos)
             lines.append(str(refused.value))
         assert lines[0] == lines[1], f"attempt {index}"
         assert pair.fleets[1].save() == before, f"attempt {index}: {lines[1]}"
@@ -590,11 +592,11 @@ def test_impossible_calls_of_a_device_are_refused(located: Scene, device: str) -
     assert servo
     with pytest.raises(Refusal, match=f"arms on {device}; valid: copy_arm"):
         on[0]
-    for one, other, words in ((on, lanes, "the processor"), (lanes, on, device)):
+    for fleet, servo_fleet, words in ((on, lanes, "the processor"), (lanes, on, device)):
         with pytest.raises(
             Refusal, match=f"control must run where the fleet is, .* got on {words}"
         ):
-            one.follow(ServoFleet(other, servo), 1)
+            fleet.follow(ServoFleet(servo_fleet, servo), 1)
     with pytest.raises(Refusal, match=r"Fleet: workers must be .* on a device"):
         Fleet(located, 3, workers=2, device=device)
     with pytest.raises(Refusal, match=r"threads must be 1 on a device"):
@@ -611,12 +613,12 @@ def test_fleets_leave_nothing_on_a_card(located: Scene, fleet_cards: Stub) -> No
     before = in_use()
     for _ in range(50):
         fleet_cards.calls.stub_forget()
-        one = Fleet(located, 5, device="gpu")
-        way = FleetWay(located, 5)
-        way.set_changes([[(1, PowerChange(on=False))]] * 5)
-        one.follow(ServoFleet(one, servo), 2, way=way)
+        fleet = Fleet(located, 5, device="gpu")
+        schedule = FleetWay(located, 5)
+        schedule.set_changes([[(1, PowerChange(on=False))]] * 5)
+        fleet.follow(ServoFleet(fleet, servo), 2, way=schedule)
         assert in_use() > before
-        del one
+        del fleet
         gc.collect()
         assert in_use() == before
         assert dict(fleet_cards.notes)["cuModuleUnload"] == 0

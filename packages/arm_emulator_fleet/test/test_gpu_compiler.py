@@ -79,8 +79,8 @@ def test_kernels_become_ptx_for_a_card(architecture: str) -> None:
 def test_products_and_sums_are_not_contracted() -> None:
     """The driver may contract `mul` and `add`, but not `mul.rn` and `add.rn`."""
     text = load_ptx(make_unit(), "sm_90").decode()
-    found = set(re.findall(r"\b((?:mul|add|sub|fma|mad)\.\S*f64)", text))
-    assert found == {"mul.rn.f64", "add.rn.f64"}
+    instructions = set(re.findall(r"\b((?:mul|add|sub|fma|mad)\.\S*f64)", text))
+    assert instructions == {"mul.rn.f64", "add.rn.f64"}
 
 
 @needs_clang
@@ -96,12 +96,12 @@ def test_the_second_use_compiles_nothing(
     monkeypatch.setenv("PATH", str(tmp_path))
     assert load_ptx(make_unit(), "sm_90") == first, "a machine without clang uses it"
     assert capsys.readouterr().err == ""
-    for other in (
+    for load in (
         lambda: load_ptx(make_unit(), "sm_80"),
         lambda: load_ptx(make_unit("//"), "sm_90"),
     ):
         with pytest.raises(Refusal, match="compiler for cards must be on the path"):
-            other()
+            load()
 
 
 @needs_clang
@@ -175,10 +175,10 @@ def test_a_compiler_that_is_too_old(
     ],
 )
 def test_a_compiler_that_makes_nothing(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cache: Path, does: str, got: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cache: Path, does: str, message: str
 ) -> None:
     name_clang(monkeypatch, tmp_path / "bin", does, "clang version 19.1.7")
-    with pytest.raises(Refusal, match=got):
+    with pytest.raises(Refusal, match=message):
         load_ptx(make_unit(), "sm_90")
     assert not list(cache.glob("*.ptx"))
 
@@ -225,7 +225,7 @@ def test_the_kernels_of_a_scene_are_compiled_ahead(
     point = SimpleNamespace(load=lambda: compile_scene_for_card)
     monkeypatch.setattr("arm_emulator.base.packages.find_entries", lambda group: {"fleet": point})
     for ahead in ("compile_ahead", "compile_units"):  # what is for the processor
-        monkeypatch.setattr(f"arm_emulator.cli.commands.compile.{ahead}", lambda *given: [])
+        monkeypatch.setattr(f"arm_emulator.cli.commands.compile.{ahead}", lambda *arguments: [])
     folder = tmp_path / "into"
     assert compile_scene("three_axis", device="sm_90", into=folder) == 0
     (file,) = folder.iterdir()
@@ -256,8 +256,8 @@ def test_ptxas_gets_the_ptx_of_the_kernels(monkeypatch: pytest.MonkeyPatch, tmp_
     ptxas = fake_compiler(tmp_path / "bin", does)
     monkeypatch.setattr(gpu_compiler, "find_ptxas", lambda: [ptxas])
     monkeypatch.setattr(gpu_compiler, "PTXAS", replace(gpu_compiler.PTXAS, find=lambda: [ptxas]))
-    made = load_cubin(make_unit(), "sm_120")
-    assert made.startswith(b"\x7fELF--fmad=false -arch=sm_120 ") and b".version 7.8\n" in made
+    cubin = load_cubin(make_unit(), "sm_120")
+    assert cubin.startswith(b"\x7fELF--fmad=false -arch=sm_120 ") and b".version 7.8\n" in cubin
     kinds = [file.suffix for file in compile_for_card(make_unit(), "sm_120")]
     assert kinds == [".ptx", ".cubin"]
 
@@ -278,7 +278,7 @@ def test_one_source_is_loaded_by_either_device(
     load_kernels(card, unit)
     assert loaded == [load_ptx(unit, "sm_90")], "the driver compiles it where there is no ptxas"
     monkeypatch.setattr(
-        gpu_compiler, "load_cubin", lambda *given: b"cubin for " + given[1].encode()
+        gpu_compiler, "load_cubin", lambda *arguments: b"cubin for " + arguments[1].encode()
     )
     load_kernels(card, unit)
     assert loaded[1:] == [b"cubin for sm_90"]

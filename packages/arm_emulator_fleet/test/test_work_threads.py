@@ -87,10 +87,10 @@ def test_the_calling_thread_does_what_nobody_else_takes() -> None:
     while len(done) < 2:
         pass
     shares.do(10**6, lambda begins, _: done.append(1000 + begins))
-    assert sorted(one for one in done if one >= 1000) == [1000 + 8 * k for k in range(8)]
+    assert sorted(index for index in done if index >= 1000) == [1000 + 8 * k for k in range(8)]
     free.set()
     first[0].join()
-    assert sorted(one for one in done if one < 1000) == [8 * k for k in range(8)]
+    assert sorted(index for index in done if index < 1000) == [8 * k for k in range(8)]
     shares.end()
 
 

@@ -95,19 +95,19 @@ def export(
 
 def _list_included(*sources: str) -> dict[str, str]:
     """Return the files that sources include, and those that they include, by name."""
-    found: dict[str, str] = {}
+    included: dict[str, str] = {}
     left = list(sources)
     while left:
         for name in re.findall(r'^ *# *include "([^"]+)"', left.pop(), re.M):
-            if name not in found:
+            if name not in included:
                 file = next(
                     folder / name
                     for folder in (FOLDER, CORE_FOLDER, *TICK_FOLDERS)
                     if (folder / name).is_file()
                 )
-                found[name] = file.read_text(encoding="utf-8")
-                left.append(found[name])
-    return dict(sorted(found.items()))
+                included[name] = file.read_text(encoding="utf-8")
+                left.append(included[name])
+    return dict(sorted(included.items()))
 
 
 def _write(out: Path, files: Mapping[str, bytes]) -> None:
@@ -116,8 +116,8 @@ def _write(out: Path, files: Mapping[str, bytes]) -> None:
         beside = Path(scratch) / out.name
         with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in files.items():
-                one = zipfile.ZipInfo(name, _DATE)
-                one.compress_type = zipfile.ZIP_DEFLATED
-                one.external_attr = 0o644 << 16
-                archive.writestr(one, content)
+                zip_info = zipfile.ZipInfo(name, _DATE)
+                zip_info.compress_type = zipfile.ZIP_DEFLATED
+                zip_info.external_attr = 0o644 << 16
+                archive.writestr(zip_info, content)
         os.replace(beside, out)

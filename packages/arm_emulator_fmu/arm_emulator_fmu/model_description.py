@@ -51,15 +51,15 @@ def describe_model(scene: Scene, variables: Sequence[Variable], token: str) -> b
     )
     _write_header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
-    for reference, one in enumerate(variables):
-        element = ET.SubElement(listed, one.type, _list_attributes(one, reference, naming))
-        if one.role == "output":
+    for reference, scalar in enumerate(variables):
+        element = ET.SubElement(listed, scalar.type, _list_attributes(scalar, reference, naming))
+        if scalar.role == "output":
             element.set("intermediateUpdate", "true")
-        for size in one.shape:
+        for size in scalar.shape:
             ET.SubElement(element, "Dimension", start=str(size))
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [str(k) for k, one in enumerate(variables) if one.role == "output"]
-    begin = " ".join(str(k) for k, one in enumerate(variables) if one.decides_on_start)
+    outputs = [str(k) for k, variable in enumerate(variables) if variable.role == "output"]
+    begin = " ".join(str(k) for k, variable in enumerate(variables) if variable.decides_on_start)
     for k in outputs:
         ET.SubElement(structure, "Output", valueReference=k, dependencies="")
     for k in outputs:
@@ -87,14 +87,14 @@ def describe_model_2(scene: Scene, variables: Sequence[Variable], token: str) ->
     )
     _write_header(root, scene, variables)
     listed = ET.SubElement(root, "ModelVariables")
-    for reference, one in enumerate(variables):
-        attributes = _list_attributes(one, reference, naming)
+    for reference, scalar in enumerate(variables):
+        attributes = _list_attributes(scalar, reference, naming)
         own = {name: attributes.pop(name) for name in _TYPED_2 if name in attributes}
         element = ET.SubElement(listed, "ScalarVariable", attributes)
-        ET.SubElement(element, _TYPES_2[one.type], own)
+        ET.SubElement(element, _TYPES_2[scalar.type], own)
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [k for k, one in enumerate(variables, 1) if one.role == "output"]
-    begin = [k for k, one in enumerate(variables, 1) if one.decides_on_start]
+    outputs = [k for k, variable in enumerate(variables, 1) if variable.role == "output"]
+    begin = [k for k, variable in enumerate(variables, 1) if variable.decides_on_start]
     for name, dependencies in (
         ("Outputs", ""),
         ("InitialUnknowns", " ".join(map(str, begin))),
@@ -116,33 +116,35 @@ def _write_header(root: ET.Element, scene: Scene, variables: Sequence[Variable])
     )
     root.append(_add_units(variables))
     categories = ET.SubElement(root, "LogCategories")
-    for name, what in LOG_CATEGORIES.items():
-        ET.SubElement(categories, "Category", name=name, description=what)
+    for name, text in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
     period = repr(scene.servo_period)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=period)
 
 
-def _list_attributes(one: Variable, reference: int, naming: str) -> dict[str, str]:
+def _list_attributes(variable: Variable, reference: int, naming: str) -> dict[str, str]:
     """Return the attributes of a variable."""
-    continuous = one.type == "Float64"
+    continuous = variable.type == "Float64"
     attributes = {
-        "name": write_name(one.name, one.element, naming),
+        "name": write_name(variable.name, variable.element, naming),
         "valueReference": str(reference),
-        "description": escape_xml(one.description),
-        "causality": _CAUSALITY.get(one.role, one.role),
+        "description": escape_xml(variable.description),
+        "causality": _CAUSALITY.get(variable.role, variable.role),
         "variability": "continuous" if continuous else "discrete",
     }
-    if one.role in _CAUSALITY:
-        attributes["variability"] = one.role
-    if one.unit and continuous:
-        attributes["unit"] = one.unit
-        if one.unit in DISPLAYED:
-            attributes["displayUnit"] = DISPLAYED[one.unit][0]
-    if one.bounds is not None:
-        attributes["min"], attributes["max"] = (repr(float(bound)) for bound in one.bounds)
-    if one.start is not None:
-        boolean = one.type == "Boolean"
-        texts = (str(bool(value)).lower() if boolean else repr(float(value)) for value in one.start)
+    if variable.role in _CAUSALITY:
+        attributes["variability"] = variable.role
+    if variable.unit and continuous:
+        attributes["unit"] = variable.unit
+        if variable.unit in DISPLAYED:
+            attributes["displayUnit"] = DISPLAYED[variable.unit][0]
+    if variable.bounds is not None:
+        attributes["min"], attributes["max"] = (repr(float(bound)) for bound in variable.bounds)
+    if variable.start is not None:
+        boolean = variable.type == "Boolean"
+        texts = (
+            str(bool(value)).lower() if boolean else repr(float(value)) for value in variable.start
+        )
         attributes["start"] = " ".join(texts)
     return attributes
 
@@ -190,6 +192,6 @@ def _add_units(variables: Sequence[Variable]) -> ET.Element:
                 base["offset"] = repr(OFFSETS[name])
             ET.SubElement(element, "BaseUnit", base)
         if name in DISPLAYED:
-            shown, factor = DISPLAYED[name]
-            ET.SubElement(element, "DisplayUnit", name=shown, factor=repr(factor))
+            unit, factor = DISPLAYED[name]
+            ET.SubElement(element, "DisplayUnit", name=unit, factor=repr(factor))
     return root

@@ -54,13 +54,13 @@ The robot's description and its numbers are their author's.</p>
 """.encode()
 
 
-def _format_cells(one: Variable, naming: str) -> tuple[str, ...]:
-    size = "".join(f"[{count}]" for count in one.shape)
+def _format_cells(variable: Variable, naming: str) -> tuple[str, ...]:
+    size = "".join(f"[{count}]" for count in variable.shape)
     kind = {"fixed": "parameter, before the start", "tunable": "parameter, at any time"}
     return (
-        write_name(one.name, one.element, naming),
-        f"{one.type}{size}",
-        one.unit or "",
-        kind.get(one.role, one.role),
-        one.description,
+        write_name(variable.name, variable.element, naming),
+        f"{variable.type}{size}",
+        variable.unit or "",
+        kind.get(variable.role, variable.role),
+        variable.description,
     )

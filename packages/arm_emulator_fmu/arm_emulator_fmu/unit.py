@@ -59,8 +59,8 @@ def _write_table(scene: Scene, variables: Sequence[Variable]) -> str:
     modes = ", ".join(map(str, list_modes(scene)))
     names = list_further_inputs(scene)
     at = [find_input(joint, name) for name in names for joint in scene.joints]
-    has = ", ".join("true" if one else "false" for one in at)
-    parameters = _format_numbers([*(one.value for one in scene.varied), 0.0])
+    has = ", ".join("true" if value else "false" for value in at)
+    parameters = _format_numbers([*(number.value for number in scene.varied), 0.0])
     return f"""\
 #include "variable.hpp"
 
@@ -89,14 +89,14 @@ inline constexpr Variable kVariables[] = {{
 """
 
 
-def _format_row(one: Variable) -> str:
-    array, brackets, field = one.symbol.partition("[]")
-    value = f"{array}[{one.first}]{field}" if brackets else array
+def _format_row(variable: Variable) -> str:
+    array, brackets, field = variable.symbol.partition("[]")
+    value = f"{array}[{variable.first}]{field}" if brackets else array
     element = f"{array}[0]" if brackets else array
-    truth = "true" if one.symbol.startswith("truth.") else "false"
+    truth = "true" if variable.symbol.startswith("truth.") else "false"
     return (
-        f"    {{Type::{one.type.lower()}, Role::{one.role}, Rule::{one.rule}, {truth}, "
-        f"FMU_PLACE({value}, {element}), {one.first}, {one.count}}}"
+        f"    {{Type::{variable.type.lower()}, Role::{variable.role}, Rule::{variable.rule}, "
+        f"{truth}, FMU_PLACE({value}, {element}), {variable.first}, {variable.count}}}"
     )
 
 

@@ -93,22 +93,22 @@ def list_scalars(scene: Scene) -> tuple[Variable, ...]:
 
     Time is no variable there, for some importers miss a start value of it, which it must not have.
     """
-    found: list[Variable] = []
+    scalars: list[Variable] = []
     for array in list_variables(scene)[1:]:
         rows = _split_joints(array) if array.joints else [array]
         for row in rows:
-            found += _split_elements(row) if row.shape else [row]
-    return tuple(found)
+            scalars += _split_elements(row) if row.shape else [row]
+    return tuple(scalars)
 
 
 def _split_joints(array: Variable) -> list[Variable]:
     each = array.count // len(array.joints)
-    what, _, _ = array.description.partition(", base to tool")
+    quantity, _, _ = array.description.partition(", base to tool")
     return [
         replace(
             array,
             name=(*array.name, joint),
-            description=f"{what}: {joint}",
+            description=f"{quantity}: {joint}",
             units=array.units[j : j + 1],
             first=array.first + j * each,
             shape=array.shape[1:],
@@ -136,22 +136,24 @@ def _list_inputs(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
     zero = (0.0,) * N
     commands = tuple(joint.unit for joint in scene.joints)
-    what = "command to each motor, held over the step"
-    found = [_make_input(scene, "command", "Float64", what, commands, zero, "command")]
+    about = "command to each motor, held over the step"
+    inputs = [_make_input(scene, "command", "Float64", about, commands, zero, "command")]
     for k, name in enumerate(list_further_inputs(scene)):
-        abouts = (one.about for joint in scene.joints if (one := find_input(joint, name)))
-        what, units = " or ".join(dict.fromkeys(abouts)), list_input_units(scene, name)
-        row = _make_input(scene, name, "Float64", what, units, zero, "further")
-        found.append(replace(row, symbol="values.now.further[]", first=N * k))
-    what = "whether each drive is enabled"
-    found.append(_make_input(scene, "enable", "Boolean", what, (), (1.0,) * N))
+        abouts = (
+            part_input.about for joint in scene.joints if (part_input := find_input(joint, name))
+        )
+        about, units = " or ".join(dict.fromkeys(abouts)), list_input_units(scene, name)
+        row = _make_input(scene, name, "Float64", about, units, zero, "further")
+        inputs.append(replace(row, symbol="values.now.further[]", first=N * k))
+    about = "whether each drive is enabled"
+    inputs.append(_make_input(scene, "enable", "Boolean", about, (), (1.0,) * N))
     if any(joint.brake for joint in scene.joints):
-        what = "whether each brake closes though its drive is enabled"
-        found.append(_make_input(scene, "close_brake", "Boolean", what, (), zero))
-    what = "power of all drives"
-    found.append(Variable(("power",), "values.now.power", "Boolean", "input", what, start=(1.0,)))
+        about = "whether each brake closes though its drive is enabled"
+        inputs.append(_make_input(scene, "close_brake", "Boolean", about, (), zero))
+    about = "power of all drives"
+    inputs.append(Variable(("power",), "values.now.power", "Boolean", "input", about, start=(1.0,)))
     if scene.external_wrench:
-        for name, unit, what in (
+        for name, unit, about in (
             ("force", "N", "external force on the link that each joint moves"),
             ("moment", "N m", "external moment on the link that each joint moves"),
             ("point", "m", "where the external force acts, in the frame of each link"),
@@ -160,66 +162,66 @@ def _list_inputs(scene: Scene) -> list[Variable]:
             start = (0.0,) * (len(moved) * OUTPUT_AXES)
             symbol, units = f"values.now.external_{name}[]", (unit,) * len(moved)
             row = _make_row(
-                moved, ("external", name), symbol, "Float64", "input", what, units, start
+                moved, ("external", name), symbol, "Float64", "input", about, units, start
             )
-            found.append(replace(row, rule="wrench", shape=(len(moved), OUTPUT_AXES)))
-        what = "whether external forces and moments are in axes of the world, not of the links"
+            inputs.append(replace(row, rule="wrench", shape=(len(moved), OUTPUT_AXES)))
+        about = "whether external forces and moments are in axes of the world, not of the links"
         name_ = ("external", "world_axes")
         symbol = "values.now.external_world_axes"
-        found.append(Variable(name_, symbol, "Boolean", "input", what, start=(0.0,)))
-    return found
+        inputs.append(Variable(name_, symbol, "Boolean", "input", about, start=(0.0,)))
+    return inputs
 
 
 def _list_parameters(scene: Scene) -> list[Variable]:
     q = tuple(joint.start for joint in scene.joints)
     v = (0.0,) * len(q)
-    found = [
+    parameters = [
         _make_row(scene.joint_names, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
-             f"{what} of each joint at the start", units, start, f"start_{name}")
-        for name, what, units, start in (
+             f"{quantity} of each joint at the start", units, start, f"start_{name}")
+        for name, quantity, units, start in (
             ("q", "position", _list_links(scene, "rad", "m"), q),
             ("v", "speed", _list_links(scene, "rad/s", "m/s"), v),
         )
     ]  # fmt: skip
     units = _list_varied_units(scene)
-    for k, one in enumerate(scene.varied):
-        found.append(
+    for k, number in enumerate(scene.varied):
+        parameters.append(
             Variable(
-                _list_parts(one, scene),
+                _list_parts(number, scene),
                 "values.parameter[]",
                 "Float64",
                 "tunable",
-                f"{one.name} of the scene",
-                tuple(filter(None, (units.get(one.name),))),
+                f"{number.name} of the scene",
+                tuple(filter(None, (units.get(number.name),))),
                 first=k,
                 rule="parameter",
-                start=(one.value,),
-                bounds=one.number.ends,
+                start=(number.value,),
+                bounds=number.number.ends,
             )
         )
-    return found
+    return parameters
 
 
 def _list_measurements(scene: Scene) -> list[Variable]:
     outputs = list_outputs(scene)
-    found = [_make_output(scene, output) for output in outputs if not output.per_unit]
-    what = "whether the drives have power"
-    found.append(Variable(("powered",), "shown.powered", "Boolean", "output", what))
+    measurements = [_make_output(scene, output) for output in outputs if not output.per_unit]
+    about = "whether the drives have power"
+    measurements.append(Variable(("powered",), "shown.powered", "Boolean", "output", about))
     for m, imu in enumerate(scene.imus):
         for output in outputs:
             if output.per_unit:
-                what = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
+                about = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
                 name, symbol = (output.name, imu.name), _name_in_unit(output, m)
-                one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
-                found.append(replace(one, shape=(OUTPUT_AXES,)))
-    return found
+                variable = Variable(name, symbol, "Float64", "output", about, (output.unit,))
+                measurements.append(replace(variable, shape=(OUTPUT_AXES,)))
+    return measurements
 
 
 def _make_output(scene: Scene, output: Output) -> Variable:
     array, _, field = output.symbol.partition(".")
     symbol = f"shown.{array}[]" + (f".{field}" if field else "")
     units = list_units(scene, output)
-    one = _make_row(
+    row = _make_row(
         scene.joint_names,
         (output.name,),
         symbol,
@@ -230,7 +232,7 @@ def _make_output(scene: Scene, output: Output) -> Variable:
         None,
     )
     rows = list_rows(scene).get(array)
-    return one if rows is None else replace(one, first=len(scene.joints) * rows.index(output.name))
+    return row if rows is None else replace(row, first=len(scene.joints) * rows.index(output.name))
 
 
 def _name_in_unit(output: Output, unit: int) -> str:
@@ -240,18 +242,18 @@ def _name_in_unit(output: Output, unit: int) -> str:
 
 def _list_truth(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
-    found = [
+    truths = [
         _make_row(
             scene.joint_names,
             ("truth", name),
             f"truth.{name}[]",
             "Float64",
             "output",
-            what,
+            about,
             units,
             None,
         )
-        for name, what, units in (
+        for name, about, units in (
             ("q", "true position of each joint", _list_links(scene, "rad", "m")),
             ("v", "true speed of each joint", _list_links(scene, "rad/s", "m/s")),
             ("gear_torque", "true torque of each gear on its link", _list_links(scene, "N m", "N")),
@@ -261,29 +263,29 @@ def _list_truth(scene: Scene) -> list[Variable]:
         )
     ]
     of_energy = ("truth", "energy")
-    what = "kinetic, potential, elastic and magnetic energy"
-    found.append(Variable(of_energy, "truth.energy", "Float64", "output", what, ("J",)))
+    about = "kinetic, potential, elastic and magnetic energy"
+    truths.append(Variable(of_energy, "truth.energy", "Float64", "output", about, ("J",)))
     for j, joint in enumerate(scene.joints):
         for output in (truth for part in joint.parts for truth in part.truths):
             name, symbol = ("truth", output.name, joint.name), f"truth.{output.symbol}[]"
-            what = f"{output.about} of {joint.name}"
-            one = Variable(name, symbol, "Float64", "output", what, (output.unit,))
-            found.append(replace(one, first=j))
-    return found
+            about = f"{output.about} of {joint.name}"
+            variable = Variable(name, symbol, "Float64", "output", about, (output.unit,))
+            truths.append(replace(variable, first=j))
+    return truths
 
 
 def _make_input(
     scene: Scene,
     name: str,
     type_: str,
-    what: str,
+    about: str,
     units: tuple[str, ...],
     start: tuple[float, ...],
     rule: str = "finite",
 ) -> Variable:
     """Return a value per joint that the machine is given."""
     symbol = f"values.now.{name}[]"
-    return _make_row(scene.joint_names, (name,), symbol, type_, "input", what, units, start, rule)
+    return _make_row(scene.joint_names, (name,), symbol, type_, "input", about, units, start, rule)
 
 
 def _make_row(
@@ -292,7 +294,7 @@ def _make_row(
     symbol: str,
     type_: str,
     role: str,
-    what: str,
+    about: str,
     units: tuple[str, ...],
     start: tuple[float, ...] | None,
     rule: str = "finite",
@@ -306,7 +308,7 @@ def _make_row(
         symbol,
         type_,
         role,
-        f"{what}, base to tool: {', '.join(each)}",
+        f"{about}, base to tool: {', '.join(each)}",
         units,
         rule=rule,
         shape=(len(joints),),
@@ -320,19 +322,21 @@ def _list_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:
     return tuple(prismatic if kind == "prismatic" else revolute for kind in kinds)
 
 
-def _list_parts(one: Varied, scene: Scene) -> Sequence[str]:
+def _list_parts(varied: Varied, scene: Scene) -> Sequence[str]:
     """Return the parts of the name of a varied number; names in it may have dots."""
-    group, _, rest = one.name.partition(".")
-    known = {
+    group, _, rest = varied.name.partition(".")
+    owners_by_group = {
         "joints": scene.joint_names,
         "links": tuple(link.link for link in scene.chain.links),
         "imus": tuple(imu.name for imu in scene.imus),
     }
-    owners = sum(known.values(), ()) if group == "faults" else known.get(group, ())
+    owners = (
+        sum(owners_by_group.values(), ()) if group == "faults" else owners_by_group.get(group, ())
+    )
     for owner in sorted(owners, key=len, reverse=True):
         if rest.startswith(f"{owner}."):
             return (group, owner, *rest[len(owner) + 1 :].split("."))
-    return one.name.split(".")
+    return varied.name.split(".")
 
 
 def _list_varied_units(scene: Scene) -> dict[str, str]:
@@ -349,11 +353,11 @@ def _list_varied_units(scene: Scene) -> dict[str, str]:
         if geometry.kind == "prismatic":
             continue
         for part in (*joint.parts, *joint.sensors.parts.values()):
-            for key, one in part.numbers().items():
-                units[f"{part.owners}.{joint.name}.{part.section}.{key}"] = one.unit
+            for key, number in part.numbers().items():
+                units[f"{part.owners}.{joint.name}.{part.section}.{key}"] = number.unit
     for imu in scene.imus:
         for three in (imu.accelerometer, imu.gyroscope):
             if three is not None:
-                for key, one in three.numbers().items():
-                    units[f"imus.{imu.name}.{three.section}.{key}"] = one.unit
+                for key, number in three.numbers().items():
+                    units[f"imus.{imu.name}.{three.section}.{key}"] = number.unit
     return units

@@ -39,7 +39,7 @@ class Fmu2:
         with zipfile.ZipFile(file) as archive:
             archive.extractall(folder)
         self.root = ET.parse(folder / "modelDescription.xml").getroot()
-        self.kinds = [one[0].tag for one in self.root.iter("ScalarVariable")]
+        self.kinds = [pair[0].tag for pair in self.root.iter("ScalarVariable")]
         (library,) = (folder / "binaries" / "linux64").iterdir()
         self.binary = ctypes.CDLL(str(library))
         for name, arguments in _ARGUMENTS.items():
@@ -99,7 +99,7 @@ class _Abuser:
     def _values(self) -> tuple[str, int]:
         rng, kinds = self._rng, self._fmu.kinds
         kind = str(rng.choice(["Real", "Real", "Boolean", "Integer", "String"]))
-        fitting = [k for k, one in enumerate(kinds) if one == kind] or [0]
+        fitting = [k for k, variable_kind in enumerate(kinds) if variable_kind == kind] or [0]
         count = int(rng.integers(0, 5))
         references = [int(k) for k in rng.choice(fitting, count)]
         if references and rng.random() < 0.05:
@@ -109,8 +109,10 @@ class _Abuser:
             number = strange_number if kind == "Real" else lambda rng: int(rng.integers(-2, 3))
             array[:] = [number(rng) for _ in range(count)]
         name = f"{'Get' if rng.random() < 0.4 else 'Set'}{kind}"
-        given: Any = None if rng.random() < 0.02 else (ctypes.c_uint32 * count)(*references)
-        return name, self.call(name, given, count, None if rng.random() < 0.02 else array)
+        reference_array: Any = (
+            None if rng.random() < 0.02 else (ctypes.c_uint32 * count)(*references)
+        )
+        return name, self.call(name, reference_array, count, None if rng.random() < 0.02 else array)
 
     def _states(self) -> tuple[str, int]:
         rng, saved = self._rng, bytearray(self.save())
@@ -120,9 +122,9 @@ class _Abuser:
         name = "DeSerializeFMUstate"
         status = self.call(name, bytes(saved), len(saved), ctypes.byref(state))
         if status == OK and rng.random() < 0.5:
-            gone = ctypes.c_void_p(state.value)
+            freed = ctypes.c_void_p(state.value)
             assert self.call("FreeFMUstate", ctypes.byref(state)) == OK, "it is forgotten"
-            state = gone
+            state = freed
         if status == OK:
             name = str(rng.choice(["SetFMUstate", "FreeFMUstate"]))
             status = self.call(name, state if name == "SetFMUstate" else ctypes.byref(state))
@@ -164,20 +166,20 @@ def abuse_2(rng: np.random.Generator, fmu: Fmu2, calls: int) -> dict[int, int]:
     Raises:
         AssertionError: an unknown status, or a call that was not taken and changed a value.
     """
-    one = _Abuser(rng, fmu)
+    abuser = _Abuser(rng, fmu)
     statuses = dict.fromkeys(range(4), 0)
     for _ in range(calls):
-        before = one.save()
-        name, status = one.any()
+        before = abuser.save()
+        name, status = abuser.any()
         assert status in statuses, f"{name} returns {status}"
         statuses[status] += 1
-        after = one.save()
+        after = abuser.save()
         if status == DISCARD:
             assert after == before, f"{name} was discarded, and yet something changed"
         if status == ERROR and name != "DoStep":  # a step may diverge
             assert after[24:-8] == before[24:-8], f"{name} failed, and yet a value changed"
         if status == ERROR and rng.random() < 0.8:
-            one.begin_again()
-        one.take_time()
-    fmu.binary.fmi2FreeInstance(one.handle)
+            abuser.begin_again()
+        abuser.take_time()
+    fmu.binary.fmi2FreeInstance(abuser.handle)
     return statuses

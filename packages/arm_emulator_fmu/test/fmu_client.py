@@ -67,7 +67,7 @@ class Fmu:
         self.root = ET.parse(folder / "modelDescription.xml").getroot()
         listed = self.root.find("ModelVariables")
         assert listed is not None, "variables are listed"
-        self.variables = {one.attrib["name"]: one for one in listed}
+        self.variables = {variable.attrib["name"]: variable for variable in listed}
         (library,) = (folder / "binaries" / "x86_64-linux").iterdir()
         self.binary = ctypes.CDLL(str(library), mode)
         for name, arguments in _ARGUMENTS.items():
@@ -142,27 +142,27 @@ class Instance:
 
     def start(self, start: float = 0.0, stop: float | None = None) -> None:
         """Go to step mode."""
-        given = stop is not None
-        status = self.call("EnterInitializationMode", False, 0.0, start, given, stop or 0.0)
+        has_stop = stop is not None
+        status = self.call("EnterInitializationMode", False, 0.0, start, has_stop, stop or 0.0)
         assert status == OK, self.printed
         assert self.call("ExitInitializationMode") == OK, self.printed
         self.time = start
 
     def set(self, name: str, values: Any) -> int:
         """Set a variable."""
-        one = self.fmu.variables[name]
+        variable = self.fmu.variables[name]
         row = np.atleast_1d(values).ravel().tolist()
-        array = (KINDS[one.tag] * len(row))(*row)
-        reference = ctypes.c_uint32(int(one.attrib["valueReference"]))
-        return self.call(f"Set{one.tag}", ctypes.byref(reference), 1, array, len(row))
+        array = (KINDS[variable.tag] * len(row))(*row)
+        reference = ctypes.c_uint32(int(variable.attrib["valueReference"]))
+        return self.call(f"Set{variable.tag}", ctypes.byref(reference), 1, array, len(row))
 
     def get(self, name: str) -> np.ndarray:
         """Return the values of a variable."""
-        one = self.fmu.variables[name]
+        variable = self.fmu.variables[name]
         count = self.fmu.size(name)
-        array = (KINDS[one.tag] * count)()
-        reference = ctypes.c_uint32(int(one.attrib["valueReference"]))
-        status = self.call(f"Get{one.tag}", ctypes.byref(reference), 1, array, count)
+        array = (KINDS[variable.tag] * count)()
+        reference = ctypes.c_uint32(int(variable.attrib["valueReference"]))
+        status = self.call(f"Get{variable.tag}", ctypes.byref(reference), 1, array, count)
         assert status == OK, self.printed
         return np.array(array)
 
@@ -265,22 +265,22 @@ def abuse(rng: np.random.Generator, fmu: Fmu, calls: int) -> dict[int, int]:
     pair = Instance(fmu), Instance(fmu, logging=False)
     statuses = dict.fromkeys(range(4), 0)
     for _ in range(calls):
-        one = pair[int(rng.integers(2))]
-        before = one.save()
-        name, status = _call(rng, one, pair)
+        instance = pair[int(rng.integers(2))]
+        before = instance.save()
+        name, status = _call(rng, instance, pair)
         assert status in statuses, f"{name} returns {status}"
         statuses[status] += 1
-        after = one.save()
+        after = instance.save()
         if status == DISCARD:
             assert after == before, f"{name} was discarded, and yet something changed"
         if status == ERROR and name != "DoStep":  # a step may diverge
             assert after[24:-8] == before[24:-8], f"{name} failed, and yet a value changed"
         if status == ERROR and rng.random() < 0.8:
-            assert one.call("Reset") == OK, f"a reset helps: {one.printed}"
+            assert instance.call("Reset") == OK, f"a reset helps: {instance.printed}"
             if rng.random() < 0.9:
-                one.start()
+                instance.start()
         if rng.random() < 0.1:
-            for values in map(one.get, ("truth.q", "truth.v", "truth.energy", "current")):
+            for values in map(instance.get, ("truth.q", "truth.v", "truth.energy", "current")):
                 assert np.isfinite(values).all(), f"after {name}: {values}"
     return statuses
 
@@ -293,60 +293,66 @@ def strange_number(rng: np.random.Generator) -> float:
     return float(rng.choice(_STRANGE) if rng.random() < 0.1 else rng.normal(0.0, 10.0))
 
 
-def _call(rng: np.random.Generator, one: Instance, pair: tuple[Instance, ...]) -> tuple[str, int]:
+def _call(
+    rng: np.random.Generator, instance: Instance, pair: tuple[Instance, ...]
+) -> tuple[str, int]:
     """Make one call, mostly one that makes sense."""
     kind = rng.random()
     if kind < 0.02:
-        return "Reset", one.call("Reset")
+        return "Reset", instance.call("Reset")
     if kind < 0.06:
         stop = float(rng.choice([1e9, 0.01, math.nan, -1.0]))
         start = 0.0 if rng.random() < 0.9 else strange_number(rng)
-        given = bool(rng.random() < 0.3)
-        one.time = start
+        has_stop = bool(rng.random() < 0.3)
+        instance.time = start
         name = "EnterInitializationMode"
-        return name, one.call(name, False, 0.0, start, given, stop)
+        return name, instance.call(name, False, 0.0, start, has_stop, stop)
     if kind < 0.1:
-        return "ExitInitializationMode", one.call("ExitInitializationMode")
+        return "ExitInitializationMode", instance.call("ExitInitializationMode")
     if kind < 0.4:
         if rng.random() < 0.05:
-            one.time = strange_number(rng)
+            instance.time = strange_number(rng)
         step = 1e-3 * float(rng.integers(1, 4)) if rng.random() < 0.9 else strange_number(rng)
         if step > 1.0:  # or it takes its time
             step = 1e300
         if rng.random() < 0.03:
-            return "DoStep", one.call("DoStep", one.time, step, True, None, None, None, None)
-        return "DoStep", one.step(step)
+            return "DoStep", instance.call(
+                "DoStep", instance.time, step, True, None, None, None, None
+            )
+        return "DoStep", instance.step(step)
     if kind < 0.85:
-        return _values(rng, one)
+        return _values(rng, instance)
     if kind < 0.95:
-        return _states(rng, one, pair[0] if one is pair[1] else pair[1])
+        return _states(rng, instance, pair[0] if instance is pair[1] else pair[1])
     name = str(rng.choice([
         "Terminate", "EnterEventMode", "EnterStepMode", "EnterConfigurationMode", "SetTime",
         "GetNumberOfContinuousStates", "GetOutputDerivatives", "SetDebugLogging",
     ]))  # fmt: skip
     if name == "SetDebugLogging":
-        known = [b"logEvents", b"logStatusDiscard", b"logStatusError", b"", b"logAll", None]
-        some = [known[k] for k in rng.integers(0, len(known), int(rng.integers(0, 3)))]
+        categories = [b"logEvents", b"logStatusDiscard", b"logStatusError", b"", b"logAll", None]
+        some = [categories[k] for k in rng.integers(0, len(categories), int(rng.integers(0, 3)))]
         array = (ctypes.c_char_p * len(some))(*some)
-        return name, one.call(name, bool(rng.integers(2)), len(some), array if some else None)
+        return name, instance.call(name, bool(rng.integers(2)), len(some), array if some else None)
     if name == "SetTime":
-        return name, one.call(name, strange_number(rng))
-    return name, one.call(name, *[None if kind is POINTER else 0 for kind in _ARGUMENTS[name][1:]])
+        return name, instance.call(name, strange_number(rng))
+    return name, instance.call(
+        name, *[None if kind is POINTER else 0 for kind in _ARGUMENTS[name][1:]]
+    )
 
 
-def _values(rng: np.random.Generator, one: Instance) -> tuple[str, int]:
+def _values(rng: np.random.Generator, instance: Instance) -> tuple[str, int]:
     """Get or set some variables, mostly of the right type and size."""
     kind = str(rng.choice([*KINDS, "Float64", "Float64"]))
     if rng.random() < 0.05:
         kind = str(rng.choice(OTHER_TYPES))
-    variables = list(one.fmu.variables.values())
+    variables = list(instance.fmu.variables.values())
     fitting = [v for v in variables if v.tag == kind] or variables
     count = int(rng.integers(0, 4))
     some = [fitting[k] for k in rng.integers(0, len(fitting), count)]
     references = [int(v.attrib["valueReference"]) for v in some]
     if references and rng.random() < 0.1:
         references[-1] = int(rng.choice([len(variables), 2**31, 2**32 - 1, 0, 3]))
-    size = sum(one.fmu.size(v.attrib["name"]) for v in some)
+    size = sum(instance.fmu.size(v.attrib["name"]) for v in some)
     if rng.random() < 0.1:
         size = int(rng.integers(0, 40))
     c_type = KINDS.get(kind, ctypes.c_void_p)
@@ -356,42 +362,44 @@ def _values(rng: np.random.Generator, one: Instance) -> tuple[str, int]:
     elif kind == "Boolean":
         ctypes.memset(array, int(rng.integers(256)), ctypes.sizeof(array))
     name = f"{'Get' if rng.random() < 0.4 else 'Set'}{kind}"
-    given: Any = (ctypes.c_uint32 * count)(*references)
+    reference_array: Any = (ctypes.c_uint32 * count)(*references)
     if rng.random() < 0.03:
-        given = None
+        reference_array = None
     values: Any = None if rng.random() < 0.03 else array
-    return name, one.call(name, given, count, values, size)
+    return name, instance.call(name, reference_array, count, values, size)
 
 
-def _states(rng: np.random.Generator, one: Instance, other: Instance) -> tuple[str, int]:
+def _states(rng: np.random.Generator, instance: Instance, source: Instance) -> tuple[str, int]:
     """Keep, go back, serialize, with states that are null, freed or of another instance."""
-    saved = bytearray(other.save())
+    saved = bytearray(source.save())
     if rng.random() < 0.5:
         for _ in range(int(rng.integers(1, 4))):
             saved[int(rng.integers(len(saved)))] ^= 1 << int(rng.integers(8))
-        status = one.restore(bytes(saved))
+        status = instance.restore(bytes(saved))
         assert status == ERROR, "a state that was spoiled is refused"
         return "DeserializeFMUState", status
     if rng.random() < 0.3:
-        return "DeserializeFMUState", one.restore(bytes(saved[: int(rng.integers(len(saved)))]))
+        return "DeserializeFMUState", instance.restore(
+            bytes(saved[: int(rng.integers(len(saved)))])
+        )
     state, foreign = ctypes.c_void_p(), ctypes.c_void_p()
-    assert other.call("GetFMUState", ctypes.byref(foreign)) == OK, other.printed
+    assert source.call("GetFMUState", ctypes.byref(foreign)) == OK, source.printed
     name = str(rng.choice(["SetFMUState", "FreeFMUState", "GetFMUState", "SerializeFMUState"]))
     if rng.random() < 0.5:
-        assert one.call("GetFMUState", ctypes.byref(state)) == OK, one.printed
+        assert instance.call("GetFMUState", ctypes.byref(state)) == OK, instance.printed
         if rng.random() < 0.3:
-            gone = ctypes.c_void_p(state.value)
-            assert one.call("FreeFMUState", ctypes.byref(state)) == OK, one.printed
-            state = gone
+            freed = ctypes.c_void_p(state.value)
+            assert instance.call("FreeFMUState", ctypes.byref(state)) == OK, instance.printed
+            state = freed
     else:
         state = ctypes.c_void_p(rng.choice([None, foreign.value]))
     size = int(rng.choice([len(saved), 0, 8]))
     array = ctypes.create_string_buffer(size)
     status = {
-        "SetFMUState": lambda: one.call(name, state),
-        "FreeFMUState": lambda: one.call(name, ctypes.byref(state)),
-        "GetFMUState": lambda: one.call(name, ctypes.byref(state)),
-        "SerializeFMUState": lambda: one.call(name, state, array, size),
+        "SetFMUState": lambda: instance.call(name, state),
+        "FreeFMUState": lambda: instance.call(name, ctypes.byref(state)),
+        "GetFMUState": lambda: instance.call(name, ctypes.byref(state)),
+        "SerializeFMUState": lambda: instance.call(name, state, array, size),
     }[name]()
-    other.call("FreeFMUState", ctypes.byref(foreign))
+    source.call("FreeFMUState", ctypes.byref(foreign))
     return name, status

@@ -22,10 +22,10 @@ MASS, STIFFNESS = "payload.mass", "joints.'hip [1]: left'.gear.stiffness"
 LINES = "command_*", "measurement_*", "controller_*", "encoders_swapped"
 
 
-def set_all(one: Instance, values: dict[str, Any]) -> None:
+def set_all(instance: Instance, values: dict[str, Any]) -> None:
     """Set variables; all are taken."""
     for name, value in values.items():
-        assert one.set(name, value) == OK, one.printed
+        assert instance.set(name, value) == OK, instance.printed
 
 
 def random_inputs(rng: np.random.Generator) -> dict[str, Any]:
@@ -44,11 +44,11 @@ def random_inputs(rng: np.random.Generator) -> dict[str, Any]:
 def moved(fmu: Fmu, seed: int, periods: int = 20) -> Instance:
     """An instance that is on its way."""
     rng = np.random.default_rng(seed)
-    one = Instance(fmu)
-    set_all(one, {"start.q": rng.normal(0.0, 0.3, len(NAMES)), **random_inputs(rng)})
-    one.start()
-    assert one.step(periods * PERIOD) == OK, one.printed
-    return one
+    instance = Instance(fmu)
+    set_all(instance, {"start.q": rng.normal(0.0, 0.3, len(NAMES)), **random_inputs(rng)})
+    instance.start()
+    assert instance.step(periods * PERIOD) == OK, instance.printed
+    return instance
 
 
 @pytest.fixture(scope="module")

@@ -31,12 +31,12 @@ __all__ = ["fmu", "scene"]  # fixtures
 ODD = [name for name in ODD_NAMES if name and not set(name) & set("\0\x1b\r\n\t")]
 
 
-ODDER = [one for one in ODD if not one.isascii() or set(one) & set("'\"\\<>&")]
+ODDER = [name for name in ODD if not name.isascii() or set(name) & set("'\"\\<>&")]
 
 
 def scenes(folder: Path, count: int) -> list[Scene]:
     """Scenes that are taken, of any names and numbers."""
-    found: list[Scene] = []
+    loaded: list[Scene] = []
     for number in range(10 * count):
         rng = np.random.default_rng([11, number])
         at = folder / str(number)
@@ -47,48 +47,50 @@ def scenes(folder: Path, count: int) -> list[Scene]:
                 path = draw(rng, at)
             else:
                 at.mkdir()
-                known = ODD if rng.random() < 0.5 else ODDER
-                names = rng.choice(known, int(rng.integers(1, 4)), replace=False)
+                names_to_use = ODD if rng.random() < 0.5 else ODDER
+                names = rng.choice(names_to_use, int(rng.integers(1, 4)), replace=False)
                 path = rich_machine(at, tuple(map(str, names)))
-            found.append(load_scene(path, {} if number % 5 else {"varied": ["*"]}))
+            loaded.append(load_scene(path, {} if number % 5 else {"varied": ["*"]}))
         except Refusal:
             continue
-        if len(found) == count:
+        if len(loaded) == count:
             break
-    return found
+    return loaded
 
 
 def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
     """Its names differ, its references lead somewhere, its start values fit."""
     conventions = set()
-    for drawn in scenes(tmp_path, 50 if FULL else 16):
-        listed = list_variables(drawn)
-        root = ET.fromstring(describe_model(drawn, listed, "{token}"))
+    for random_scene in scenes(tmp_path, 50 if FULL else 16):
+        listed = list_variables(random_scene)
+        root = ET.fromstring(describe_model(random_scene, listed, "{token}"))
         elements = root.find("ModelVariables")
         assert elements is not None and len(elements) == len(listed), "all are listed"
-        names = [one.attrib["name"] for one in elements]
+        names = [element.attrib["name"] for element in elements]
         assert len(set(names)) == len(names), "names differ"
         assert not any(set(name) & set("\r\n\t") for name in names), "names are of one line"
-        units = {one.attrib["name"] for one in root.iter("Unit")}
-        for one in elements:
-            assert one.attrib.get("unit") in (None, *units), "its unit is defined"
-            size = math.prod(int(part.attrib["start"]) for part in one)
-            start = one.attrib.get("start")
+        units = {element.attrib["name"] for element in root.iter("Unit")}
+        for element in elements:
+            assert element.attrib.get("unit") in (None, *units), "its unit is defined"
+            size = math.prod(int(part.attrib["start"]) for part in element)
+            start = element.attrib.get("start")
             assert start is None or len(start.split()) == size, "start values fit"
-        single = list_scalars(drawn)
-        root = ET.fromstring(describe_model_2(drawn, single, "{token}"))
+        single = list_scalars(random_scene)
+        root = ET.fromstring(describe_model_2(random_scene, single, "{token}"))
         conventions.add(root.attrib["variableNamingConvention"])
-        names = [one.attrib["name"] for one in root.iter("ScalarVariable")]
+        names = [element.attrib["name"] for element in root.iter("ScalarVariable")]
         assert len(set(names)) == len(names), "names differ"
-        assert len(names) == sum(one.count for one in listed[1:]), "one per number, but for time"
+        assert len(names) == sum(variable.count for variable in listed[1:]), (
+            "one per number, but for time"
+        )
     assert conventions == {"structured", "flat"}, "names of both kinds are drawn"
 
 
 def test_units_are_powers_of_base_units() -> None:
     for part in PARTS:
-        for key, one in part.numbers().items():
-            if one.varied and not one.whole:
-                assert find_powers(one.unit) is not None, (part.__name__, key, one.unit)
+        for key, number in part.numbers().items():
+            if number.varied and not number.whole:
+                assert find_powers(number.unit) is not None, (part.__name__, key, number.unit)
     assert find_powers("V s/rad") == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}
     assert find_powers("N m/rad3") == {"kg": 1, "m": 2, "s": -2, "rad": -3}
 
@@ -107,7 +109,7 @@ def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -
     ({"out": Path("arm.zip")}, "--out must end in .fmu"),
 ])  # fmt: skip
 def test_unknown_arguments_are_refused(change: dict[str, Any], words: str, tmp_path: Path) -> None:
-    given = {"scene": "three_axis", "out": tmp_path / "arm.fmu", "target": "native", **change}
+    arguments = {"scene": "three_axis", "out": tmp_path / "arm.fmu", "target": "native", **change}
     with pytest.raises(Refusal, match=words):
-        write_fmu(given.pop("scene"), **given)
+        write_fmu(arguments.pop("scene"), **arguments)
     assert not (tmp_path / "arm.fmu").exists(), "nothing is written"

@@ -44,11 +44,11 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
 ) -> None:
     """A servo period has the inputs of the step in which it begins; outputs are those of ticks."""
     rng = np.random.default_rng(len(lengths))
-    one, start, rounding = Instance(fmu), 12.5, Fraction(PERIOD) / 10**6
-    one.start(start)
+    instance, start, rounding = Instance(fmu), 12.5, Fraction(PERIOD) / 10**6
+    instance.start(start)
     plant.reset(plant.scene.start)
     period, time, ticks = Fraction(PERIOD), Fraction(0), 0
-    held: dict[str, Any] | None = None  # none: the next period begins with the next step
+    zoh_inputs: dict[str, Any] | None = None  # none: the next period begins with the next step
 
     def let_go_on(inputs: dict[str, Any]) -> None:
         plant.set_parameter("payload.mass", inputs[MASS])
@@ -58,91 +58,95 @@ def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
     for k, length in enumerate(lengths):
         if rng.random() < 0.1:
             mass = float(rng.uniform(0.1, 2.0))
-        drawn = random_inputs(rng)
-        inputs = {"command": drawn["command"], "command_d": drawn["command_d"], MASS: mass}
-        set_all(one, inputs)
-        held = held or inputs
-        assert one.step(length) == OK, one.printed
+        random_values = random_inputs(rng)
+        inputs = {
+            "command": random_values["command"],
+            "command_d": random_values["command_d"],
+            MASS: mass,
+        }
+        set_all(instance, inputs)
+        zoh_inputs = zoh_inputs or inputs
+        assert instance.step(length) == OK, instance.printed
         time += Fraction(length)
-        while held and time >= (ticks + 1) * period - rounding:
-            let_go_on(held)
+        while zoh_inputs and time >= (ticks + 1) * period - rounding:
+            let_go_on(zoh_inputs)
             ticks += 1
-            held = inputs if time > ticks * period + rounding else None
+            zoh_inputs = inputs if time > ticks * period + rounding else None
         if k % 7 and k < len(lengths) - 1:
             continue
         now = {"encoder_counts": plant.measured.encoder_counts, "truth.q": plant.state.q,
                "truth.v": plant.state.v, "applied": plant.measured.applied}  # fmt: skip
         for name, value in now.items():
-            assert np.array_equal(one.get(name), value), (name, k, float(time))
-        assert one.get("time")[0] == pytest.approx(start + float(time), abs=1e-9), "time"
-        assert one.restore(one.save()) == OK, "a state in the midst of a period"
+            assert np.array_equal(instance.get(name), value), (name, k, float(time))
+        assert instance.get("time")[0] == pytest.approx(start + float(time), abs=1e-9), "time"
+        assert instance.restore(instance.save()) == OK, "a state in the midst of a period"
     assert ticks > 10, "it has moved"
 
 
 def test_a_step_beyond_all_bounds_is_discarded(fmu: Fmu) -> None:
-    one = moved(fmu, 6)
-    before = one.save()
-    assert one.step(1e300) == DISCARD, one.printed
-    assert "must be at most" in one.printed[-1][2], one.printed[-1]
-    assert one.save() == before, "nothing changed"
-    assert one.step(PERIOD) == OK, "it goes on"
+    instance = moved(fmu, 6)
+    before = instance.save()
+    assert instance.step(1e300) == DISCARD, instance.printed
+    assert "must be at most" in instance.printed[-1][2], instance.printed[-1]
+    assert instance.save() == before, "nothing changed"
+    assert instance.step(PERIOD) == OK, "it goes on"
 
 
 @pytest.mark.parametrize("until", [0.0, 3.0, 7.4, 400.0])
 def test_a_step_can_return_early(fmu: Fmu, plant: Plant, until: float) -> None:
     """At the tick at which it is asked to, or later; the importer looks at the machine then."""
-    seen: list[tuple[float, float]] = []
+    observed: list[tuple[float, float]] = []
 
     def watch(time: float) -> float | None:
-        seen.append((time, one.get("truth.q")[0]))
-        return None if len(seen) < 5 else time + until * PERIOD
+        observed.append((time, instance.get("truth.q")[0]))
+        return None if len(observed) < 5 else time + until * PERIOD
 
-    one = Instance(fmu, watch=watch)
-    one.start()
-    set_all(one, {"command": [3.0, 4.0]})
+    instance = Instance(fmu, watch=watch)
+    instance.start()
+    set_all(instance, {"command": [3.0, 4.0]})
     end = (5.0 + until) * PERIOD
-    assert one.step(100.6 * PERIOD) == OK, one.printed
-    assert one.early == (until < 95.0), "it reports that it came back early"
-    ended = one.get("time")[0]
+    assert instance.step(100.6 * PERIOD) == OK, instance.printed
+    assert instance.early == (until < 95.0), "it reports that it came back early"
+    ended = instance.get("time")[0]
     assert ended == pytest.approx(min(end, 100.6 * PERIOD), abs=1e-12), "where it ended"
     plant.reset(plant.scene.start)
-    for time, q in seen:
+    for time, q in observed:
         plant.exchange([3.0, 4.0])
         assert (time, q) == (pytest.approx(plant.t), plant.state.q[0]), "what was seen at a tick"
-    one.time = ended
-    assert one.step(20.0 * PERIOD) == OK, one.printed
+    instance.time = ended
+    assert instance.step(20.0 * PERIOD) == OK, instance.printed
     patient = Instance(fmu)
     patient.start()
     set_all(patient, {"command": [3.0, 4.0]})
-    assert patient.step(one.get("time")[0]) == OK, patient.printed
-    assert np.array_equal(one.get("truth.q"), patient.get("truth.q")), "it goes on"
+    assert patient.step(instance.get("time")[0]) == OK, patient.printed
+    assert np.array_equal(instance.get("truth.q"), patient.get("truth.q")), "it goes on"
 
 
 def test_a_step_can_be_ended_from_another_thread(fmu: Fmu) -> None:
-    one = Instance(fmu)
-    one.start()
+    instance = Instance(fmu)
+    instance.start()
     with ThreadPoolExecutor(1) as threads:
         used, until = process_time(), monotonic() + PATIENCE
-        step = threads.submit(one.step, 1e9)  # some weeks
+        step = threads.submit(instance.step, 1e9)  # some weeks
         while (
             process_time() < used + 0.1 and monotonic() < until
         ):  # s of computing: it is under way
             sleep(0.01)
-        assert one.call("Terminate") == OK, one.printed
-        assert step.result(timeout=30.0) == DISCARD, one.printed
-    assert 0.0 < one.get("time")[0] < 1e9, "where it ended"
-    assert one.step(PERIOD) == ERROR, "it is over"
-    assert one.call("Reset") == OK, one.printed
+        assert instance.call("Terminate") == OK, instance.printed
+        assert step.result(timeout=30.0) == DISCARD, instance.printed
+    assert 0.0 < instance.get("time")[0] < 1e9, "where it ended"
+    assert instance.step(PERIOD) == ERROR, "it is over"
+    assert instance.call("Reset") == OK, instance.printed
 
 
 def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
     """As a constant, as a difference of times, as times that are summed up."""
-    wanted, start = Instance(fmu), 1e4 + 0.1
-    wanted.start(start)
-    assert wanted.step(3000 * PERIOD) == OK, wanted.printed
+    expected, start = Instance(fmu), 1e4 + 0.1
+    expected.start(start)
+    assert expected.step(3000 * PERIOD) == OK, expected.printed
     differences, summed = Instance(fmu), Instance(fmu)
-    for one in (differences, summed):
-        one.start(start)
+    for instance in (differences, summed):
+        instance.start(start)
     for k in range(3000):
         now, then = start + k * PERIOD, start + (k + 1) * PERIOD
         differences.time = now
@@ -152,7 +156,7 @@ def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
         summed.time = time
         assert summed.step(PERIOD) == OK, summed.printed
         time += PERIOD
-    assert differences.everything() == wanted.everything() == summed.everything(), "equal bits"
+    assert differences.everything() == expected.everything() == summed.everything(), "equal bits"
 
 
 @pytest.mark.parametrize(("at", "step"), [
@@ -160,9 +164,9 @@ def test_steps_are_taken_as_importers_compute_them(fmu: Fmu) -> None:
     (PERIOD, PERIOD), (-PERIOD, PERIOD), (0.0, 0.02),
 ])  # fmt: skip
 def test_a_step_that_cannot_be_is_an_error(fmu: Fmu, at: float, step: float) -> None:
-    one = Instance(fmu)
-    one.start(stop=0.01)
-    one.time = at
-    assert one.step(step) == ERROR, one.printed
-    assert one.call("DoStep", 0.0, PERIOD, True, *[None] * 4) == ERROR, "it is over"
-    assert one.call("Reset") == OK, "a reset helps"
+    instance = Instance(fmu)
+    instance.start(stop=0.01)
+    instance.time = at
+    assert instance.step(step) == ERROR, instance.printed
+    assert instance.call("DoStep", 0.0, PERIOD, True, *[None] * 4) == ERROR, "it is over"
+    assert instance.call("Reset") == OK, "a reset helps"

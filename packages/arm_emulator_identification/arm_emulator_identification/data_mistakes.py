@@ -115,15 +115,15 @@ class DataMistakes:
         """Return the misfit of a record."""
         wider = np.ones(len(self._phi) + self.N)
         for _ in range(ROUNDS):
-            found = self._fit(view, wider, self.noise)
-            if found is None:
+            solution = self._fit(view, wider, self.noise)
+            if solution is None:
                 return np.inf
-            error, moved, coulomb = found
+            error, moved, coulomb = solution
             # Half the size deviates as much as twice the size.
             share = 1.0 + SHARE * wider * moved[: len(wider)] * self._relative
             wider = np.where(self._relative != 0.0, np.sqrt(np.clip(share, 0.1, 1.0)), 1.0)
-        spread = view.tau.std(axis=0)
-        driven = view.rows[:, coulomb < -DRIVES * spread].sum()
+        deviation = view.tau.std(axis=0)
+        driven = view.rows[:, coulomb < -DRIVES * deviation].sum()
         total = float(np.sum(error[view.rows] ** 2) + moved @ moved + driven)
         return total if np.isfinite(total) else np.inf
 
@@ -132,21 +132,23 @@ class DataMistakes:
 
         Correlated errors count with their correlation length.
         """
-        found = self._fit(view, np.full(len(self._phi) + self.N, FREE), np.full(self.N, NOISE[0]))
-        if found is None:
+        solution = self._fit(
+            view, np.full(len(self._phi) + self.N, FREE), np.full(self.N, NOISE[0])
+        )
+        if solution is None:
             return np.full(self.N, NOISE[1])
         shares = [
             np.sqrt(np.mean(e[r] ** 2) * estimate_correlation(e, r)) if r.any() else NOISE[1]
-            for e, r in zip(found[0].T, view.rows.T, strict=True)
+            for e, r in zip(solution[0].T, view.rows.T, strict=True)
         ]
         return np.clip(NOISE[0] * np.array(shares), *NOISE)
 
     def _fit(self, view: View, wider: Array,
              noise: Array) -> tuple[Array, Array, Array] | None:  # fmt: skip
         """Return errors per noise (K, N), numbers in their widths, and Coulomb friction (N,)."""
-        weight, moved, held = self._links(view)
+        weight, moved, locked = self._links(view)
         N, K = self.N, len(view.t)
-        spread = np.maximum(view.tau.std(axis=0), 1e-12)
+        deviation = np.maximum(view.tau.std(axis=0), 1e-12)
         Y = (weight + moved / view.time**2) * view.scale[:, None]
         a = view.scale * self._carried * view.a / view.time**2
         X = np.zeros((K, N, 3 * N + 1))
@@ -157,20 +159,24 @@ class DataMistakes:
         if view.offset >= 0:
             X[:, view.offset, 3 * N] = 1.0
         top = np.maximum(np.abs(view.v).max(axis=0), 1e-12)
-        of_friction = 3.0 * spread, 3.0 * spread / top
+        of_friction = 3.0 * deviation, 3.0 * deviation / top
         of_links = wider[:-N] * self._widths
         if view.loaded:
             of_links[-inertia.NUMBERS :] *= LOADED
-        widths = np.concatenate([of_links, SHARE * wider[-N:], *of_friction, [spread.max()]])
-        per_noise = 1.0 / (noise * spread)
+        widths = np.concatenate([of_links, SHARE * wider[-N:], *of_friction, [deviation.max()]])
+        per_noise = 1.0 / (noise * deviation)
         every = np.concatenate([Y, X], axis=2) * widths * per_noise[:, None]
-        torque = (view.tau - Y @ self._phi - view.scale * held - a) * per_noise
+        torque = (view.tau - Y @ self._phi - view.scale * locked - a) * per_noise
         A, b = every[view.rows], torque[view.rows]
         try:
-            found = cho_solve(cho_factor(A.T @ A + np.eye(A.shape[1])), A.T @ b)
+            coefficients = cho_solve(cho_factor(A.T @ A + np.eye(A.shape[1])), A.T @ b)
         except (LinAlgError, ValueError):
             return None
-        return torque - every @ found, found, (widths * found)[-2 * N - 1 : -N - 1]
+        return (
+            torque - every @ coefficients,
+            coefficients,
+            (widths * coefficients)[-2 * N - 1 : -N - 1],
+        )
 
     def scale_time(self, times: float) -> View:
         """Return the record with its seconds scaled."""
@@ -190,13 +196,13 @@ class DataMistakes:
 
     def _held(self, view: View) -> Array:
         """Return the torques of parts at the links without friction (K, N)."""
-        held, none = np.zeros_like(view.q), np.zeros_like(view.t)
+        locked, none = np.zeros_like(view.q), np.zeros_like(view.t)
         for j, joint in enumerate(self.scene.joints):
             at = ShaftMotion(view.t, view.q[:, j], none, none, none, none, joint.gear.ratio)
             for part in joint.parts:
                 taken = part.effort(at) if part.shaft == "link" else None
-                held[:, j] += 0.0 if taken is None else taken
-        return held
+                locked[:, j] += 0.0 if taken is None else taken
+        return locked
 
     def tried(self) -> Iterator[Slip]:
         """Return every slip at the size of least cost."""
@@ -214,30 +220,32 @@ class DataMistakes:
         """Return a slip with its cost at the present noise."""
         return replace(slip, cost=self.cost(slip.view) + slip.alone)
 
-    def _try_plain(self, quantity: str, got: str, view: View, scale: float = 0.0) -> Slip:
-        return Slip(quantity, got, self.cost(view) + PLAIN, view, PLAIN, scale)
+    def _try_plain(self, quantity: str, actual: str, view: View, scale: float = 0.0) -> Slip:
+        return Slip(quantity, actual, self.cost(view) + PLAIN, view, PLAIN, scale)
 
-    def _try_searched(self, quantity: str, got: str, view: View, scale: float = 0.0,
+    def _try_searched(self, quantity: str, actual: str, view: View, scale: float = 0.0,
                   alone: float = SEARCHED) -> Slip:  # fmt: skip
-        return Slip(quantity, got, self.cost(view) + alone, view, alone, scale)
+        return Slip(quantity, actual, self.cost(view) + alone, view, alone, scale)
 
     def _units(self) -> Iterator[Slip]:
         view = self.as_is
         yield self._try_plain("angles", "deg, given as rad", self._scale_angles(DEG))
         yield self._try_plain("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
         yield self._try_plain("angles", "turns, given as rad", self._scale_angles(2.0 * np.pi))
-        for factor, got in UNITS.items():
+        for factor, actual_unit in UNITS.items():
             scale = np.full(self.N, factor)
-            yield self._try_plain("torques", f"torques {got}", replace(view, scale=scale), factor)
+            yield self._try_plain(
+                "torques", f"torques {actual_unit}", replace(view, scale=scale), factor
+            )
         at_links = 1.0 / np.abs(self.scene.gear_ratios)
         if not np.allclose(at_links, 1.0):
-            got = "torques at the links, not at the motors' shafts"
-            yield self._try_plain("torques", got, replace(view, scale=at_links), 1e3)
+            actual_unit = "torques at the links, not at the motors' shafts"
+            yield self._try_plain("torques", actual_unit, replace(view, scale=at_links), 1e3)
         constants = [getattr(joint.motor, "torque_constant", None) for joint in self.scene.joints]
         if None not in constants:
             amps = 1.0 / np.array(constants, np.float64)
-            got = "currents in A, given as torques"
-            yield self._try_plain("torques", got, replace(view, scale=amps), 1e3)
+            actual_unit = "currents in A, given as torques"
+            yield self._try_plain("torques", actual_unit, replace(view, scale=amps), 1e3)
 
     def _scales(self) -> Iterator[Slip]:
         """Torques and angles of all joints or of one, scaled."""
@@ -251,21 +259,24 @@ class DataMistakes:
 
             sizes = SIZES if j >= 0 else np.concatenate([SIZES, 10.0 ** np.arange(-6.0, 7.0)])
             size = self._search(torque, sizes, True)
-            got = f"torques{of} {_describe_scale(size)}"
+            actual = f"torques{of} {_describe_scale(size)}"
             if j >= 0 and abs(size * abs(self.scene.gear_ratios[j]) - 1.0) < 0.1:
-                got = f"torque{of} at the link, not at the motor's shaft"
-            yield self._try_searched(f"scale of the torques{of}", got, torque(size), size)
+                actual = f"torque{of} at the link, not at the motor's shaft"
+            yield self._try_searched(f"scale of the torques{of}", actual, torque(size), size)
 
             def angle(size: float, here: Mask = here) -> View:
                 return self._scale_angles(np.where(here, 1.0 / size, 1.0))
 
             size = self._search(angle, SIZES[2:-2:2], True)
-            got = f"angles{of} {_describe_scale(size)}"
-            yield self._try_searched(f"scale of the angles{of}", got, angle(size))
+            actual = f"angles{of} {_describe_scale(size)}"
+            yield self._try_searched(f"scale of the angles{of}", actual, angle(size))
             if j >= 0:
-                for factor, got in ((DEG, "deg, given as rad"), (1.0 / DEG, "rad, given as deg")):
+                for factor, actual in (
+                    (DEG, "deg, given as rad"),
+                    (1.0 / DEG, "rad, given as deg"),
+                ):
                     turned = self._scale_angles(np.where(here, factor, 1.0))
-                    yield self._try_plain(f"angles{of}", got, turned)
+                    yield self._try_plain(f"angles{of}", actual, turned)
 
     def _try_signs(self) -> Iterator[Slip]:
         view, every = self.as_is, np.arange(self.N)
@@ -289,16 +300,16 @@ class DataMistakes:
             # Torques were referred to the links by the ratios of the assumed joints.
             tau = (view.tau * ratio)[:, order] / ratio
             moved = self._reorder_angles(order)
-            got = "swapped ones"
-            yield self._try_plain(f"torques of {names}", got, replace(view, tau=tau))
-            yield self._try_plain(f"angles of {names}", got, moved)
-            yield self._try_plain(f"columns of {names}", got, replace(moved, tau=tau))
+            actual = "swapped ones"
+            yield self._try_plain(f"torques of {names}", actual, replace(view, tau=tau))
+            yield self._try_plain(f"angles of {names}", actual, moved)
+            yield self._try_plain(f"columns of {names}", actual, replace(moved, tau=tau))
 
     def _times(self) -> Iterator[Slip]:
         view = self.as_is
         size = self._search(self.scale_time, TIMES, True)
-        got = f"a time base in which a second is {size:.3g} s"
-        yield self._try_searched("t", got, self.scale_time(size))
+        actual = f"a time base in which a second is {size:.3g} s"
+        yield self._try_searched("t", actual, self.scale_time(size))
 
         def late(seconds: float, j: int = -1) -> View:
             tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
@@ -309,11 +320,13 @@ class DataMistakes:
             of = "" if j < 0 else f" of {self.names[j]}"
             delays = LATEST * np.array([-1.0, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
             seconds = self._search(lambda d, j=j: late(d, j), delays, False)  # type: ignore[misc]
-            way = "late" if seconds > 0.0 else "early"
-            got = f"torques that come {1e3 * abs(seconds):.3g} ms {way}"
+            direction = "late" if seconds > 0.0 else "early"
+            actual = f"torques that come {1e3 * abs(seconds):.3g} ms {direction}"
             # The torques of all joints have the same delay.
             alone = SEARCHED if j < 0 and seconds > 0.0 else RARE
-            yield self._try_searched(f"time of the torques{of}", got, late(seconds, j), alone=alone)
+            yield self._try_searched(
+                f"time of the torques{of}", actual, late(seconds, j), alone=alone
+            )
 
     def _try_zeros(self) -> Iterator[Slip]:
         view = self.as_is
@@ -329,8 +342,8 @@ class DataMistakes:
 
             zeros = TURN * np.array([k for k in range(-12, 13) if k])
             zero = self._search(turned, zeros, False)
-            got = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
-            yield self._try_searched(f"zero of {name}'s angle", got, turned(zero))
+            actual = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
+            yield self._try_searched(f"zero of {name}'s angle", actual, turned(zero))
 
     def _search(self, of: Callable[[float], View], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip
@@ -345,10 +358,10 @@ class DataMistakes:
         costs = [cost(place) for place in places]
         best = int(np.argmin(costs))
         low, high = places[max(best - 1, 0)], places[min(best + 1, len(places) - 1)]
-        found = minimize_scalar(
+        optimum = minimize_scalar(
             cost, bounds=(low, high), method="bounded", options={"maxiter": 12, "xatol": 1e-3}
         )
-        place = found.x if found.fun < costs[best] else places[best]
+        place = optimum.x if optimum.fun < costs[best] else places[best]
         return float(np.exp(place)) if by_ratio else float(place)
 
     def _scale_angles(self, by: float | Array) -> View:

@@ -130,10 +130,19 @@ def filter_run(run: MeasuredRun, ratio: Array, frequency: float, slowest: float 
     edge = int(EDGE / (frequency * period))
     few = max(int(1.0 / (ROWS_PER_PERIOD * frequency * period)), len(q) // MOST_ROWS)
     step = every or max(1, few)
-    kept = slice(edge, len(q) - edge, step)
+    inside = slice(edge, len(q) - edge, step)
     tau = filter_low_pass(run.tau / ratio, period, frequency, causal)
     direction = filter_low_pass(np.sign(turning), period, frequency, causal)
-    fine = FineMotion(run.t, sharp, turning, acceleration, run.tau, period, frequency, kept, causal)
+    fine = FineMotion(
+        run.t, sharp, turning, acceleration, run.tau, period, frequency, inside, causal
+    )
     return Filtered(
-        run.t[kept], q[kept], v[kept], a[kept], direction[kept], tau[kept], moving[kept], fine
+        run.t[inside],
+        q[inside],
+        v[inside],
+        a[inside],
+        direction[inside],
+        tau[inside],
+        moving[inside],
+        fine,
     )

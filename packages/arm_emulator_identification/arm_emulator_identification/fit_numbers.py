@@ -93,8 +93,8 @@ def fit_numbers(
     if rows.ndim != 2 or rows.shape[1] != len(scene.joints) or not len(rows):
         raise Refusal(WHERE, "commands", f"have shape (K, {len(scene.joints)})", rows.shape)
     if not isinstance(signals, Mapping) or not isinstance(sought, Mapping):
-        got = signals if isinstance(sought, Mapping) else sought
-        raise Refusal(WHERE, "sought and signals", "be given by names", got)
+        value = signals if isinstance(sought, Mapping) else sought
+        raise Refusal(WHERE, "sought and signals", "be given by names", value)
     if not callable(modifier):
         raise Refusal(WHERE, "modifier", "be a function of the unknowns", modifier)
     measured = {name: _check_signal(scene, name, values, rows) for name, values in signals.items()}
@@ -109,7 +109,10 @@ def fit_numbers(
         dict(zip(sought, x.tolist(), strict=True)),
         dict(zip(sought, fit.deviations(x).tolist(), strict=True)),
         fit.numbers_of(x),
-        {name: float(np.sqrt(np.mean(one))) for name, one in zip(measured, left, strict=True)},
+        {
+            name: float(np.sqrt(np.mean(residual)))
+            for name, residual in zip(measured, left, strict=True)
+        },
     )
 
 
@@ -129,12 +132,12 @@ class _Fit:
         scene: Scene,
         rows: Array,
         measured: Mapping[str, Array],
-        sought: Mapping[str, Sought],
+        unknowns: Mapping[str, Sought],
         modifier: Modifier,
     ) -> None:
-        known = [_check_sought(name, one) for name, one in sought.items()]
-        self.begin, self._width, self._least, self._most = np.array(known).T
-        self._names, self._modifier = list(sought), modifier
+        ranges = [_check_sought(name, unknown) for name, unknown in unknowns.items()]
+        self.begin, self._width, self._least, self._most = np.array(ranges).T
+        self._names, self._modifier = list(unknowns), modifier
         self._rows, self._signals = rows, list(measured)
         self._machine = _make_varied_scene(scene, self.numbers_of(self.begin))
         self._truth = np.concatenate([*measured.values()], axis=1)
@@ -155,10 +158,10 @@ class _Fit:
         """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
         x = np.frombuffer(at)
         steps = _choose_steps(x, self._width, self._least, self._most)
-        ways = [self.numbers_of(one) for one in (x, *(x + np.diag(steps)))]
-        found = _simulate_fleet(self._machine, ways, self._rows, self._signals)
-        slopes = np.moveaxis((found[1:] - found[0]) / steps[:, None, None], 0, -1)
-        return found[0] - self._truth, slopes
+        variations = [self.numbers_of(values) for values in (x, *(x + np.diag(steps)))]
+        outputs = _simulate_fleet(self._machine, variations, self._rows, self._signals)
+        slopes = np.moveaxis((outputs[1:] - outputs[0]) / steps[:, None, None], 0, -1)
+        return outputs[0] - self._truth, slopes
 
     def estimate_noise(self, x: Array) -> Array:
         """Return the root mean square of the errors (C,)."""
@@ -175,14 +178,14 @@ class _Fit:
 
     def better(self, x: Array, noise: Array) -> Array:
         """Return the unknowns of least squares with this noise, from x on."""
-        found: Array = least_squares(
+        solution: Array = least_squares(
             lambda x: self._weight_errors(x, noise)[0],
             x,
             lambda x: self._weight_errors(x, noise)[1],
             bounds=(self._least, self._most),
             x_scale=self._width,
         ).x
-        return found
+        return solution
 
     def deviations(self, x: Array) -> Array:
         """Return the standard deviations of the unknowns (U,)."""
@@ -194,27 +197,31 @@ class _Fit:
         return deviations
 
 
-def _check_sought(name: str, one: object) -> tuple[float, float, float, float]:
+def _check_sought(name: str, unknown: object) -> tuple[float, float, float, float]:
     """Return value, width and range of an unknown."""
-    of = (one.value, one.width, one.least, one.most) if isinstance(one, Sought) else None
+    of = (
+        (unknown.value, unknown.width, unknown.least, unknown.most)
+        if isinstance(unknown, Sought)
+        else None
+    )
     row = None if of is None else coerce_array(of)
     if row is not None and np.isfinite(row[:2]).all():
-        value, width, least, most = row.tolist()
-        if least <= value <= most and least < most and width > 0.0:
-            return value, width, least, most
+        value, width, low, high = row.tolist()
+        if low <= value <= high and low < high and width > 0.0:
+            return value, width, low, high
     rule = "be Sought, with a value from least to most, and a width > 0"
-    raise Refusal(WHERE, f"sought {name}", rule, one)
+    raise Refusal(WHERE, f"sought {name}", rule, unknown)
 
 
-def _choose_steps(x: Array, width: Array, least: Array, most: Array) -> Array:
+def _choose_steps(x: Array, width: Array, low: Array, high: Array) -> Array:
     """Return the steps of the unknowns for their derivatives, which stay in their ranges (U,)."""
-    step, up, down = STEP * width, most - x, x - least
+    step, up, down = STEP * width, high - x, x - low
     within: Array = np.where(up >= down, up, -down)
     return np.where(step <= up, step, np.where(step <= down, -step, within))
 
 
 def _check_signal(scene: Scene, name: str, values: ArrayLike, commands: Array) -> Array:
-    reported = [one.name for one in list_outputs(scene) if not one.per_unit]
+    reported = [output.name for output in list_outputs(scene) if not output.per_unit]
     if name not in (*STATE_ROWS, *reported):
         raise Refusal(WHERE, "signal", "be a quantity", name, ", ".join((*STATE_ROWS, *reported)))
     rows = ANY_STATE.named(name).numbers(WHERE, values)
@@ -230,24 +237,24 @@ def _make_varied_scene(scene: Scene, numbers: Mapping[str, float]) -> Scene:
         number.name: number
         for number in list_variable_numbers(scene.joints, scene.chain, scene.imus)
     }
-    possible |= {one.name: one for one in scene.varied}
+    possible |= {number.name: number for number in scene.varied}
     for name in numbers:
         if name not in possible:
             raise Refusal(WHERE, "number", "be one that can be varied", name, ", ".join(possible))
-    varied = tuple(one for name, one in possible.items() if name in numbers)
+    varied = tuple(number for name, number in possible.items() if name in numbers)
     return dataclasses.replace(scene, varied=varied)
 
 
 def _simulate_fleet(
-    scene: Scene, ways: list[dict[str, float]], rows: Array, names: list[str]
+    scene: Scene, variations: list[dict[str, float]], rows: Array, names: list[str]
 ) -> Array:
     """Return signals (ways, K, C) of machines with these numbers under commands."""
-    varied = {name: np.array([one[name] for one in ways]) for name in ways[0]}
-    fleet = Fleet(scene, len(ways), varied=varied)
-    found = np.empty((len(ways), len(rows), len(names) * rows.shape[1]))
+    varied = {name: np.array([values[name] for values in variations]) for name in variations[0]}
+    fleet = Fleet(scene, len(variations), varied=varied)
+    outputs = np.empty((len(variations), len(rows), len(names) * rows.shape[1]))
     for k, row in enumerate(rows):
         fleet.exchange(row)
         measured, state = fleet.measured, fleet.state
         of = (getattr(measured if name in KNOWN_OUTPUTS else state, name) for name in names)
-        found[:, k] = np.concatenate([*of], axis=1)
-    return found
+        outputs[:, k] = np.concatenate([*of], axis=1)
+    return outputs

@@ -54,7 +54,7 @@ class Found:
     @property
     def remark(self) -> str:
         """A remark on it, if any."""
-        return ": ".join(one for one in (self.brief, self.reason) if one)
+        return ": ".join(text for text in (self.brief, self.reason) if text)
 
     @property
     def far(self) -> float:
@@ -82,26 +82,36 @@ def list_bodies(scene: Scene, fit: TorqueFit) -> list[Body]:
 
 def list_found(scene: Scene, fit: TorqueFit) -> list[Found]:
     """Return the sought numbers: links as mass, first moment and inertia of the URDF's links."""
-    n, found = inertia.NUMBERS, list[Found]()
+    n, numbers = inertia.NUMBERS, list[Found]()
     mixed = list_mixed(fit)
     for k, joint in enumerate(scene.chain.links):
         if fit.fitted[n * k : n * k + n].any():
-            found += _list_link(joint, fit, n * k)
+            numbers += _list_link(joint, fit, n * k)
     units = fit.unknowns[n * len(scene.chain.links) :]
-    for u, one in enumerate(units, len(fit.unknowns) - len(units)):
+    for u, of in enumerate(units, len(fit.unknowns) - len(units)):
         if fit.fitted[u]:
             value, deviation = float(fit.values[u]), float(fit.deviations[u])
-            identified = deviation < IDENTIFIED * one.width
-            found.append(
+            identified = deviation < IDENTIFIED * of.width
+            numbers.append(
                 Found(
-                    one.name, one.unit, one.value, value, deviation, identified, one.width,
-                    shown=one.shown, mixed=mixed.get(u, ()),
+                    of.name, of.unit, of.value, value, deviation, identified, of.width,
+                    shown=of.shown, mixed=mixed.get(u, ()),
                 )
             )  # fmt: skip
         elif u in fit.left:
             left = fit.left[u]
-            found.append(Found(one.name, one.unit, one.value, one.value, np.nan, False, left=left))
-    return found
+            numbers.append(
+                Found(
+                    of.name,
+                    of.unit,
+                    of.value,
+                    of.value,
+                    np.nan,
+                    False,
+                    left=left,
+                )
+            )
+    return numbers
 
 
 def list_mixed(fit: TorqueFit) -> dict[int, tuple[str, ...]]:
@@ -110,18 +120,18 @@ def list_mixed(fit: TorqueFit) -> dict[int, tuple[str, ...]]:
     Such a number would be identified if the others were known: its deviation under that condition
     is small, that of its own is not.
     """
-    sought = np.flatnonzero(fit.fitted & (fit.deviations > 0.0))
-    widths = np.array([fit.unknowns[u].width for u in sought])
-    share = fit.covariance[np.ix_(sought, sought)] / np.outer(widths, widths)
+    fitted = np.flatnonzero(fit.fitted & (fit.deviations > 0.0))
+    widths = np.array([fit.unknowns[u].width for u in fitted])
+    share = fit.covariance[np.ix_(fitted, fitted)] / np.outer(widths, widths)
     own = np.sqrt(np.diag(share))
     alone = 1.0 / np.sqrt(np.diag(np.linalg.pinv(share, hermitian=True)))
     alike = np.abs(share / np.outer(own, own)) - 2.0 * np.eye(len(own))
-    found = dict[int, tuple[str, ...]]()
+    mixed = dict[int, tuple[str, ...]]()
     for k in np.flatnonzero((own >= IDENTIFIED) & (alone < IDENTIFIED)):
         near = [m for m in np.argsort(-alike[k])[:MOST_MIXED] if alike[k][m] > MIXED]
-        names = (fit.unknowns[sought[m]].name for m in near)
-        found[int(sought[k])] = tuple(dict.fromkeys(_name_whole(one) for one in names))
-    return found
+        names = (fit.unknowns[fitted[m]].name for m in near)
+        mixed[int(fitted[k])] = tuple(dict.fromkeys(_name_whole(name) for name in names))
+    return mixed
 
 
 def _name_whole(name: str) -> str:
@@ -129,41 +139,43 @@ def _name_whole(name: str) -> str:
     return name.rpartition(".")[0] if name.startswith("links.") else name
 
 
-def list_kept(scene: Scene, unknowns: Sequence[Unknown], is_asked: Callable[[str], bool],
+def list_kept(scene: Scene, unknowns: Sequence[Unknown], is_requested: Callable[[str], bool],
               ) -> list[Found]:  # fmt: skip
     """Return numbers of parts that no record of torques determines, or beside another one.
 
     Args:
         scene: the nominal machine.
         unknowns: all that could be sought.
-        is_asked: whether a number of this name is asked for.
+        is_requested: whether a number of this name is asked for.
     """
-    sought = {one.name for one in unknowns if one.width > 0.0}
-    found = list[Found]()
+    fitted_names = {unknown.name for unknown in unknowns if unknown.width > 0.0}
+    numbers = list[Found]()
     for joint in scene.joints:
-        known = [name for name in sought if name.startswith(f"joints.{joint.name}.")]
+        own_names = [name for name in fitted_names if name.startswith(f"joints.{joint.name}.")]
         for part in joint.parts:
-            for key, one in part.numbers().items():
+            for key, number in part.numbers().items():
                 name, value = f"joints.{joint.name}.{part.section}.{key}", getattr(part, key)
-                if value is None or name in sought or not is_asked(name):
+                if value is None or name in fitted_names or not is_requested(name):
                     continue
-                beside = tuple(other for other in known if other.rpartition(".")[2] == key)
-                if one.sought and value and beside:
-                    found.append(Found(name, one.unit, value, value, np.nan, False, mixed=beside))
-                elif one.shown and one.sought:
-                    left = "held: 0 in the scene, which has no relative deviation"
-                    found.append(Found(name, one.unit, value, value, np.nan, False, left=left))
-                elif one.shown:
-                    found.append(
-                        Found(name, one.unit, value, value, np.nan, False, shown=one.shown)
+                beside = tuple(name for name in own_names if name.rpartition(".")[2] == key)
+                if number.sought and value and beside:
+                    numbers.append(
+                        Found(name, number.unit, value, value, np.nan, False, mixed=beside)
                     )
-    return found
+                elif number.shown and number.sought:
+                    left = "held: 0 in the scene, which has no relative deviation"
+                    numbers.append(Found(name, number.unit, value, value, np.nan, False, left=left))
+                elif number.shown:
+                    numbers.append(
+                        Found(name, number.unit, value, value, np.nan, False, shown=number.shown)
+                    )
+    return numbers
 
 
 def _list_link(joint: ChainJoint, fit: TorqueFit, first: int) -> Iterator[Found]:
     here = slice(first, first + inertia.NUMBERS)
-    start = np.array([one.value for one in fit.unknowns[here]])
-    widths = np.array([one.width for one in fit.unknowns[here]]) * fit.fitted[here]
+    start = np.array([unknown.value for unknown in fit.unknowns[here]])
+    widths = np.array([unknown.width for unknown in fit.unknowns[here]]) * fit.fitted[here]
     turn = np.array([_rotate_to_child(joint, row) for row in np.eye(inertia.NUMBERS)]).T
     J = turn @ inertia.differentiate_exponential(fit.values[here])
     after = np.sqrt(np.maximum(np.diag(J @ fit.covariance[here, here] @ J.T), 0.0))

@@ -86,7 +86,7 @@ def list_gears(scene: Scene) -> list[str]:
 def identify_numbers(
     nominal: Scene,
     record: MeasuredRun,
-    asked: Asked,
+    request: Asked,
     stage: Callable[[str], None],
 ) -> Identified:
     """Return the numbers with which a scene explains a record.
@@ -94,26 +94,28 @@ def identify_numbers(
     Args:
         nominal: the scene.
         record: as it was measured.
-        asked: what is sought.
+        request: what is sought.
         stage: hears of each stage when it begins.
 
     Raises:
         Refusal: the record is not one of this machine, or there is nothing to identify.
     """
     stage("look the record over")
-    run, motion, doubts = filter_record(nominal, record, asked.low_pass, as_is=asked.as_is)
+    run, motion, warnings = filter_record(nominal, record, request.low_pass, as_is=request.as_is)
     stage("fit torques")
     typical = motion.tau.std(axis=0), np.abs(motion.v).max(axis=0)
-    model = TorqueModel(nominal, typical, asked.trust)
+    model = TorqueModel(nominal, typical, request.trust)
     gears = list_gears(nominal)
-    by_torques = [one for one in asked.fit if not _is_of_gears(gears, one)]
+    by_torques = [pattern for pattern in request.fit if not _is_of_gears(gears, pattern)]
     fitted = model.choose(by_torques, "identify")
-    fitted = fitted & ~np.array([has_match(one.name, asked.hold) for one in model.unknowns])
+    fitted = fitted & ~np.array(
+        [has_match(unknown.name, request.hold) for unknown in model.unknowns]
+    )
     torques = model.of(motion)
     fit = fit_torques(model, motion, fitted, torques)
     check_fit(run.where, run.joints, fit.explained)
     loads = _find_loads(model, motion, fit, torques)
-    return Identified(run, motion, fit, torques.torques(fit.values), loads, doubts)
+    return Identified(run, motion, fit, torques.torques(fit.values), loads, warnings)
 
 
 def _find_loads(
@@ -122,9 +124,9 @@ def _find_loads(
     """Return the torques of the gears on the links, which fitted links and parts there take."""
     load = motion.settle(torques.under(fit.values).load)
     at = model.at_links
-    sizes, ways = np.linalg.eigh(fit.covariance[np.ix_(at, at)])
+    sizes, axes = np.linalg.eigh(fit.covariance[np.ix_(at, at)])
     slopes = torques.slopes(fit.values)[:, :, at]
-    errors = np.moveaxis(slopes @ (ways * np.sqrt(np.maximum(sizes, 0.0))), 2, 0)
+    errors = np.moveaxis(slopes @ (axes * np.sqrt(np.maximum(sizes, 0.0))), 2, 0)
     return GearLoads(load, errors)
 
 
@@ -137,31 +139,32 @@ FAR = 3.0  # prior deviations, beyond which a number is doubted
 
 def list_doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
     """Return objections to the numbers found, as text."""
-    names, doubts = scene.joint_names, list[str]()
+    names, warnings = scene.joint_names, list[str]()
     for of, body in zip(scene.chain.links, scene.bare, strict=True):
         if not inertia.is_body(body):
-            doubts.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
+            warnings.append(f"links.{of.link}: no body has its inertia; the scene's number is kept")
     for effect in fit.effects:
         joints = ", ".join(names[j] for j in effect.joints)
         if len(effect.joints) == len(names) > 1:
             joints = "all joints"
         size = f", by {effect.size:.3g} {effect.unit}" if effect.unit else ""
-        doubts.append(
+        warnings.append(
             f"{joints}: {effect.name}{size}: {100.0 * effect.share:.0f} % of what the scene does "
             "not explain; deviations have in them what this may hide"
         )
     for joint, count in zip(names, fit.far_out, strict=True):
         if count:
-            doubts.append(f"{joint}: {count} rows stand out, and count little")
-    for one in numbers:
-        if one.identified and one.far > FAR:
-            doubts.append(
-                f"{one.name}: {one.value:.4g} {one.unit} is {one.far:.1f} of the deviations known "
-                f"before from {one.before:.4g}; is the record in the units and scale given?"
+            warnings.append(f"{joint}: {count} rows stand out, and count little")
+    for number in numbers:
+        if number.identified and number.far > FAR:
+            warnings.append(
+                f"{number.name}: {number.value:.4g} {number.unit} is {number.far:.1f} of the "
+                f"deviations known before from {number.before:.4g}; is the record in the units and "
+                "scale given?"
             )
-        if one.left:
-            doubts.append(f"{one.name}: {one.left}")
-    return doubts
+        if number.left:
+            warnings.append(f"{number.name}: {number.left}")
+    return warnings
 
 
 def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: Path,
@@ -176,13 +179,13 @@ def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: P
     figure, axes = plt.subplots(
         N, 1, figsize=(10, 1.7 * N + 0.6), sharex=True, squeeze=False, layout="constrained"
     )
-    for j, (one, name) in enumerate(zip(axes[:, 0], names, strict=True)):
+    for j, (axis, name) in enumerate(zip(axes[:, 0], names, strict=True)):
         moving = np.where(data.moving[:, j], 1.0, np.nan)
-        one.plot(data.t, data.tau[:, j], color="0.6", lw=1.0, label="measured")
-        one.plot(data.t, torques[:, j] * moving, "C0", lw=1.2, label="computed, in motion")
-        one.plot(data.t, (data.tau - torques)[:, j] * moving, "C3", lw=0.8, label="residual")
-        one.set_ylabel(f"{name}\nN m")
-        one.grid(alpha=0.3)
+        axis.plot(data.t, data.tau[:, j], color="0.6", lw=1.0, label="measured")
+        axis.plot(data.t, torques[:, j] * moving, "C0", lw=1.2, label="computed, in motion")
+        axis.plot(data.t, (data.tau - torques)[:, j] * moving, "C3", lw=0.8, label="residual")
+        axis.set_ylabel(f"{name}\nN m")
+        axis.grid(alpha=0.3)
     axes[0, 0].set_title(title)
     axes[0, 0].legend(fontsize="small", ncols=3)
     axes[-1, 0].set_xlabel("s")
@@ -193,17 +196,21 @@ def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: P
 
 def add_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:
     """Return numbers together with those that follow them and differ from them."""
-    found = dict(numbers)
+    extended = dict(numbers)
     for joint in scene.joints:
         for part in joint.parts:
             place = f"joints.{joint.name}.{part.section}"
-            known = part.numbers()
-            own = {key: found[f"{place}.{key}"] for key in known if f"{place}.{key}" in found}
+            own_numbers = part.numbers()
+            own = {
+                key: extended[f"{place}.{key}"]
+                for key in own_numbers
+                if f"{place}.{key}" in extended
+            }
             new = part.with_numbers(**own)
-            for key, one in known.items():
-                if one.follows in own and getattr(part, key) != getattr(part, one.follows):
-                    found[f"{place}.{key}"] = getattr(new, key)
-    return found
+            for key, number in own_numbers.items():
+                if number.follows in own and getattr(part, key) != getattr(part, number.follows):
+                    extended[f"{place}.{key}"] = getattr(new, key)
+    return extended
 
 
 def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[str, float],
@@ -222,8 +229,8 @@ def write_fitted(file: Path, scene_file: Path, scene: Scene, numbers: Mapping[st
         Refusal: it cannot be written, is shipped, or does not read back equal.
     """
     urdf = file.parent / "urdf" / f"{file.stem}.urdf"
-    for one in (file, urdf):
-        check_own("identify", one)
+    for path in (file, urdf):
+        check_own("identify", path)
     values: dict[str, float | str] = {name: float(f"{v:.9g}") for name, v in numbers.items()}
     values |= {"name": file.stem, "urdf": f"urdf/{urdf.name}"}
     comments = "".join(f"# {line}".rstrip() + "\n" for line in heading.splitlines())
@@ -251,9 +258,9 @@ def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
         for part in joint.parts:
             for key in part.numbers():
                 name = f"joints.{joint.name}.{part.section}.{key}"
-                wanted, got = numbers.get(name), getattr(part, key)
-                if wanted is not None and abs(got - wanted) > 1e-6 * abs(wanted):
-                    raise Refusal(scene.where, name, f"be {wanted:g}, as found", got)
+                expected, actual = numbers.get(name), getattr(part, key)
+                if expected is not None and abs(actual - expected) > 1e-6 * abs(expected):
+                    raise Refusal(scene.where, name, f"be {expected:g}, as found", actual)
 
 
 def _replace_values(file: Path, values: Mapping[str, float | str]) -> str:
@@ -265,15 +272,15 @@ def _replace_values(file: Path, values: Mapping[str, float | str]) -> str:
     text = read_text(file, LARGEST_YAML_FILE)
     nodes = {place: value for place, (_, value) in yaml_nodes(text).items()}
     shared = Counter(id(node) for node in nodes.values())
-    wanted = [nodes.get(name) for name in values]
-    if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in wanted):
+    targets = [nodes.get(name) for name in values]
+    if not all(isinstance(node, yaml.ScalarNode) and shared[id(node)] == 1 for node in targets):
         data = read_yaml(file)
         for name, value in values.items():
             override_keys(data, name, value, file.name)
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
     edits = [
         (node.start_mark.index, node.end_mark.index, str(value))
-        for node, value in zip(wanted, values.values(), strict=True)
+        for node, value in zip(targets, values.values(), strict=True)
         if node is not None
     ]
     return edited_yaml(text, edits)

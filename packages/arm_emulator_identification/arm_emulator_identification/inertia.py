@@ -69,11 +69,11 @@ def estimate_widths(body: Body, trust: float) -> Array:
 
 def map_exponential(numbers: Array) -> Array:
     """Return the numbers of `list_dynamic` (10,)."""
-    found: Array = pin.LogCholeskyParameters(numbers).toDynamicParameters()
-    return found
+    parameters: Array = pin.LogCholeskyParameters(numbers).toDynamicParameters()
+    return parameters
 
 
 def differentiate_exponential(numbers: Array) -> Array:
     """Return the derivative of `map_exponential` (10, 10)."""
-    found: Array = pin.LogCholeskyParameters(numbers).calculateJacobian()
-    return found
+    jacobian: Array = pin.LogCholeskyParameters(numbers).calculateJacobian()
+    return jacobian

@@ -58,5 +58,5 @@ def compute_link_torques(scene: Scene, t: Array, q: Array, v: Array, a: Array) -
         for _ in range(ROUNDS):
             at = ShaftMotion(t, q[:, j], v[:, j], a[:, j], tau[:, j], none, joint.gear.ratio)
             taken = (part.effort(at) for part in parts)
-            tau[:, j] = alone[:, j] + sum(one for one in taken if one is not None)
+            tau[:, j] = alone[:, j] + sum(effort for effort in taken if effort is not None)
     return tau

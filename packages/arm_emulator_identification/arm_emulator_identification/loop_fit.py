@@ -62,7 +62,7 @@ def list_gear_numbers(joint: Joint) -> dict[str, tuple[Part, str]]:
 
 
 def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoads,
-               is_sought: Callable[[str], bool], trust: float) -> list[Found]:  # fmt: skip
+               is_requested: Callable[[str], bool], trust: float) -> list[Found]:  # fmt: skip
     """Return the numbers of gears that bend by the way of their twist.
 
     Args:
@@ -70,13 +70,13 @@ def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoad
         run: the record.
         motion: the same, filtered.
         loads: of its gears.
-        is_sought: whether a number of this name is to be found; others are held.
+        is_requested: whether a number of this name is to be found; others are held.
         trust: relative deviation of the scene's numbers.
     """
-    found = list[Found]()
+    loops = list[Found]()
     for j, joint in enumerate(scene.joints):
         numbers = list_gear_numbers(joint)
-        if len(numbers) == 1 or not any(map(is_sought, numbers)):
+        if len(numbers) == 1 or not any(map(is_requested, numbers)):
             continue
         before = np.array([float(getattr(part, key)) for part, key in numbers.values()])
         values, off, left = before, np.full(len(before), np.nan), ""
@@ -85,18 +85,20 @@ def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoad
         elif run.q_link is None or np.isnan(run.q_link[:, j]).any():
             left = "left as it was: its loop needs an encoder at the link"
         else:
-            widths = before * [trust if is_sought(name) else KNOWN for name in numbers]
+            widths = before * [trust if is_requested(name) else KNOWN for name in numbers]
             values, off = _Loop(j, joint, run, motion).fit(loads, before, widths)
-        shown = next(part.numbers()[key].shown for part, key in numbers.values() if part.loop_keys)
+        loop_kind = next(
+            part.numbers()[key].shown for part, key in numbers.values() if part.loop_keys
+        )
         for k, (name, (part, key)) in enumerate(numbers.items()):
-            if is_sought(name):
+            if is_requested(name):
                 width = trust * float(before[k])
                 identified = bool(off[k] < IDENTIFIED * width)
-                found.append(
+                loops.append(
                     Found(name, part.numbers()[key].unit, float(before[k]), float(values[k]),
-                          float(off[k]), identified, width, left, shown)
+                          float(off[k]), identified, width, left, loop_kind)
                 )  # fmt: skip
-    return found
+    return loops
 
 
 class _Loop:
@@ -150,8 +152,8 @@ class _Loop:
         load = loads.load[self.rows, self.j] - self.settle(self.damping * self.rate)
         errors = _reduce(loads.errors[:, self.rows, self.j])
         twist, noise = self.settle(self.twist), float(np.std(load))
-        least, most = before[2] - AROUND * widths[2], before[2] + AROUND * widths[2]
-        shapes = np.geomspace(max(least, LEAST * before[2]), most, COARSE)
+        low, high = before[2] - AROUND * widths[2], before[2] + AROUND * widths[2]
+        shapes = np.geomspace(max(low, LEAST * before[2]), high, COARSE)
         for turn in range(TURNS):
             points = [
                 _Point(
@@ -244,8 +246,8 @@ class _Point:
         means, precision = self.infer(noise)
         left = (self.load - self.A @ means) / noise
         far = self.per * (means - self.prior) ** 2
-        spread = np.linalg.slogdet(precision)[1]
-        return float(-0.5 * (left @ left + far.sum() + spread + self.apart**2))
+        log_det = np.linalg.slogdet(precision)[1]
+        return float(-0.5 * (left @ left + far.sum() + log_det + self.apart**2))
 
     def solve(self, noise: float) -> tuple[Array, Array]:
         """Return means and variances of stiffness, size and shape (3,)."""

@@ -62,15 +62,15 @@ def check_samples(run: MeasuredRun) -> None:
         raise Refusal(run.where, f"t of sample {at}", "be finite [s]", t[at])
     Number.within("t", "s", LATEST).check(run.where, [float(np.abs(t).max())])
     steps = np.diff(t)
-    usual = float(np.median(steps))
+    interval = float(np.median(steps))
     bad = np.flatnonzero(steps <= 0.0)
     if bad.size:
         rule = "increase from sample to sample [s]"
         raise Refusal(run.where, "t", rule, f"{t[bad[0] + 1]:g} after {t[bad[0]]:g}")
-    bad = np.flatnonzero(np.abs(steps - usual) > max(UNEVEN, 0.5) * usual)
+    bad = np.flatnonzero(np.abs(steps - interval) > max(UNEVEN, 0.5) * interval)
     if bad.size:
         at = int(bad[0])
-        rule = f"come every {usual:g} s, without gaps"
+        rule = f"come every {interval:g} s, without gaps"
         raise Refusal(run.where, "samples", rule, f"{steps[at]:g} s after t = {t[at]:g} s")
     for name in ("q_motor", "tau", "v_motor", "q_link"):
         rows = getattr(run, name)
@@ -99,11 +99,13 @@ def _check_frozen(run: MeasuredRun, name: str, joint: str, column: Array) -> Non
     edges = np.flatnonzero(steps > 0.0)
     if moving == 0.0:
         return
-    for one, following in pairwise(edges):
-        if following - one < FROZEN:
+    for edge, following in pairwise(edges):
+        if following - edge < FROZEN:
             continue
-        before, after = steps[max(0, one - 2) : one + 1].min(), steps[following + 1 :][:3]
+        before, after = steps[max(0, edge - 2) : edge + 1].min(), steps[following + 1 :][:3]
         if before > 2.0 * moving and after.size and after.min() > 2.0 * moving:
             rule = "change while the joint moves"
-            got = f"{column[one + 1]:.6g} for {following - one} samples from t = {run.t[one]:g} s"
-            raise Refusal(run.where, f"{name} of {joint}", rule, got)
+            frozen = (
+                f"{column[edge + 1]:.6g} for {following - edge} samples from t = {run.t[edge]:g} s"
+            )
+            raise Refusal(run.where, f"{name} of {joint}", rule, frozen)

@@ -46,13 +46,13 @@ def filter_record(scene: Scene, run: MeasuredRun, low_pass: float, *,
         Refusal: it cannot be of this machine.
     """
     check_clock(run)
-    run, doubts = replace_outliers(run)
+    run, warnings = replace_outliers(run)
     motion = filter_run(run, scene.gear_ratios, low_pass)
     check_movement(run, motion)
     check_speeds(scene, run, motion)
     if not as_is:
-        doubts += check_slips(scene, run, motion)
-    return run, motion, doubts
+        warnings += check_slips(scene, run, motion)
+    return run, motion, warnings
 
 
 def check_clock(run: MeasuredRun) -> None:
@@ -81,10 +81,10 @@ def check_movement(run: MeasuredRun, data: Filtered) -> None:
         if not np.ptp(run.tau[:, j]) > LEAST_TORQUE:
             rule = "change while the joint moves; a joint that nothing drives shows nothing"
             raise Refusal(run.where, f"torque of {joint}", rule, f"{run.tau[0, j]:g} throughout")
-        way = float(np.ptp(run.q_motor[:, j]))
+        travel = float(np.ptp(run.q_motor[:, j]))
         rule = "move, so that its friction and inertia show"
-        if way < LEAST_WAY:
-            raise Refusal(run.where, joint, rule, f"a way of {way:.3g} rad or m in all")
+        if travel < LEAST_WAY:
+            raise Refusal(run.where, joint, rule, f"a way of {travel:.3g} rad or m in all")
         v = data.v[data.moving[:, j], j]
         if len(v) < 10:
             raise Refusal(run.where, joint, rule, f"{len(v)} samples in motion after filtering")
@@ -108,32 +108,32 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     rule = "be the rate of q_mot"
     factors = np.ones(len(run.joints))
     for j, joint in enumerate(run.joints):
-        given, found = run.v_motor[:, j], own[:, j]
-        size = float(given @ given) ** 0.5 * float(found @ found) ** 0.5
-        alike = float(given @ found) / size if size > 0.0 else 0.0
+        recorded, computed = run.v_motor[:, j], own[:, j]
+        size = float(recorded @ recorded) ** 0.5 * float(computed @ computed) ** 0.5
+        alike = float(recorded @ computed) / size if size > 0.0 else 0.0
         if alike < -SPEEDS_AGREE:
             raise Refusal(run.where, f"v_mot of {joint}", rule, "its opposite sign")
         if alike < SPEEDS_AGREE:
-            others = np.corrcoef(np.column_stack([given, own]).T)[0, 1:]
+            others = np.corrcoef(np.column_stack([recorded, own]).T)[0, 1:]
             best = int(np.argmax(np.abs(others)))
-            what = f"a correlation of {alike:.2f}"
+            value = f"a correlation of {alike:.2f}"
             if abs(others[best]) > SPEEDS_AGREE:
-                what = f"that of {run.joints[best]}"
-            raise Refusal(run.where, f"v_mot of {joint}", rule, what)
-        factors[j] = float(given @ found) / float(given @ given)
+                value = f"that of {run.joints[best]}"
+            raise Refusal(run.where, f"v_mot of {joint}", rule, value)
+        factors[j] = float(recorded @ computed) / float(recorded @ recorded)
     wrong = ~((factors > 1.0 / 1.5) & (factors < 1.5))
     if not wrong.any():
         return
     j = int(np.argmax(wrong))
-    got = f"a rate {factors[j]:.4g} times as large; are units the same?"
+    actual = f"a rate {factors[j]:.4g} times as large; are units the same?"
     common = float(np.median(factors))
     if wrong.all() and np.ptp(np.log(np.abs(factors))) < 0.1:
-        slips = DataMistakes(scene, data)
-        with_clock = slips.cost(slips.scale_time(common))
-        if with_clock < (1.0 - A_SLIP[1]) * slips.cost(slips.as_is):
-            got = f"rates {common:.4g} times as large, since a second of t is {common:.4g} s"
-            raise Refusal(run.where, "t", "have the time base of v_mot", got)
-    raise Refusal(run.where, f"v_mot of {run.joints[j]}", rule, got)
+        data_mistakes = DataMistakes(scene, data)
+        with_clock = data_mistakes.cost(data_mistakes.scale_time(common))
+        if with_clock < (1.0 - A_SLIP[1]) * data_mistakes.cost(data_mistakes.as_is):
+            actual = f"rates {common:.4g} times as large, since a second of t is {common:.4g} s"
+            raise Refusal(run.where, "t", "have the time base of v_mot", actual)
+    raise Refusal(run.where, f"v_mot of {run.joints[j]}", rule, actual)
 
 
 def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
@@ -142,24 +142,24 @@ def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
     Raises:
         Refusal: names the slip, or those that cannot be distinguished.
     """
-    slips = DataMistakes(scene, data)
-    tried = sorted(slips.tried(), key=lambda slip: slip.cost)[:NEAREST]
+    data_mistakes = DataMistakes(scene, data)
+    tried = sorted(data_mistakes.tried(), key=lambda slip: slip.cost)[:NEAREST]
     # With the likeliest slip undone, less may stay unexplained.
-    slips.noise = np.minimum(slips.noise, slips.left(tried[0].view))
-    as_is = slips.cost(slips.as_is)
-    tried = sorted((slips.again(slip) for slip in tried), key=lambda slip: slip.cost)
+    data_mistakes.noise = np.minimum(data_mistakes.noise, data_mistakes.left(tried[0].view))
+    as_is = data_mistakes.cost(data_mistakes.as_is)
+    tried = sorted((data_mistakes.again(slip) for slip in tried), key=lambda slip: slip.cost)
     best = tried[0]
     saved = as_is - best.cost
     if saved < A_DOUBT[0] or saved < A_DOUBT[1] * as_is:
         return []
     close = [slip for slip in tried[1:] if slip.cost < best.cost + CLOSE * saved]
     others = [f"{slip.quantity}: {slip.got}" for slip in close if slip.got != best.got][:2]
-    got = " or ".join([best.got, *others])
+    actual = " or ".join([best.got, *others])
     clearly = saved > A_SLIP[0] and saved > A_SLIP[1] * as_is
     if not clearly or _is_doubtful(best):
-        return [f"{best.quantity}: the record fits the scene better with {got}"]
+        return [f"{best.quantity}: the record fits the scene better with {actual}"]
     valid = "the record the other way round, or --as-is if it is right as it is"
-    raise Refusal(run.where, best.quantity, "be those of the scene", got, valid)
+    raise Refusal(run.where, best.quantity, "be those of the scene", actual, valid)
 
 
 def _is_doubtful(slip: Slip) -> bool:
@@ -197,8 +197,8 @@ def replace_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
     Raises:
         Refusal: too many of them.
     """
-    changed, found = dict[str, Any](), list[str]()
-    for name, shown in SIGNALS.items():
+    changed, messages = dict[str, Any](), list[str]()
+    for name, signal in SIGNALS.items():
         rows = getattr(run, name).copy()
         for j, joint in enumerate(run.joints):
             out = np.zeros(len(rows), bool)
@@ -211,19 +211,19 @@ def replace_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
             count = int(out.sum())
             if count > MOST * len(out):
                 rule = f"have outliers in at most {100 * MOST:g} % of the samples"
-                got = f"{100.0 * count / len(out):.1f} %"
-                raise Refusal(run.where, f"{shown} of {joint}", rule, got)
+                share = f"{100.0 * count / len(out):.1f} %"
+                raise Refusal(run.where, f"{signal} of {joint}", rule, share)
             if count:
                 first = run.t[int(np.argmax(out))]
-                found.append(
-                    f"{shown} of {joint}: {count} outliers, the first at t = {first:.4g} s; "
+                messages.append(
+                    f"{signal} of {joint}: {count} outliers, the first at t = {first:.4g} s; "
                     "their neighbours stand in their place"
                 )
         changed[name] = rows
-    return dataclasses.replace(run, **changed), found
+    return dataclasses.replace(run, **changed), messages
 
 
-def _find_outliers(signal: Array, least: float) -> Array:
+def _find_outliers(signal: Array, threshold: float) -> Array:
     """Return the samples that are farther from their neighbours than usual around them."""
     # For a smooth motion, the error of a parabola through the neighbours is negligible.
     away = np.zeros_like(signal)
@@ -232,7 +232,7 @@ def _find_outliers(signal: Array, least: float) -> Array:
     beside = np.minimum(
         np.abs(away), 1.5 * np.abs(signal - median_filter(signal, NEIGHBOURS, mode="nearest"))
     )
-    usual = 1.4826 * median_filter(np.abs(away), AROUND, mode="nearest")
-    spread = float(np.quantile(signal, 0.95) - np.quantile(signal, 0.05))
-    out: Array = beside > np.maximum(TIMES * usual, least * spread)
+    typical = 1.4826 * median_filter(np.abs(away), AROUND, mode="nearest")
+    width = float(np.quantile(signal, 0.95) - np.quantile(signal, 0.05))
+    out: Array = beside > np.maximum(TIMES * typical, threshold * width)
     return out

@@ -69,9 +69,9 @@ def make_run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun
     if "current" in signals and "tau" not in signals:
         signals["tau"] = _convert_currents(signals.pop("current"), scene, where)
     signals.pop("current", None)
-    for name, shown in (("q_motor", "q_mot"), ("tau", "tau, tau_abs or current")):
+    for name, columns_text in (("q_motor", "q_mot"), ("tau", "tau, tau_abs or current")):
         if name not in signals:
-            raise Refusal(where, "record", f"have {shown}", ", ".join(signals) or "nothing")
+            raise Refusal(where, "record", f"have {columns_text}", ", ".join(signals) or "nothing")
     if t.ndim != 1:
         raise Refusal(where, "t", "have one number per sample [s]", f"shape {t.shape}")
     for name, rows in signals.items():
@@ -87,13 +87,13 @@ def make_run(signals: dict[str, Array], scene: Scene, where: str) -> MeasuredRun
 
 
 def _convert_angles(signals: dict[str, Array], scene: Scene, angles: str, side: str) -> None:
-    turns = np.array([joint.kind == "revolute" for joint in scene.chain.joints])
+    revolute = np.array([joint.kind == "revolute" for joint in scene.chain.joints])
     ratio = scene.gear_ratios
     for name in OF_ANGLE:
         rows = signals.get(name)
-        if rows is not None and rows.ndim == 2 and rows.shape[1] == len(turns):
+        if rows is not None and rows.ndim == 2 and rows.shape[1] == len(revolute):
             at_motor = side == "motor" and name in ("q_motor", "v_motor")
-            scale = np.where(turns | at_motor, ANGLES[angles], 1.0)
+            scale = np.where(revolute | at_motor, ANGLES[angles], 1.0)
             signals[name] = rows * scale * (ratio if at_motor else 1.0)
 
 
@@ -118,8 +118,8 @@ def _read_archive(path: Path) -> dict[str, Array]:
 def _read_table(path: Path, scene: Scene) -> dict[str, Array]:
     table = read_table(path, {"t": "s"})
     if "t" not in table.columns:
-        got = ", ".join(table.columns) or "nothing"
-        raise Refusal(path.name, "heading", "have a column t [s]", got)
+        names = ", ".join(table.columns) or "nothing"
+        raise Refusal(path.name, "heading", "have a column t [s]", names)
     if len(set(table.columns)) < len(table.columns):
         raise Refusal(path.name, "heading", "name each column once", ", ".join(table.columns))
     signals = {"t": table.column("t")}
@@ -132,8 +132,8 @@ def _read_table(path: Path, scene: Scene) -> dict[str, Array]:
             raise Refusal(path.name, "heading", f"have {group}.{missing}, as of the others", "none")
         none = np.full(len(table.lines), np.nan)
         of = [
-            table.column(f"{group}.{joint}") if known else none
-            for joint, known in zip(scene.joint_names, there, strict=True)
+            table.column(f"{group}.{joint}") if is_present else none
+            for joint, is_present in zip(scene.joint_names, there, strict=True)
         ]
         signals[name] = np.column_stack(of)
     return signals

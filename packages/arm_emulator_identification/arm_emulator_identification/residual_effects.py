@@ -92,8 +92,8 @@ def _inverse(H: Array) -> Array:
     """Return the inverse of a positive definite matrix, after scaling."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     within = H * size[:, None] * size[None, :] + 1e-12 * np.eye(len(H))
-    found: Array = np.linalg.inv(within) * size[:, None] * size[None, :]
-    return found
+    inverse: Array = np.linalg.inv(within) * size[:, None] * size[None, :]
+    return inverse
 
 
 def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, widths: Array,
@@ -124,25 +124,27 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     size_of = [float(np.std((data.tau[m, j]) * per[j])) for j, m in enumerate(masks)]
     effects = list[Effect]()
     candidates = [
-        (one, {j: C[masks[j]] * per[j][:, None] for j, C in one.of.items()})
-        for one in _catalogue(data, load, error, masks)
+        (effect, {j: C[masks[j]] * per[j][:, None] for j, C in effect.of.items()})
+        for effect in _catalogue(data, load, error, masks)
     ]
     for _ in range(MOST_EFFECTS):
         best = _best(normal, candidates, masks)
         if best is None:
             break
         names, index, share = best
-        one, columns = candidates.pop(index)
+        candidate, columns = candidates.pop(index)
         before = [float(r @ r) for r in normal.left]
         moved, coefficients = _take(normal, columns)
         shift += moved[:U]
-        size = float(coefficients[0]) * one.scale
-        gone = [
+        size = float(coefficients[0]) * candidate.scale
+        lost_sizes = [
             np.sqrt(max(before[j] - float(normal.left[j] @ normal.left[j]), 0.0) / len(C))
             for j, C in columns.items() if len(C)
         ]  # fmt: skip
-        if any(lost > MATERIAL * size_of[j] for lost, j in zip(gone, columns, strict=False)):
-            effects.append(Effect(" or ".join(names), tuple(columns), share, abs(size), one.unit))
+        if any(lost > MATERIAL * size_of[j] for lost, j in zip(lost_sizes, columns, strict=False)):
+            effects.append(
+                Effect(" or ".join(names), tuple(columns), share, abs(size), candidate.unit)
+            )
     independent = np.array([_lasting(r, m) for r, m in zip(normal.left, masks, strict=True)])
     covariance = _sandwich(normal, masks, independent)[:U, :U]
     scaled = covariance * widths[:, None] * widths[None, :]
@@ -181,9 +183,9 @@ def _best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
     """Return names, index and share of the likeliest effect, if one is likely enough."""
     inverse = normal.inverse()
     gains = np.array([_gain(normal, inverse, columns) for _, columns in candidates])
-    found = []
+    ranking = []
     for index in np.argsort(-gains)[:CLOSELY]:
-        one, columns = candidates[int(index)]
+        candidate, columns = candidates[int(index)]
         dx, b = _solve(normal, inverse, columns)
         before = after = likelihood = 0.0
         count = 0.0
@@ -197,14 +199,14 @@ def _best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
         share = 1.0 - after / max(before, 1e-300)
         m = len(b)
         likelihood -= m * np.log(max(count, 2.0))
-        name = one.opposite if one.opposite and b[0] < 0.0 else one.name
-        found.append((likelihood, share, int(index), name))
-    found.sort(reverse=True)
-    if not found or found[0][0] < ENOUGH or found[0][1] < SHARE:
+        name = candidate.opposite if candidate.opposite and b[0] < 0.0 else candidate.name
+        ranking.append((likelihood, share, int(index), name))
+    ranking.sort(reverse=True)
+    if not ranking or ranking[0][0] < ENOUGH or ranking[0][1] < SHARE:
         return None
-    likely = [one for one in found if one[0] > LIKELY * found[0][0]]
+    likely = [ranked for ranked in ranking if ranked[0] > LIKELY * ranking[0][0]]
     names = list(dict.fromkeys(name for *_, name in likely))
-    return names, found[0][2], found[0][1]
+    return names, ranking[0][2], ranking[0][1]
 
 
 def _parts(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array, Array]:
@@ -267,8 +269,8 @@ def _sandwich(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
     meat = scores.T @ scores + np.diag(normal.prior)
     robust = np.diag(inverse @ meat @ inverse) / np.maximum(np.diag(inverse), 1e-300)
     wider = np.sqrt(np.clip(robust, 1.0, 16.0))
-    found: Array = inverse * wider[:, None] * wider[None, :]
-    return found
+    covariance: Array = inverse * wider[:, None] * wider[None, :]
+    return covariance
 
 
 def _used(A: Array) -> float:
@@ -290,7 +292,7 @@ def _catalogue(data: Filtered, load: Array, error: Array,
     for j in range(N):
         v, q, sign = fine.v[:, j], fine.q[:, j], np.sign(fine.v[:, j])
         top = max(float(np.quantile(np.abs(v), 0.99)), 1e-12)
-        way = max(float(np.ptp(q)), 1e-12)
+        travel = max(float(np.ptp(q)), 1e-12)
         here = data.direction[:, j]
 
         def one(name: str, *columns: Array, opposite: str = "", joint: int = j) -> Columns:
@@ -303,7 +305,7 @@ def _catalogue(data: Filtered, load: Array, error: Array,
         yield one(BENDS, settle(sign * np.sqrt(np.abs(v))))
         after = _way_since_reversal(q, sign)
         for share in SHORT:
-            yield one(WAY, settle(sign * np.exp(-after / (share * way))))
+            yield one(WAY, settle(sign * np.exp(-after / (share * travel))))
         yield one(LOAD, here * np.abs(load[:, j]))
         yield one(ZERO, np.ones(len(data.t)))
         yield one(WARMS, settle(sign * since))
@@ -322,26 +324,26 @@ def _catalogue(data: Filtered, load: Array, error: Array,
 
 def _way_since_reversal(q: Array, sign: Array) -> Array:
     """Return the distance of a joint from its last reversal (K,)."""
-    gone = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
-    turns = np.concatenate([[0], np.flatnonzero(np.diff(sign) != 0.0) + 1])
-    last = turns[np.searchsorted(turns, np.arange(len(q)), side="right") - 1]
-    way: Array = gone - gone[last]
-    return way
+    distance = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
+    reversals = np.concatenate([[0], np.flatnonzero(np.diff(sign) != 0.0) + 1])
+    last = reversals[np.searchsorted(reversals, np.arange(len(q)), side="right") - 1]
+    travel: Array = distance - distance[last]
+    return travel
 
 
 def _orders(data: Filtered, error: Array, rows: Mask, j: int) -> list[float]:
     """Return the orders, in waves per turn of the link, of the largest waves in an error."""
     q, v, e = data.q[rows, j], np.abs(data.v[rows, j]), error[rows]
-    way = float(np.ptp(q)) if len(q) else 0.0
-    if way == 0.0:
+    travel = float(np.ptp(q)) if len(q) else 0.0
+    if travel == 0.0:
         return []
     slow = max(float(np.quantile(v, 0.2)), 1e-9)
-    most = min(2.0 * np.pi * data.fine.frequency / slow, 2000.0 * np.pi / way)
-    orders = np.arange(WHOLE * 2.0 * np.pi / way, most, np.pi / way)
+    highest = min(2.0 * np.pi * data.fine.frequency / slow, 2000.0 * np.pi / travel)
+    orders = np.arange(WHOLE * 2.0 * np.pi / travel, highest, np.pi / travel)
     if not len(orders):
         return []
     # Waves faster than the low-pass are removed.
-    seen = orders[:, None] * v[None, :] < 2.0 * np.pi * data.fine.frequency
-    waves = np.exp(1j * orders[:, None] * q[None, :]) * seen
-    size = np.abs(waves @ e) ** 2 / np.maximum(seen.sum(axis=1), 8.0)
+    resolved = orders[:, None] * v[None, :] < 2.0 * np.pi * data.fine.frequency
+    waves = np.exp(1j * orders[:, None] * q[None, :]) * resolved
+    size = np.abs(waves @ e) ** 2 / np.maximum(resolved.sum(axis=1), 8.0)
     return [float(orders[k]) for k in np.argsort(-size)[:WAVES]]

@@ -54,11 +54,11 @@ class TorqueFit:
 
 def explained(torque: Array, error: Array, moving: Mask) -> Array:
     """Return 100 (1 - |error| / |torque - its mean|) of each joint where it moves (N,) [%]."""
-    found = []
+    shares = []
     for y, e, rows in zip(torque.T, error.T, moving.T, strict=True):
-        spread = np.linalg.norm(y[rows] - y[rows].mean()) if rows.any() else 0.0
-        found.append(100.0 * (1.0 - np.linalg.norm(e[rows]) / spread) if spread > 0.0 else np.nan)
-    return np.array(found)
+        norm = np.linalg.norm(y[rows] - y[rows].mean()) if rows.any() else 0.0
+        shares.append(100.0 * (1.0 - np.linalg.norm(e[rows]) / norm) if norm > 0.0 else np.nan)
+    return np.array(shares)
 
 
 def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
@@ -92,9 +92,9 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     # Effects that the model lacks shift the numbers: the confidence includes the shift.
     shift = structure.shift
     covariance[np.ix_(fitted, fitted)] = structure.covariance + np.outer(shift, shift)
-    spread = [_spread(error[r, j]) for j, r in enumerate(data.moving.T)]
+    noise = [_spread(error[r, j]) for j, r in enumerate(data.moving.T)]
     rows = data.moving
-    per_noise = (slopes / np.array(spread)[:, None])[rows] * widths
+    per_noise = (slopes / np.array(noise)[:, None])[rows] * widths
     far_out = np.array([int(((weights[:, j] < STANDS_OUT / FAR_OUT) & r).sum())
                         for j, r in enumerate(rows.T)])  # fmt: skip
     return TorqueFit(
@@ -107,16 +107,16 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             motion: MotionTorques) -> tuple[Array, Array, MotionTorques]:  # fmt: skip
     """Return values (U,), weights of rows (K, N), and the motion under the gears' loads then."""
     start, widths = model.start, model.widths[fitted]
-    least = np.array([one.least for one in model.unknowns])[fitted]
-    most = np.array([one.most for one in model.unknowns])[fitted]
-    inner = np.minimum(INSIDE * widths, 0.1 * (most - least))
+    low = np.array([unknown.least for unknown in model.unknowns])[fitted]
+    high = np.array([unknown.most for unknown in model.unknowns])[fitted]
+    inner = np.minimum(INSIDE * widths, 0.1 * (high - low))
     rows = data.moving
-    spread = np.array([_spread(y[r] - y[r].mean() if r.any() else y[r])
+    deviation = np.array([_spread(y[r] - y[r].mean() if r.any() else y[r])
                        for y, r in zip(data.tau.T, rows.T, strict=True)])  # fmt: skip
-    noise, weights = BEGIN * spread, np.ones_like(data.tau)
+    noise, weights = BEGIN * deviation, np.ones_like(data.tau)
     values = start.copy()
     # Well inside the bounds, near which steps become short.
-    values[fitted] = np.clip(values[fitted], least + inner, most - inner)
+    values[fitted] = np.clip(values[fitted], low + inner, high - inner)
 
     def whole(some: Array) -> Array:
         every = start.copy()
@@ -132,21 +132,21 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             return np.concatenate([error, (every - start)[fitted] / widths])
 
         def slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
-            found = at.slopes(whole(some))[:, :, fitted][rows] * per[:, None]
-            return np.concatenate([found, np.diag(1.0 / widths)])
+            scaled = at.slopes(whole(some))[:, :, fitted][rows] * per[:, None]
+            return np.concatenate([scaled, np.diag(1.0 / widths)])
 
-        inside = np.clip(values[fitted], least + 1e-4 * inner, most - 1e-4 * inner)
-        found = least_squares(
-            residuals, inside, slopes, bounds=(least, most), x_scale=widths, max_nfev=60
+        inside = np.clip(values[fitted], low + 1e-4 * inner, high - 1e-4 * inner)
+        solution = least_squares(
+            residuals, inside, slopes, bounds=(low, high), x_scale=widths, max_nfev=60
         )
-        values = whole(found.x)
+        values = whole(solution.x)
         motion = motion.under(values)
         error = motion.torques(values) - data.tau
         samples = used = 0.0
         for j, r in enumerate(rows.T):
-            usual = max(1.4826 * float(np.median(np.abs(error[r, j]))) if r.any() else 1.0, 1e-12)
+            typical = max(1.4826 * float(np.median(np.abs(error[r, j]))) if r.any() else 1.0, 1e-12)
             weights[:, j] = np.minimum(
-                1.0, STANDS_OUT * usual / np.maximum(np.abs(error[:, j]), 1e-300)
+                1.0, STANDS_OUT * typical / np.maximum(np.abs(error[:, j]), 1e-300)
             )
             last = estimate_correlation(error[:, j], r)
             noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
@@ -154,20 +154,20 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
         used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
         # The residual lacks the part absorbed by the fit.
         noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
-        noise = np.clip(noise, 1e-9 * spread, spread)
+        noise = np.clip(noise, 1e-9 * deviation, deviation)
     return values, weights, motion
 
 
 def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]:
     """Return the bounds reached by numbers above 0, by unknown."""
-    found = {}
+    driven = {}
     for u in np.flatnonzero(fitted):
-        one = model.unknowns[u]
-        near = AT_BOUND * min(one.width, abs(one.value))
-        for bound in (one.least, one.most):
-            if np.isfinite(bound) and one.value and bound and abs(values[u] - bound) < near:
-                found[int(u)] = bound
-    return found
+        unknown = model.unknowns[u]
+        near = AT_BOUND * min(unknown.width, abs(unknown.value))
+        for bound in (unknown.least, unknown.most):
+            if np.isfinite(bound) and unknown.value and bound and abs(values[u] - bound) < near:
+                driven[int(u)] = bound
+    return driven
 
 
 def _directions(per_width: Array) -> int:

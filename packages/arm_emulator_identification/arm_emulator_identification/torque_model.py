@@ -107,8 +107,8 @@ class TorqueModel:
             self.rest[here] = inertia.list_dynamic(geometry.body) - beside
             for name, value, off in zip(LINK, numbers, widths, strict=True):
                 unit = "" if name.startswith("log") else "m"
-                whole = f"links.{geometry.link}.{name}"
-                self.unknowns.append(Unknown(whole, unit, float(value), float(off)))
+                number_name = f"links.{geometry.link}.{name}"
+                self.unknowns.append(Unknown(number_name, unit, float(value), float(off)))
         self.links = len(self.unknowns)
         self.pieces = list[Piece]()
         for j, joint in enumerate(scene.joints):
@@ -118,29 +118,31 @@ class TorqueModel:
             name = f"joints.{joint.name}.measured_torque.offset"
             off = abs(joint.gear.ratio) * float(torque)
             self.unknowns.append(Unknown(name, "N m", 0.0, off))
-        self.start = np.array([one.value for one in self.unknowns])
-        self.widths = np.array([one.width for one in self.unknowns])
+        self.start = np.array([unknown.value for unknown in self.unknowns])
+        self.widths = np.array([unknown.width for unknown in self.unknowns])
 
     def _add(self, j: int, joint: Joint, typical: tuple[float, float], trust: float) -> None:
         place = f"joints.{joint.name}"
-        sought = _sought(joint)
+        fitted_keys = _sought(joint)
         for part in joint.parts:
-            piece = Piece(j, part, len(self.unknowns), tuple(sought.get(part.section, ())))
+            piece = Piece(j, part, len(self.unknowns), tuple(fitted_keys.get(part.section, ())))
             per = abs(joint.gear.ratio) if part.shaft == "rotor" else 1.0
             torque, speed = typical[0] * per, typical[1] / per
             for key in piece.keys:
-                one, value = part.numbers()[key], float(getattr(part, key))
-                if one.sought == "unknown":
-                    width = UNKNOWN * (torque / speed if one.unit == "N m s/rad" else torque)
+                number, value = part.numbers()[key], float(getattr(part, key))
+                if number.sought == "unknown":
+                    width = UNKNOWN * (torque / speed if number.unit == "N m s/rad" else torque)
                 else:
                     width = trust * abs(value)
-                least, most = one.least, one.most
-                if one.above is not None:
-                    least, most = max(least, value / FARTHEST), min(most, value * FARTHEST)
-                if least < 0.0 and value:  # a pulling spring does not push
-                    least, most = (0.0, most) if value > 0.0 else (least, 0.0)
+                low, high = number.least, number.most
+                if number.above is not None:
+                    low, high = max(low, value / FARTHEST), min(high, value * FARTHEST)
+                if low < 0.0 and value:  # a pulling spring does not push
+                    low, high = (0.0, high) if value > 0.0 else (low, 0.0)
                 name = f"{place}.{part.section}.{key}"
-                self.unknowns.append(Unknown(name, one.unit, value, width, least, most, one.shown))
+                self.unknowns.append(
+                    Unknown(name, number.unit, value, width, low, high, number.shown)
+                )
             self.pieces.append(piece)
 
     def choose(self, patterns: Sequence[str], where: str) -> Mask:
@@ -151,17 +153,17 @@ class TorqueModel:
         Raises:
             Refusal: a pattern matches none.
         """
-        names = [one.name for one in self.unknowns]
+        names = [unknown.name for unknown in self.unknowns]
         for pattern in patterns:
             if not any(has_match(name, [pattern]) for name in names) and pattern != EVERYTHING:
-                known = sorted({name.rsplit(".", 1)[0] for name in names})
+                groups = sorted({name.rsplit(".", 1)[0] for name in names})
                 rule = "name numbers that can be identified"
-                raise Refusal(where, "--fit", rule, pattern, ", ".join(known))
-        offsets = [one for one in patterns if "offset" in one or "measured" in one]
-        wanted = [
+                raise Refusal(where, "--fit", rule, pattern, ", ".join(groups))
+        offsets = [offset for offset in patterns if "offset" in offset or "measured" in offset]
+        matches = [
             has_match(name, offsets if name.endswith(".offset") else patterns) for name in names
         ]
-        chosen: Mask = np.array(wanted) & (self.widths > 0.0)
+        chosen: Mask = np.array(matches) & (self.widths > 0.0)
         return chosen
 
     def of(self, data: Filtered) -> MotionTorques:
@@ -179,10 +181,10 @@ class TorqueModel:
     @property
     def at_links(self) -> Mask:
         """Unknowns that take their torque at a link, which the gear carries (U,)."""
-        found: Mask = np.arange(len(self.unknowns)) < self.links
+        at_link: Mask = np.arange(len(self.unknowns)) < self.links
         for piece in self.pieces:
-            found[piece.first : piece.first + len(piece.keys)] = piece.part.shaft != "rotor"
-        return found
+            at_link[piece.first : piece.first + len(piece.keys)] = piece.part.shaft != "rotor"
+        return at_link
 
     def bodies(self, unknowns: Array) -> Array:
         """Return the ten numbers of each link (L, 10), without the payload."""
@@ -210,16 +212,16 @@ def _sought(joint: Joint) -> dict[str, list[str]]:
     sought: one given in the scene, and preferably the rotor's.
     """
     ranked = sorted(joint.parts, key=lambda part: part.shaft != "rotor")
-    found = dict[str, list[str]]()
+    keys = dict[str, list[str]]()
     for key in {key: None for part in ranked for key in part.numbers()}:
         having = [part for part in ranked if key in part.numbers() and part.numbers()[key].sought]
         having = [part for part in having if getattr(part, key) is not None]
         if not having:
             continue
-        one = next((part for part in having if getattr(part, key)), having[0])
-        if getattr(one, key) or one.numbers()[key].sought == "unknown":
-            found.setdefault(one.section, []).append(key)
-    return found
+        part_with_value = next((part for part in having if getattr(part, key)), having[0])
+        if getattr(part_with_value, key) or part_with_value.numbers()[key].sought == "unknown":
+            keys.setdefault(part_with_value.section, []).append(key)
+    return keys
 
 
 @dataclass(frozen=True)
@@ -265,8 +267,8 @@ class MotionTorques:
     def torques(self, unknowns: Array) -> Array:
         """Return the torques (K, N) [N m or N]."""
         torques = self._links(unknowns)
-        for one in self.efforts:
-            torques[:, one.piece.joint] += self._effort(one, unknowns)
+        for effort in self.efforts:
+            torques[:, effort.piece.joint] += self._effort(effort, unknowns)
         return torques + self._offsets * unknowns[self.model.offsets :]
 
     def slopes(self, unknowns: Array) -> Array:
@@ -275,16 +277,16 @@ class MotionTorques:
         K, N, _ = self.Y.shape
         links = unknowns[: model.links].reshape(-1, inertia.NUMBERS)
         pieces = self.Y.reshape(K, N, len(links), inertia.NUMBERS)
-        found = np.zeros((K, N, len(model.unknowns)))
-        for k, one in enumerate(links):
+        slopes = np.zeros((K, N, len(model.unknowns)))
+        for k, link in enumerate(links):
             here = slice(inertia.NUMBERS * k, inertia.NUMBERS * (k + 1))
-            found[:, :, here] = pieces[:, :, k] @ inertia.differentiate_exponential(one)
+            slopes[:, :, here] = pieces[:, :, k] @ inertia.differentiate_exponential(link)
         for effort in self.efforts:
             here = slice(effort.piece.first, effort.piece.first + len(effort.piece.keys))
-            found[:, effort.piece.joint, here] = self._slopes_of(effort, unknowns)
+            slopes[:, effort.piece.joint, here] = self._slopes_of(effort, unknowns)
         for j, offset in enumerate(self._offsets):
-            found[:, j, model.offsets + j] = offset
-        return found
+            slopes[:, j, model.offsets + j] = offset
+        return slopes
 
     @property
     def _offsets(self) -> Array:
@@ -300,41 +302,41 @@ class MotionTorques:
         if effort.columns is None:
             return self._ask(piece, piece.numbers(unknowns))
         here = unknowns[piece.first : piece.first + len(piece.keys)]
-        found: Array = effort.constant + effort.columns @ here
-        return found
+        torque: Array = effort.constant + effort.columns @ here
+        return torque
 
     def _slopes_of(self, effort: _Effort, unknowns: Array) -> Array:
         if effort.columns is not None:
             return effort.columns
         piece, columns = effort.piece, []
         for k, (key, value) in enumerate(piece.numbers(unknowns).items()):
-            one = self.model.unknowns[piece.first + k]
-            by = SMALL * one.width
-            ends = [min(value + by, one.most), max(value - by, one.least)]
+            unknown = self.model.unknowns[piece.first + k]
+            by = SMALL * unknown.width
+            ends = [min(value + by, unknown.most), max(value - by, unknown.least)]
             up, down = (self._ask(piece, piece.numbers(unknowns) | {key: end}) for end in ends)
             columns.append((up - down) / (ends[0] - ends[1]))
         return np.column_stack(columns)
 
     def examine(self, piece: Piece) -> _Effort:
         """Determine whether a part is linear in its unknowns."""
-        known = {key: float(getattr(piece.part, key)) for key in piece.keys}
+        numbers = {key: float(getattr(piece.part, key)) for key in piece.keys}
         by = {
             key: TRIED * self.model.unknowns[piece.first + k].width
             for k, key in enumerate(piece.keys)
         }
-        base = self._ask(piece, known)
+        base = self._ask(piece, numbers)
         nothing = np.zeros((len(base), 0))
         columns = [
-            (self._ask(piece, known | {key: known[key] + by[key]}) - base) / by[key]
+            (self._ask(piece, numbers | {key: numbers[key] + by[key]}) - base) / by[key]
             for key in piece.keys
         ]
         X = np.column_stack(columns) if columns else nothing
-        twice = self._ask(piece, {key: known[key] + 2.0 * by[key] for key in piece.keys})
+        twice = self._ask(piece, {key: numbers[key] + 2.0 * by[key] for key in piece.keys})
         expected = base + 2.0 * (X @ np.array(list(by.values())) if columns else 0.0)
         size = np.abs(twice).max() + np.abs(base).max()
         if np.abs(twice - expected).max() > LINEAR * size:
             return _Effort(piece, base, None)
-        return _Effort(piece, base - X @ np.array(list(known.values())), X)
+        return _Effort(piece, base - X @ np.array(list(numbers.values())), X)
 
     def _ask(self, piece: Piece, numbers: Mapping[str, float]) -> Array:
         """Return the torque of a part with given numbers at the link (K,), low-passed."""
@@ -351,5 +353,5 @@ class MotionTorques:
         )  # fmt: skip
         effort = piece.part.with_numbers(**numbers).effort(at)
         assert effort is not None, "checked at the beginning"
-        found: Array = effort / per
-        return found
+        gains: Array = effort / per
+        return gains

@@ -49,8 +49,8 @@ def compute_wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
     frequency = min(BELOW, 0.1 / period)
     q, v, a = smooth_motion(run.q_motor, period, frequency)
     edge = int(EDGE / (frequency * period))
-    kept = slice(edge, len(q) - edge)
-    load = compute_link_torques(scene, run.t, q, v, a)[kept]
+    inside = slice(edge, len(q) - edge)
+    load = compute_link_torques(scene, run.t, q, v, a)[inside]
     K = len(load)
     measured, computed = np.full((K, N), np.nan), np.full((K, N), np.nan)
     residual, unexplained, stiffness, deviation = (np.full(N, np.nan) for _ in range(4))
@@ -60,39 +60,41 @@ def compute_wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
             continue
         if np.isnan(run.q_link[:, j]).any():
             continue
-        give = (run.q_motor - run.q_link)[kept, j]
+        give = (run.q_motor - run.q_link)[inside, j]
         own = np.array([joint.gear.wind_up(torque) for torque in load[:, j]])
         zero = np.mean(give - own)
         measured[:, j], computed[:, j] = give - zero, own
         residual[j] = np.sqrt(np.mean((give - own - zero) ** 2))
         unexplained[j] = give.std()
         error = give - own - zero
-        ripple[j], order[j], rest[j] = _find_largest_wave(error, run.q_motor[kept, j], period)
+        ripple[j], order[j], rest[j] = _find_largest_wave(error, run.q_motor[inside, j], period)
         A = np.column_stack([load[:, j], np.ones(K)])
         (compliance, _), *_ = np.linalg.lstsq(A, give, rcond=None)
         error = give - A @ np.linalg.lstsq(A, give, rcond=None)[0]
-        lasting = max(1.0, 1.0 / (frequency * period))
-        of_compliance = np.sqrt(lasting * error @ error / K / max(K * load[:, j].var(), 1e-300))
+        samples_per_period = max(1.0, 1.0 / (frequency * period))
+        of_compliance = np.sqrt(
+            samples_per_period * error @ error / K / max(K * load[:, j].var(), 1e-300)
+        )
         if compliance > SURE * of_compliance:
             stiffness[j] = 1.0 / compliance
             deviation[j] = of_compliance / compliance**2
     return WindUp(
-        residual, ripple, order, rest, unexplained, stiffness, deviation, run.t[kept], measured,
+        residual, ripple, order, rest, unexplained, stiffness, deviation, run.t[inside], measured,
         computed,
     )  # fmt: skip
 
 
 def list_stiffness(
-    scene: Scene, run: MeasuredRun, wanted: Sequence[str], hold: Sequence[str]
+    scene: Scene, run: MeasuredRun, names: Sequence[str], hold: Sequence[str]
 ) -> list[Found]:
     """Return the stiffness of gears whose links have encoders."""
-    if run.q_link is None or not wanted:
+    if run.q_link is None or not names:
         return []
     of = compute_wind_up(run, scene)
     numbers = []
     for j, joint in enumerate(scene.joints):
         name, before = f"joints.{joint.name}.gear.stiffness", joint.gear.stiffness
-        if before is None or name not in wanted or has_match(name, hold):
+        if before is None or name not in names or has_match(name, hold):
             continue
         if any(part.loop_keys for part in joint.parts):
             continue  # see `list_loops`
@@ -105,8 +107,8 @@ def list_stiffness(
 def _find_largest_wave(error: Array, q: Array, period: float) -> tuple[float, float, float]:
     """Return amplitude and order of the largest wave in an error, and the remainder."""
     quick = error - filter_low_pass(error[:, None], period, SLOW)[:, 0]
-    found = [abs(np.mean(quick * np.exp(1j * n * q))) for n in ORDERS]
-    n = float(ORDERS[int(np.argmax(found))])
+    amplitudes = [abs(np.mean(quick * np.exp(1j * n * q))) for n in ORDERS]
+    n = float(ORDERS[int(np.argmax(amplitudes))])
     A = np.column_stack([np.sin(n * q), np.cos(n * q), np.ones(len(q))])
     wave = np.linalg.lstsq(A, error, rcond=None)[0]
     rest = error - A @ wave

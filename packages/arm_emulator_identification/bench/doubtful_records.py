@@ -68,7 +68,7 @@ MACHINES: dict[str, Callable[[], Scene]] = {
 }  # fmt: skip
 
 
-def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene:
+def torque_driven(scene: Scene, period: float, fitted: Collection[str]) -> Scene:
     """Return a scene with ideal torque motors, otherwise unchanged.
 
     Parts between a voltage or a current and the torque of the windings are left out.
@@ -76,7 +76,7 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
     Args:
         scene: the machine.
         period: of the commands [s].
-        sought: names of numbers to vary.
+        fitted: names of numbers to vary.
     """
     ideal: Any = next(
         motor for motor in MOTORS if motor.inputs == (TORQUE,)
@@ -85,14 +85,14 @@ def torque_driven(scene: Scene, period: float, sought: Collection[str]) -> Scene
     def driven(joint: Joint) -> Joint:
         if joint.motor is None or joint.inputs == (TORQUE,):
             return joint
-        kept = tuple(one for one in joint.decorators if not one.electrical)
+        mechanical = tuple(decorator for decorator in joint.decorators if not decorator.electrical)
         motor = ideal(rotor_inertia=joint.motor.inertia)
-        return dataclasses.replace(joint, motor=motor, decorators=kept)
+        return dataclasses.replace(joint, motor=motor, decorators=mechanical)
 
     joints = tuple(driven(joint) for joint in scene.joints)
     steps = max(1, round(period / scene.integrator.dt))
     varied = tuple(
-        number for number in list_variable_numbers(joints, scene.chain, ()) if number.name in sought
+        number for number in list_variable_numbers(joints, scene.chain, ()) if number.name in fitted
     )
     return dataclasses.replace(
         scene, joints=joints, servo_period=period, varied=varied, load=None,
@@ -109,7 +109,7 @@ def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, fl
     of_friction = [f"joints.{joint.name}.motor.friction.{key}" for joint in scene.joints
                    for key in ("viscous", "coulomb")]  # fmt: skip
     driven = torque_driven(scene, PERIOD, [*links, *inertias, *of_friction])
-    values = {one.name: one.value for one in driven.varied}
+    values = {number.name: number.value for number in driven.varied}
     for joint in scene.chain.joints:
         numbers = inertia.map_logarithm(joint.body)
         moved = numbers + OFF * inertia.estimate_widths(joint.body, 1.0) * rng.standard_normal(10)
@@ -135,8 +135,10 @@ def stribeck(scene: Scene, rng: np.random.Generator) -> Scene:
         own = joint.rotor_friction
         assert own is not None
         slow = rng.uniform(0.03, 0.12) / abs(joint.gear.ratio)
-        most = rng.uniform(1.5, 2.5) * own.coulomb
-        law = RotorStribeck(viscous=own.viscous, coulomb=own.coulomb, breakaway=most, stribeck=slow)
+        breakaway = rng.uniform(1.5, 2.5) * own.coulomb
+        law = RotorStribeck(
+            viscous=own.viscous, coulomb=own.coulomb, breakaway=breakaway, stribeck=slow
+        )
         return dataclasses.replace(joint, rotor_friction=law)
 
     return _each(scene, of)
@@ -148,10 +150,10 @@ def bristles(scene: Scene, rng: np.random.Generator) -> Scene:
     def of(joint: Joint) -> Joint:
         own = joint.rotor_friction
         assert own is not None
-        way = rng.uniform(0.01, 0.04) / abs(joint.gear.ratio)
+        travel = rng.uniform(0.01, 0.04) / abs(joint.gear.ratio)
         law = RotorLuGre(coulomb=own.coulomb, breakaway=own.coulomb, stribeck=10.0,
-                         bristle_stiffness=own.coulomb / way,
-                         bristle_damping=0.02 * own.coulomb / way)  # fmt: skip
+                         bristle_stiffness=own.coulomb / travel,
+                         bristle_damping=0.02 * own.coulomb / travel)  # fmt: skip
         viscous = RotorFriction(viscous=own.viscous)
         return dataclasses.replace(joint, rotor_friction=viscous, extras=(*joint.extras, law))
 
@@ -206,8 +208,10 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
     scene = MACHINES[machine]()
     driven, values = changed(scene, rng)
     real = EFFECTS[effect][0](driven, rng) if effect else driven
-    has = {one.name for one in real.varied} & _names(real)
-    real = dataclasses.replace(real, varied=tuple(one for one in real.varied if one.name in has))
+    has = {number.name for number in real.varied} & _names(real)
+    real = dataclasses.replace(
+        real, varied=tuple(number for number in real.varied if number.name in has)
+    )
     numbers = {name: value for name, value in values.items() if name in has}
 
     def drift(share: float) -> Mapping[str, float]:
@@ -218,10 +222,10 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
     model = model_of(scene, motion)
     fit = fit_torques(model, motion, model.choose(["*"], "bench"))
     inside = [
-        abs(one.value - values[one.name]) < SIGMAS * one.deviation
-        for one in list_found(scene, fit) if one.name in values and one.deviation > 0.0
+        abs(number.value - values[number.name]) < SIGMAS * number.deviation
+        for number in list_found(scene, fit) if number.name in values and number.deviation > 0.0
     ]  # fmt: skip
-    return float(np.mean(inside)), [one.name for one in fit.effects], fit
+    return float(np.mean(inside)), [fitted_effect.name for fitted_effect in fit.effects], fit
 
 
 def _names(scene: Scene) -> set[str]:
@@ -240,9 +244,9 @@ def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str
     j = int(rng.integers(N))
     i = int((j + rng.integers(1, N)) % N)
     k = int(rng.integers(1, N - 1))
-    name, other, middle = run.joints[j], run.joints[i], run.joints[k]
-    one = np.where(every == j, 1.0, 0.0)
-    spread, ratio = run.tau.std(axis=0), np.abs(scene.gear_ratios)
+    name, second, middle = run.joints[j], run.joints[i], run.joints[k]
+    chosen = np.where(every == j, 1.0, 0.0)
+    swing, ratio = run.tau.std(axis=0), np.abs(scene.gear_ratios)
 
     def spoiled(**changes: Any) -> MeasuredRun:
         return dataclasses.replace(run, **{"v_motor": None, "q_link": None, **changes})
@@ -273,29 +277,30 @@ def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str
         "torques scaled up": (spoiled(tau=size(1.9, 3.2) * tau), ("got torques ", "with torques ")),
         "torques scaled down": (spoiled(tau=tau / size(2.0, 3.2)),
                                 ("got torques ", "with torques ")),
-        "one torque scaled up": (spoiled(tau=tau * (1.0 + one * size(1.0, 2.5))),
+        "one torque scaled up": (spoiled(tau=tau * (1.0 + chosen * size(1.0, 2.5))),
                                  (f"scale of the torques of {name}",)),
         "one torque scaled": (spoiled(tau=tau * np.where(every == j, up, 1.0)),
                               (f"scale of the torques of {name}",)),
-        "one angle scaled": (spoiled(q_motor=q * (1.0 + one)), (f"scale of the angles of {name}",)),
+        "one angle scaled": (spoiled(q_motor=q * (1.0 + chosen)),
+                             (f"scale of the angles of {name}",)),
         "time halved": (spoiled(t=0.5 * run.t), ("time base",)),
         "time doubled": (spoiled(t=2.0 * run.t), ("time base",)),
         "time in ms": (spoiled(t=1e3 * run.t), ("t must be in s",)),
         "torques late": (spoiled(tau=late(size(0.015, 0.05), np.ones(N))), (" late",)),
-        "one torque late": (spoiled(tau=late(size(0.03, 0.06), one)), (" late",)),
-        "torque outliers": (spoiled(tau=spiked(tau, 3.0 * spread[j])), (f"{name}: 2", "outliers")),
+        "one torque late": (spoiled(tau=late(size(0.03, 0.06), chosen)), (" late",)),
+        "torque outliers": (spoiled(tau=spiked(tau, 3.0 * swing[j])), (f"{name}: 2", "outliers")),
         "angle outliers": (spoiled(q_motor=spiked(q, 0.02)), (f"{name}: 2", "outliers")),
         "angle zero": (spoiled(q_motor=q + np.where(every == k, zero, 0.0)),
                        (f"zero of {middle}'s angle",)),
-        "torque zero": (spoiled(tau=tau + one * size(0.6, 1.5) * spread),
+        "torque zero": (spoiled(tau=tau + chosen * size(0.6, 1.5) * swing),
                         (f"zero of {name}'s torque", "offset")),
         "degrees": (spoiled(q_motor=np.degrees(q)), ("deg, given as rad",)),
         "N mm": (spoiled(tau=1e3 * tau), ("N mm", "1e+03 times")),
         "at the links": (spoiled(tau=tau / ratio), ("at the links",)),
-        "torques swapped": (spoiled(tau=swapped(tau)), (f"torques of {name} and {other}",
-                                                       f"torques of {other} and {name}")),
-        "torque's sign": (spoiled(tau=tau * (1.0 - 2.0 * one)), (f"{name}'s torque",)),
-        "angle's sign": (spoiled(q_motor=q * (1.0 - 2.0 * one)), (f"{name}'s angle",)),
+        "torques swapped": (spoiled(tau=swapped(tau)), (f"torques of {name} and {second}",
+                                                       f"torques of {second} and {name}")),
+        "torque's sign": (spoiled(tau=tau * (1.0 - 2.0 * chosen)), (f"{name}'s torque",)),
+        "angle's sign": (spoiled(q_motor=q * (1.0 - 2.0 * chosen)), (f"{name}'s angle",)),
     }  # fmt: skip
 
 
@@ -303,14 +308,17 @@ def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
     """Return what identification reports of a record, in words, and whether it refuses it."""
     try:
         check_samples(run)
-        run, motion, doubts = filter_record(scene, run, LOW_PASS)
+        run, motion, warnings = filter_record(scene, run, LOW_PASS)
         model = model_of(scene, motion)
         fit = fit_torques(model, motion, model.choose(["*"], "bench"))
         check_fit(run.where, run.joints, fit.explained)
     except Refusal as refusal:
         return str(refusal), True
-    effects = [f"{', '.join(run.joints[j] for j in one.joints)}: {one.name}" for one in fit.effects]
-    return "; ".join([*doubts, *effects]), False
+    effects = [
+        f"{', '.join(run.joints[j] for j in effect.joints)}: {effect.name}"
+        for effect in fit.effects
+    ]
+    return "; ".join([*warnings, *effects]), False
 
 
 def clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
@@ -333,7 +341,7 @@ def run(quick: bool) -> dict[str, Any]:
     with progress("records", len(effects) + 20 * len(machines)) as done:
         for machine, seed, effect in effects:
             share, names, _ = with_effect(machine, effect, seed)
-            named = any(one in name for one in EFFECTS[effect][1] for name in names)
+            named = any(text in name for text in EFFECTS[effect][1] for name in names)
             rows.append({"machine": machine, "effect": effect, "seed": seed, "inside": share,
                          "named": named, "names": sorted(set(names))})  # fmt: skip
             done(f"{machine}, {effect}")
@@ -364,13 +372,13 @@ def report(figures: dict[str, Any]) -> str:
         f"least 90 % of the numbers in {well}, the effect is named in {named}, one or the other in "
         f"{good}.\n\n" + table(("machine", "effect", "within two deviations, %", "named"), cells)
     )
-    right = sum(one["right"] for one in spoiled)
-    silent = sum(not one["answer"] for one in spoiled)
+    right = sum(record["right"] for record in spoiled)
+    silent = sum(not record["answer"] for record in spoiled)
     text += (
         f"\n\nOf {len(spoiled)} spoiled records the right cause is named in {right}; of {silent} "
         "nothing is reported.\n"
     )
-    for one in spoiled:
-        if not one["right"]:
-            text += f"\n- {one['machine']}, {one['kind']}: {one['answer'] or 'nothing'}"
+    for record in spoiled:
+        if not record["right"]:
+            text += f"\n- {record['machine']}, {record['kind']}: {record['answer'] or 'nothing'}"
     return text + "\n"

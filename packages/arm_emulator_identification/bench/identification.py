@@ -89,7 +89,7 @@ def draw_hysteretic(seed: int) -> tuple[Scene, Scene]:
     overrides |= {"gravity": [0.0, 0.0, -9.81], "servo_period": 4e-3}
     overrides |= {"integrator": {"scheme": "rosenbrock", "dt": 5e-4, "events": "located"}}
     overrides["payload"] = {"mass": float(rng.uniform(3.0, 12.0))}
-    known = dict[str, Any]()
+    changes = dict[str, Any]()
     for joint in names:
         stiffness, torque = 10 ** rng.uniform(3.7, 4.5), 10 ** rng.uniform(0.0, 0.8)
         twist = 2.0 * torque / stiffness / rng.uniform(0.5, 3.0)
@@ -98,26 +98,28 @@ def draw_hysteretic(seed: int) -> tuple[Scene, Scene]:
         overrides[f"joints.{joint}.gear"] = gear | {LOOP: loop}
         overrides[f"joints.{joint}.friction"] = {"viscous": 0.5, "coulomb": rng.uniform(0.0, 0.5)}
         off = np.exp(0.3 * rng.standard_normal(3)).tolist()
-        known[f"joints.{joint}.gear"] = gear | {
+        changes[f"joints.{joint}.gear"] = gear | {
             "stiffness": stiffness * off[0],
             LOOP: loop | {"torque": torque * off[1], "twist": twist * off[2]},
         }
-    return load_scene(SCENE, overrides), load_scene(SCENE, overrides | known)
+    return load_scene(SCENE, overrides), load_scene(SCENE, overrides | changes)
 
 
 def off_loops(seed: int) -> np.ndarray:
     """Return by how many of the published deviations each number of a gear found is off."""
-    scene, known = draw_hysteretic(seed)
+    scene, nominal = draw_hysteretic(seed)
     record = make_record(scene, seed, 2.0 * SECONDS, LOOP_NOISE, 0.02, link_noise=LOOP_NOISE)
-    asked = Asked(["*"], [], LOW_PASS, 0.5, as_is=True)
-    got = identify_numbers(known, record, asked, lambda _: None)
-    found = list_loops(known, got.run, got.motion, got.loads, lambda _: True, asked.trust)
+    request = Asked(["*"], [], LOW_PASS, 0.5, as_is=True)
+    identified = identify_numbers(nominal, record, request, lambda _: None)
+    loops = list_loops(
+        nominal, identified.run, identified.motion, identified.loads, lambda _: True, request.trust
+    )
     true = {
         name: float(getattr(part, key))
         for joint in scene.joints
         for name, (part, key) in list_gear_numbers(joint).items()
     }
-    return np.array([(one.value - true[one.name]) / one.deviation for one in found])
+    return np.array([(loop.value - true[loop.name]) / loop.deviation for loop in loops])
 
 
 def model_of(scene: Scene, data: Filtered) -> TorqueModel:
@@ -135,15 +137,21 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     data = filter_run(record, ratio, LOW_PASS)
     model = model_of(scene, data)
     fitted = model.choose(["*"], "bench")
-    true = {one.name: one.value for one in model.unknowns}
+    true = {unknown.name: unknown.value for unknown in model.unknowns}
     for joint in scene.chain.joints:
         true |= {f"links.{joint.link}.{name}": value for name, value in vary_child(joint).items()}
     rng = np.random.default_rng([seed, 1])
-    known = model.start + model.widths * rng.standard_normal(len(model.start))
-    least = np.array([one.least for one in model.unknowns])
-    model.start = np.where(fitted & (known > least), known, model.start)
-    found = list_found(scene, fit_torques(model, data, fitted))
-    return np.array([(one.value - true[one.name]) / one.deviation for one in found if not one.left])
+    start = model.start + model.widths * rng.standard_normal(len(model.start))
+    low = np.array([unknown.least for unknown in model.unknowns])
+    model.start = np.where(fitted & (start > low), start, model.start)
+    numbers = list_found(scene, fit_torques(model, data, fitted))
+    return np.array(
+        [
+            (number.value - true[number.name]) / number.deviation
+            for number in numbers
+            if not number.left
+        ]
+    )
 
 
 LAWS: dict[str, dict[str, float]] = {  # friction of rotors beside viscous and Coulomb's
@@ -159,16 +167,16 @@ def predict_held_out(law: dict[str, float]) -> np.ndarray:
 
     The runs are those measured of a KUKA KR300 (config/validation/kuka_kr300).
     """
-    given = DATA / "given.yaml"
-    names = load_scene(given).joint_names
-    scene = load_scene(given, {
+    start_file = DATA / "given.yaml"
+    names = load_scene(start_file).joint_names
+    scene = load_scene(start_file, {
         f"joints.{joint}.motor.friction.{key}": value
         for joint in names for key, value in law.items()
     })  # fmt: skip
     runs = (read_run(file, scene, angles="deg").shift_back(DELAYS) for file in SHIPPED)
-    first, second = (filter_run(one, scene.gear_ratios, LOW_PASS) for one in runs)
+    first, second = (filter_run(part, scene.gear_ratios, LOW_PASS) for part in runs)
     model = model_of(scene, first)
-    loads = np.array([one.name.endswith("load") for one in model.unknowns])
+    loads = np.array([unknown.name.endswith("load") for unknown in model.unknowns])
     model.widths = np.where(loads, LITTLE_KNOWN, model.widths)
     fit = fit_torques(model, first, model.choose(["*"], "bench"))
     motion = model.of(second)
@@ -192,9 +200,9 @@ def run(quick: bool) -> dict[str, Any]:
             done(f"machine {seed}, rigid gears")
             loops.append(off_loops(seed))
             done(f"machine {seed}, loops of gears")
-    held_out = {name: float(predict_held_out(law).mean()) for name, law in LAWS.items()}
+    shares = {name: float(predict_held_out(law).mean()) for name, law in LAWS.items()}
     beside = {"machines": machines, "loaded": _judge(loaded), "rigid": _judge(rigid)}
-    beside |= {"held_out": held_out, "loops": _judge(loops)}
+    beside |= {"held_out": shares, "loops": _judge(loops)}
     return {"seeds": seeds} | _judge(every) | beside
 
 
@@ -204,14 +212,14 @@ def _judge(every: list[np.ndarray]) -> dict[str, Any]:
     return {
         "numbers": together.size,
         "within": float(np.mean(np.abs(together) < SIGMAS)),
-        "worst_seed": float(min(np.mean(np.abs(one) < SIGMAS) for one in every)),
+        "worst_seed": float(min(np.mean(np.abs(scores) < SIGMAS) for scores in every)),
         "root_mean_square": float(np.sqrt(np.mean(together**2))),
     }
 
 
 def report(figures: dict[str, Any]) -> str:
     """Return the section."""
-    loaded, rigid, held_out = figures["loaded"], figures["rigid"], figures["held_out"]
+    loaded, rigid, first = figures["loaded"], figures["rigid"], figures["held_out"]
     loops = figures["loops"]
     return (
         f"Of {figures['numbers']} numbers of {figures['seeds']} records of 10 s that the emulator "
@@ -228,7 +236,7 @@ def report(figures: dict[str, Any]) -> str:
         f"its elements, 20 s, encoders at both sides with noise of {LOOP_NOISE:g} rad) "
         f"{100 * loops['within']:.1f} % do.\n\n"
         "Of the torques of a KUKA KR300's second measured run (MIT licence), the numbers of its "
-        f"first explain {held_out['none']:.1f} % (mean of six axes) without load friction, "
-        f"{held_out['load']:.1f} % with `load`, {held_out['directed']:.1f} % with `back_load` and "
+        f"first explain {first['none']:.1f} % (mean of six axes) without load friction, "
+        f"{first['load']:.1f} % with `load`, {first['directed']:.1f} % with `back_load` and "
         "`motor_load`, too.\n"
     )

@@ -59,9 +59,9 @@ class DisplacedArm:
         self.model.frames[self.frame].placement = self.mount * _se3(twists.get("mount"))
 
     def place(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        whole = pin.neutral(self.model)
-        whole[self.places] = q
-        pin.framesForwardKinematics(self.model, self.data, whole)
+        configuration = pin.neutral(self.model)
+        configuration[self.places] = q
+        pin.framesForwardKinematics(self.model, self.data, configuration)
         at = self.data.oMf[self.frame]
         return at.rotation.copy(), at.translation.copy()
 
@@ -107,8 +107,11 @@ def test_true_kinematics_follows_from_exact_poses(seed: int) -> None:
     )
     rests = displaced_rests(arm, names, rng, 40)
     fit = fit_poses(model, rests, (EXACT, EXACT))
-    held = displaced_rests(arm, names, rng, 20)
-    before, after = compare_poses(model, {}, held), compare_poses(model, fit.displacements, held)
+    checked = displaced_rests(arm, names, rng, 20)
+    before, after = (
+        compare_poses(model, {}, checked),
+        compare_poses(model, fit.displacements, checked),
+    )
     assert before[0].max() > 1e-3 and before[1].max() > 1e-3
     assert after[0].max() < 1e-7 and after[1].max() < 1e-7, "what the prior takes from 1e-9"
     kinds = [joint.kind for joint in model.path.moving]
@@ -118,41 +121,41 @@ def test_true_kinematics_follows_from_exact_poses(seed: int) -> None:
     assert len(fit.alike) == fit.count - fit.rank
 
 
-@pytest.mark.parametrize("turns", [True, False])
+@pytest.mark.parametrize("oriented", [True, False])
 @pytest.mark.parametrize("seed", [0, 3, 4])
-def test_noisy_poses_are_fitted_as_by_scipy(seed: int, turns: bool) -> None:
+def test_noisy_poses_are_fitted_as_by_scipy(seed: int, oriented: bool) -> None:
     """The same sum of squares, written by the test on Pinocchio, has its minimum there."""
     urdf, names, tool = random_arm(seed)
     model, rng = PoseModel(urdf, names, tool), np.random.default_rng(200 + seed)
     arm = DisplacedArm(urdf, names, tool)
     moved = [joint.name for joint in model.displaced]
     arm.displace({name: rng.normal(0.0, 2e-3, 6) for name in moved})
-    sigma = 2e-5, 2e-4 if turns else np.inf
+    sigma = 2e-5, 2e-4 if oriented else np.inf
     exact = displaced_rests(arm, names, rng, 30)
-    rests = [measure_pose(one, sigma[0], 2e-4, rng) for one in exact]
+    rests = [measure_pose(pose, sigma[0], 2e-4, rng) for pose in exact]
 
     def residual(x: np.ndarray) -> np.ndarray:
         arm.displace(dict(zip(moved, x.reshape(-1, 6), strict=True)))
         rows = [x / np.tile(PRIOR, len(moved))]
-        for one in rests:
-            R, p = arm.place(one.q)
-            rows.append((one.p - p) / sigma[0])
-            rows.append(Rotation.from_matrix(one.R @ R.T).as_rotvec() / sigma[1])
+        for rest in rests:
+            R, p = arm.place(rest.q)
+            rows.append((rest.p - p) / sigma[0])
+            rows.append(Rotation.from_matrix(rest.R @ R.T).as_rotvec() / sigma[1])
         return np.concatenate(rows)
 
-    wanted = least_squares(residual, np.zeros(6 * len(moved)), x_scale="jac", xtol=1e-14)
+    expected = least_squares(residual, np.zeros(6 * len(moved)), x_scale="jac", xtol=1e-14)
     fit = fit_poses(model, rests, sigma)
-    found = np.concatenate(
+    twists = np.concatenate(
         [
-            np.concatenate([one.p, Rotation.from_matrix(one.R).as_rotvec()])
-            for one in fit.displacements.values()
+            np.concatenate([displacement.p, Rotation.from_matrix(displacement.R).as_rotvec()])
+            for displacement in fit.displacements.values()
         ]
     )
-    assert 0.5 * np.sum(residual(found) ** 2) == pytest.approx(wanted.cost, rel=1e-5)
-    held = displaced_rests(arm_at(arm, moved, wanted.x), names, rng, 10)
-    off, turned = compare_poses(model, fit.displacements, held)
+    assert 0.5 * np.sum(residual(twists) ** 2) == pytest.approx(expected.cost, rel=1e-5)
+    checked = displaced_rests(arm_at(arm, moved, expected.x), names, rng, 10)
+    off, turned = compare_poses(model, fit.displacements, checked)
     assert off.max() < 1e-7, "far below the noise of the poses"
-    assert not turns or turned.max() < 1e-6, "positions alone do not show how the tool is turned"
+    assert not oriented or turned.max() < 1e-6, "positions alone do not show how the tool is turned"
 
 
 def arm_at(arm: DisplacedArm, moved: list[str], x: np.ndarray) -> DisplacedArm:
@@ -186,15 +189,15 @@ def test_characteristics_have_the_closed_form() -> None:
     """Four positions on the corners of a tetrahedron, and two on a line."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 1e-3
     command = np.eye(3), np.array([0.0, 0.0, 2e-3])
-    turns = np.tile(Rotation.from_rotvec([0.0, 1e-3, 0.0]).as_matrix(), (4, 1, 1))
-    result = judge_pose(command, corners, turns)
+    rotations = np.tile(Rotation.from_rotvec([0.0, 1e-3, 0.0]).as_matrix(), (4, 1, 1))
+    result = judge_pose(command, corners, rotations)
     assert result.AP == pytest.approx(2e-3)
     assert result.RP == pytest.approx(np.sqrt(3) * 1e-3), "all are as far from the barycentre"
     assert result.AP_abc == pytest.approx((0.0, 1e-3, 0.0), abs=1e-15)
     assert result.RP_abc == pytest.approx((0.0, 0.0, 0.0), abs=1e-15)
     line = np.array([[0.0, 0, 0], [0.0, 0, 0], [3e-3, 0, 0]])  # distances 1, 1, 2 mm
-    spread = judge_pose((np.eye(3), np.zeros(3)), line, np.tile(np.eye(3), (3, 1, 1)))
-    assert spread.RP == pytest.approx((4.0 / 3.0 + 3.0 * np.sqrt(1.0 / 3.0)) * 1e-3)
+    line_result = judge_pose((np.eye(3), np.zeros(3)), line, np.tile(np.eye(3), (3, 1, 1)))
+    assert line_result.RP == pytest.approx((4.0 / 3.0 + 3.0 * np.sqrt(1.0 / 3.0)) * 1e-3)
     assert compute_direction_spread(
         [corners, corners + np.array([0.0, 3e-3, 0.0])]
     ) == pytest.approx(3e-3)
@@ -218,32 +221,32 @@ def asked() -> Asked:
                  tracker=15e-6, tracker_angle=np.inf, seed=1)  # fmt: skip
 
 
-def test_a_controller_with_what_was_found_reaches_its_poses(tmp_path: Path, asked: Asked) -> None:
+def test_a_controller_with_what_was_found_reaches_its_poses(tmp_path: Path, test: Asked) -> None:
     """As near as without deviations, up to the fit's accuracy; before it misses by millimetres."""
     file = own_three_axis(tmp_path, "")
     scene, gains = load_scene(file), load_gains(file)
     joints = PoseModel(scene.urdf, scene.joint_names, scene.tool).displaced
-    drawn = draw_deviations(joints, np.random.default_rng(5))
-    given = {name: one.given for name, one in drawn.items()}
-    given["elbow"] |= {"encoder_zero": 2e-3}
-    deviating = load_scene(file, {"calibration": {"joints": given}})
+    deviations = draw_deviations(joints, np.random.default_rng(5))
+    numbers = {name: deviation.given for name, deviation in deviations.items()}
+    numbers["elbow"] |= {"encoder_zero": 2e-3}
+    deviating = load_scene(file, {"calibration": {"joints": numbers}})
     out = tmp_path / "found.yaml"
     stages: list[str] = []
-    edge, before, found, after = measure_accuracy(deviating, gains, asked, stages.append, out)
+    edge, before, calibrated, after = measure_accuracy(deviating, gains, test, stages.append, out)
     assert stages == ["cube", "before", "random poses", "after"]
-    assert edge == pytest.approx(asked.edge)
-    assert found is not None and after is not None
-    sound = measure_accuracy(scene, gains, replaced(asked, poses=0), stages.append, out)[1]
+    assert edge == pytest.approx(test.edge)
+    assert calibrated is not None and after is not None
+    sound = measure_accuracy(scene, gains, replaced(test, poses=0), stages.append, out)[1]
     assert before.AP > 1e-3, "deviations of published size"
     # 25 poses with 15 um per axis: their mean error is a third of it in each of three axes.
     assert abs(after.AP - sound.AP) < 3e-5
-    assert found.before[0].max() > 1e-3
-    assert np.sqrt(np.mean(found.after[0] ** 2)) < 5e-5, "the tracker's noise: 26 um in space"
+    assert calibrated.before[0].max() > 1e-3
+    assert np.sqrt(np.mean(calibrated.after[0] ** 2)) < 5e-5, "the tracker's noise: 26 um in space"
     assert before.RP < 1e-4 and after.RP < 1e-4, "the class of such arms"
 
 
-def replaced(asked: Asked, **values: Any) -> Asked:
-    return Asked(**{**asked.__dict__, **values})
+def replaced(test: Asked, **values: Any) -> Asked:
+    return Asked(**{**test.__dict__, **values})
 
 
 def test_motion_control_takes_the_place_of_links_by_counts_and_wind_up(tmp_path: Path) -> None:
@@ -263,7 +266,7 @@ def test_the_command_states_what_it_has_measured(
     out = tmp_path / "found.yaml"
     code = accuracy(str(file), cycles=2, centre=CENTRE, edge=0.1, dwell=0.2, draw=3, fit=12, held=3,
                     positions=True, out=out)  # fmt: skip
-    shown = capsys.readouterr().out
+    text = capsys.readouterr().out
     assert code == 0
     for words in (
         "2 cycles of 5 poses in a cube of 0.1 m",
@@ -272,7 +275,7 @@ def test_the_command_states_what_it_has_measured(
         "3 held poses, after",
         "cannot be distinguished",
     ):
-        assert words in shown  # fmt: skip
+        assert words in text  # fmt: skip
     assert load_scene(file, {"calibration": {"file": out.name}}).calibration.deviations
     calibrated = own_three_axis(
         tmp_path / "calibrated", "calibration: {joints: {elbow: {x: 1e-3}}}\n"

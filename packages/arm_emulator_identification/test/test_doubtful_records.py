@@ -52,7 +52,7 @@ def test_a_sound_record_gives_no_warning(seed: int) -> None:
 
 
 CASES = [("three_axis", 0, effect) for effect in EFFECTS] + [
-    (*one, effect) for effect in EFFECTS for one in RECORDS if one != ("three_axis", 0)
+    (*machine, effect) for effect in EFFECTS for machine in RECORDS if machine != ("three_axis", 0)
 ]
 
 
@@ -61,7 +61,7 @@ def test_effects_that_a_scene_lacks_are_named_and_widen_the_deviations(
     machine: str, seed: int, effect: str
 ) -> None:
     inside, names, _ = with_effect(machine, effect, seed)
-    assert any(one in name for one in EFFECTS[effect][1] for name in names), names
+    assert any(text in name for text in EFFECTS[effect][1] for name in names), names
     # Of normal errors 95 % are; those of one record go together.
     assert inside >= 0.85, f"{inside} of the numbers within two deviations"
 
@@ -75,8 +75,8 @@ def test_a_few_spikes_are_found_one_by_one() -> None:
     np.testing.assert_array_equal(clean.tau, run.tau)
     at = rng.choice(np.arange(10, len(run.t) - 10), 12, replace=False)
     run.tau[at, 1] += 4.0 * run.tau[:, 1].std() * rng.choice([-1.0, 1.0], 12)
-    found, reported = replace_outliers(run)
+    cleaned, reported = replace_outliers(run)
     assert len(reported) == 1
     assert reported[0].startswith(f"torque of {run.joints[1]}: 12 outliers"), reported
-    left = np.abs(found.tau - clean.tau)[:, 1]
+    left = np.abs(cleaned.tau - clean.tau)[:, 1]
     assert left.max() < 0.5 * run.tau[:, 1].std(), "neighbours stand in their place"

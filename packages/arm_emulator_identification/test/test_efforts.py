@@ -73,11 +73,11 @@ def taken(joint: Joint, moved: float, t: np.ndarray, of_link: list[np.ndarray],
     for _ in range(8):  # friction under load is part of what loads it
         at = ShaftMotion(t, of_link[0], of_link[1], a, T, command / Ng, Ng)
         efforts = [part.effort(at) for part in joint.parts if part.shaft == "link"]
-        on_link = link + sum(one for one in efforts if one is not None)
+        on_link = link + sum(effort for effort in efforts if effort is not None)
         T = T if joint.gear.stiffness is None else on_link
     at = ShaftMotion(t, of_rotor[0], of_rotor[1], of_rotor[2], Ng * T, command, Ng)
     efforts = [part.effort(at) for part in joint.parts if part.shaft == "rotor"]
-    return Ng * on_link + sum((one for one in efforts if one is not None), none)
+    return Ng * on_link + sum((effort for effort in efforts if effort is not None), none)
 
 
 @pytest.mark.parametrize("drives", MACHINES, ids=["rigid", "elastic"])
@@ -95,23 +95,23 @@ def test_parts_state_the_torque_that_the_core_gives(
         state = plant.state
         rows.append((state.q, state.v, state.theta_m, state.omega_m))
         plant.advance(weight + size * waves[k], EVERY)
-    q, v, theta_m, omega_m = (np.array(one) for one in zip(*rows, strict=True))
+    q, v, theta_m, omega_m = (np.array(column) for column in zip(*rows, strict=True))
     a, a_m = (np.gradient(speed, t, axis=0) for speed in (v, omega_m))
     command = weight + size * waves
     acting = 0.5 * (command + np.vstack([command[:1], command[:-1]]))
     for j, (joint, moved) in enumerate(zip(scene.joints, MOVED, strict=True)):
-        of_link = [one[:, j] for one in (q, v, a)]
-        of_rotor = [one[:, j] for one in (theta_m, omega_m, a_m)]
-        got = taken(joint, moved, t, of_link, of_rotor, acting[:, j])
+        of_link = [signal[:, j] for signal in (q, v, a)]
+        of_rotor = [signal[:, j] for signal in (theta_m, omega_m, a_m)]
+        actual = taken(joint, moved, t, of_link, of_rotor, acting[:, j])
         # Bristles begin straight; at reversals a is that of before and after.
         inner = np.minimum.reduce([np.roll(np.abs(v[:, j]), s) for s in range(-4, 5)])
         good = (inner > 0.05 * np.abs(v[:, j]).max()) & (t > 0.2) & (t < t[-1] - 0.01)
         assert good.mean() > 0.4, f"{joint.name} hardly moves"
-        error = np.abs(got - acting[:, j])[good]
-        spread = acting[:, j].std()
+        error = np.abs(actual - acting[:, j])[good]
+        deviation = acting[:, j].std()
         # The bound is what waves of the teeth shift their own phase by.
-        assert np.quantile(error, 0.98) < 0.005 * spread, (
-            f"{joint.name}: {np.quantile(error, 0.98) / spread:.3g} of its torque"
+        assert np.quantile(error, 0.98) < 0.005 * deviation, (
+            f"{joint.name}: {np.quantile(error, 0.98) / deviation:.3g} of its torque"
         )
 
 

@@ -25,7 +25,7 @@ def scene() -> Scene:
 def modified(scene: Scene, values: Mapping[str, float]) -> dict[str, float]:
     """Weaker magnets lower both constants of all motors alike; belts are the gears' stiffness."""
     of = {"torque_constant": "magnets", "back_emf_constant": "magnets", "stiffness": "belts"}
-    nominal = {one.name: one.value for one in scene.varied}
+    nominal = {number.name: number.value for number in scene.varied}
     return {name: values[of[name.rpartition(".")[2]]] * value for name, value in nominal.items()}
 
 
@@ -46,27 +46,27 @@ def record(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 def test_shares_of_many_numbers_are_found(scene: Scene) -> None:
     rows, angles = record(scene)
-    found = fit_numbers(
+    fitted = fit_numbers(
         scene, rows, {"theta_m": angles}, SOUGHT, lambda values: modified(scene, values)
     )
     for name, true in TRUTH.items():
-        error = found.values[name] - true
-        assert abs(error) < 0.01 * true, (name, found)
-        assert abs(error) < 5.0 * found.deviations[name] + 1e-4, (name, found)
-    assert found.numbers == modified(scene, found.values)
+        error = fitted.values[name] - true
+        assert abs(error) < 0.01 * true, (name, fitted)
+        assert abs(error) < 5.0 * fitted.deviations[name] + 1e-4, (name, fitted)
+    assert fitted.numbers == modified(scene, fitted.values)
     count = 2.0 * np.pi / scene.joints[0].counts_per_turn
-    assert found.errors["theta_m"] == pytest.approx(count / np.sqrt(12.0), rel=0.1), "half a count"
+    assert fitted.errors["theta_m"] == pytest.approx(count / np.sqrt(12.0), rel=0.1), "half a count"
 
 
 def test_without_a_modifier_the_unknowns_are_numbers_of_the_scene(scene: Scene) -> None:
     rows, angles = record(scene)
-    nominal = {one.name: one.value for one in scene.varied}
-    sought = {name: Sought(value, 0.2 * value) for name, value in nominal.items()}
-    found = fit_numbers(scene, rows, {"theta_m": angles}, sought)
+    nominal = {number.name: number.value for number in scene.varied}
+    unknowns = {name: Sought(value, 0.2 * value) for name, value in nominal.items()}
+    fitted = fit_numbers(scene, rows, {"theta_m": angles}, unknowns)
     for name, true in modified(scene, TRUTH).items():
         if not name.endswith("stiffness"):  # each by itself shows little in so short a record
-            assert found.values[name] == pytest.approx(true, rel=0.03), (name, found)
-        assert found.deviations[name] < 0.21 * nominal[name]
+            assert fitted.values[name] == pytest.approx(true, rel=0.03), (name, fitted)
+        assert fitted.deviations[name] < 0.21 * nominal[name]
 
 
 @pytest.mark.parametrize(
@@ -88,24 +88,24 @@ def test_without_a_modifier_the_unknowns_are_numbers_of_the_scene(scene: Scene) 
     ],
 )  # fmt: skip
 def test_bad_arguments_are_refused(scene: Scene, change: dict[str, object], rule: str) -> None:
-    given = {"commands": np.zeros((5, 3)), "signals": {"q": np.zeros((5, 3))}, "sought": SOUGHT}
+    arguments = {"commands": np.zeros((5, 3)), "signals": {"q": np.zeros((5, 3))}, "sought": SOUGHT}
     with pytest.raises(Refusal, match=rule):
-        fit_numbers(scene, **(given | change))
+        fit_numbers(scene, **(arguments | change))
 
 
 @pytest.mark.parametrize("ends", [(0.8, 0.925), (0.935, 0.936), (0.9, 1.0)])
 def test_an_unknown_stays_in_its_range_however_narrow(
     scene: Scene, ends: tuple[float, float]
 ) -> None:
-    (least, most), asked = ends, []
+    (low, high), tried = ends, []
     rows, angles = record(scene)
 
     def modifier(values: Mapping[str, float]) -> dict[str, float]:
-        asked.append(values["magnets"])
+        tried.append(values["magnets"])
         return modified(scene, {**TRUTH, **values})
 
-    sought = {"magnets": Sought(least, 0.2, least, most)}
-    found = fit_numbers(scene, rows[:60], {"theta_m": angles[:60]}, sought, modifier)
-    assert all(least <= one <= most for one in asked)
-    nearest = min(max(TRUTH["magnets"], least), most)
-    assert found.values["magnets"] == pytest.approx(nearest, abs=1e-3), "counts are coarse"
+    unknowns = {"magnets": Sought(low, 0.2, low, high)}
+    fitted = fit_numbers(scene, rows[:60], {"theta_m": angles[:60]}, unknowns, modifier)
+    assert all(low <= value <= high for value in tried)
+    nearest = min(max(TRUTH["magnets"], low), high)
+    assert fitted.values["magnets"] == pytest.approx(nearest, abs=1e-3), "counts are coarse"

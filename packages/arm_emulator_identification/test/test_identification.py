@@ -50,7 +50,7 @@ def swapped(rows: np.ndarray, i: int, j: int) -> np.ndarray:
 def slips() -> dict[str, MeasuredRun]:
     """Every sign, every pair of axes, and units, in an order drawn at random."""
     q, tau = RUN_A.q_motor, RUN_A.tau
-    made = {
+    mistakes = {
         "degrees reported as radians": other(q_motor=np.degrees(q)),
         "radians reported as degrees": other(q_motor=np.radians(q)),
         "torques at the links": other(tau=tau / RATIO),
@@ -58,15 +58,15 @@ def slips() -> dict[str, MeasuredRun]:
     }
     for j in range(6):
         flip = np.where(np.arange(6) == j, -1.0, 1.0)
-        made[f"torque {j} turned round"] = other(tau=flip * tau)
-        made[f"angle {j} turned round"] = other(q_motor=flip * q)
+        mistakes[f"torque {j} turned round"] = other(tau=flip * tau)
+        mistakes[f"angle {j} turned round"] = other(q_motor=flip * q)
         for i in range(j):
-            made[f"torques {i} {j} swapped"] = other(tau=swapped(tau, i, j))
-            made[f"angles {i} {j} swapped"] = other(q_motor=swapped(q, i, j))
+            mistakes[f"torques {i} {j} swapped"] = other(tau=swapped(tau, i, j))
+            mistakes[f"angles {i} {j} swapped"] = other(q_motor=swapped(q, i, j))
             both = other(tau=swapped(tau, i, j), q_motor=swapped(q, i, j))
-            made[f"columns {i} {j} swapped"] = both
-    drawn = np.random.default_rng(3).permutation(sorted(made))
-    return {str(name): made[str(name)] for name in drawn}
+            mistakes[f"columns {i} {j} swapped"] = both
+    names = np.random.default_rng(3).permutation(sorted(mistakes))
+    return {str(name): mistakes[str(name)] for name in names}
 
 
 def test_the_record_as_it_is_passes() -> None:
@@ -81,8 +81,8 @@ def test_a_record_with_a_slip_is_refused_by_its_name(slip: str) -> None:
     with pytest.raises(Refusal) as refusal:
         look_over(SLIPS[slip])
     answer = str(refusal.value)
-    what = {"degrees": "angles", "radians": "angles", "torques": "torques", "torque": "axis"}
-    assert what.get(slip.split(maxsplit=1)[0], "axis") in answer, f"{slip}: {answer}"
+    quantities = {"degrees": "angles", "radians": "angles", "torques": "torques", "torque": "axis"}
+    assert quantities.get(slip.split(maxsplit=1)[0], "axis") in answer, f"{slip}: {answer}"
     if slip.endswith("swapped"):
         i, j = (int(number) + 1 for number in slip.split()[1:3])
         assert f"axis_{i}" in answer or f"axis_{j}" in answer, f"{slip}: {answer}"
@@ -93,10 +93,10 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
     K, j = len(RUN_A.t), int(rng.integers(6))
     moving = np.flatnonzero(np.abs(np.gradient(RUN_A.q_motor[:, j], 0.004)) > 0.1)
     at = int(rng.choice(moving[(moving > 300) & (moving < K - 300)]))
-    kept = np.delete(np.arange(K), slice(at, at + int(rng.integers(1, 200))))
-    nan, held, still = RUN_A.tau.copy(), RUN_A.q_motor.copy(), RUN_A.q_motor.copy()
-    nan[at, j], held[at : at + 40, j], still[:, j] = np.nan, held[at, j], 0.3
-    cut = {n: getattr(RUN_A, n)[kept] for n in ("t", "q_motor", "tau", "q_link")}
+    remaining = np.delete(np.arange(K), slice(at, at + int(rng.integers(1, 200))))
+    nan, frozen, still = RUN_A.tau.copy(), RUN_A.q_motor.copy(), RUN_A.q_motor.copy()
+    nan[at, j], frozen[at : at + 40, j], still[:, j] = np.nan, frozen[at, j], 0.3
+    cut = {n: getattr(RUN_A, n)[remaining] for n in ("t", "q_motor", "tau", "q_link")}
     speeds = RUN_A.v_motor * np.where(np.arange(6) == j, -1.0, 1.0)
     huge = RUN_A.tau.copy()
     huge[at, j] = 10.0 ** rng.integers(10, 300)
@@ -112,7 +112,7 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
         ),
         "clock": (other(t=RUN_A.t * 10.0 ** rng.choice([-9, 3, 6])), "t must be in s"),
         "gap": (other(**cut), "without gaps"),
-        "frozen": (other(q_motor=held), f"q_motor of {name} must change"),
+        "frozen": (other(q_motor=frozen), f"q_motor of {name} must change"),
         "at rest": (other(q_motor=still), f"{name} must move"),
         "time": (other(t=back), "t must increase"),
         "speeds": (dataclasses.replace(RUN_A, v_motor=speeds), f"v_mot of {name} must be the rate"),
@@ -161,19 +161,23 @@ def test_the_shipped_machine_is_near_what_identify_makes_of_run_a(
 ) -> None:
     """From run A alone; free runs have moved the shipped one a little since."""
     late = [f"{name}={value}" for name, value in DELAYS.items()]
-    out, given = tmp_path / "kuka_kr300.yaml", str(DATA / "given.yaml")
+    out, start = tmp_path / "kuka_kr300.yaml", str(DATA / "given.yaml")
     identify(
-        given, SHIPPED[0], hold="links.link_6.x,links.link_6.y", out=out, angles="deg", delay=late
+        start, SHIPPED[0], hold="links.link_6.x,links.link_6.y", out=out, angles="deg", delay=late
     )
     assert "not identifiable" in capsys.readouterr().out
-    made, shipped = load_scene(out), load_scene("kuka_kr300")
+    identified, shipped = load_scene(out), load_scene("kuka_kr300")
     friction, stiffness = 0.2, 0.05
-    for one, same in zip(made.joints, shipped.joints, strict=True):
+    for identified_joint, same in zip(identified.joints, shipped.joints, strict=True):
         for name in ("viscous", "coulomb"):
-            values = (getattr(joint.rotor_friction, name) for joint in (one, same))
-            assert next(values) == pytest.approx(next(values), rel=friction), f"{one.name} {name}"
-        if one.gear.stiffness is not None:
-            assert one.gear.stiffness == pytest.approx(same.gear.stiffness, rel=stiffness)
+            values = (getattr(joint.rotor_friction, name) for joint in (identified_joint, same))
+            assert next(values) == pytest.approx(next(values), rel=friction), (
+                f"{identified_joint.name} {name}"
+            )
+        if identified_joint.gear.stiffness is not None:
+            assert identified_joint.gear.stiffness == pytest.approx(
+                same.gear.stiffness, rel=stiffness
+            )
 
 
 def test_truth_lies_within_the_confidence_reported() -> None:
@@ -191,11 +195,14 @@ def fitted(folder: Path, scene: Scene, file: Path, seed: int) -> tuple[Scene, di
     N = len(scene.joints)
     model = TorqueModel(scene, (10.0 * np.ones(N), np.ones(N)), 0.5)
     values = model.start + model.widths * rng.standard_normal(len(model.start))
-    values = np.clip(values, [one.least for one in model.unknowns],
-                     [one.most for one in model.unknowns])  # fmt: skip
+    values = np.clip(values, [unknown.least for unknown in model.unknowns],
+                     [unknown.most for unknown in model.unknowns])  # fmt: skip
     pairs = zip(model.unknowns, values, strict=True)
-    numbers = {one.name: float(value) for one, value in pairs
-               if one.name.startswith("joints.") and not one.name.endswith("offset")}  # fmt: skip
+    numbers = {
+        unknown.name: float(value)
+        for unknown, value in pairs
+        if unknown.name.startswith("joints.") and not unknown.name.endswith("offset")
+    }
     bodies = [
         inertia.make_body(row) if inertia.is_body(bare) else bare
         for row, bare in zip(model.bodies(values), scene.bare, strict=True)
@@ -214,13 +221,13 @@ def test_the_identified_scene_loads_with_the_identified_numbers(tmp_path: Path, 
         for joint in again.joints:
             for part in joint.parts:
                 for key in part.numbers():
-                    wanted = numbers.get(f"joints.{joint.name}.{part.section}.{key}")
-                    if wanted is not None:
-                        assert getattr(part, key) == pytest.approx(wanted, rel=1e-8), (
+                    expected = numbers.get(f"joints.{joint.name}.{part.section}.{key}")
+                    if expected is not None:
+                        assert getattr(part, key) == pytest.approx(expected, rel=1e-8), (
                             f"{joint.name}: {part.section}.{key}"
                         )
-        for one, was in zip(again.joints, scene.joints, strict=True):
-            assert [type(part) for part in one.parts] == [type(part) for part in was.parts]
+        for loaded, was in zip(again.joints, scene.joints, strict=True):
+            assert [type(part) for part in loaded.parts] == [type(part) for part in was.parts]
 
 
 def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path) -> None:
@@ -236,11 +243,11 @@ def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path)
             integrator={"scheme": "rosenbrock", "dt": 1e-3},
         )  # fmt: skip
     record = make_record(load_scene(files["true"]), 3, 10.0, 1e-6, 0.01)
-    known = load_scene(files["known"])
+    nominal = load_scene(files["known"])
     data = filter_run(record, np.array([0.05]), 10.0)
-    model = TorqueModel(known, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
+    model = TorqueModel(nominal, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
     fit = fit_torques(model, data, model.choose(["motor"], "test"))
-    numbers = {one.name: one for one in list_found(known, fit)}
-    one = numbers["joints.joint.motor.rotor_inertia"]
-    assert one.value == 1e-3
-    assert "left as it was: this record drives it to 5e-05" in one.line
+    numbers = {number.name: number for number in list_found(nominal, fit)}
+    number = numbers["joints.joint.motor.rotor_inertia"]
+    assert number.value == 1e-3
+    assert "left as it was: this record drives it to 5e-05" in number.line

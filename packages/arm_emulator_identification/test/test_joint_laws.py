@@ -50,7 +50,7 @@ def answer(
     with output.printed(as_json=True):
         assert identify(str(file), data, fit="joints.*", out=file.parent / "out.yaml") == 0
     numbers = json.loads(capsys.readouterr().out)["numbers"]
-    return {one["name"].removeprefix("joints.joint."): one for one in numbers}
+    return {number["name"].removeprefix("joints.joint."): number for number in numbers}
 
 
 def test_numbers_that_a_record_does_not_show_keep_their_values_and_state_their_needs(
@@ -58,33 +58,33 @@ def test_numbers_that_a_record_does_not_show_keep_their_values_and_state_their_n
 ) -> None:
     hysteresis = {"torque": 2.0, "twist": 2e-3}
     gear = {"stiffness": 1e4, "damping": 20.0, "hysteresis": hysteresis}
-    found = answer(write_arm(tmp_path, LAW | AT_REST, **gear), capsys)
+    numbers = answer(write_arm(tmp_path, LAW | AT_REST, **gear), capsys)
     for key, value in AT_REST.items():
-        one = found[f"motor.friction.{key}"]
-        assert one["value"] == pytest.approx(value, rel=1e-9), "nothing in motion depends on it"
-        assert not one["identified"] and "stribeck" in one["remark"]
+        number = numbers[f"motor.friction.{key}"]
+        assert number["value"] == pytest.approx(value, rel=1e-9), "nothing in motion depends on it"
+        assert not number["identified"] and "stribeck" in number["remark"]
     for key, value in {"stiffness": 1e4, **{f"hysteresis.{k}": v for k, v in hysteresis.items()}
                        }.items():  # fmt: skip
-        one = found[f"gear.{key}"]
-        assert abs(one["value"] - value) < 3.0 * one["deviation"], key
+        number = numbers[f"gear.{key}"]
+        assert abs(number["value"] - value) < 3.0 * number["deviation"], key
     # Link and rotor turn together: the same friction at either takes the same torque.
-    assert found["friction.load"]["mixed"] == ["joints.joint.motor.friction.load"]
-    assert found["friction.load"]["value"] == 0.05
+    assert numbers["friction.load"]["mixed"] == ["joints.joint.motor.friction.load"]
+    assert numbers["friction.load"]["value"] == 0.05
     for key in ("viscous", "coulomb", "motor_load"):
-        assert found[f"motor.friction.{key}"]["identified"], key
+        assert numbers[f"motor.friction.{key}"]["identified"], key
 
 
-@pytest.mark.parametrize("shown", [False, True])
+@pytest.mark.parametrize("at_link", [False, True])
 def test_a_loop_needs_encoders_at_the_link_and_a_linear_spring(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], shown: bool
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], at_link: bool
 ) -> None:
     gear = {"stiffness": 1e4, "damping": 20.0, "hysteresis": {"torque": 2.0, "twist": 2e-3}}
-    gear |= {"cubic_stiffness": 1e6} if shown else {}
-    found = answer(write_arm(tmp_path, LAW, **gear), capsys, at_link=shown)
+    gear |= {"cubic_stiffness": 1e6} if at_link else {}
+    numbers = answer(write_arm(tmp_path, LAW, **gear), capsys, at_link=at_link)
     for key, value in (("stiffness", 1e4), ("hysteresis.torque", 2.0), ("hysteresis.twist", 2e-3)):
-        one = found[f"gear.{key}"]
-        assert one["value"] == value and not one["identified"]
-        assert ("linear spring" if shown else "encoder at the link") in one["remark"]
+        number = numbers[f"gear.{key}"]
+        assert number["value"] == value and not number["identified"]
+        assert ("linear spring" if at_link else "encoder at the link") in number["remark"]
 
 
 def test_truth_lies_within_the_confidence_of_gears_with_hysteresis() -> None:

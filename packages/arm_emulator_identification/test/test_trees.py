@@ -45,8 +45,8 @@ TOLERANCE = 1e-10
 TREES = [(1, 5), (2, 12), (3, 3), (4, 7), (5, 14), (6, 9), (7, 26)]
 
 
-def relative(got: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.linalg.norm(got - expected) / np.linalg.norm(expected))
+def relative(actual: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
 
 
 @pytest.mark.parametrize(("seed", "joints"), some(TREES, 1))
@@ -132,13 +132,13 @@ def test_a_wrench_acts_on_the_way_to_its_link_alone(tmp_path: Path) -> None:
         wrench = ExternalWrench(force, moment, point, axes="world")
         free = plant.links.nle(q, v)
         plant.set_external_wrench(joint.link, wrench)
-        got = free - plant.links.nle(q, v)
+        actual = free - plant.links.nle(q, v)
         plant.set_external_wrench(joint.link, ExternalWrench())
         J, R = oracle.jacobian(q, joint.link)
         expected = J.T @ np.concatenate([force, moment + np.cross(R @ point, force)])
-        assert got == pytest.approx(expected, abs=1e-12), "J^T w"
+        assert actual == pytest.approx(expected, abs=1e-12), "J^T w"
         beside = [k for k in range(4) if k not in scene.chain.way_to(j)]
-        assert (expected[beside] == 0.0).all() and np.abs(got[beside]).max(initial=0.0) < 1e-13
+        assert (expected[beside] == 0.0).all() and np.abs(actual[beside]).max(initial=0.0) < 1e-13
 
 
 @pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
@@ -180,7 +180,7 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
         urdf = random_tree_urdf(rng, 9)
         names = tuple(moving_joints(urdf))
         arms = (Kinematics(urdf, names, f"{name}_link", task="position") for name in names)
-        arm = max(arms, key=lambda one: int(one.to_tool.sum()))
+        arm = max(arms, key=lambda candidate: int(candidate.to_tool.sum()))
     q = rng.uniform(-1.0, 1.0, 9)
     J = arm.jacobian(q)
     assert (J[:, ~arm.to_tool] == 0.0).all()
@@ -188,8 +188,8 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
     v = np.where(arm.to_tool, 0.0, rng.uniform(-0.2, 0.2, 9))
     law.begin(q, v)
     stop = law.motion.at(law.motion.duration).q
-    way = rng.uniform(-0.3, 0.3, 9)
-    R_WT, p_WT = arm.forward(q + np.where(arm.to_tool, way, 0.0))
+    travel = rng.uniform(-0.3, 0.3, 9)
+    R_WT, p_WT = arm.forward(q + np.where(arm.to_tool, travel, 0.0))
     target = Pose(p_WT, R_WT)
     rows = [law.update(law.coming.q, target).q for _ in range(1500)]
     assert law.is_resting, law.notices
@@ -222,5 +222,5 @@ def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
     for link in scene.chain.carried:
         tool = dataclasses.replace(scene, tool=link)
         p = ToolChain(tool).positions(q.T)
-        expected = [oracle.place(one, link) for one in q]
+        expected = [oracle.place(position, link) for position in q]
         assert p.T == pytest.approx(np.array(expected), abs=1e-12), f"place of {link} [m]"

@@ -87,18 +87,18 @@ def test_a_wrong_machine_is_rejected_on_every_run(kind: str, word: str, path: Pa
 
 @pytest.mark.parametrize("path", some(SHIPPED, 0))
 def test_free_runs_are_nearer_than_null_models(path: Path) -> None:
-    found = compare(path)
-    assert found.good, found.failures
-    judged = [figure for figure in found.figures if not figure.yardstick]
-    assert {one.title.strip().split(",")[0] for one in judged} >= {
+    comparison = compare(path)
+    assert comparison.good, comparison.failures
+    judged = [figure for figure in comparison.figures if not figure.yardstick]
+    assert {figure.title.strip().split(",")[0] for figure in judged} >= {
         "free run of 0.6 s", "free run of 2 s",
     }  # fmt: skip
-    for one in judged:  # every figure that is shown can fail
+    for judged_figure in judged:  # every figure that is shown can fail
         ends = [
-            list(dataclasses.replace(one, values=np.full(6, end), overall=None).failures)
+            list(dataclasses.replace(judged_figure, values=np.full(6, end), overall=None).failures)
             for end in (-1e9, 1e9)
         ]
-        assert any(ends), one.title
+        assert any(ends), judged_figure.title
 
 
 def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:
@@ -114,10 +114,10 @@ def test_the_verdict_on_the_manutec_takes_order_speed_and_every_figure() -> None
 
     def like(period: float, **more: Any) -> tuple[manutec_r3.Comparison, float]:
         size = (period / SHOWN) ** 2
-        given = {name: 0.5 * most * size * axes for name, most in MOST.items()}
-        one = manutec_r3.Comparison(**given, other_modes=20, rows=4688)
+        errors = {name: 0.5 * limit * size * axes for name, limit in MOST.items()}
+        comparison = manutec_r3.Comparison(**errors, other_modes=20, rows=4688)
         speed = more.pop("speed", 100.0)
-        return dataclasses.replace(one, **more), speed
+        return dataclasses.replace(comparison, **more), speed
 
     periods = (2e-4, SHOWN, 2e-5, 1e-5, 5e-6)
     good = {period: like(period) for period in periods}

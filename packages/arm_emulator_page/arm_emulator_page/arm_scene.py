@@ -58,7 +58,9 @@ class ArmScene:
             self._model.joints[self._model.getJointId(joint)] for joint in self._shafts.joints
         ]
         self._turns = [(joint.idx_q, joint.nq == 2) for joint in joints]
-        self._handles = [self._added(k, one) for k, one in enumerate(self._shapes.geometryObjects)]
+        self._handles = [
+            self._added(k, shape) for k, shape in enumerate(self._shapes.geometryObjects)
+        ]
         self._frame = server.scene.add_frame(f"{name}/tool", axes_length=0.1, axes_radius=0.003)
         self.show(scene.start)
         places = [place.translation for place in (*self._places.oMg, *self._data.oMi)]
@@ -93,22 +95,22 @@ class ArmScene:
 
     def remove(self) -> None:
         """Take the arm and its way out of the scene."""
-        for one in (*self._handles, self._frame, self._way):
-            if one is not None:
-                one.remove()
+        for handle in (*self._handles, self._frame, self._way):
+            if handle is not None:
+                handle.remove()
 
     def trace_tool(self, q: Array) -> Array:
         """Return the tool's positions (K, 3) [m] at positions of the shafts (K, N)."""
-        way = np.empty((len(q), 3))
+        path = np.empty((len(q), 3))
         for k, row in enumerate(q):
             pin.forwardKinematics(self._model, self._data, self._whole(row))
-            way[k] = pin.updateFramePlacement(self._model, self._data, self._tool).translation
-        return way
+            path[k] = pin.updateFramePlacement(self._model, self._data, self._tool).translation
+        return path
 
     def show_way(self, q: Array) -> None:
         """Show the way of the tool through positions of the shafts (K, N)."""
-        way = self.trace_tool(q)
-        pieces = np.stack([way[:-1], way[1:]], axis=1)
+        path = self.trace_tool(q)
+        pieces = np.stack([path[:-1], path[1:]], axis=1)
         moving = pieces[np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) > 1e-6]
         if len(moving):
             color = OVER_WAY if self._over else WAY
@@ -118,8 +120,8 @@ class ArmScene:
 
     def _whole(self, q: Array) -> Array:
         at = pin.neutral(self._model)
-        for (place, turns), angle in zip(self._turns, self._shafts.of_joints(q), strict=True):
-            if turns:
+        for (place, revolute), angle in zip(self._turns, self._shafts.of_joints(q), strict=True):
+            if revolute:
                 at[place : place + 2] = np.cos(angle), np.sin(angle)
             else:
                 at[place] = angle
@@ -127,7 +129,11 @@ class ArmScene:
 
     def _added(self, number: int, shape: Any) -> Any:
         vertices, faces = _make_mesh(shape.geometry)
-        color = tuple(float(one) for one in shape.meshColor[:3]) if shape.overrideMaterial else GREY
+        color = (
+            tuple(float(channel) for channel in shape.meshColor[:3])
+            if shape.overrideMaterial
+            else GREY
+        )
         look = {"color": OVER, "opacity": OPACITY} if self._over else {"color": color}
         return self._server.scene.add_mesh_simple(
             f"{self._name}/{number}_{shape.name}", vertices, faces, side="double", **look
@@ -154,6 +160,8 @@ def _make_mesh(shape: Any) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
             mesh = made.capsule(2.0 * shape.halfLength, shape.radius)
         case _:
             triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
-            faces = np.array([[one[0], one[1], one[2]] for one in triangles], np.uint32)
+            faces = np.array(
+                [[triangle[0], triangle[1], triangle[2]] for triangle in triangles], np.uint32
+            )
             return np.asarray(shape.vertices(), np.float32), faces
     return np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32)

@@ -60,12 +60,12 @@ class LivePage:
         scene: Scene,
         columns: Sequence[Column],
         kind: np.dtype[np.void],
-        hands: Controls,
+        controls: Controls,
         at: str | int = 0,
         varied: Mapping[str, float] | None = None,
     ) -> None:
         self.varied = dict(varied or {})
-        self._scene, self.hands = scene, hands
+        self._scene, self.hands = scene, controls
         self._served = served = PageServer(at)
         self.url, self.server = served.url, served.server
         gui = self.server.gui
@@ -79,7 +79,7 @@ class LivePage:
         self._state, self._dropped, self._over = "", 0, ""
         self.arm = ArmScene(served.server, scene)
         served.look_from(self.arm.size)
-        can = hands.can()
+        can = controls.can()
         gui.add_markdown(f"**{escape_markdown(scene.name)}**")
         self._moment = gui.add_markdown("no tick yet")
         self._slider = gui.add_slider("Tick", 0, 1, 1, 0)
@@ -253,11 +253,11 @@ class LivePage:
             steps = gui.add_button_group("Step", tuple(STEPS))
             steps.on_click(lambda event: self.ask("step", STEPS[event.target.value]))
             for label, key, ticks in (("One tick on", "arrowright", 1), ("Ten on", "arrowup", 10)):
-                one = gui.add_command(label, hotkey=key)
-                one.on_trigger(lambda _, ticks=ticks: self.ask("step", ticks))
+                command = gui.add_command(label, hotkey=key)
+                command.on_trigger(lambda _, ticks=ticks: self.ask("step", ticks))
         if "rate" in can:
-            known = (label for label, factor in RATES.items() if factor == self.hands.factor)
-            now = next(known, None)
+            labels = (label for label, factor in RATES.items() if factor == self.hands.factor)
+            now = next(labels, None)
             rate = gui.add_dropdown("Times real time", tuple(RATES), initial_value=now)
             rate.on_update(lambda _: self.ask("rate", RATES[read_choice(rate, RATES)]))
 
@@ -327,7 +327,7 @@ class LiveHistory:
         place = int(np.argmin(np.abs(rows["tick"] - tick)))
         return rows[place : place + 1]
 
-    def since(self, seconds: float, most: int) -> ColumnRows:
+    def since(self, seconds: float, max_rows: int) -> ColumnRows:
         """Return at most so many rows of the last seconds; infinity: of the whole run."""
         if not len(self._newest):
             return self._newest
@@ -336,5 +336,5 @@ class LiveHistory:
         if begin < rows["t"][0]:
             rows = np.concatenate([self._whole[self._whole["t"] < rows["t"][0]], rows])
         rows = rows[np.searchsorted(rows["t"], begin) :]
-        every = max(1, -(-len(rows) // most))
+        every = max(1, -(-len(rows) // max_rows))
         return rows[(len(rows) - 1) % every :: every]

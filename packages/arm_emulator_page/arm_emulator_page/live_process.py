@@ -22,16 +22,16 @@ def main() -> None:
     task = end.task
     try:
         ring = SharedRing(task["memory"], task["kind"])
-        hands: Controls = task["hands"]()
+        controls: Controls = task["hands"]()
         page = LivePage(
-            task["scene"], task["columns"], task["kind"], hands, task["at"], task["varied"]
+            task["scene"], task["columns"], task["kind"], controls, task["at"], task["varied"]
         )
     except Refusal as no:
         end.leave(no)
     end.answer(page.url)
     _show_all(end, ring, page)
     end.end_in_time()
-    hands.close()
+    controls.close()
     page.close()
     end.leave("")
 

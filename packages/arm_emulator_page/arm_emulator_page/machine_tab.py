@@ -55,26 +55,26 @@ def _add_gains(page: Any, gui: Any) -> None:
         read = gui.add_button("Read")
         choice = gui.add_dropdown("Gain", ("not read yet",))
         box = gui.add_number("Value", 0.0, step=0.1)
-        known: dict[str, float] = {}
+        gains: dict[str, float] = {}
 
         def show() -> None:
-            if choice.value in known:
-                box.value = known[choice.value]
+            if choice.value in gains:
+                box.value = gains[choice.value]
 
         def fill() -> None:
             try:
-                known.update(page.hands.do("gains"))
+                gains.update(page.hands.do("gains"))
             except Refusal as reason:
                 page.answer.content = escape_markdown(str(reason))
                 return
-            if known:
-                names = tuple(sorted(known))
-                box.value = known[names[0]]
+            if gains:
+                names = tuple(sorted(gains))
+                box.value = gains[names[0]]
                 choice.options, choice.value = names, names[0]
 
         def put() -> None:
-            if choice.value in known and page.ask("set_gain", choice.value, float(box.value)):
-                known[choice.value] = float(box.value)
+            if choice.value in gains and page.ask("set_gain", choice.value, float(box.value)):
+                gains[choice.value] = float(box.value)
 
         read.on_click(lambda _: fill())
         choice.on_update(lambda event: show() if event.client is not None else None)
@@ -95,7 +95,7 @@ class TargetTab:
 
     def __init__(self, page: Any, server: Any, arm: ArmScene) -> None:
         gui, self._page, self._server, self._arm = server.gui, page, server, arm
-        at = tuple(float(one) for one in arm.p_WT)
+        at = tuple(float(number) for number in arm.p_WT)
         self._place = gui.add_vector3("Position [m], world axes", at, step=0.01)
         gui.add_button("Copy the tool's pose").on_click(lambda _: self._take())
         self._drags = gui.add_checkbox("Drag a handle in the picture", False)
@@ -106,7 +106,7 @@ class TargetTab:
 
     def _take(self) -> None:
         with self._page.exclusive:
-            self._place.value = tuple(float(one) for one in self._arm.p_WT)
+            self._place.value = tuple(float(number) for number in self._arm.p_WT)
             self._wxyz = self._arm.wxyz_WT
             if self._handle is not None:
                 self._handle.position, self._handle.wxyz = self._place.value, self._wxyz
@@ -125,11 +125,11 @@ class TargetTab:
             self._handle.on_update(lambda _: self._dragged())
 
     def _dragged(self) -> None:
-        self._place.value = tuple(float(one) for one in self._handle.position)
-        self._wxyz = tuple(float(one) for one in self._handle.wxyz)
+        self._place.value = tuple(float(number) for number in self._handle.position)
+        self._wxyz = tuple(float(number) for number in self._handle.wxyz)
 
     def _send(self) -> None:
         if self._wxyz is None:
             self._wxyz = self._arm.wxyz_WT
-        place = tuple(float(one) for one in self._place.value)
+        place = tuple(float(number) for number in self._place.value)
         self._page.ask("aim", place, self._wxyz)

@@ -69,10 +69,10 @@ class EventList:
 
     def show(self, events: Sequence[Event]) -> None:
         """Show other events: those that are listed already stay, and newer ones come above them."""
-        known = [event for event, _ in self._shown]
+        listed = [event for event, _ in self._shown]
         newest = list(events[-MOST:])
-        gone = range(len(known) + 1)  # of those that are listed, the oldest
-        self._drop(next(k for k in gone if known[k:] == newest[: len(known) - k]))
+        removed = range(len(listed) + 1)  # of those that are listed, the oldest
+        self._drop(next(k for k in removed if listed[k:] == newest[: len(listed) - k]))
         for event in newest[len(self._shown) :]:
             self._add(event)
         left = len(events) - len(newest)

@@ -134,7 +134,7 @@ class Guard:
         """
         try:
             host = headers.get("Host", "")
-            asked = urlsplit(f"//{host}").hostname
+            hostname = urlsplit(f"//{host}").hostname
             origin = headers.get("Origin")
             own = origin is None or urlsplit(origin).netloc == host
         except (ValueError, LookupError):  # no address, or a header that came twice
@@ -142,7 +142,7 @@ class Guard:
         folders = path.partition("?")[0].split("/")
         if not (path[:1] == "/" and path.isascii() and path.isprintable()) or ".." in folders:
             return Verdict(HTTPStatus.BAD_REQUEST, "the path of the request is malformed")
-        if not self._address.is_asked_by(asked):
+        if not self._address.is_asked_by(hostname):
             reason = "the page is not asked for by its own address"
             return Verdict(HTTPStatus.FORBIDDEN, reason)
         if not own:

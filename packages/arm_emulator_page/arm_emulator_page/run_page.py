@@ -48,14 +48,14 @@ class RunPage:
 
     def __init__(
         self,
-        subject: RunView,
+        run_view: RunView,
         explain: Callable[[], tuple[TermsNow, list[str]]],
         at: str | int = 0,
         over: RunView | None = None,
     ) -> None:
         if over is not None:
-            _check_alike(subject, over)
-        self._subject, self._explain = subject, explain
+            _check_alike(run_view, over)
+        self._subject, self._explain = run_view, explain
         self._over: RunView | None = None
         self._arm_over: ArmScene | None = None
         self.exclusive = threading.RLock()
@@ -68,7 +68,7 @@ class RunPage:
         self.url = self._served.url
         self.arm = ArmScene(server, scene)
         self._served.look_from(self.arm.size)
-        self.arm.show_way(subject.history.values("q"))
+        self.arm.show_way(run_view.history.values("q"))
         self.gui: Any = server.gui
         self._build(server, scene.name)
         if self.arm.missing:
@@ -103,39 +103,39 @@ class RunPage:
         """Return a new tab as a context for its controls."""
         return self._tabs.add_tab(name)
 
-    def turn_to(self, subject: RunView, tick: int) -> None:
+    def turn_to(self, run_view: RunView, tick: int) -> None:
         """Show another run, from a tick on."""
         with self.exclusive:
-            self._subject = subject
-            subject.line.go_to(tick)
-            self.arm.show_way(subject.history.values("q"))
-            self._list.show(subject.events)
+            self._subject = run_view
+            run_view.line.go_to(tick)
+            self.arm.show_way(run_view.history.values("q"))
+            self._list.show(run_view.events)
             self.changing = True
             try:
-                self._slider.max = max(1, subject.last)
+                self._slider.max = max(1, run_view.last)
             finally:
                 self.changing = False
             self._choose_plots()
             self._plot()
             self._show()
 
-    def lay_over(self, subject: RunView | None) -> None:
+    def lay_over(self, view: RunView | None) -> None:
         """Show a second run over this one, at the same ticks, or none any more.
 
         Raises:
             Refusal: it is of other joints or another servo period.
         """
         with self.exclusive:
-            if subject is not None:
-                _check_alike(self._subject, subject)
+            if view is not None:
+                _check_alike(self._subject, view)
             if self._arm_over is not None:
                 self._arm_over.remove()
                 self._arm_over = None
-            self._over = subject
-            if subject is not None:
-                scene = subject.line.run.session.scene
+            self._over = view
+            if view is not None:
+                scene = view.line.run.session.scene
                 self._arm_over = ArmScene(self.server, scene, "/over", over=True)
-                self._arm_over.show_way(subject.history.values("q"))
+                self._arm_over.show_way(view.history.values("q"))
             self._choose_plots()
             self._plot()
             self._show()
@@ -186,8 +186,8 @@ class RunPage:
             ("To the start", "home", "to start"),
             ("To the end", "end", "to end"),
         ):
-            one = gui.add_command(label, hotkey=key)
-            one.on_trigger(lambda _, step=step: self._step(step) if step else self._switch())
+            command = gui.add_command(label, hotkey=key)
+            command.on_trigger(lambda _, step=step: self._step(step) if step else self._switch())
         self._tabs = tabs = gui.add_tab_group()
         with tabs.add_tab("Now"):
             self._numbers = gui.add_markdown("")
@@ -254,7 +254,7 @@ class RunPage:
                 for side, rows in (("link", terms.link), ("rotor", terms.rotor))
             ]
             self._terms.content = "\n\n".join(
-                [*tables, *(f"- {escape_markdown(one)}" for one in active)]
+                [*tables, *(f"- {escape_markdown(text)}" for text in active)]
             )
 
     # Pictures
@@ -282,9 +282,9 @@ class RunPage:
         """Show the moment at which the run is."""
         tick, apart = self.line.tick, ""
         if self._over is not None and self._arm_over is not None:
-            other = self._over.line
-            other.go_to(min(tick, self._over.last))
-            self._arm_over.show(other.run.session.state.q)
+            line_over = self._over.line
+            line_over.go_to(min(tick, self._over.last))
+            self._arm_over.show(line_over.run.session.state.q)
             self.line.go_to(tick)  # forks take turns in one machine
         session = self._session
         state, names = session.state, session.scene.joint_names
@@ -329,8 +329,8 @@ class RunPage:
             )
 
 
-def _check_alike(one: RunView, other: RunView) -> None:
-    first, second = (each.line.run.session.scene for each in (one, other))
+def _check_alike(first_view: RunView, second_view: RunView) -> None:
+    first, second = (each.line.run.session.scene for each in (first_view, second_view))
     if first.joint_names != second.joint_names:
         names = list(second.joint_names)
         raise Refusal("page", "joints of the other run", f"be {list(first.joint_names)}", names)

@@ -38,12 +38,12 @@ class RunView:
         line.go_to(line.first)
         history = SignalHistory(line, last)
         line.go_to(at)
-        made = (
+        event_rows = (
             tuple((change.tick, change.name) for change in line.changes)
             if events is None
             else events
         )
-        return cls(line, last, history, made)
+        return cls(line, last, history, event_rows)
 
 
 MOST = 2000  # samples of a plot
@@ -75,14 +75,14 @@ class SignalHistory:
 
     def values(self, group: str) -> NDArray[np.float64]:
         """Return a quantity at all samples (K, columns)."""
-        columns = [one.of(self._rows).astype(np.float64) for one in self.groups[group]]
+        columns = [column.of(self._rows).astype(np.float64) for column in self.groups[group]]
         return np.stack(columns, axis=1)
 
     def paths(self, group: str) -> list[tuple[str, ...]]:
         """Return the names of a quantity's columns; empty: the run has no such quantity."""
-        return [tuple(one.path) for one in self.groups.get(group, ())]
+        return [tuple(column.path) for column in self.groups.get(group, ())]
 
-    def minus(self, other: SignalHistory, group: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    def minus(self, another: SignalHistory, group: str) -> tuple[NDArray[Any], NDArray[np.float64]]:
         """Return ticks that both have (K,), and the quantity there minus that of the other."""
-        ticks, here, there = np.intersect1d(self.ticks, other.ticks, return_indices=True)
-        return ticks, self.values(group)[here] - other.values(group)[there]
+        ticks, here, there = np.intersect1d(self.ticks, another.ticks, return_indices=True)
+        return ticks, self.values(group)[here] - another.values(group)[there]

@@ -29,8 +29,8 @@ def style_lines(columns: Sequence[Column]) -> tuple[Any, ...]:
     """Return how the columns of a quantity are drawn over time."""
     lines: list[dict[str, Any]] = [{"label": "t [s]"}]
     lines += [
-        {"label": f"{one.path[-1]} [{one.unit}]", "stroke": color, "width": 1.5}
-        for one, color in zip(columns, itertools.cycle(COLORS), strict=False)
+        {"label": f"{column.path[-1]} [{column.unit}]", "stroke": color, "width": 1.5}
+        for column, color in zip(columns, itertools.cycle(COLORS), strict=False)
     ]
     return tuple(lines)
 
@@ -72,9 +72,9 @@ class SignalPlot:
         self._chart.data, self._chart.series = data, style_lines(columns)
 
 
-def read_choice(control: Any, known: Collection[str]) -> str:
+def read_choice(control: Any, values: Collection[str]) -> str:
     """Return the value of a dropdown; the first known one replaces any other value."""
     value = str(control.value)
-    if value not in known:
-        control.value = value = next(iter(known))
+    if value not in values:
+        control.value = value = next(iter(values))
     return value

@@ -112,7 +112,7 @@ class WhatIf:
         with self._page.exclusive:
             line: Timeline[OfflineRun] = self._page.line
             period, begin = line.run.session.scene.servo_period, line.tick
-            name = next(name for name, known in self._lines.items() if known is line)
+            name = next(name for name, future in self._lines.items() if future is line)
             seconds = self.seconds
             if not period <= seconds <= LONGEST:
                 self._answer.content = f"go on for {period:g} to {LONGEST:g} s"
@@ -143,11 +143,11 @@ class WhatIf:
             Refusal: one of them is refused; those before it are made.
         """
         orders = self.orders
-        for one in orders:
-            one.give(line)
+        for order in orders:
+            order.give(line)
         self._by.value, self._gains.value = NO_VECTOR, 1.0
         self._pushes, self._pushed.content = {}, ""
-        return ", ".join(one.name for one in orders)
+        return ", ".join(order.name for order in orders)
 
     @property
     def seconds(self) -> float:
@@ -164,7 +164,7 @@ class WhatIf:
         """Changes that the controls ask for at the moment that is shown."""
         run: OfflineRun = self._page.line.run
         orders: list[Order] = []
-        x, y, z = (float(one) for one in self._by.value)
+        x, y, z = (float(number) for number in self._by.value)
         if (x, y, z) != NO_VECTOR:
             orders.append(MoveTool((x, y, z)))
         if self._power.value != run.session.powered:

@@ -50,13 +50,13 @@ def _in_chromium(url: str, size: Any) -> Iterator[Any]:
         raise Refusal("page", "Chromium", "be installed", "none")
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=chromium, headless=True, args=FLAGS)
-        shown = browser.new_page(viewport=size)
-        shown.set_default_timeout(1000 * PATIENCE)
-        shown.goto(url)
+        page = browser.new_page(viewport=size)
+        page.set_default_timeout(1000 * PATIENCE)
+        page.goto(url)
         # The browser's remark on software rendering.
-        shown.locator(".mantine-Notification-closeButton").first.click()
-        shown.locator(".mantine-Notification-closeButton").first.wait_for(state="detached")
-        yield shown
+        page.locator(".mantine-Notification-closeButton").first.click()
+        page.locator(".mantine-Notification-closeButton").first.wait_for(state="detached")
+        yield page
         browser.close()
 
 
@@ -80,10 +80,10 @@ def look(folder: Path) -> Path:
     page = RunPage(RunView.of(line, LAST), lambda: (TermsNow({}, {}), []))
     file = folder / "look.png"
     try:
-        with _in_chromium(page.url, LOOK) as shown:
-            shown.get_by_role("tab", name="Plot").click()
-            shown.locator(".uplot canvas").first.wait_for()
-            shown.screenshot(path=file)
+        with _in_chromium(page.url, LOOK) as browser_page:
+            browser_page.get_by_role("tab", name="Plot").click()
+            browser_page.locator(".uplot canvas").first.wait_for()
+            browser_page.screenshot(path=file)
     finally:
         page.close()
     return file
@@ -98,13 +98,13 @@ def live(folder: Path) -> Path:
     scene, log, file = _pushed_scene(folder), folder / "log", folder / "live_page.png"
     emulator = {"page_port": 0, "real_time_factor": 1.0}
     network = Bringup(str(scene), start="first_answer", emulator=emulator, log=log)
-    with own_domain(), network, _in_chromium(_url_of(log / "emulator.log"), LIVE) as shown:
-        shown.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
-        shown.get_by_role("tab", name="Push").click()
-        shown.locator(DRAG).check()
-        shown.get_by_role("button", name="Pause", exact=True).click()
-        shown.get_by_text("s, paused").first.wait_for()
-        shown.screenshot(path=file)
+    with own_domain(), network, _in_chromium(_url_of(log / "emulator.log"), LIVE) as browser_page:
+        browser_page.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
+        browser_page.get_by_role("tab", name="Push").click()
+        browser_page.locator(DRAG).check()
+        browser_page.get_by_role("button", name="Pause", exact=True).click()
+        browser_page.get_by_text("s, paused").first.wait_for()
+        browser_page.screenshot(path=file)
     return file
 
 
@@ -112,22 +112,22 @@ def _url_of(log: Path) -> str:
     """Return the address that the emulator prints into its log."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
-        found = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
-        if found:
-            return found[1]
+        match = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
+        if match:
+            return match[1]
         time.sleep(0.1)
     raise TimeoutError("the emulator prints no address")
 
 
 def _pushed_scene(folder: Path) -> Path:
     """Write the three-axis arm, its links open to pushes, into a folder, and return its file."""
-    given = find_scene("three_axis")
-    data = yaml.safe_load(given.read_text(encoding="utf-8"))
-    data["urdf"] = str((given.parent / data["urdf"]).resolve())
+    scene_file = find_scene("three_axis")
+    data = yaml.safe_load(scene_file.read_text(encoding="utf-8"))
+    data["urdf"] = str((scene_file.parent / data["urdf"]).resolve())
     data["external_wrench"] = True
     for kind in ("servo", "motion"):
         (folder / kind).mkdir()
-        shutil.copy(given.parent / kind / "three_axis.yaml", folder / kind)
+        shutil.copy(scene_file.parent / kind / "three_axis.yaml", folder / kind)
     file = folder / "three_axis.yaml"
     file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     return file

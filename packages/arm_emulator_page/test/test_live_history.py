@@ -16,9 +16,9 @@ KIND = np.dtype([("t", "f8"), ("tick", "i8"), ("q", "f8", (2,))])
 
 def rows(begin: int, end: int) -> np.ndarray:
     ticks = np.arange(begin, end)
-    found = np.zeros(len(ticks), KIND)
-    found["tick"], found["t"], found["q"] = ticks, 1e-3 * ticks, ticks[:, None]
-    return found
+    table = np.zeros(len(ticks), KIND)
+    table["tick"], table["t"], table["q"] = ticks, 1e-3 * ticks, ticks[:, None]
+    return table
 
 
 @pytest.mark.parametrize("seed", some(range(50), 8))
@@ -29,18 +29,18 @@ def test_the_newest_rows_stand_one_by_one_and_the_run_is_thinned_evenly(seed: in
         begin, end = end, min(last, end + draw.randrange(0, 4000))
         history.add(rows(begin, end))
     assert history.newest["tick"].tolist() == [last - 1] and history.count == last
-    kept = history._whole["tick"]
-    assert len(kept) <= MOST and kept[0] == 0 and len(history._newest) == min(last, NEWEST)
-    assert len(set(np.diff(kept))) <= 1, "evenly"
+    stored = history._whole["tick"]
+    assert len(stored) <= MOST and stored[0] == 0 and len(history._newest) == min(last, NEWEST)
+    assert len(set(np.diff(stored))) <= 1, "evenly"
     for tick in (0, last // 2, last - 1):
-        every = kept[1] - kept[0] if len(kept) > 1 else 1
+        every = stored[1] - stored[0] if len(stored) > 1 else 1
         near = 0 if tick >= last - NEWEST else every // 2 + 1
         assert abs(history.near(tick)["tick"][0] - tick) <= near
     for seconds in (0.5e-3 * last, math.inf):
-        shown = history.since(seconds, 200)
-        assert 0 < len(shown) <= 200 and shown["tick"][-1] == last - 1
-        assert np.all(np.diff(shown["t"]) > 0.0)
-        assert shown["t"][0] >= 1e-3 * (last - 1) - seconds
+        newest_rows = history.since(seconds, 200)
+        assert 0 < len(newest_rows) <= 200 and newest_rows["tick"][-1] == last - 1
+        assert np.all(np.diff(newest_rows["t"]) > 0.0)
+        assert newest_rows["t"][0] >= 1e-3 * (last - 1) - seconds
 
 
 def test_a_machine_that_begins_anew_has_no_rows_of_before() -> None:

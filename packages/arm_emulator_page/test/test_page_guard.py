@@ -53,9 +53,9 @@ OWN = {"Host": "127.0.0.1:8765"}
     ],
 )  # fmt: skip
 def test_requests_are_judged(path: str, headers: dict[str, str], status: int, below: str) -> None:
-    found = Guard(TOKEN).judge(path, headers)
-    assert found.status == status
-    assert found.path == below if status == 200 else below in found.text
+    response = Guard(TOKEN).judge(path, headers)
+    assert response.status == status
+    assert response.path == below if status == 200 else below in response.text
 
 
 def test_a_header_that_comes_twice_is_malformed() -> None:
@@ -106,11 +106,11 @@ def test_any_request_has_an_answer() -> None:
         path, host, origin = (
             "".join(rng.choice(pieces, int(rng.integers(0, 6)))) for _ in range(3)
         )
-        found = Guard(TOKEN).judge(path, {"Host": host, "Origin": origin})
-        assert found.status in (400, 403), (path, host, origin)
-        found = Guard(TOKEN).judge(path, OWN)
-        assert found.status in (200, 400, 403), path
-        assert (found.status == 200) <= (path.partition("?")[0].split("/")[1:2] == [TOKEN]), path
+        response = Guard(TOKEN).judge(path, {"Host": host, "Origin": origin})
+        assert response.status in (400, 403), (path, host, origin)
+        response = Guard(TOKEN).judge(path, OWN)
+        assert response.status in (200, 400, 403), path
+        assert (response.status == 200) <= (path.partition("?")[0].split("/")[1:2] == [TOKEN]), path
 
 
 @pytest.mark.parametrize(("text", "host", "port"), [
@@ -140,7 +140,7 @@ def test_a_page_for_other_machines_is_asked_for_by_addresses_and_by_its_own_name
     every = PageAddress.of("0.0.0.0:0")
     assert all(map(every.is_asked_by, ("192.168.1.5", "fe80::1", "localhost", every.name)))
     assert not any(map(every.is_asked_by, ("evil.example", "192.168.1.5.evil.example", "", None)))
-    one = PageAddress.of("192.168.1.5:0")
-    assert one.is_asked_by("192.168.1.5") and not one.is_asked_by("192.168.1.6")
-    assert Guard(TOKEN, one).judge(f"/{TOKEN}/", {"Host": "192.168.1.5:80"}).status == 200
-    assert "token" in Guard(TOKEN, one).judge("/", {"Host": "192.168.1.5:80"}).text
+    page_address = PageAddress.of("192.168.1.5:0")
+    assert page_address.is_asked_by("192.168.1.5") and not page_address.is_asked_by("192.168.1.6")
+    assert Guard(TOKEN, page_address).judge(f"/{TOKEN}/", {"Host": "192.168.1.5:80"}).status == 200
+    assert "token" in Guard(TOKEN, page_address).judge("/", {"Host": "192.168.1.5:80"}).text

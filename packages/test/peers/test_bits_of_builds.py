@@ -51,5 +51,5 @@ def test_builds_compute_the_same_bits(
         | {"FULL": os.environ.get("WHOLE", "")},
     )
     assert done.returncode == 0, done.stderr
-    found, kept = json.loads(done.stdout), json.loads(KEPT.read_text())
-    assert found == {name: kept[name] for name in found}, f"{compiler} {target} {level}"
+    digests, stored = json.loads(done.stdout), json.loads(KEPT.read_text())
+    assert digests == {name: stored[name] for name in digests}, f"{compiler} {target} {level}"

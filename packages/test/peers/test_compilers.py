@@ -49,10 +49,10 @@ KINDS = {"g++": range(11, 16), "clang++": range(14, 22)}
 def compilers(kind: str) -> list[str]:
     """Return those of a kind that are installed: the newest, or all of them in full."""
     names = [*(f"{kind}-{version}" for version in reversed(KINDS[kind])), kind]
-    found: dict[str, str] = {}
+    command_by_compiler: dict[str, str] = {}
     for name in filter(shutil.which, names):
-        found.setdefault(identify_compiler([name]), name)
-    return some(found.values(), 1)
+        command_by_compiler.setdefault(identify_compiler([name]), name)
+    return some(command_by_compiler.values(), 1)
 
 
 # Parts that hold another part as their base, by the type of the base.
@@ -119,14 +119,14 @@ def units(folder: Path) -> Iterator[Unit]:
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Unit, list[Path]]]:
     """All units, with the files that hold their sources."""
-    found = []
+    unit_sources = []
     for number, unit in enumerate(units(tmp_path_factory.mktemp("scenes"))):
         folder = tmp_path_factory.mktemp(f"{number}_{unit.name}")
         texts = {"unit.cpp": unit.source, "beside.cpp": unit.beside}
         for name, text in texts.items():
             (folder / name).write_text(text)
-        found.append((unit, [folder / name for name, text in texts.items() if text]))
-    return found
+        unit_sources.append((unit, [folder / name for name, text in texts.items() if text]))
+    return unit_sources
 
 
 def level_of(compiler: str) -> list[str]:
@@ -205,16 +205,16 @@ def machine_of(compiler: str, cache: Path) -> dict[str, list[str]]:
         env={**os.environ, "CXX": compiler, "ARM_EMULATOR_CACHE": str(cache)},
     )
     assert done.returncode == 0, done.stderr
-    found: dict[str, list[str]] = json.loads(done.stdout)
-    return found
+    values: dict[str, list[str]] = json.loads(done.stdout)
+    return values
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_compilers_make_the_same_machine(compiler: str, tmp_path: Path) -> None:
     of_g = machine_of("g++", tmp_path / "cache")
-    found = machine_of(compiler, tmp_path / "cache")
-    assert found == of_g, "bits of angles and of the servo's voltages, and what is noticed"
-    assert len(found["noticed"]) == 2, "that it diverges, and that NaN is no angle"
+    values = machine_of(compiler, tmp_path / "cache")
+    assert values == of_g, "bits of angles and of the servo's voltages, and what is noticed"
+    assert len(values["noticed"]) == 2, "that it diverges, and that NaN is no angle"
 
 
 @pytest.mark.parametrize(
@@ -226,16 +226,16 @@ def test_parts_that_differ_in_their_base_are_different(compiler: str, tmp_path: 
     if not shutil.which(compiler):
         pytest.skip(f"{compiler} is not installed")
     parts = CORE / "parts"
-    based = {found for file in parts.rglob("*.hpp") for found in BASED.findall(file.read_text())}
+    based = {base for file in parts.rglob("*.hpp") for base in BASED.findall(file.read_text())}
     assert based == set(DECORATORS)
     lines = [f'#include "{file.relative_to(CORE)}"' for file in sorted(parts.rglob("*.hpp"))]
     for name, type_ in DECORATORS.items():
         number = {"Braked": "Dv", "Warm": "Dv", "HystereticGear": "Kg"}.get(name, "R")
         # Loops compute their gains when they are made: of a motor, gains and a data sheet.
         sheet = ", ".join(["1.0"] * {"CurrentLoop": 4, "FieldOrientedLoop": 6}.get(name, 0))
-        made_of = f"{{{{}}, {{}}, {{{sheet}}}}}" if sheet else "{}"
+        initialiser = f"{{{{}}, {{}}, {{{sheet}}}}}" if sheet else "{}"
         lines += [
-            f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{made_of};",
+            f"constexpr arm::{type_.replace('<', '<arm::')} of_{name}{initialiser};",
             f"constexpr auto other_{name} = [] {{",
             f"  auto other = of_{name};",
             f"  other.{number} = 1.0;",

@@ -63,11 +63,11 @@ def steps_between(page: Any) -> None:
     page.get_by_role("tab", name="Events").click()
     event = page.get_by_role("button", name=": power on")
     event.wait_for()
-    stood = int(event.inner_text().partition(":")[0])
+    paused_tick = int(event.inner_text().partition(":")[0])
     press(page, "+10")
-    shows(page, f"tick {stood + 10},")
+    shows(page, f"tick {paused_tick + 10},")
     press(page, "Play")
-    until(page, lambda: tick_of(page) > stood + 10)
+    until(page, lambda: tick_of(page) > paused_tick + 10)
     pressed(page)
 
 
@@ -96,7 +96,7 @@ void SysTick_Handler(void) { REGISTER(0x40000100) = 0x3f800000; /* 1 V */ }
     (["firmware", "board.yaml", "tiny.elf", "--seconds", "3600"], "Pause", steps_between),
     (["campaign", str(ROOT / "examples/campaign.yaml"), "--replay", "0"], "Live", looked_at),
     (["run", "three_axis", "--seconds", "0.1"], "Play", stepped),
-], ids=lambda one: one[0] if isinstance(one, list) else "")  # fmt: skip
+], ids=lambda case: case[0] if isinstance(case, list) else "")  # fmt: skip
 def test_its_page_is_served_to_the_token(
     words: list[str], label: str, press: Callable[[Any], None], tmp_path: Path, browser: Any
 ) -> None:
@@ -111,8 +111,8 @@ def test_its_page_is_served_to_the_token(
 @contextlib.contextmanager
 def line() -> Iterator[None]:
     """A line of Ethernet without a master."""
-    made = ["ip", "link", "add", LINE[0], "type", "veth", "peer", "name", LINE[1]]
-    if os.getuid() != 0 or subprocess.run(made, capture_output=True, check=False).returncode:
+    command = ["ip", "link", "add", LINE[0], "type", "veth", "peer", "name", LINE[1]]
+    if os.getuid() != 0 or subprocess.run(command, capture_output=True, check=False).returncode:
         pytest.skip("a line of Ethernet needs root and iproute2")
     try:
         yield
@@ -129,15 +129,15 @@ def serve(
         late = threading.Timer(PATIENCE, door.kill)
         late.start()
         assert door.stdout is not None
-        found = (re.match(r"(?:page: )?(http\S+)$", line) for line in door.stdout)
-        url = next(one[1] for one in found if one)
+        matches = (re.match(r"(?:page: )?(http\S+)$", line) for line in door.stdout)
+        url = next(match[1] for match in matches if match)
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200
         plain = without_token(url)
         others = ({"Host": "evil.example"}, {"Origin": "http://evil.example"})
-        for one in (plain, *(urllib.request.Request(url, headers=each) for each in others)):
+        for request in (plain, *(urllib.request.Request(url, headers=each) for each in others)):
             with pytest.raises(urllib.error.HTTPError, match="403"):
-                urllib.request.urlopen(one)
+                urllib.request.urlopen(request)
         with pytest.raises(urllib.error.URLError, match="refused"):  # another address of this host
             urllib.request.urlopen(url.replace("127.0.0.1", "127.0.0.2"))
         page = opened(browser, url, play=label)

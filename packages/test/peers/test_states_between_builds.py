@@ -42,8 +42,8 @@ CLANGS = compilers("clang++")
 bag_of_a_network = test_causal_replay.bag
 TAKEN_UP_BY = [
     (CLANGS[0] if CLANGS else "g++", "x86-64-v2", "-O1"),
-    *((one, "native", "-O3") for one in CLANGS),
-    *((one, "native", "-O3") for one in compilers("g++")),
+    *((clang, "native", "-O3") for clang in CLANGS),
+    *((compiler, "native", "-O3") for compiler in compilers("g++")),
 ]
 
 
@@ -93,13 +93,13 @@ def test_a_campaign_and_the_replay_of_its_run_have_the_same_bits(
 ) -> None:
     campaign = ("-m", "arm_emulator", "campaign", ROOT / "examples/campaign.yaml", "--json")
     results, bag = [], tmp_path / "bag"
-    for one, kept in (("g++", ("--bag", bag)), (compiler, ())):
-        into = tmp_path / f"results {one}"
-        whole = in_build(
-            one, tmp_path, *campaign, "--into", into, "--count", "10", "--workers", "1"
+    for build, options in (("g++", ("--bag", bag)), (compiler, ())):
+        into = tmp_path / f"results {build}"
+        output = in_build(
+            build, tmp_path, *campaign, "--into", into, "--count", "10", "--workers", "1"
         )
-        run = in_build(one, tmp_path, *campaign, "--into", into, "--replay", "3", *kept)
-        results.append((json.loads(whole)["digest"], run))
+        run = in_build(build, tmp_path, *campaign, "--into", into, "--replay", "3", *options)
+        results.append((json.loads(output)["digest"], run))
     assert results[0] == results[1]
     printed = in_build(compiler, tmp_path, "-m", "arm_emulator", "check-bag", bag)
     assert "equal to the last bit" in printed and "another arithmetic" not in printed, printed

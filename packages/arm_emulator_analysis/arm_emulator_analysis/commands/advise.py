@@ -59,20 +59,20 @@ def advise(
         check_own("advise", file)
     machine = load_scene(file)
     with console.status("leading the arm along motions"):
-        motions, what = _collect_motions(machine, file, motion)
+        motions, about = _collect_motions(machine, file, motion)
     judge = Judge(machine, motions)
-    with console.status(f"trying schemes, events and steps on {what}"):
-        found = settings_for(judge, error)
-    console.print(f"scene {machine.name}, {what}; wanted: error <= {error:g} rad or m on the way")
+    with console.status(f"trying schemes, events and steps on {about}"):
+        advice = settings_for(judge, error)
+    console.print(f"scene {machine.name}, {about}; wanted: error <= {error:g} rad or m on the way")
     output.facts({
-        "scene": machine.name, "judged_on": what, "error": error, "settings": found.settings,
-        "now": found.now, "why_none": found.why_none,
+        "scene": machine.name, "judged_on": about, "error": error, "settings": advice.settings,
+        "now": advice.now, "why_none": advice.why_none,
     })  # fmt: skip
-    if not found.settings:
-        console.print(f"no setting keeps it: {found.why_none}")
+    if not advice.settings:
+        console.print(f"no setting keeps it: {advice.why_none}")
         return 1
-    best = found.settings[0]
-    _print(found)
+    best = advice.settings[0]
+    _print(advice)
     console.print(_state_accuracy(best, len(motions)))
     events = f", events: {best.method.events}" if best.method.events != "step" else ""
     threads = f"; threads: {best.method.threads}" if machine.threads != best.method.threads else ""
@@ -97,14 +97,14 @@ def _collect_motions(scene: Scene, file: Path, commands: Path | None) -> tuple[l
     except Diverged as fault:
         rule = "move by itself; else give a motion with --motion"
         raise Refusal("advise", scene.where, rule, str(fault).splitlines()[0]) from None
-    what = f"{len(motions)} motions of {SECONDS:g} s"
+    about = f"{len(motions)} motions of {SECONDS:g} s"
     demo = demo_commands(scene, file)
     if demo is None:
-        return motions, f"{what} (it has no demo)"
+        return motions, f"{about} (it has no demo)"
     return [
         *motions,
         Motion("demo", demo),
-    ], f"{what} and {_compute_seconds(scene, demo):g} s of its demo"
+    ], f"{about} and {_compute_seconds(scene, demo):g} s of its demo"
 
 
 def _compute_seconds(scene: Scene, rows: Array) -> float:
@@ -152,14 +152,14 @@ def _state_accuracy(best: Setting, motions: int) -> str:
     )
 
 
-def _print(found: Advice) -> None:
-    labels = ["cheapest", *[""] * (len(found.settings) - 1), "now"]
+def _print(advice: Advice) -> None:
+    labels = ["cheapest", *[""] * (len(advice.settings) - 1), "now"]
     rows = list[tuple[str, ...]]()
-    for label, one in zip(labels, [*found.settings, found.now], strict=True):
-        assert one is not None, "timed along with the others"
-        errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (one.error, one.others))
-        cost = f"{one.cost * 1e6:.0f}" if math.isfinite(one.cost) else "diverges"
-        rows.append((label, str(one.method), f"{one.dt:.6g}", *errors, cost))
+    for label, setting in zip(labels, [*advice.settings, advice.now], strict=True):
+        assert setting is not None, "timed along with the others"
+        errors = (f"{x:.2e}" if math.isfinite(x) else "-" for x in (setting.error, setting.others))
+        cost = f"{setting.cost * 1e6:.0f}" if math.isfinite(setting.cost) else "diverges"
+        rows.append((label, str(setting.method), f"{setting.dt:.6g}", *errors, cost))
     heads = "", "setting", "dt [s]", "error, judged", "others", "us per second"
     output.table(heads, rows, left=2)
 

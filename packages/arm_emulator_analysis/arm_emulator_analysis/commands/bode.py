@@ -60,32 +60,34 @@ def bode(
         closed: add the modes of the machine under its servos, for the input shaper.
     """
     machine = load_scene(scene)
-    most = 0.5 / machine.servo_period if high is None else FREQUENCY.take("bode", high)
-    if FREQUENCY.take("bode", low) >= most:
-        raise Refusal("bode", "--low", f"be below the highest frequency, {most:g} Hz", low)
-    count = 1 + round(PER_DECADE * np.log10(most / low))
-    frequency = np.geomspace(low, most, max(2, count))
+    highest = 0.5 / machine.servo_period if high is None else FREQUENCY.take("bode", high)
+    if FREQUENCY.take("bode", low) >= highest:
+        raise Refusal("bode", "--low", f"be below the highest frequency, {highest:g} Hz", low)
+    count = 1 + round(PER_DECADE * np.log10(highest / low))
+    frequency = np.geomspace(low, highest, max(2, count))
     linear = linearise(machine, machine.start if pose is None else pose)
-    found = {
+    responses = {
         joint.name: frequency_response(linear, j, frequency)
         for j, joint in enumerate(machine.joints)
         if joint.motor is not None
     }
-    width = max(map(len, found))
-    for name, one in found.items():
-        listed = (_format_frequencies(values) for values in (one.antiresonances, one.resonances))
+    width = max(map(len, responses))
+    for name, response in responses.items():
+        listed = (
+            _format_frequencies(values) for values in (response.antiresonances, response.resonances)
+        )
         output.line("{:{}}  antiresonances {:24} resonances {}".format(name, width, *listed))
     for file, write in ((picture, _draw), (table, _write)):
         if file is not None:
             try:
-                write(machine, found, file)
+                write(machine, responses, file)
             except (OSError, ValueError) as error:
                 raise Refusal("bode", str(file), "be writable", error) from None
             output.line(str(file))
     units = {joint.name: joint.unit for joint in machine.joints}
     output.facts({
         "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[KEPT],
-        "joints": {name: _list_facts(one, units[name]) for name, one in found.items()},
+        "joints": {name: _list_facts(of, units[name]) for name, of in responses.items()},
     })  # fmt: skip
     if closed:
         _list_modes(scene, machine, linear.x0[linear.q])
@@ -100,8 +102,8 @@ def _list_modes(name: str, machine: Scene, q: Array) -> None:
     if not modes:
         output.line("under its servos no mode swings")
     rows = [
-        (f"{one.frequency:.2f}", f"{one.damping:.3f}", f"{1e3 * one.swing:.2g}")
-        for one in modes[:MODES]
+        (f"{mode.frequency:.2f}", f"{mode.damping:.3f}", f"{1e3 * mode.swing:.2g}")
+        for mode in modes[:MODES]
     ]
     heads = "Hz", "damping", "tool, mm per m/s² that begins at once"
     output.table(heads, rows, title="modes under the servos")
@@ -112,49 +114,58 @@ def _list_modes(name: str, machine: Scene, q: Array) -> None:
         output.line(f"the first over {len(firsts)} poses: {ends[0]:.3g} to {ends[1]:.3g} Hz")
         output.line("for the motion controller's file:")
         output.line("    shaper: zvd\n    modes:")
-        for count, one in enumerate(modes[:SHAPED], 1):
-            numbers = f"{{frequency: {one.frequency:.4g}, damping: {one.damping:.3g}}}"
+        for count, mode in enumerate(modes[:SHAPED], 1):
+            numbers = f"{{frequency: {mode.frequency:.4g}, damping: {mode.damping:.3g}}}"
             output.line(f"      mode_{count}: {numbers}")
     facts = [{"frequency": m.frequency, "damping": m.damping, "swing": m.swing} for m in modes]
     output.facts({"modes": facts, "range": ends})
 
 
 def _format_frequencies(frequencies: np.ndarray) -> str:
-    return ", ".join(f"{one:.4g}" for one in frequencies) + " Hz" if len(frequencies) else "none"
+    return (
+        ", ".join(f"{frequency:.4g}" for frequency in frequencies) + " Hz"
+        if len(frequencies)
+        else "none"
+    )
 
 
 def _list_facts(of: FrequencyResponse, unit: str) -> dict[str, object]:
     return {
         "unit": unit, "resonances": of.resonances, "antiresonances": of.antiresonances,
         **{
-            name: {"gain": np.abs(one[KEPT]), "phase": np.unwrap(np.angle(one))[KEPT]}
-            for name, one in (("motor", of.motor), ("link", of.link))
+            name: {"gain": np.abs(response[KEPT]), "phase": np.unwrap(np.angle(response))[KEPT]}
+            for name, response in (("motor", of.motor), ("link", of.link))
         },
     }  # fmt: skip
 
 
-def _write(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None:
-    columns = {"frequency": next(iter(found.values())).frequency}
-    for name, one in found.items():
-        for of, values in (("motor", one.motor), ("link", one.link)):
+def _write(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) -> None:
+    columns = {"frequency": next(iter(responses.values())).frequency}
+    for name, response in responses.items():
+        for of, values in (("motor", response.motor), ("link", response.link)):
             columns[f"{name}.{of}.gain"] = np.abs(values)
             columns[f"{name}.{of}.phase"] = np.unwrap(np.angle(values))
     rows = np.column_stack(list(columns.values()))[KEPT]
     np.savetxt(file, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
 
 
-def _draw(scene: Scene, found: dict[str, FrequencyResponse], file: Path) -> None:
+def _draw(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) -> None:
     """Draw gains above phases, a colour per joint, links dashed."""
     from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
     figure = Figure(figsize=(8, 6.5), layout="constrained")
     gain, phase = figure.subplots(2, 1, sharex=True)
     ratios = {joint.name: joint.gear.ratio for joint in scene.joints}
-    for k, (name, one) in enumerate(found.items()):
-        for values, line, label in ((one.motor * ratios[name], "-", name), (one.link, "--", None)):
-            gain.loglog(one.frequency, np.abs(values), line, color=f"C{k}", label=label, lw=1.3)
+    for k, (name, response) in enumerate(responses.items()):
+        for values, line, label in (
+            (response.motor * ratios[name], "-", name),
+            (response.link, "--", None),
+        ):
+            gain.loglog(
+                response.frequency, np.abs(values), line, color=f"C{k}", label=label, lw=1.3
+            )
             degrees = np.degrees(np.unwrap(np.angle(values)))
-            phase.semilogx(one.frequency, degrees, line, color=f"C{k}", lw=1.3)
+            phase.semilogx(response.frequency, degrees, line, color=f"C{k}", lw=1.3)
     units = " or ".join(dict.fromkeys(joint.unit for joint in scene.joints))
     gain.set(ylabel=f"rad/s (m/s) per {units}", title=f"{scene.name}: motors over their gears, "
              "links dashed")  # fmt: skip
@@ -196,8 +207,8 @@ class FrequencyResponse:
     def _find_peaks(self, sign: float) -> Array:
         decibels = sign * 20.0 * np.log10(np.abs(self.motor))
         at, _ = signal.find_peaks(decibels, prominence=PROMINENCE)
-        found: Array = self.frequency[at]
-        return found
+        peaks: Array = self.frequency[at]
+        return peaks
 
 
 def frequency_response(machine: LinearMachine, joint: int, frequency: Array) -> FrequencyResponse:

@@ -108,17 +108,17 @@ def _find_tick(machine: RecordedMachine, at: float) -> int:
 
 def _print_stop(machine: RecordedMachine, band: float, end: int | None) -> int:
     """Print the vibration of the tool after the last targets of a run, or from a tick on."""
-    tick, *found = measure_stop(machine, band, end)
+    tick, *stops = measure_stop(machine, band, end)
     scene, sources = machine.scene, ("truth", "encoders")
     output.line(f"scene {scene.name}: the tool after {tick * scene.servo_period:g} s")
     rows = [
-        (name, *(f"{1e3 * v:.4f}" for v in (one.largest, one.swing, one.rms)),
-         "-" if math.isnan(one.frequency) else f"{one.frequency:.2f}", f"{one.settled:.3f}")
-        for name, one in zip(sources, found, strict=True)
+        (name, *(f"{1e3 * v:.4f}" for v in (stop.largest, stop.swing, stop.rms)),
+         "-" if math.isnan(stop.frequency) else f"{stop.frequency:.2f}", f"{stop.settled:.3f}")
+        for name, stop in zip(sources, stops, strict=True)
     ]  # fmt: skip
     heads = ("tool by", "largest, mm", "swing, mm", "rms, mm", "Hz", f"within {1e3 * band:g} mm, s")
     output.table(heads, rows)
-    facts = [dataclasses.asdict(one) for one in found]
+    facts = [dataclasses.asdict(stop) for stop in stops]
     for fact in facts:
         fact["frequency"] = None if math.isnan(fact["frequency"]) else fact["frequency"]
     by_source = dict(zip(sources, facts, strict=True))
@@ -126,34 +126,34 @@ def _print_stop(machine: RecordedMachine, band: float, end: int | None) -> int:
     return 0
 
 
-def _compare(names: tuple[str, str], one: RecordedMachine, other: RecordedMachine) -> int:
+def _compare(names: tuple[str, str], first: RecordedMachine, second: RecordedMachine) -> int:
     """Print the first difference of two runs, and the moment from which it comes."""
-    start = one.save()
-    found, equal = find_first_difference(one, other)
-    builds = list_differing_builds(names, one.topics.build, other.topics.build)
+    start = first.save()
+    difference, equal = find_first_difference(first, second)
+    builds = list_differing_builds(names, first.topics.build, second.topics.build)
     output.facts({"sides": names, "equal_ticks": equal, "difference": None, "builds": builds})
     for sentence in builds:
         output.line(f"other builds: {sentence}")
-    if found is None:
+    if difference is None:
         output.line(f"equal to the last bit in what both have recorded: {equal} ticks")
         return 0
-    t = found.tick * one.scene.servo_period
-    output.line(f"first difference: tick {found.tick}, {t:g} s, after {equal} equal ticks")
-    owner = f"{found.owner}, " if found.owner else ""
-    ulps = found.ulps
+    t = difference.tick * first.scene.servo_period
+    output.line(f"first difference: tick {difference.tick}, {t:g} s, after {equal} equal ticks")
+    owner = f"{difference.owner}, " if difference.owner else ""
+    ulps = difference.ulps
     many = "" if ulps is None else f", {ulps} representable number{'s' * (ulps > 1)} apart"
-    output.line(f"{found.kind}: {owner}{found.quantity}{many}")
-    for name, value in zip(names, found.values, strict=True):
+    output.line(f"{difference.kind}: {owner}{difference.quantity}{many}")
+    for name, value in zip(names, difference.values, strict=True):
         output.line(f"  {name}: {value!r}")
-    output.facts({"difference": {**found._asdict(), "ulps": ulps}})
-    one.restore(start)
+    output.facts({"difference": {**difference._asdict(), "ulps": ulps}})
+    first.restore(start)
     try:
-        one.advance(max(0, found.tick - (found.kind == "state")))
+        first.advance(max(0, difference.tick - (difference.kind == "state")))
     except Diverged as fault:
         output.line(str(fault))
         return 1
     output.line(f"the moment from which it comes, of {names[0]}:")
-    _print(one.scene, explain_moment(one))
+    _print(first.scene, explain_moment(first))
     return 1
 
 
@@ -191,7 +191,10 @@ def _print(scene: Scene, now: Explanation) -> None:
 
 def _print_table(title: str, names: tuple[str, ...], rows: dict[str, Array | None]) -> None:
     cells = (
-        (name, *("-" if math.isnan(one) else format(one + 0.0, ".5g") for one in row.tolist()))
+        (
+            name,
+            *("-" if math.isnan(value) else format(value + 0.0, ".5g") for value in row.tolist()),
+        )
         for name, row in rows.items()
         if row is not None
     )
@@ -203,7 +206,7 @@ def _list_facts(scene: Scene, now: Explanation) -> dict[str, Any]:
     def by_joint(row: Array | None) -> dict[str, float | None] | None:
         if row is None:
             return None
-        values = (None if math.isnan(one) else one for one in row.tolist())
+        values = (None if math.isnan(value) else value for value in row.tolist())
         return dict(zip(scene.joint_names, values, strict=True))
 
     return {

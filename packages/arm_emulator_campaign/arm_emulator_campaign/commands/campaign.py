@@ -112,50 +112,52 @@ def campaign(
         raise Refusal("campaign", "--record, --bag, --rerun and --page", rule, "no --replay")
     if bag is not None:
         check_new_bag("campaign", bag)
-    one = load_campaign(file)
-    if one.search is not None and count is not None:
+    definition = load_campaign(file)
+    if definition.search is not None and count is not None:
         raise Refusal(
             "campaign", "--count", "be absent together with search, which counts its runs", count
         )
     if count is not None:
-        one = dataclasses.replace(one, count=check_count("campaign", "--count", count, 1, 10**12))
+        definition = dataclasses.replace(
+            definition, count=check_count("campaign", "--count", count, 1, 10**12)
+        )
     if workers is not None:
         check_count("campaign", "--workers", workers, 1, 100_000 if dask else 4096)
-    devices = _read_devices(one, device, dask, workers, [replay, shrink])
+    devices = _read_devices(definition, device, dask, workers, [replay, shrink])
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
-        return _replay(one, find_case(one, into, replay, "--replay"), kept, page, bag)
+        return _replay(definition, find_case(definition, into, replay, "--replay"), kept, page, bag)
     if shrink is not None:
-        return print_shrunk(one, find_case(one, into, shrink, "--shrink"), into)
-    for text in find_start_requirements(one):
+        return print_shrunk(definition, find_case(definition, into, shrink, "--shrink"), into)
+    for text in find_start_requirements(definition):
         warn(text)
-    seconds, ready = measure_run(one, *devices[:1])
+    seconds, ready = measure_run(definition, *devices[:1])
     at_hand = len(devices) if devices and dask is None else workers or _count_workers(dask)
-    _print_cost(one, seconds, ready, at_hand)
+    _print_cost(definition, seconds, ready, at_hand)
     if dry:
         return 0
-    results = Results(into, one)
-    interrupted, findings = _simulate(one, results, dask, workers, devices, seconds)
+    results = Results(into, definition)
+    interrupted, findings = _simulate(definition, results, dask, workers, devices, seconds)
     columns = results.columns()
-    summary = summarize(one, columns)
-    if one.search is None:
+    summary = summarize(definition, columns)
+    if definition.search is None:
         _print(summary, compute_digest(columns), results.folder)
     else:
         print_findings(findings, compute_digest(columns), summary.count, results.folder)
     if summary.count or findings:
-        output.line(f"report  {write_report(one, results, columns, summary, findings)}")
+        output.line(f"report  {write_report(definition, results, columns, summary, findings)}")
     if interrupted:
         output.line("interrupted: the same command goes on with what is missing")
         return 130
     fails = [share.name for share in summary.shares if share.hits and summary.count == 1]
-    missed = f"the only run fails {', '.join(fails)}" if fails and one.search is None else ""
+    missed = f"the only run fails {', '.join(fails)}" if fails and definition.search is None else ""
     if not summary.count and not findings:
         missed = "it has ended before the first run"
     return output.judge("campaign", missed)
 
 
 def _read_devices(
-    one: Campaign,
+    definition: Campaign,
     device: str | None,
     dask: str | None,
     workers: int | None,
@@ -172,7 +174,7 @@ def _read_devices(
     if single != [None] * len(single):
         rule = "be absent with --replay and --shrink, which simulate one run at a time"
         raise Refusal(where, "--device", rule, device)
-    if one.search is not None and one.search.forks:
+    if definition.search is not None and definition.search.forks:
         rule = "be absent with a search that splits runs, which are forked one by one"
         raise Refusal(where, "--device", rule, device)
     if len(set(devices)) < len(devices):
@@ -196,26 +198,30 @@ def _count_workers(dask: str | None) -> int:
         cluster.end()
 
 
-def _print_cost(one: Campaign, seconds: float, ready: float, workers: int) -> None:
-    scenario = one.nominal[0]
-    most = "" if one.search is None else "at most "
-    count = one.count if one.search is None else one.search.runs(len(one.variation.numbers))
-    size = count * len(list_column_units(one)) * BYTES_PER_NUMBER
+def _print_cost(definition: Campaign, seconds: float, ready: float, workers: int) -> None:
+    scenario = definition.nominal[0]
+    bound = "" if definition.search is None else "at most "
+    count = (
+        definition.count
+        if definition.search is None
+        else definition.search.runs(len(definition.variation.numbers))
+    )
+    size = count * len(list_column_units(definition)) * BYTES_PER_NUMBER
     wall = count * seconds / workers + ready
     output.facts({"count": count, "per_run": seconds, "estimate": wall, "bytes": size})
     output.line(
-        f"campaign {one.file.name}: {most}{count} runs of {scenario.seconds:g} s of "
-        f"{one.scene.name}, {len(one.variation.numbers)} numbers vary, "
-        f"{len(one.requirements)} requirements"
+        f"campaign {definition.file.name}: {bound}{count} runs of {scenario.seconds:g} s of "
+        f"{definition.scene.name}, {len(definition.variation.numbers)} numbers vary, "
+        f"{len(definition.requirements)} requirements"
     )
     output.line(
         f"a run takes {_format_time(seconds)} ({scenario.seconds / seconds:.0f} times real time); "
-        f"all with {workers} workers {most}{_format_time(wall)}, {_format_bytes(size)}"
+        f"all with {workers} workers {bound}{_format_time(wall)}, {_format_bytes(size)}"
     )
 
 
 def _simulate(
-    one: Campaign,
+    definition: Campaign,
     results: Results,
     dask: str | None,
     workers: int | None,
@@ -232,13 +238,13 @@ def _simulate(
         return DaskPool(dask, next(patience), workers, *devices)
 
     with _show_progress() as report:
-        crew = WorkerPool(pool, seconds, report)
+        worker_pool = WorkerPool(pool, seconds, report)
         try:
-            if one.search is not None and one.search.forks:
-                return False, Splitter(one, results, crew).run()
-            if one.search is not None:
-                return False, Searcher(one, results, crew).run()
-            run_campaign(one, results, crew)
+            if definition.search is not None and definition.search.forks:
+                return False, Splitter(definition, results, worker_pool).run()
+            if definition.search is not None:
+                return False, Searcher(definition, results, worker_pool).run()
+            run_campaign(definition, results, worker_pool)
         except KeyboardInterrupt:
             return True, []
     return False, []
@@ -283,10 +289,11 @@ def _format_progress(now: Progress) -> str:
 
 def _print(summary: Summary, digest: str, folder: Path) -> None:
     percent = f"{100 * summary.confidence:g} %"
-    for one in summary.shares if summary.count else ():
+    for share in summary.shares if summary.count else ():
         output.line(
-            f"{one.name:<20} fails in {one.hits} of {summary.count}: {100 * one.share:.4g} %, "
-            f"within {100 * one.low:.4g} and {100 * one.high:.4g} % ({percent} confidence)"
+            f"{share.name:<20} fails in {share.hits} of {summary.count}: "
+            f"{100 * share.share:.4g} %, within "
+            f"{100 * share.low:.4g} and {100 * share.high:.4g} % ({percent} confidence)"
         )
     output.line(f"digest  {digest}")
     output.facts({
@@ -296,9 +303,11 @@ def _print(summary: Summary, digest: str, folder: Path) -> None:
     })  # fmt: skip
 
 
-def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: Path | None) -> int:
+def _replay(
+    definition: Campaign, case: Case, outputs: RunOutputs, page: str | None, bag: Path | None
+) -> int:
     """Simulate a run again: judged as in the campaign, then once more for who records it."""
-    outcome = make_simulator(one).run(case)
+    outcome = make_simulator(definition).run(case)
     for name, value in outcome.values.items():
         output.line(f"{name:<44} {value!r}")
     for name, value in outcome.robustness.items():
@@ -309,16 +318,16 @@ def _replay(one: Campaign, case: Case, kept: RunOutputs, page: str | None, bag: 
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
         "measures": outcome.measures, "failed": outcome.failed,
     })  # fmt: skip
-    recorded = kept != KEEP_NOTHING or page is not None
+    recorded = outputs != KEEP_NOTHING or page is not None
     code = output.judge("campaign", _describe_failures(outcome))
     if bag is None and not recorded:
         return code
-    simulator = Simulator(one)
+    simulator = Simulator(definition)
     if bag is not None:
-        write_case_bag(one, simulator, case, bag)
+        write_case_bag(definition, simulator, case, bag)
         output.line(f"wrote   {bag}")
     if recorded:
-        record_case(simulator, case, kept, page)
+        record_case(simulator, case, outputs, page)
     return code
 
 
@@ -346,47 +355,49 @@ def _format_bytes(size: float) -> str:
     return f"{size:.3g} TB"
 
 
-def find_case(one: Campaign, into: Path, index: int, option: str) -> Case:
+def find_case(definition: Campaign, into: Path, index: int, option: str) -> Case:
     """Return a run by its index: drawn again, or of a search, from its results.
 
     Raises:
         Refusal: a search has no such run.
     """
     check_count("campaign", option, index, 0, 10**12)
-    if one.search is None:
-        return draw_case(one.variation, index)
+    if definition.search is None:
+        return draw_case(definition.variation, index)
     if not (into / ABOUT).is_file():
         rule = "have the search's runs, from which one is taken"
         raise Refusal("campaign", f"folder {into}", rule, "none", "--into FOLDER")
-    results = Results(into, one)
-    if one.search.forks:
+    results = Results(into, definition)
+    if definition.search.forks:
         failures = read_failures(results)
         if index >= len(failures):
             valid = f"0 to {len(failures) - 1}" if failures else None
             raise Refusal("campaign", option, "be a failure of the search", index, valid)
-        return replace(make_forked_case(one, failures[index]), index=index)
+        return replace(make_forked_case(definition, failures[index]), index=index)
     columns = results.columns()
     places = np.flatnonzero(columns[INDEX] == index)
     if not len(places):
         count = len(columns[INDEX])
         raise Refusal("campaign", option, "be a run of the search", index, f"0 to {count - 1}")
-    values = {name.name: float(columns[name.name][places[0]]) for name in one.variation.numbers}
-    return make_case(one.variation, index, values)
+    values = {
+        name.name: float(columns[name.name][places[0]]) for name in definition.variation.numbers
+    }
+    return make_case(definition.variation, index, values)
 
 
 def record_case(
-    simulator: Simulator, case: Case, kept: RunOutputs, page: str | None = None
+    simulator: Simulator, case: Case, outputs: RunOutputs, page: str | None = None
 ) -> None:
     """Simulate a run for who records it, or looks at its page at a port."""
     pieces = simulator.drive(case)
     next(pieces)
     plant = simulator.session.plant
     with (
-        Recorder(plant, kept, waits=True, stays=page is None),
-        PageProcess(plant, page, waits=True) as watched,
+        Recorder(plant, outputs, waits=True, stays=page is None),
+        PageProcess(plant, page, waits=True) as page_process,
     ):
         if page is not None:
-            print(f"page: {watched.url}", flush=True)
+            print(f"page: {page_process.url}", flush=True)
         try:
             for _ in pieces:
                 pass
@@ -398,38 +409,42 @@ def record_case(
 
 def print_findings(findings: Sequence[Finding], digest: str, count: int, folder: Path) -> None:
     """Print what a search found."""
-    for one in findings:
-        output.line(one.about)
-        if one.rows:
-            output.table(one.head, one.format_rows(), left=len(one.head))
+    for finding in findings:
+        output.line(finding.about)
+        if finding.rows:
+            output.table(finding.head, finding.format_rows(), left=len(finding.head))
     output.line(f"digest  {digest}")
     output.facts({
-        "findings": [asdict(one) for one in findings], "count": count, "digest": digest,
+        "findings": [asdict(finding) for finding in findings], "count": count, "digest": digest,
         "results": str(folder),
     })  # fmt: skip
 
 
-def print_shrunk(one: Campaign, case: Case, into: Path) -> int:
+def print_shrunk(definition: Campaign, case: Case, into: Path) -> int:
     """Shrink a run that fails, write it, and print what is left of it."""
-    found = shrink(one, case)
-    output.line(f"run {case.index} fails {found.requirement} by {-found.before:.6g}")
-    for name, value in found.changes.items():
-        nominal = next(number.nominal for number in one.variation.numbers if number.name == name)
+    shrunk = shrink(definition, case)
+    output.line(f"run {case.index} fails {shrunk.requirement} by {-shrunk.before:.6g}")
+    for name, value in shrunk.changes.items():
+        nominal = next(
+            number.nominal for number in definition.variation.numbers if number.name == name
+        )
         output.line(f"  {name:<42} {value:.6g} in the place of {nominal:.6g}")
-    for name in found.faults:
+    for name in shrunk.faults:
         output.line(f"  fault {name}")
-    if not found.changes and not found.faults:
+    if not shrunk.changes and not shrunk.faults:
         output.line("  it fails without any change")
-    output.line(f"  {found.seconds:.6g} s, fails by {-found.margin:.6g}, {found.runs} runs tried")
-    file = write_shrunk(one, found, into / f"shrunk_{case.index}")
-    margin = Simulator(load_campaign(file)).run(0).robustness[found.requirement]
+    output.line(
+        f"  {shrunk.seconds:.6g} s, fails by {-shrunk.margin:.6g}, {shrunk.runs} runs tried"
+    )
+    file = write_shrunk(definition, shrunk, into / f"shrunk_{case.index}")
+    margin = Simulator(load_campaign(file)).run(0).robustness[shrunk.requirement]
     if margin >= 0.0:
-        rule = f"fail {found.requirement} when it is simulated again"
+        rule = f"fail {shrunk.requirement} when it is simulated again"
         raise Refusal("campaign", str(file), rule, f"holds by {margin:g}")
     output.line(f"wrote   {file}")
     output.facts({
-        "index": case.index, "requirement": found.requirement, "changes": found.changes,
-        "faults": found.faults, "seconds": found.seconds, "margin": margin,
-        "runs": found.runs, "campaign": file,
+        "index": case.index, "requirement": shrunk.requirement, "changes": shrunk.changes,
+        "faults": shrunk.faults, "seconds": shrunk.seconds, "margin": margin,
+        "runs": shrunk.runs, "campaign": file,
     })  # fmt: skip
     return 0

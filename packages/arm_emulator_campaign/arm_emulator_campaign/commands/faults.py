@@ -30,14 +30,14 @@ def faults(
     machine = load_scene(scene)
     if not machine.faults:
         machine = load_scene(scene, {"faults": []})
-    listed = {one.name for one in machine.faults}
+    listed = {fault.name for fault in machine.faults}
     rows = [("fault", "listed", "magnitude", "range", "effect")]
-    for one in machine.possible_faults:
-        number = one.varied.number
-        there = "yes" if one.name in listed else ""
+    for fault in machine.possible_faults:
+        number = fault.varied.number
+        there = "yes" if fault.name in listed else ""
         well = f"{number.default:g} {number.unit.removesuffix('1')}".rstrip()
         low, high = number.ends
-        rows.append((one.name, there, well, f"{low:g} to {high:g}", one.kind.text))
+        rows.append((fault.name, there, well, f"{low:g} to {high:g}", fault.kind.text))
     output.line(f"faults of {machine.name}; {len(listed)} are listed in {machine.where}")
     # Without a table's frame and folding: for `grep`, and for narrow terminals.
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -49,12 +49,13 @@ def faults(
             "scene": machine.name,
             "faults": [
                 {
-                    "name": one.varied.name, "listed": one.name in listed, "text": one.kind.text,
-                    "unit": one.varied.number.unit, "shows_well": one.varied.number.default,
-                    "range": one.varied.number.ends,
-                    "changes": {change.number: change.expression for change in one.changes},
+                    "name": fault.varied.name, "listed": fault.name in listed,
+                    "text": fault.kind.text,
+                    "unit": fault.varied.number.unit, "shows_well": fault.varied.number.default,
+                    "range": fault.varied.number.ends,
+                    "changes": {change.number: change.expression for change in fault.changes},
                 }
-                for one in machine.possible_faults
+                for fault in machine.possible_faults
             ],
         }
     )  # fmt: skip
@@ -67,10 +68,10 @@ def _try_faults(scene: str, folder: Path) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(rows, folder / "faults.csv")
     draw_matrix(rows, f"Faults of {Path(scene).stem} in a move of 71 mm", folder / "faults.png")
-    for one in find_worst(rows):
-        after = "" if one.after != one.after else f" after {1e3 * one.after:.0f} ms"
-        found = f"{one.detected_by}{after}"
-        output.line(f"{one.fault:<40} {found:<32} tool {1e3 * one.travel:.3g} mm off its way")
+    for row in find_worst(rows):
+        after = "" if row.after != row.after else f" after {1e3 * row.after:.0f} ms"
+        detection = f"{row.detected_by}{after}"
+        output.line(f"{row.fault:<40} {detection:<32} tool {1e3 * row.travel:.3g} mm off its way")
     output.line(f"matrix  {folder / 'faults.csv'}, {folder / 'faults.png'}")
     output.facts({"scene": scene, "matrix": rows})
     return 0

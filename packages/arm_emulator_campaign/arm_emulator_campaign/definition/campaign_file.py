@@ -135,10 +135,12 @@ class Campaign:
         Raises:
             Refusal: a value that is out of its range.
         """
-        servo, drawn = self.servo, {name.split(".")[0] for name in values}
-        known = self.nominal if values else None  # what does not vary is not read anew
-        changed = {key for key in DRAWN if key in self.data and (known is None or key in drawn)}
-        set_by_number = self._bind_numbers(values) if known and "faults" in changed else None
+        servo, varied_sections = self.servo, {name.split(".")[0] for name in values}
+        nominal = self.nominal if values else None  # what does not vary is not read anew
+        changed = {
+            key for key in DRAWN if key in self.data and (nominal is None or key in varied_sections)
+        }
+        set_by_number = self._bind_numbers(values) if nominal and "faults" in changed else None
         if set_by_number is not None:
             changed.remove("faults")
         data = _copy_unshared({key: self.data[key] for key in changed})
@@ -150,8 +152,8 @@ class Campaign:
                 _put_number(data, name.split("."), value)
         root = Section(data, self.where)
         root.has("controller")
-        scenario = known[0] if known else None
-        faults = set_by_number or (known[1] if known else {})
+        scenario = nominal[0] if nominal else None
+        faults = set_by_number or (nominal[1] if nominal else {})
         if scenario is None or "scenario" in changed:
             section_of = root.required_section("scenario")
             scenario = read_scenario(section_of, self.scene, self.file.parent)
@@ -163,14 +165,14 @@ class Campaign:
     @cached_property
     def _places(self) -> dict[str, tuple[str, list[str]]]:
         """Fault and path in it of each number of faults that varies."""
-        found = {}
+        places = {}
         for number in self.variation.numbers:
             section, _, rest = number.name.partition(".")
             of = [name for name in self.nominal[1] if rest.startswith(f"{name}.")]
             if section == "faults" and of:
                 fault = max(of, key=len)
-                found[number.name] = fault, rest[len(fault) + 1 :].split(".")
-        return found
+                places[number.name] = fault, rest[len(fault) + 1 :].split(".")
+        return places
 
     def _bind_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
         """Return the faults with other numbers; None: their section must be read."""
@@ -180,12 +182,12 @@ class Campaign:
                 fault, path = self._places.get(name, ("", []))
                 numbers.setdefault(fault, []).append((path, value))
         faults = dict(self.nominal[1])
-        for fault, given in numbers.items():
-            one = faults[fault].with_numbers(given) if fault else None
-            if one is None:
+        for fault, fault_numbers in numbers.items():
+            varied_fault = faults[fault].with_numbers(fault_numbers) if fault else None
+            if varied_fault is None:
                 return None
-            one.check(self.scene, f"{self.where}: faults.{fault}")
-            faults[fault] = one
+            varied_fault.check(self.scene, f"{self.where}: faults.{fault}")
+            faults[fault] = varied_fault
         return faults
 
 
@@ -206,7 +208,7 @@ def load_campaign(file: Path) -> Campaign:
     servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
     servo = change_gains(servo, controller, file.name)
     patterns = _read_patterns(root)
-    of_scene = [one for one in patterns if one.split(".")[0] not in DRAWN]
+    of_scene = [pattern for pattern in patterns if pattern.split(".")[0] not in DRAWN]
     scene, overrides = _load_varied_scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
@@ -237,8 +239,8 @@ def load_campaign(file: Path) -> Campaign:
         search=read_method(root, variation),
         key=key,
     )
-    for known in (*DRAWN, "requirements", "measures"):
-        root.has(known)
+    for section in (*DRAWN, "requirements", "measures"):
+        root.has(section)
     controller.finish()
     if stop is not None:
         stop.finish()
@@ -257,10 +259,10 @@ def find_files(data: Mapping[str, Any], file: Path) -> dict[str, Path]:
     beside = file.parent / root.text("scene")
     scene = find_scene(beside if beside.is_file() else root.text("scene"))
     controller = root.section("controller") or Section({}, file.name, "controller")
-    found = {"scene": scene}
+    paths = {"scene": scene}
     for key in ("servo", "motion"):
-        found[key] = _find_file(controller, key, file) or find_beside(scene, key)
-    return found
+        paths[key] = _find_file(controller, key, file) or find_beside(scene, key)
+    return paths
 
 
 def _check_keys(data: Mapping[str, Any], where: str) -> None:
@@ -273,12 +275,12 @@ def _check_keys(data: Mapping[str, Any], where: str) -> None:
 def _check_times(campaign: Campaign) -> None:
     """Refuse faults of the file that begin when no run lasts so long."""
     scenario, faults, _ = campaign.nominal
-    drawn = {number.name for number in campaign.variation.numbers}
-    for name, one in faults.items():
-        if {f"faults.{name}.at", "scenario.seconds"} & drawn or one.at < scenario.seconds:
+    varied_names = {number.name for number in campaign.variation.numbers}
+    for name, fault in faults.items():
+        if {f"faults.{name}.at", "scenario.seconds"} & varied_names or fault.at < scenario.seconds:
             continue
         rule = f"be before the end of a run, {scenario.seconds:g} s"
-        raise Refusal(campaign.where, f"faults.{name}.at", rule, one.at)
+        raise Refusal(campaign.where, f"faults.{name}.at", rule, fault.at)
 
 
 def _find_file(section: Section, key: str, campaign: Path) -> Path | None:
@@ -296,9 +298,9 @@ def _read_named_files(data: Mapping[str, Any], folder: Path) -> dict[str, bytes]
     table = scenario.get("table") if isinstance(scenario, dict) else None
     named = [table] if isinstance(table, str) else []
     requirements = data.get("requirements")
-    for one in requirements.values() if isinstance(requirements, dict) else ():
-        if isinstance(one, dict) and isinstance(one.get("python"), str):
-            named.append(one["python"].partition(":")[0])
+    for requirement in requirements.values() if isinstance(requirements, dict) else ():
+        if isinstance(requirement, dict) and isinstance(requirement.get("python"), str):
+            named.append(requirement["python"].partition(":")[0])
     return {name: read_bytes(folder / name, 2**28) for name in named if (folder / name).is_file()}
 
 
@@ -324,15 +326,15 @@ def _read_texts(root: Section, key: str, kinds: tuple[type, ...]) -> dict[str, A
     section = root.section(key)
     if section is None:
         return {}
-    found = {}
+    texts = {}
     for name in section.keys():
         value = section.value(name)
         if not re.fullmatch(r"[A-Za-z_][\w-]*", name):
             raise section.refusal(name, "have a name of letters, digits, _ and -", repr(name))
         if not isinstance(value, kinds):
             raise section.refusal(name, "be a text", repr(value))
-        found[name] = value
-    return found
+        texts[name] = value
+    return texts
 
 
 def _read_patterns(root: Section) -> list[str]:
@@ -350,23 +352,23 @@ def _load_varied_scene(
     root: Section, file: Path, patterns: Sequence[str]
 ) -> tuple[Scene, Mapping[str, Any]]:
     """Return the scene, with all that varies as data of the machine, and its overrides."""
-    held = read_yaml(file)
-    given = root.section("set")
-    overrides: dict[str, Any] = {} if given is None else {
-        key: given.value(key) for key in given.keys()
+    scene_data = read_yaml(file)
+    set_section = root.section("set")
+    overrides: dict[str, Any] = {} if set_section is None else {
+        key: set_section.value(key) for key in set_section.keys()
     }  # fmt: skip
-    wanted, of_faults = list(held.get("varied") or []), dict[str, Section]()
+    varied, of_faults = list(scene_data.get("varied") or []), dict[str, Section]()
     for kind, section in _read_kinds(root):
-        overrides = kind.needs({**held, **overrides}) | overrides
+        overrides = kind.needs({**scene_data, **overrides}) | overrides
         of_faults |= dict.fromkeys(kind.sets(section), section)
-    wanted += of_faults
+    varied += of_faults
     scene = _load_changed_scene(file, overrides, root.where)
     if scene.sensed:
-        wanted.append("seed")
+        varied.append("seed")
         overrides = {"seed": scene.seed} | overrides
-    if not patterns and not wanted:
+    if not patterns and not varied:
         return scene, overrides
-    overrides = overrides | {"varied": [*wanted, *patterns]}
+    overrides = overrides | {"varied": [*varied, *patterns]}
     try:
         return load_scene(file, overrides), overrides
     except Refusal as no:
@@ -375,7 +377,7 @@ def _load_varied_scene(
         rule = "name a number that can vary"
         if no.got in of_faults:
             raise of_faults[no.got].refusal("name", rule, no.got, no.valid) from None
-        valid = f"{no.valid}, or numbers of {', '.join(f'{one}.' for one in DRAWN)}"
+        valid = f"{no.valid}, or numbers of {', '.join(f'{group}.' for group in DRAWN)}"
         raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
 
 
@@ -396,29 +398,29 @@ def _read_kinds(root: Section) -> list[tuple[type[Fault], Section]]:
 
 
 def _read_kind(section: Section) -> type[Fault]:
-    known = list_faults()
+    kinds = list_faults()
     kind = section.text("kind")
-    if kind not in known:
-        raise section.refusal("kind", "be a known fault", repr(kind), ", ".join(known))
-    return known[kind]
+    if kind not in kinds:
+        raise section.refusal("kind", "be a known fault", repr(kind), ", ".join(kinds))
+    return kinds[kind]
 
 
 def _read_faults(root: Section, scene: Scene) -> dict[str, Fault]:
     section = root.required_section("faults")
-    found = {}
+    faults = {}
     for name in section.keys():
         below = section.required_section(name)
-        found[name] = _read_kind(below).read(below)
-        found[name].check(scene, f"{root.where}: faults.{name}")
+        faults[name] = _read_kind(below).read(below)
+        faults[name].check(scene, f"{root.where}: faults.{name}")
     section.finish()
-    return found
+    return faults
 
 
 def _copy_unshared(data: Any) -> Any:
     """Return a copy in which nothing is shared, as anchors of YAML do."""
     if isinstance(data, dict):
-        return {key: _copy_unshared(one) for key, one in data.items()}
-    return [_copy_unshared(one) for one in data] if isinstance(data, list) else data
+        return {key: _copy_unshared(value) for key, value in data.items()}
+    return [_copy_unshared(value) for value in data] if isinstance(data, list) else data
 
 
 def _put_number(data: Any, path: Sequence[str], value: float) -> None:

@@ -58,8 +58,8 @@ class Fault:
     @classmethod
     def unit_of(cls, key: str) -> str:
         """Return the unit of a number or a vector."""
-        one = list_numbers(cls).get(key) or cls.vectors.get(key)
-        return one.unit if one else ""
+        number = list_numbers(cls).get(key) or cls.vectors.get(key)
+        return number.unit if number else ""
 
     def with_numbers(self, numbers: Iterable[tuple[Sequence[str], float]]) -> Self | None:
         """Return it with other numbers, as if it had been read so.
@@ -120,27 +120,27 @@ def schedule_changes(
         values: of its varied numbers, where they are not those of the scene.
     """
     period = scene.servo_period
-    sound = {one.name: one.value for one in scene.varied} | dict(values)
+    sound = {number.name: number.value for number in scene.varied} | dict(values)
     begun: list[tuple[int, Fault, bool]] = []
     ended: list[tuple[int, Fault, bool]] = []
     for fault in faults:
         begins = count_ticks(fault.at, period)
         begun.append((begins, fault, True))
         ended.append((begins + max(1, count_ticks(fault.lasting, period)), fault, False))
-    lasting: dict[str, list[tuple[Fault, Change]]] = {}
-    found: list[tuple[int, Change]] = []
-    for tick, fault, begins_now in sorted(ended + begun, key=lambda one: one[0]):
+    active_by_quantity: dict[str, list[tuple[Fault, Change]]] = {}
+    changes: list[tuple[int, Change]] = []
+    for tick, fault, begins_now in sorted(ended + begun, key=lambda event: event[0]):
         change = fault.begins(scene)
-        same = lasting.setdefault(change.what, [])
+        same = active_by_quantity.setdefault(change.what, [])
         if begins_now:
             same.append((fault, change))
         else:
-            place = next(place for place, one in enumerate(same) if one[0] is fault)
+            place = next(place for place, pair in enumerate(same) if pair[0] is fault)
             del same[place]
             if place < len(same):
                 continue  # a newer one holds
             change = same[-1][1] if same else fault.ends()
             if isinstance(change, NumberChange) and change.value is None:
                 change = replace(change, value=sound[change.name])
-        found.append((tick, change))
-    return found
+        changes.append((tick, change))
+    return changes

@@ -57,12 +57,12 @@ class Scenario:
     @property
     def table(self) -> TargetTable:
         """The targets from time 0 on; the start until the first one."""
-        held, table = TargetTable(np.zeros(1), self.start[None]), self.targets
+        initial, table = TargetTable(np.zeros(1), self.start[None]), self.targets
         if table is None:
-            return held
+            return initial
         if table.t[0] <= 0.0:
             return table
-        return TargetTable(np.append(held.t, table.t), np.vstack([held.q, table.q]))
+        return TargetTable(np.append(initial.t, table.t), np.vstack([initial.q, table.q]))
 
 
 def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
@@ -79,21 +79,27 @@ def read_scenario(section: Section, scene: Scene, folder: Path) -> Scenario:
     names = scene.joint_names
     seconds = section.number(SECONDS)
     start = scene.start
-    if (given := section.section("start")) is not None:
-        start = _read_joints(given, names, start)
+    if (start_section := section.section("start")) is not None:
+        start = _read_joints(start_section, names, start)
     targets, moves = section.entries("targets"), section.entries("moves")
     table = section.text("table") if section.has("table") else ""
     if (len(targets) > 0) + bool(table) + (len(moves) > 0) > 1:
         rule = "have one of targets, table and moves"
         raise section.refusal("moves" if moves else "table", rule, "several")
-    found = None
+    target_table = None
     if table:
-        found = load_target_table(folder / table, names, partial(check_targets, scene))
+        target_table = load_target_table(folder / table, names, partial(check_targets, scene))
     elif targets:
-        found = _read_targets(section, targets, names, start)
+        target_table = _read_targets(section, targets, names, start)
         where = f"{section.where}: scenario"
-        check_targets(scene, where, [f"targets.{k}" for k in range(len(targets))], found.t, found.q)
-    return Scenario(seconds, start, found, _read_moves(section, moves))
+        check_targets(
+            scene,
+            where,
+            [f"targets.{k}" for k in range(len(targets))],
+            target_table.t,
+            target_table.q,
+        )
+    return Scenario(seconds, start, target_table, _read_moves(section, moves))
 
 
 def _read_joints(section: Section, names: Sequence[str], q: Array) -> Array:
@@ -118,41 +124,43 @@ def _read_targets(
     t: list[float] = []
     rows: list[Array] = []
     for place, entry in enumerate(entries):
-        one = _read_entry(section, "targets", place, entry)
-        t.append(one.number(AT))
+        entry_section = _read_entry(section, "targets", place, entry)
+        t.append(entry_section.number(AT))
         if place and not t[-1] > t[-2]:
-            raise one.refusal("at", f"be later than that before, {t[-2]:g} s", t[-1])
-        rows.append(_read_joints(one, names, rows[-1] if rows else start))
+            raise entry_section.refusal("at", f"be later than that before, {t[-2]:g} s", t[-1])
+        rows.append(_read_joints(entry_section, names, rows[-1] if rows else start))
     return TargetTable(np.array(t), np.array(rows))
 
 
 def _read_moves(section: Section, entries: list[object]) -> tuple[Move, ...]:
     moves: list[Move] = []
     for place, entry in enumerate(entries):
-        one = _read_entry(section, "moves", place, entry)
-        at = one.number(AT)
-        ways = [way for way in WAYS if one.has(way)]
-        if len(ways) != 1:
-            raise one.refusal("by", f"be one of {', '.join(WAYS)}", ", ".join(ways) or "none")
-        moves.append(Move(at, ways[0], _read_points(one, ways[0])))
-    if any(later.at <= one.at for one, later in itertools.pairwise(moves)):
-        got = ", ".join(f"{one.at:g}" for one in moves)
-        raise section.refusal("moves", "have ascending times", got)
+        entry_section = _read_entry(section, "moves", place, entry)
+        at = entry_section.number(AT)
+        chosen = [key for key in WAYS if entry_section.has(key)]
+        if len(chosen) != 1:
+            raise entry_section.refusal(
+                "by", f"be one of {', '.join(WAYS)}", ", ".join(chosen) or "none"
+            )
+        moves.append(Move(at, chosen[0], _read_points(entry_section, chosen[0])))
+    if any(later.at <= move.at for move, later in itertools.pairwise(moves)):
+        times = ", ".join(f"{move.at:g}" for move in moves)
+        raise section.refusal("moves", "have ascending times", times)
     return tuple(moves)
 
 
-def _read_points(section: Section, way: str) -> Array:
-    bound = TOOL_POSITION.named(way)
-    if way != "along":
+def _read_points(section: Section, key: str) -> Array:
+    bound = TOOL_POSITION.named(key)
+    if key != "along":
         return np.array([section.vector(bound)])
-    points = section.entries(way)
+    points = section.entries(key)
     fits = 1 <= len(points) <= MOST_POINTS and all(
         isinstance(point, list) and len(point) == 3 and all(map(bound.holds, point))
         for point in points
     )
     if not fits:
         rule = f"be 1 to {MOST_POINTS} points of 3 {bound.range}"
-        raise section.refusal(way, rule, repr(points))
+        raise section.refusal(key, rule, repr(points))
     return np.array(points, np.float64)
 
 

@@ -19,7 +19,7 @@ def change_gain(servo: ServoConfig, name: str, value: object, where: str) -> Ser
     """Return a servo with another number, by its name ``controller.joints.JOINT.NUMBER``."""
     *path, key = name.split(".")
     joint = ".".join(path[2:])
-    of_joint = next((one for one in servo.joints if one.name == joint), None)
+    of_joint = next((candidate for candidate in servo.joints if candidate.name == joint), None)
     numbers = {} if of_joint is None else list_numbers(type(of_joint))
     if path[:2] != ["controller", "joints"] or of_joint is None:
         valid = ", ".join(f"controller.joints.{name}" for name in servo.joint_names)

@@ -25,35 +25,35 @@ def read_varying(
     data: Mapping[str, Any],
 ) -> list[Varying]:
     """Return what varies, in the order of the file."""
-    known = {one.name: (one.number.unit, one.value) for one in scene.varied}
+    nominal_values = {number.name: (number.number.unit, number.value) for number in scene.varied}
     for name, value in list_leaves(data.get("scenario")):
-        known[f"scenario.{name}"] = "", value
+        nominal_values[f"scenario.{name}"] = "", value
     faults = root.section("faults")
     for fault in () if faults is None else faults.keys():
         kind = list_faults()[data["faults"][fault]["kind"]]
         for name, value in list_leaves(data["faults"][fault]):
-            known[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
+            nominal_values[f"faults.{fault}.{name}"] = kind.unit_of(name.split(".")[0]), value
     for joint in servo.joints:
         for name, number in list_numbers(type(joint)).items():
             value = getattr(joint, name)
-            known[f"controller.joints.{joint.name}.{name}"] = number.unit, value
+            nominal_values[f"controller.joints.{joint.name}.{name}"] = number.unit, value
     section_of_vary = root.section("vary")
-    found: dict[str, Varying] = {}
+    varying: dict[str, Varying] = {}
     for pattern in patterns:
         assert section_of_vary is not None
         quantity = f"vary.{pattern}"
-        given = parse_distribution(section_of_vary.value(pattern), root.where, quantity)
-        names = fnmatch.filter(known, pattern)
+        distribution = parse_distribution(section_of_vary.value(pattern), root.where, quantity)
+        names = fnmatch.filter(nominal_values, pattern)
         if not names:
             prefix = pattern.split(".")[0]
-            valid = ", ".join(name for name in known if name.startswith(prefix)) or "none"
+            valid = ", ".join(name for name in nominal_values if name.startswith(prefix)) or "none"
             raise Refusal(root.where, quantity, "name existing numbers", pattern, valid)
         for name in names:
-            if name in found:
+            if name in varying:
                 raise Refusal(root.where, quantity, "name each number once", name)
-            unit, value = known[name]
-            found[name] = Varying(name, unit, given, float(value))
-    return list(found.values())
+            unit, value = nominal_values[name]
+            varying[name] = Varying(name, unit, distribution, float(value))
+    return list(varying.values())
 
 
 def read_correlations(root: Section, names: Sequence[str]) -> list[tuple[list[str], float]]:
@@ -61,15 +61,17 @@ def read_correlations(root: Section, names: Sequence[str]) -> list[tuple[list[st
     pairs = []
     for place, entry in enumerate(root.entries("correlate")):
         root.put(f"correlate.{place}", entry)
-        one = root.required_section(f"correlate.{place}")
-        patterns = one.entries("between")
+        section = root.required_section(f"correlate.{place}")
+        patterns = section.entries("between")
         of = [name for name in names if any(fnmatch.fnmatch(name, str(p)) for p in patterns)]
         missing = [str(p) for p in patterns if not fnmatch.filter(names, str(p))]
         if missing or len(of) < 2:
-            got = ", ".join(missing) or ", ".join(of) or "none"
-            raise one.refusal("between", "name two numbers that vary", got, ", ".join(names))
-        pairs.append((of, one.number(CORRELATION)))
-        one.finish()
+            patterns_text = ", ".join(missing) or ", ".join(of) or "none"
+            raise section.refusal(
+                "between", "name two numbers that vary", patterns_text, ", ".join(names)
+            )
+        pairs.append((of, section.number(CORRELATION)))
+        section.finish()
     return pairs
 
 

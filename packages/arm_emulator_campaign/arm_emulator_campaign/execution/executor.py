@@ -22,7 +22,7 @@ from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Resul
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
 
 
-def run_campaign(campaign: Campaign, results: Results, crew: WorkerPool) -> None:
+def run_campaign(campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:
     """Simulate what is missing, to the end or until the campaign may stop.
 
     Raises:
@@ -33,29 +33,31 @@ def run_campaign(campaign: Campaign, results: Results, crew: WorkerPool) -> None
     failures = count_failures(campaign, columns, campaign.count)
     progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
     for count in list_stages(campaign):
-        _complete_runs(campaign, results, crew, progress, count)
+        _complete_runs(campaign, results, worker_pool, progress, count)
         if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
             return
 
 
 def _complete_runs(
-    campaign: Campaign, results: Results, crew: WorkerPool, progress: Progress, count: int
+    campaign: Campaign, results: Results, worker_pool: WorkerPool, progress: Progress, count: int
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
 
     def work(pool: Pool, missing: Sequence[tuple[int, int]], killed: int) -> None:
         left = sum(end - first for first, end in missing)
-        size = size_chunk(left, pool.workers, max(1, crew.largest >> killed))
-        _simulate_chunks(campaign, results, crew, pool, divide_ranges(missing, size), progress)
+        size = size_chunk(left, pool.workers, max(1, worker_pool.largest >> killed))
+        _simulate_chunks(
+            campaign, results, worker_pool, pool, divide_ranges(missing, size), progress
+        )
 
-    with Work(campaign, crew, progress) as all_of_it:
+    with Work(campaign, worker_pool, progress) as all_of_it:
         all_of_it.complete(lambda _: results.missing(count), work)
 
 
 def _simulate_chunks(
     campaign: Campaign,
     results: Results,
-    crew: WorkerPool,
+    worker_pool: WorkerPool,
     pool: Pool,
     chunks: Iterable[tuple[int, int]],
     progress: Progress,
@@ -69,9 +71,9 @@ def _simulate_chunks(
         if not waiting:
             return
         done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
-        for one in done:
-            progress.add(one.result())
-        crew.report(progress)
+        for future in done:
+            progress.add(future.result())
+        worker_pool.report(progress)
         if progress.late(campaign.stop.seconds):
             return
 
@@ -107,8 +109,8 @@ def may_stop(campaign: Campaign, results: Results, count: int) -> bool:
     stop = campaign.stop
     if stop.width <= 0.0:
         return False
-    found = count_failures(campaign, results.columns(), count)
-    intervals = (stop.interval(failed, count) for failed in found)
+    failures = count_failures(campaign, results.columns(), count)
+    intervals = (stop.interval(failed, count) for failed in failures)
     return all(high - low <= stop.width for low, high in intervals)
 
 

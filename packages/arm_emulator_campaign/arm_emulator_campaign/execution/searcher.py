@@ -25,9 +25,11 @@ FOUND = "search.json"
 LEAST = "any requirement"
 
 
-def write_findings(results: Results, found: Sequence[Finding]) -> None:
+def write_findings(results: Results, findings: Sequence[Finding]) -> None:
     """Write what a search has found beside the results."""
-    write_atomically(results.folder / FOUND, json.dumps([asdict(one) for one in found], indent=1))
+    write_atomically(
+        results.folder / FOUND, json.dumps([asdict(finding) for finding in findings], indent=1)
+    )
 
 
 class Searcher:
@@ -42,10 +44,10 @@ class Searcher:
         crew: simulates; the workers of its pool share a batch.
     """
 
-    def __init__(self, campaign: Campaign, results: Results, crew: WorkerPool) -> None:
+    def __init__(self, campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:
         assert campaign.search is not None
         self._campaign, self._results, self._method = campaign, results, campaign.search
-        self._crew = crew
+        self._crew = worker_pool
         self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
         self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
         self._varying = [number.name for number in campaign.variation.numbers]
@@ -54,7 +56,7 @@ class Searcher:
         failures = count_failures(campaign, columns, 2**62)
         count = self._method.runs(len(self._varying))
         self._progress = Progress(count, len(self._known), failures=failures)
-        self._work = Work(campaign, crew, self._progress)
+        self._work = Work(campaign, worker_pool, self._progress)
 
     def run(self) -> list[Finding]:
         """Search to the end; return what was found, which is written beside the results, too.
@@ -66,22 +68,22 @@ class Searcher:
         requirements, seed = self._campaign.requirements, int.from_bytes(self._campaign.key[16:24])
         names = self._outputs if self._method.every else [self._method.of or LEAST]
         names = [name.removeprefix(ROBUSTNESS) for name in names]
-        course = self._method.sampler(self._varying, names, seed)
+        sampler = self._method.sampler(self._varying, names, seed)
         try:
-            points = next(course)
+            points = next(sampler)
             while True:
                 outputs = self._run_batch(points)
                 if not self._method.every:
                     of = [*requirements].index(self._method.of) if self._method.of else None
                     margins = outputs[:, : len(requirements)]
                     outputs = (margins.min(axis=1) if of is None else margins[:, of])[:, None]
-                points = course.send(outputs)
+                points = sampler.send(outputs)
         except StopIteration as end:
-            found: list[Finding] = end.value
+            findings: list[Finding] = end.value
         finally:
             self._work.end()
-        write_findings(self._results, found)
-        return found
+        write_findings(self._results, findings)
+        return findings
 
     def _read(self) -> dict[str, NDArray[Any]]:
         """Take the runs that are done from the results, and return their columns."""
@@ -142,9 +144,9 @@ class Searcher:
             rows = points[begin - first : end - first]
             chunk = str(campaign.file.absolute()), campaign.key, folder, begin, end, rows
             waiting[pool.submit(simulate_chunk, *chunk)] = begin
-        for one in cf.as_completed(waiting):
-            done = one.result()
-            at = waiting[one] - first
+        for future in cf.as_completed(waiting):
+            done = future.result()
+            at = waiting[future] - first
             assert done.outputs is not None
             outputs[at : at + done.runs] = done.outputs
             self._progress.add(done)

@@ -37,10 +37,10 @@ class Splitter:
         crew: does it; its report is called after each repetition.
     """
 
-    def __init__(self, campaign: Campaign, results: Results, crew: WorkerPool) -> None:
+    def __init__(self, campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:
         assert isinstance(campaign.search, Splitting)
         self._campaign, self._method, self._results = campaign, campaign.search, results
-        self._crew = crew
+        self._crew = worker_pool
         self._folder = results.folder / FOLDER
         self._folder.mkdir(exist_ok=True)
         count = self._method.runs(len(campaign.variation.numbers))
@@ -57,15 +57,17 @@ class Splitter:
         self._complete([PILOT])
         key = self._campaign.key
         pilot = _read_content(_name_file(self._folder, PILOT), key)
-        found: list[Repetition] = []
+        repetitions: list[Repetition] = []
         if pilot["leads"]:
             numbers = range(1, 1 + int(self._method.repetitions))
             self._complete(list(numbers))
-            found = [_read_repetition(_name_file(self._folder, number), key) for number in numbers]
-        findings = [self._method.finding(self._method.of, pilot["levels"], found)]
-        if found:
-            findings.append(self._method.list_levels(pilot["levels"], found))
-            findings.append(self._list_first_failures(_list_failures(found)))
+            repetitions = [
+                _read_repetition(_name_file(self._folder, number), key) for number in numbers
+            ]
+        findings = [self._method.finding(self._method.of, pilot["levels"], repetitions)]
+        if repetitions:
+            findings.append(self._method.list_levels(pilot["levels"], repetitions))
+            findings.append(self._list_first_failures(_list_failures(repetitions)))
         write_findings(self._results, findings)
         return findings
 
@@ -73,9 +75,9 @@ class Splitter:
         """Return the first failures, by the numbers that the command line takes."""
         period = self._campaign.scene.servo_period
         rows = []
-        for k, one in enumerate(failures[:LISTED]):
-            forks = [tick * period for tick, _ in one.seeds[1:]]
-            rows.append((k, one.index, len(forks), max(forks, default=0.0)))
+        for k, failure in enumerate(failures[:LISTED]):
+            forks = [tick * period for tick, _ in failure.seeds[1:]]
+            rows.append((k, failure.index, len(forks), max(forks, default=0.0)))
         about = (
             f"{len(failures)} runs failed, numbers 0 to {len(failures) - 1} of `--replay` and "
             "`--shrink`. The first ones:"
@@ -104,8 +106,8 @@ class Splitter:
             return [number for number in numbers if not self._is_done(number)]
 
         def work(pool: Pool, left: Sequence[int], _: int) -> None:
-            for one in cf.as_completed([pool.submit(run_repetition, *of_all, k) for k in left]):
-                self._progress.add(one.result())
+            for future in cf.as_completed([pool.submit(run_repetition, *of_all, k) for k in left]):
+                self._progress.add(future.result())
                 self._crew.report(self._progress)
 
         with Work(self._campaign, self._crew, self._progress) as repetitions:
@@ -115,13 +117,13 @@ class Splitter:
 def read_failures(results: Results) -> list[Origin]:
     """Return the failures of all repetitions that are done, in their order."""
     files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
-    found = []
+    repetitions = []
     for file in files:
         try:
-            found.append(_read_repetition(file, results.campaign.key))
+            repetitions.append(_read_repetition(file, results.campaign.key))
         except ValueError as error:
             results.set_aside(file, str(error))
-    return _list_failures(found)
+    return _list_failures(repetitions)
 
 
 def _list_failures(repetitions: Iterable[Repetition]) -> list[Origin]:
@@ -140,8 +142,8 @@ def run_repetition(file: str, key: bytes, folder: str, number: int) -> Done:
         runs = int(method.per_level) * (len(levels) + 1)
     else:
         levels = _read_content(_name_file(Path(folder), PILOT), key)["levels"]
-        found = method.run_repetition(run, levels, seed, number)
-        content, runs = asdict(found), found.runs
+        repetition = method.run_repetition(run, levels, seed, number)
+        content, runs = asdict(repetition), repetition.runs
     text = json.dumps(content)
     head = {"key": key.hex(), "checksum": compute_checksum(text.encode()), "content": text}
     write_atomically(_name_file(Path(folder), number), json.dumps(head))
@@ -167,7 +169,7 @@ def _read_content(file: Path, key: bytes) -> dict[str, Any]:
 
 def _read_repetition(file: Path, key: bytes) -> Repetition:
     data = _read_content(file, key)
-    return Repetition(**data | {"failures": [Origin(**one) for one in data["failures"]]})
+    return Repetition(**data | {"failures": [Origin(**origin) for origin in data["failures"]]})
 
 
 def _name_file(folder: Path, number: int) -> Path:

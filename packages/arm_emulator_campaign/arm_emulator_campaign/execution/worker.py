@@ -127,13 +127,15 @@ def simulate_chunk(
     if _asked["end"]:
         os._exit(0)
     failures: tuple[int, ...] = (0,) * (len(campaign.requirements) + 1)
-    runs, found = 0, None
+    runs, points_values = 0, None
     if done is not None:
         broken = np.count_nonzero(~(done.robustness >= 0.0), axis=0)
         failures, runs = (*broken.tolist(), int(np.count_nonzero(done.failed))), len(done)
-        found = np.hstack([done.robustness, done.measures])
+        points_values = np.hstack([done.robustness, done.measures])
     spent = time.process_time() - began
-    return Done(runs, failures, spent, runs == end - first, None if points is None else found)
+    return Done(
+        runs, failures, spent, runs == end - first, None if points is None else points_values
+    )
 
 
 def _make_case(campaign: Campaign, index: int, first: int, points: Array | None) -> Case:

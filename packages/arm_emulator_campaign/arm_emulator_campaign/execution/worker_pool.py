@@ -37,12 +37,14 @@ class LocalPool(cf.ProcessPoolExecutor):
     def __init__(self, workers: int, devices: Sequence[str] = ()) -> None:
         self.workers = workers
         spawned = mp.get_context("spawn")
-        given = None
+        device_queue = None
         if devices:
-            given = spawned.Queue()
+            device_queue = spawned.Queue()
             for device in devices:
-                given.put(device)
-        super().__init__(workers, spawned, initializer=begin_worker, initargs=(os.getpid(), given))
+                device_queue.put(device)
+        super().__init__(
+            workers, spawned, initializer=begin_worker, initargs=(os.getpid(), device_queue)
+        )
 
     def end(self) -> None:
         """Let all workers write finished runs, and end them."""
@@ -104,10 +106,10 @@ class DaskPool:
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
         """Submit a call."""
-        given = (function, *arguments)
+        call = (function, *arguments)
         if self._device is not None:
-            given = (call_on, self._device, *given)
-        future: cf.Future[Any] = self._executor.submit(*given)
+            call = (call_on, self._device, *call)
+        future: cf.Future[Any] = self._executor.submit(*call)
         return future
 
     def end(self) -> None:
@@ -137,10 +139,10 @@ class Progress:
     failures: list[int] = field(default_factory=list)
     began: float = field(default_factory=time.monotonic)
 
-    def add(self, found: Done) -> None:
+    def add(self, done: Done) -> None:
         """Count the result of a chunk."""
-        self.done += found.runs
-        pairs = zip(self.failures, found.failures, strict=True)
+        self.done += done.runs
+        pairs = zip(self.failures, done.failures, strict=True)
         self.failures = [before + more for before, more in pairs]
 
     def late(self, seconds: float) -> bool:
@@ -190,8 +192,8 @@ class Work:
         progress: of this work; a chunk that is done counts there.
     """
 
-    def __init__(self, campaign: Campaign, crew: WorkerPool, progress: Progress) -> None:
-        self._campaign, self._crew, self._progress = campaign, crew, progress
+    def __init__(self, campaign: Campaign, worker_pool: WorkerPool, progress: Progress) -> None:
+        self._campaign, self._crew, self._progress = campaign, worker_pool, progress
         self._pool: Pool | None = None
 
     def complete(

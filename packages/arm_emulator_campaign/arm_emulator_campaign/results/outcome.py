@@ -73,7 +73,9 @@ class Outcomes:
     def join(cls, several: Sequence[Outcomes]) -> Outcomes:
         """Return the runs of several, one after the other; of one at least."""
         names = cls.__dataclass_fields__
-        return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in names))
+        return cls(
+            *(np.concatenate([getattr(outcome, name) for outcome in several]) for name in names)
+        )
 
     def __len__(self) -> int:
         return len(self.indices)

@@ -118,11 +118,11 @@ class Results:
             (folder / PARTS).mkdir(parents=True, exist_ok=True)
             if about.exists():
                 facts = json.loads(about.read_text(encoding="utf-8"))
-                known = facts.get("key") if isinstance(facts, dict) else None
-                if known != campaign.key.hex():
+                key = facts.get("key") if isinstance(facts, dict) else None
+                if key != campaign.key.hex():
                     rule = "be new, or have results of this campaign as it is written now"
-                    got = f"results of {str(known)[:12]}, this is {campaign.key.hex()[:12]}"
-                    raise Refusal("campaign", f"folder {folder}", rule, got, "--into FOLDER")
+                    value = f"results of {str(key)[:12]}, this is {campaign.key.hex()[:12]}"
+                    raise Refusal("campaign", f"folder {folder}", rule, value, "--into FOLDER")
             else:
                 facts = {"key": campaign.key.hex(), "file": str(campaign.file.absolute())}
                 write_atomically(about, json.dumps(facts))
@@ -134,8 +134,8 @@ class Results:
     @property
     def parts(self) -> list[Path]:
         """All sound parts; others are set aside."""
-        found = sorted((self.folder / PARTS).glob("*.parquet"))
-        return [part for part in found if self._is_sound(part)]
+        files = sorted((self.folder / PARTS).glob("*.parquet"))
+        return [part for part in files if self._is_sound(part)]
 
     def _is_sound(self, part: Path) -> bool:
         """Return whether a part is what was written for this campaign; each is read once for it."""
@@ -184,9 +184,9 @@ class Results:
 
         schema = make_schema(self.campaign)
         tables = [pq.read_table(part) for part in self.parts]
-        whole = pa.concat_tables(tables) if tables else schema.empty_table()
-        _, places = np.unique(whole[INDEX].to_numpy(), return_index=True)
-        return whole.take(places)
+        table = pa.concat_tables(tables) if tables else schema.empty_table()
+        _, places = np.unique(table[INDEX].to_numpy(), return_index=True)
+        return table.take(places)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all columns by name (K,), by index."""
@@ -222,28 +222,28 @@ def find_judged_units(campaign: Campaign) -> tuple[dict[str, str], dict[str, str
     units, where = list_signal_units(campaign.scene), campaign.where
     robustness = {}
     for name, text in campaign.requirements.items():
-        found = None
+        unit = None
         if isinstance(text, str):
             formula = parse_formula(text, where, name)
-            found = find_formula_unit(bind_signals(formula, list(units), where, name), units)
-        robustness[name] = found or ""
+            unit = find_formula_unit(bind_signals(formula, list(units), where, name), units)
+        robustness[name] = unit or ""
     measures = {}
     for name, text in campaign.measures.items():
-        one = Measure(text, list(units), where, name)
+        measure = Measure(text, list(units), where, name)
         measures[name] = (
-            _find_common_unit(find_expression_unit(each, units) for each in one.of) or ""
+            _find_common_unit(find_expression_unit(each, units) for each in measure.of) or ""
         )
     return robustness, measures
 
 
-def find_formula_unit(what: Formula, units: Mapping[str, str]) -> str | None:
+def find_formula_unit(formula: Formula, units: Mapping[str, str]) -> str | None:
     """Return the unit of a formula's robustness; None: it has constants alone."""
-    if isinstance(what, Margin):
-        return _find_common_unit(find_expression_unit(side, units) for side in what.sides)
-    return _find_common_unit(find_formula_unit(one, units) for one in what.of)
+    if isinstance(formula, Margin):
+        return _find_common_unit(find_expression_unit(side, units) for side in formula.sides)
+    return _find_common_unit(find_formula_unit(operand, units) for operand in formula.of)
 
 
-def find_expression_unit(what: Expression, units: Mapping[str, str]) -> str | None:
+def find_expression_unit(expression: Expression, units: Mapping[str, str]) -> str | None:
     """Return the unit of arithmetic; None: of a constant, which has any."""
 
     def unit(part: Expression, of: Sequence[str | None]) -> str | None:
@@ -257,12 +257,12 @@ def find_expression_unit(what: Expression, units: Mapping[str, str]) -> str | No
             return of[0] if of[1] is None else of[1] if of[0] is None else ""
         if part.sign == "/" and of[1] is None:
             return of[0]
-        return None if all(one is None for one in of) else ""
+        return None if all(operand_unit is None for operand_unit in of) else ""
 
-    return fold(what, unit)
+    return fold(expression, unit)
 
 
 def _find_common_unit(several: Iterable[str | None]) -> str | None:
     """Return the unit that all have which have one; "": they differ."""
-    known = {one for one in several if one is not None}
-    return None if not known else known.pop() if len(known) == 1 else ""
+    units = {unit for unit in several if unit is not None}
+    return None if not units else units.pop() if len(units) == 1 else ""

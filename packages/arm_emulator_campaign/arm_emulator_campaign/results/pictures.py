@@ -77,17 +77,19 @@ def compute_influence(columns: Columns, varying: Sequence[str], of: str) -> dict
     sound = np.isfinite(values)
     count = int(np.count_nonzero(sound))
     slices = min(20, count // 10)
-    found = dict.fromkeys(varying, 0.0)
+    influence = dict.fromkeys(varying, 0.0)
     if slices < 2 or np.ptp(values[sound]) == 0.0:
-        return found
+        return influence
     ranks = np.argsort(np.argsort(values[sound], kind="stable"), kind="stable")
-    whole = float(np.var(ranks))
+    total_variance = float(np.var(ranks))
     for name in varying:
         order = np.argsort(columns[name][sound], kind="stable")
-        within = sum(float(np.var(one)) * len(one) for one in np.array_split(ranks[order], slices))
-        unexplained = within / (count * whole) * (count - 1) / (count - slices)
-        found[name] = max(0.0, 1.0 - unexplained)
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+        within = sum(
+            float(np.var(part)) * len(part) for part in np.array_split(ranks[order], slices)
+        )
+        unexplained = within / (count * total_variance) * (count - 1) / (count - slices)
+        influence[name] = max(0.0, 1.0 - unexplained)
+    return dict(sorted(influence.items(), key=lambda item: -item[1]))
 
 
 def draw_margins(
@@ -153,15 +155,15 @@ def draw_influences(
     return figure
 
 
-def draw_finding(found: Finding) -> Figure:
+def draw_finding(finding: Finding) -> Figure:
     """Draw a column of a finding as bars, a panel for each output."""
-    at = found.head.index(found.bars)
-    outputs = list(dict.fromkeys(row[0] for row in found.rows))
+    at = finding.head.index(finding.bars)
+    outputs = list(dict.fromkeys(row[0] for row in finding.rows))
     across = min(3, len(outputs))
     down = -(-len(outputs) // across)
     figure, axes = _make_figure(WIDTH, 2.6 * down, down, across)
     for axis, output in zip(axes, outputs, strict=False):
-        rows = [row for row in found.rows if row[0] == output][:7][::-1]
+        rows = [row for row in finding.rows if row[0] == output][:7][::-1]
         sizes, errors = [[float(row[k]) for row in rows] for k in (at, at + 1)]
         axis.barh(range(len(rows)), sizes, xerr=errors, color=HOLDS, height=0.62,
                   error_kw={"ecolor": INK, "elinewidth": 1.0})  # fmt: skip
@@ -170,7 +172,7 @@ def draw_finding(found: Finding) -> Figure:
         axis.set_xlim(0.0, None)
         axis.tick_params(axis="y", length=0)
         axis.set_title(wrap_text(str(output)))
-        axis.set_xlabel(found.bars)
+        axis.set_xlabel(finding.bars)
     for axis in axes[len(outputs) :]:
         axis.set_visible(False)
     return figure
@@ -222,9 +224,9 @@ def draw_coordinates(
     good = order[~failed[order]]
     good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES)).astype(int)]
     heights = np.array([_scale_values(columns[name]) for name in names])
-    drawn = np.random.default_rng(0).permutation(np.concatenate([bad, good]))
-    lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in drawn]
-    colors = [FAILS if failed[run] else HOLDS for run in drawn]
+    runs = np.random.default_rng(0).permutation(np.concatenate([bad, good]))
+    lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in runs]
+    colors = [FAILS if failed[run] else HOLDS for run in runs]
     axis.add_collection(
         LineCollection(lines, colors=colors, alpha=0.4, linewidths=0.8, rasterized=True)
     )

@@ -70,25 +70,25 @@ def write_report(
     varying = [number.name for number in campaign.variation.numbers]
     names = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
     ranks = _rank_runs(columns, list(names))
-    drawn: dict[str, bytes] = {}
+    images: dict[str, bytes] = {}
     units = list_column_units(campaign)
     if names and summary.count:
-        drawn["margins"] = pictures.encode_png(pictures.draw_margins(columns, names, units))
+        images["margins"] = pictures.encode_png(pictures.draw_margins(columns, names, units))
     if names and varying and summary.count:
-        drawn["influences"] = pictures.encode_png(
+        images["influences"] = pictures.encode_png(
             pictures.draw_influences(columns, varying, names, units)
         )
     if len(varying) > 1 and summary.count:
         order = _sort_by_influence(columns, varying, list(names))
         lines = pictures.draw_coordinates(columns, order, columns[FAILED], ranks)
-        drawn["coordinates"] = pictures.encode_png(lines)
-    for one in findings:
-        if one.bars and one.rows:
-            drawn[one.title.lower()] = pictures.encode_png(pictures.draw_finding(one))
-    for name, content in drawn.items():
+        images["coordinates"] = pictures.encode_png(lines)
+    for finding in findings:
+        if finding.bars and finding.rows:
+            images[finding.title.lower()] = pictures.encode_png(pictures.draw_finding(finding))
+    for name, content in images.items():
         write_atomically(results.folder / f"{name}.png", content)
     file = results.folder / "report.html"
-    text = "\n".join(_write_page(campaign, results, summary, columns, ranks, drawn, findings))
+    text = "\n".join(_write_page(campaign, results, summary, columns, ranks, images, findings))
     write_atomically(file, text)
     return file
 
@@ -121,7 +121,7 @@ def _write_page(
     summary: Summary,
     columns: pictures.Columns,
     ranks: NDArray[np.int64],
-    drawn: dict[str, bytes],
+    images: dict[str, bytes],
     findings: Sequence[Finding],
 ) -> Iterable[str]:
     scenario, name = campaign.nominal[0], escape_html(campaign.file.stem)
@@ -136,10 +136,10 @@ def _write_page(
     yield f"{len(campaign.variation.numbers)} numbers vary ({how})</p>"
     if summary.count:
         yield from _write_cards(campaign, summary, columns)
-    for one in findings:
-        yield from _write_finding(one)
+    for finding in findings:
+        yield from _write_finding(finding)
     if summary.count:
-        yield from _write_runs(campaign, results, summary, columns, ranks, drawn)
+        yield from _write_runs(campaign, results, summary, columns, ranks, images)
     yield f"<footer>campaign <code>{campaign.key.hex()[:16]}</code>, results "
     yield f"<code>{compute_digest(dict(columns))[:16]}</code></footer></html>"
 
@@ -166,7 +166,7 @@ def _write_runs(
     summary: Summary,
     columns: pictures.Columns,
     ranks: NDArray[np.int64],
-    drawn: dict[str, bytes],
+    images: dict[str, bytes],
 ) -> Iterable[str]:
     yield from _write_requirements(campaign, summary)
     titles = {
@@ -175,7 +175,7 @@ def _write_runs(
         "influences": "What moves the margins",
         "coordinates": "All that varies, run by run",
     }
-    for picture, content in drawn.items():
+    for picture, content in images.items():
         data = base64.b64encode(content).decode()
         yield f"<h2>{titles[picture]}</h2><div class=scroll><img alt='{titles[picture]}' "
         yield f"src='data:image/png;base64,{data}'></div>"
@@ -184,18 +184,18 @@ def _write_runs(
         yield from _write_quantiles(summary)
 
 
-def _write_finding(one: Finding) -> Iterable[str]:
-    yield f"<h2>{escape_html(one.title)}</h2><p>{escape_html(one.about)}</p>"
-    if not one.rows:
+def _write_finding(finding: Finding) -> Iterable[str]:
+    yield f"<h2>{escape_html(finding.title)}</h2><p>{escape_html(finding.about)}</p>"
+    if not finding.rows:
         return
-    words = [isinstance(entry, str) for entry in one.rows[0]]
+    words = [isinstance(entry, str) for entry in finding.rows[0]]
     kinds = ["" if word else " class=n" for word in words]
     yield "<div class=scroll><table><tr>"
     yield "".join(
-        f"<th{kind}>{escape_html(head)}" for kind, head in zip(kinds, one.head, strict=True)
+        f"<th{kind}>{escape_html(head)}" for kind, head in zip(kinds, finding.head, strict=True)
     )
     yield "</tr>"
-    for row in one.format_rows():
+    for row in finding.format_rows():
         cells = zip(kinds, row, strict=True)
         yield "<tr>" + "".join(f"<td{kind}>{escape_html(entry)}" for kind, entry in cells) + "</tr>"
     yield "</table></div>"
@@ -210,31 +210,38 @@ def _write_requirements(campaign: Campaign, summary: Summary) -> Iterable[str]:
     sampled = campaign.search is None  # the share of runs that a search chose means nothing
     yield "<th class=n>share<th>confidence interval" if sampled else ""
     yield "<th class=n>least margin<th class=n>in run</tr>"
-    scale = max([one.high for one in summary.shares] or [1.0])
+    scale = max([share.high for share in summary.shares] or [1.0])
     units = list_column_units(campaign)
-    for one in summary.shares:
-        given = campaign.requirements.get(one.name, "")
-        named = isinstance(given, str) or "python" not in given
-        text = str(given) if named else str(given["python"])
-        bad = " bad" if one.hits else ""
-        yield f"<tr><td class=formula><b>{escape_html(one.name)}</b>"
+    for share in summary.shares:
+        definition = campaign.requirements.get(share.name, "")
+        named = isinstance(definition, str) or "python" not in definition
+        text = str(definition) if named else str(definition["python"])
+        bad = " bad" if share.hits else ""
+        yield f"<tr><td class=formula><b>{escape_html(share.name)}</b>"
         yield f"<br><code>{escape_html(text)}</code>" if text else ""
-        yield f"<td class='n{bad}'>{one.hits}"
-        yield f"<td class=n>{100 * one.share:.3g} %<td>{_write_bar(one, scale)}" if sampled else ""
-        known = one.worst >= 0
-        unit = escape_html(units.get(f"{ROBUSTNESS}{one.name}", ""))
-        yield f"<td class='n{bad}'>{one.least:.4g} {unit}" if known else "<td>"
-        yield f"<td class=n>{one.worst}</tr>" if known else "<td></tr>"
+        yield f"<td class='n{bad}'>{share.hits}"
+        yield (
+            f"<td class=n>{100 * share.share:.3g} %<td>{_write_bar(share, scale)}"
+            if sampled
+            else ""
+        )
+        has_worst = share.worst >= 0
+        unit = escape_html(units.get(f"{ROBUSTNESS}{share.name}", ""))
+        yield f"<td class='n{bad}'>{share.least:.4g} {unit}" if has_worst else "<td>"
+        yield f"<td class=n>{share.worst}</tr>" if has_worst else "<td></tr>"
     yield "</table></div>"
 
 
-def _write_bar(one: FailureRate, scale: float) -> str:
-    left, width = 100 * one.low / scale, 100 * (one.high - one.low) / scale
+def _write_bar(failure_rate: FailureRate, scale: float) -> str:
+    left, width = (
+        100 * failure_rate.low / scale,
+        100 * (failure_rate.high - failure_rate.low) / scale,
+    )
     return (
-        f"<div class=bar title='{100 * one.low:.4g} to {100 * one.high:.4g} %'>"
+        f"<div class=bar title='{100 * failure_rate.low:.4g} to {100 * failure_rate.high:.4g} %'>"
         f"<i style='left:{left:.2f}%;width:{width:.2f}%'></i>"
-        f"<b style='left:{100 * one.share / scale:.2f}%'></b></div>"
-        f"{100 * one.low:.3g} to {100 * one.high:.3g} %"
+        f"<b style='left:{100 * failure_rate.share / scale:.2f}%'></b></div>"
+        f"{100 * failure_rate.low:.3g} to {100 * failure_rate.high:.3g} %"
     )
 
 
@@ -243,7 +250,7 @@ def _write_worst(
 ) -> Iterable[str]:
     varying = [number.name for number in campaign.variation.numbers]
     margins = {f"{ROBUSTNESS}{name}": name for name in campaign.requirements}
-    shown = _sort_by_influence(columns, varying, list(margins))[:5]
+    influential = _sort_by_influence(columns, varying, list(margins))[:5]
     units = list_column_units(campaign)
     command = f"arm_emulator campaign {shlex.quote(str(campaign.file))} --replay"
     yield "<h2>Worst runs</h2><p>The least margins of each requirement, in turns. This line prints "
@@ -251,7 +258,7 @@ def _write_worst(
     yield f"<br><code>{escape_html(command)} INDEX --record run.mcap</code> or "
     yield "<code>--rerun run.rrd</code></p><div class=scroll><table><tr><th class=n>run"
     heads = {name: f"margin of {short}" for name, short in margins.items()}
-    for name, head in (heads | {name: pictures.shorten_name(name) for name in shown}).items():
+    for name, head in (heads | {name: pictures.shorten_name(name) for name in influential}).items():
         unit = f" [{units[name]}]" if units[name] else ""
         yield f"<th class=n>{escape_html(head + unit)}"
     yield "<th>drive it again</tr>"
@@ -261,7 +268,7 @@ def _write_worst(
         for name in margins:
             margin = columns[name][at]
             yield f"<td class='n{'' if margin >= 0.0 else ' bad'}'>{margin:.4g}"
-        yield "".join(f"<td class=n>{columns[name][at]:.4g}" for name in shown)
+        yield "".join(f"<td class=n>{columns[name][at]:.4g}" for name in influential)
         line = f"{command} {index} --rerun run_{index}.rrd"
         yield f"<td><code>{escape_html(line)}</code></tr>"
     yield "</table></div>"
@@ -270,13 +277,13 @@ def _write_worst(
 def _write_quantiles(summary: Summary) -> Iterable[str]:
     if not summary.quantiles:
         return
-    heads = sorted({one.q for one in summary.quantiles})
+    heads = sorted({quantile.q for quantile in summary.quantiles})
     yield f"<h2>Quantiles</h2><p>Intervals of {100 * summary.confidence:g} % confidence; an end "
     yield "that so few runs do not have is open.</p><div class=scroll><table><tr><th>"
     yield "".join(f"<th class=n>{100 * q:g} %" for q in heads) + "</tr>"
-    for column in dict.fromkeys(one.column for one in summary.quantiles):
+    for column in dict.fromkeys(quantile.column for quantile in summary.quantiles):
         yield f"<tr><td>{escape_html(column)}"
-        for one in (one for one in summary.quantiles if one.column == column):
-            yield f"<td class=n>{one.value:.4g}<br><small>{one.interval}</small>"
+        for quantile in (quantile for quantile in summary.quantiles if quantile.column == column):
+            yield f"<td class=n>{quantile.value:.4g}<br><small>{quantile.interval}</small>"
         yield "</tr>"
     yield "</table></div>"

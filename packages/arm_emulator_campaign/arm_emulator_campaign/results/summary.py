@@ -93,23 +93,28 @@ def summarize(campaign: Campaign, columns: Mapping[str, NDArray[Any]]) -> Summar
         low, high = campaign.stop.interval(hits, count)
         at = int(np.argmin(values)) if len(values) else -1
         worst = int(columns[INDEX][at]) if at >= 0 else -1
-        least = float(values[at]) if at >= 0 else float("nan")
+        margin = float(values[at]) if at >= 0 else float("nan")
         share = hits / count if count else float("nan")
-        shares.append(FailureRate(name, hits, share, low, high, worst, least))
+        shares.append(FailureRate(name, hits, share, low, high, worst, margin))
     names = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
     names += [f"{MEASURE}{name}" for name in campaign.measures]
-    quantiles = [one for name in names for one in _find_quantiles(name, columns[name], confidence)]
+    quantiles = [
+        quantile for name in names for quantile in _find_quantiles(name, columns[name], confidence)
+    ]
     return Summary(count, confidence, tuple(shares), tuple(quantiles))
 
 
 def _find_quantiles(name: str, values: NDArray[Any], confidence: float) -> list[Quantile]:
-    known = np.sort(values[~np.isnan(values)])
-    if not len(known):
+    ordered = np.sort(values[~np.isnan(values)])
+    if not len(ordered):
         return []
-    found = []
+    quantiles = []
     for q in QUANTILES:
-        at = min(len(known) - 1, int(q * len(known)))
-        low, high = bound_quantile(q, len(known), confidence)
-        ends = -math.inf if low is None else known[low], math.inf if high is None else known[high]
-        found.append(Quantile(name, q, *map(float, (known[at], *ends))))
-    return found
+        at = min(len(ordered) - 1, int(q * len(ordered)))
+        low, high = bound_quantile(q, len(ordered), confidence)
+        ends = (
+            -math.inf if low is None else ordered[low],
+            math.inf if high is None else ordered[high],
+        )
+        quantiles.append(Quantile(name, q, *map(float, (ordered[at], *ends))))
+    return quantiles

@@ -48,9 +48,9 @@ class Distribution:
 class _Bad(Exception):
     """A rule that is broken, and by what."""
 
-    def __init__(self, rule: str, got: object, valid: str | None = None) -> None:
+    def __init__(self, rule: str, value: object, valid: str | None = None) -> None:
         super().__init__(rule)
-        self.rule, self.got, self.valid = rule, got, valid
+        self.rule, self.got, self.valid = rule, value, valid
 
 
 def _invert_normal(u: float) -> float:
@@ -66,9 +66,9 @@ def _clip_share(share: float) -> float:
     return min(1.0, max(0.0, share))
 
 
-def _check_above(name: str, value: float, least: float = 0.0) -> float:
-    if not value > least:
-        raise _Bad(f"have {name} > {least:g}", value)
+def _check_above(name: str, value: float, minimum: float = 0.0) -> float:
+    if not value > minimum:
+        raise _Bad(f"have {name} > {minimum:g}", value)
     return value
 
 
@@ -199,8 +199,8 @@ def mixture(*pairs: float | Distribution) -> Distribution:
     weights, parts = pairs[::2], pairs[1::2]
     if not len(weights) == len(parts) > 0:
         raise _Bad("be weights, each followed by a distribution", f"{len(pairs)} arguments")
-    sizes = [_check_above("weights", one) for one in weights if isinstance(one, float)]
-    shares = [one / math.fsum(sizes) for one in sizes]
+    sizes = [_check_above("weights", weight) for weight in weights if isinstance(weight, float)]
+    shares = [size / math.fsum(sizes) for size in sizes]
 
     def quantile(u: float) -> float:
         left = u
@@ -229,15 +229,15 @@ def grid(low: float, high: float, count: float) -> Distribution:
 
 
 KINDS: dict[str, Callable[..., Distribution]] = {
-    one.__name__: one
-    for one in (
+    function.__name__: function
+    for function in (
         uniform, loguniform, normal, lognormal, triangular, exponential, weibull, beta,
         truncated, choice, mixture, grid,
     )
 }  # fmt: skip
 
 
-def parse_distribution(given: object, where: str, quantity: str) -> Distribution:
+def parse_distribution(value: object, where: str, quantity: str) -> Distribution:
     """Return the distribution that a text such as ``lognormal(0.5, 0.2)`` states.
 
     ``nominal * ...`` and ``nominal + ...`` begin at the value of the scene.
@@ -245,10 +245,10 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
     Raises:
         Refusal: it is not a distribution.
     """
-    text = f"choice({given!r})" if isinstance(given, int | float) else given
+    text = f"choice({value!r})" if isinstance(value, int | float) else value
     valid = ", ".join(KINDS)
-    if isinstance(given, bool) or not isinstance(text, str) or len(text) > 1000:
-        raise Refusal(where, quantity, "be a distribution", repr(given), valid)
+    if isinstance(value, bool) or not isinstance(text, str) or len(text) > 1000:
+        raise Refusal(where, quantity, "be a distribution", repr(value), valid)
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         relative = ""
@@ -257,14 +257,14 @@ def parse_distribution(given: object, where: str, quantity: str) -> Distribution
                 raise _Bad("begin with nominal * or nominal +", text)
             relative = "*" if isinstance(tree.op, ast.Mult) else "+"
             tree = tree.right
-        found = _read_expression(tree)
+        expression = _read_expression(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise Refusal(where, quantity, "be a distribution", text, valid) from None
     except _Bad as no:
         raise Refusal(where, quantity, no.rule, no.got, no.valid) from None
-    if not isinstance(found, Distribution):
+    if not isinstance(expression, Distribution):
         raise Refusal(where, quantity, "be a distribution", text, valid)
-    return replace(found, text=text, relative=relative)
+    return replace(expression, text=text, relative=relative)
 
 
 def _read_expression(tree: ast.expr) -> float | Distribution:
@@ -284,13 +284,13 @@ def _read_expression(tree: ast.expr) -> float | Distribution:
 def _read_call(name: str, tree: ast.Call) -> Distribution:
     if name not in KINDS:
         raise _Bad("be a known distribution", name, ", ".join(KINDS))
-    if any(one.arg is None for one in tree.keywords):
+    if any(keyword.arg is None for keyword in tree.keywords):
         raise _Bad("have the arguments of its kind", ast.unparse(tree))
-    of: Sequence[Any] = [_read_expression(one) for one in tree.args]
-    named = {str(one.arg): _read_expression(one.value) for one in tree.keywords}
+    of: Sequence[Any] = [_read_expression(arg) for arg in tree.args]
+    named = {str(keyword.arg): _read_expression(keyword.value) for keyword in tree.keywords}
     expects = {"truncated": (0,), "mixture": tuple(range(1, len(of), 2))}.get(name, ())
-    for place, one in enumerate(of):
-        if isinstance(one, Distribution) != (place in expects):
+    for place, argument in enumerate(of):
+        if isinstance(argument, Distribution) != (place in expects):
             kind = "a distribution" if place in expects else "a number"
             raise _Bad(f"have {kind} as argument {place + 1} of {name}", ast.unparse(tree))
     try:

@@ -67,14 +67,14 @@ def bound_mean(p: NDArray[np.float64], confidence: float) -> tuple[float, float]
     weights /= np.sum(weights)
     squares = 2.0 * special.gammaincinv(0.5 * (n - 1), special.ndtr(scores))
     variance = np.maximum(float(np.sum((logs - np.mean(logs)) ** 2)) / squares, 1e-30)
-    centre, spread = np.mean(logs) + 0.5 * variance, np.sqrt(variance / n)
+    centre, width = np.mean(logs) + 0.5 * variance, np.sqrt(variance / n)
     shift = np.zeros(1)
     if zeros:  # the logarithm of the share that is not 0
         shift = np.log(special.betaincinv(n + 0.5, zeros + 0.5, special.ndtr(scores)))
 
     def below(x: float) -> float:
         """Return the pivot's distribution function."""
-        inner = special.ndtr((x - shift[:, None] - centre) / spread) @ weights
+        inner = special.ndtr((x - shift[:, None] - centre) / width) @ weights
         return float(inner @ weights) if zeros else float(inner[0])
 
     tail = 0.5 * (1.0 - confidence)

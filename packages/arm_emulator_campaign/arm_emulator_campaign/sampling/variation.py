@@ -59,7 +59,7 @@ class Variation:
     _newest: tuple[int, list[float]] = field(default=(-1, []), repr=False)
 
     def __post_init__(self) -> None:
-        grids = [place for place, one in enumerate(self.numbers) if one.distribution.levels]
+        grids = [place for place, number in enumerate(self.numbers) if number.distribution.levels]
         self._grids = grids
         self._free = [place for place in range(len(self.numbers)) if place not in grids]
         D = len(self._free)
@@ -75,7 +75,7 @@ class Variation:
         self._key = int.from_bytes(self.key[:16], "little")
         alone = np.eye(len(self.numbers))
         mixed = alone if self._mixed is None else self._mixed
-        self._coupled = [one for one in self._free if np.any(mixed[one] != alone[one])]
+        self._coupled = [block for block in self._free if np.any(mixed[block] != alone[block])]
         # One stream whose counter is set: a new one for each run takes four times as long.
         self._bits = np.random.Philox(counter=np.zeros(4, np.uint64), key=self._key)
         self._fresh = self._bits.state
@@ -87,9 +87,9 @@ class Variation:
         except np.linalg.LinAlgError:
             root = _factor_dependent(correlation)
         if np.max(np.abs(root @ root.T - correlation)) > 1e-9:
-            least = float(np.linalg.eigvalsh(correlation)[0])
+            eigenvalue = float(np.linalg.eigvalsh(correlation)[0])
             rule = "have correlations that can hold together, all eigenvalues >= 0"
-            raise Refusal(self.where, "correlate", rule, f"{least:.3g}")
+            raise Refusal(self.where, "correlate", rule, f"{eigenvalue:.3g}")
         return root
 
     @property
@@ -109,16 +109,16 @@ class Variation:
         """Return the values of a run by name."""
         u = self._draw_point(index)
         return {
-            one.name: one.distribution.at(at, one.nominal)
-            for one, at in zip(self.numbers, u, strict=True)
+            number.name: number.distribution.at(at, number.nominal)
+            for number, at in zip(self.numbers, u, strict=True)
         }
 
     def place_values(self, z: Sequence[float] | Array) -> dict[str, float]:
         """Return the values at a point of independent standard normal numbers (D,), by name."""
         shares = self._shares(np.asarray(z, np.float64))
         return {
-            one.name: one.distribution.at(share, one.nominal)
-            for share, one in zip(shares, self.numbers, strict=True)
+            number.name: number.distribution.at(share, number.nominal)
+            for share, number in zip(shares, self.numbers, strict=True)
         }
 
     def _shares(self, z: Array) -> list[float]:
@@ -207,7 +207,7 @@ def make_correlation(
     """
     if not pairs:
         return None
-    places: Mapping[str, int] = {one.name: place for place, one in enumerate(numbers)}
+    places: Mapping[str, int] = {number.name: place for place, number in enumerate(numbers)}
     matrix = np.eye(len(numbers))
     for names, by in pairs:
         for first in names:

@@ -11,7 +11,7 @@ from arm_emulator_campaign.search.splitting import Splitting
 from arm_emulator_campaign.search.subset import Subset
 
 METHODS: dict[str, type[Method]] = {
-    one.kind: one for one in (CmaEs, Bayes, Sobol, Morris, Subset, Splitting)
+    method.kind: method for method in (CmaEs, Bayes, Sobol, Morris, Subset, Splitting)
 }
 
 
@@ -31,16 +31,16 @@ def read_method(root: Section, variation: Variation) -> Method | None:
         rule = "be absent together with search, which counts its runs"
         raise root.refusal("count", rule, "a count")
     of = section.text("of") if section.has("of") else ""
-    known = root.section("requirements")
-    names = [] if known is None else known.keys()
+    requirements = root.section("requirements")
+    names = [] if requirements is None else requirements.keys()
     if not names:
         raise section.refusal("method", "have a requirement to search for", "none")
     if of and (of not in names or kind.every):
         valid = "no `of`: it judges all" if kind.every else ", ".join(names)
         raise section.refusal("of", "name a requirement that is searched for", of, valid)
-    found = kind(of=of, **section.numbers(kind))
-    found.check(section, variation)
+    method = kind(of=of, **section.numbers(kind))
+    method.check(section, variation)
     section.finish()
     if kind.package:
         require_package(f"{root.where}: search.method {name}", *kind.package)
-    return found
+    return method

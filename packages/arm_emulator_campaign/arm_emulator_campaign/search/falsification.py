@@ -32,15 +32,15 @@ class Falsification(Method):
         """Return how many runs it takes at most."""
         return int(self.most)
 
-    def _ask(self, least: _Least, points: Array) -> Any:
+    def _ask(self, minimum: _Least, points: Array) -> Any:
         """Yield points to run, as many as are left; return their margins."""
-        points = points[: self.runs(0) - least.runs]
+        points = points[: self.runs(0) - minimum.runs]
         margins = (yield points)[:, 0]
-        least.take(margins)
+        minimum.take(margins)
         return np.maximum(np.nan_to_num(margins, nan=WORST), WORST)
 
-    def _ends(self, least: _Least) -> bool:
-        return least.runs >= self.most or least.margin < self.below
+    def _ends(self, minimum: _Least) -> bool:
+        return minimum.runs >= self.most or minimum.margin < self.below
 
 
 class _Least:
@@ -57,10 +57,10 @@ class _Least:
         self.runs += len(margins)
 
     def finding(self, kind: str, of: str) -> Finding:
-        found = f"{self.failed} of {self.runs} runs fail" if self.failed else "no run fails"
+        failures = f"{self.failed} of {self.runs} runs fail" if self.failed else "no run fails"
         return Finding(
             "Falsification",
-            f"{kind} minimised the margin of {of}: {found}.",
+            f"{kind} minimised the margin of {of}: {failures}.",
             ("requirement", "least margin", "in run", "runs", "failing runs"),
             ((of, self.margin, self.run, self.runs, self.failed),),
         )
@@ -83,20 +83,20 @@ class CmaEs(Falsification):
         """Return its course."""
         from cma import CMAEvolutionStrategy
 
-        least, rng, D = _Least(), np.random.default_rng(seed), len(names)
+        minimum, rng, D = _Least(), np.random.default_rng(seed), len(names)
         size, begin = 4 + int(3.0 * np.log(D)), np.zeros(D)
-        while not self._ends(least):
+        while not self._ends(minimum):
             evolution = CMAEvolutionStrategy(begin, 0.3 * self.within, {
                 "bounds": [-self.within, self.within], "popsize": size, "verbose": -9,
                 "seed": int(rng.integers(1, 2**31)), "verb_disp": 0, "verb_log": 0,
             })  # fmt: skip
-            while not (self._ends(least) or evolution.stop()):
+            while not (self._ends(minimum) or evolution.stop()):
                 points = np.array(evolution.ask())
-                margins = yield from self._ask(least, points)
+                margins = yield from self._ask(minimum, points)
                 if len(margins) == len(points):
                     evolution.tell(list(points), margins.tolist())
             size, begin = 2 * size, rng.uniform(-self.within, self.within, D)
-        return [least.finding(self.kind, outputs[0])]
+        return [minimum.finding(self.kind, outputs[0])]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,11 +121,11 @@ class Bayes(Falsification):
         )
         study = optuna.create_study(sampler=sampler)
         each = optuna.distributions.FloatDistribution(-self.within, self.within)
-        least = _Least()
-        while not self._ends(least):
+        minimum = _Least()
+        while not self._ends(minimum):
             trials = [study.ask(dict.fromkeys(names, each)) for _ in range(int(self.at_once))]
-            points = np.array([[one.params[name] for name in names] for one in trials])
-            margins = yield from self._ask(least, points)
+            points = np.array([[proposal.params[name] for name in names] for proposal in trials])
+            margins = yield from self._ask(minimum, points)
             for trial, margin in zip(trials, margins.tolist(), strict=False):
                 study.tell(trial, margin)
-        return [least.finding(self.kind, outputs[0])]
+        return [minimum.finding(self.kind, outputs[0])]

@@ -38,13 +38,13 @@ class Finding:
 
     def format_rows(self) -> list[tuple[str, ...]]:
         """Return the rows as texts; a name that stands in the row before is left out."""
-        found, before = [], ""
+        rows, before = [], ""
         for name, *rest in self.rows:
-            texts = [f"{one:.4g}" if isinstance(one, float) else str(one) for one in rest]
+            texts = [f"{value:.4g}" if isinstance(value, float) else str(value) for value in rest]
             first = str(name) if isinstance(name, str) else f"{name:.4g}"
-            found.append(("" if first == before else first, *texts))
+            rows.append(("" if first == before else first, *texts))
             before = first
-        return found
+        return rows
 
 
 Course = Generator[Array, Array, list[Finding]]

@@ -39,15 +39,19 @@ class Sensitivity(Method):
         head: tuple[str, ...],
     ) -> list[Finding]:
         """Return a table of all outputs; one that is not finite everywhere has none."""
-        found: list[tuple[str | float, ...]] = []
+        sensitivities: list[tuple[str | float, ...]] = []
         for name, values in outputs.items():
             if not np.isfinite(values).all():
                 about += f" {name}: not finite in every run, no indices."
             elif np.ptp(values) == 0.0:
                 about += f" {name}: the same in all runs."
             else:
-                found += [(name, *row) for row in rows(values)]
-        return [Finding("Sensitivity", about, ("output", "number", *head), tuple(found), head[0])]
+                sensitivities += [(name, *row) for row in rows(values)]
+        return [
+            Finding(
+                "Sensitivity", about, ("output", "number", *head), tuple(sensitivities), head[0]
+            )
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,10 +88,10 @@ class Sobol(Sensitivity):
         def rows(of: Array) -> Sequence[tuple[str | float, ...]]:
             # Of a large mean SALib's estimate keeps few digits.
             centred = (of - of.mean()) / of.std()
-            found = analysis.analyze(
+            indices = analysis.analyze(
                 problem, centred, calc_second_order=False, conf_level=CONFIDENCE, seed=seed
             )
-            return _make_rows(names, found, ("ST", "ST_conf", "S1", "S1_conf"))
+            return _make_rows(names, indices, ("ST", "ST_conf", "S1", "S1_conf"))
 
         about = f"Shares of the variance, {self.runs(len(names))} runs, +- at {CONFIDENCE:.0%}."
         head = ("in all", "+- in all", "alone", "+- alone")
@@ -134,10 +138,10 @@ class Morris(Sensitivity):
         values = yield _compute_scores(u)
 
         def rows(of: Array) -> Sequence[tuple[str | float, ...]]:
-            found = analysis.analyze(
+            indices = analysis.analyze(
                 problem, u, of, num_levels=levels, conf_level=CONFIDENCE, seed=seed
             )
-            return _make_rows(names, found, ("mu_star", "mu_star_conf", "mu", "sigma"))
+            return _make_rows(names, indices, ("mu_star", "mu_star_conf", "mu", "sigma"))
 
         low, high = 100.0 * TAIL, 100.0 * (TAIL + (1.0 - 2.0 * TAIL) * self._part)
         about = (
@@ -157,11 +161,11 @@ def _make_problem(names: Sequence[str], tail: float) -> dict[str, Any]:
 
 
 def _make_rows(
-    names: Sequence[str], found: Mapping[str, Array], keys: Sequence[str]
+    names: Sequence[str], indices: Mapping[str, Array], keys: Sequence[str]
 ) -> Sequence[tuple[str | float, ...]]:
     """Return each number's name and indices, the largest first index on top."""
-    order = np.argsort(-np.asarray(found[keys[0]]), kind="stable")
-    return [(names[k], *(float(found[key][k]) for key in keys)) for k in order]
+    order = np.argsort(-np.asarray(indices[keys[0]]), kind="stable")
+    return [(names[k], *(float(indices[key][k]) for key in keys)) for k in order]
 
 
 def _compute_scores(u: Array) -> Array:

@@ -113,7 +113,7 @@ class Splitting(ByLevels):
     def run_pilot(self, process: Process[Any], seed: int) -> tuple[list[float], bool]:
         """Return the levels, and whether they lead to failures."""
         rng, N = np.random.default_rng([seed, 0]), int(self.per_level)
-        wanted, levels, starts = round(self.share * N), list[float](), list[Any]()
+        required, levels, starts = round(self.share * N), list[float](), list[Any]()
         while True:
             # The whole way of each run, to know how far it comes.
             seeds = _draw_seeds(rng, N)
@@ -121,9 +121,9 @@ class Splitting(ByLevels):
             for k in range(N):
                 _set_run(process, starts, k, seeds)
                 lowest[k] = process.reach(-math.inf)[1]
-            if np.count_nonzero(lowest < 0.0) >= wanted:
+            if np.count_nonzero(lowest < 0.0) >= required:
                 return levels, True
-            level = max(0.0, float(np.sort(lowest)[wanted - 1]))
+            level = max(0.0, float(np.sort(lowest)[required - 1]))
             before = levels[-1] if levels else math.inf
             if len(levels) == self._levels or not level < before:  # too rare, or a plateau
                 return levels, False
@@ -168,25 +168,31 @@ class Splitting(ByLevels):
                 starts = [reached[k] for k in choose_places(N, len(reached), rng)]
         return Repetition(math.prod(shares), runs, shares, failures)
 
-    def finding(self, of: str, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+    def finding(
+        self, of: str, levels: Sequence[float], repetitions: Sequence[Repetition]
+    ) -> Finding:
         """Return what repetitions have found."""
-        runs = sum(one.runs for one in found)
+        runs = sum(repetition.runs for repetition in repetitions)
         about = (
-            f"Margin of {of} below 0: mean of {len(found)} repetitions over {len(levels)} levels, "
-            f"{runs} runs and forks of runs in all."
+            f"Margin of {of} below 0: mean of {len(repetitions)} repetitions over "
+            f"{len(levels)} levels, {runs} runs and forks of runs in all."
         )
         nothing = f"No level led to a failure of {of}: rarer than `least`, or impossible."
-        return self._found(of, [one.probability for one in found], runs, about, nothing)
+        return self._found(
+            of, [repetition.probability for repetition in repetitions], runs, about, nothing
+        )
 
-    def list_levels(self, levels: Sequence[float], found: Sequence[Repetition]) -> Finding:
+    def list_levels(self, levels: Sequence[float], repetitions: Sequence[Repetition]) -> Finding:
         """Return the levels, with the shares of runs that reached each from the one before."""
         rows = []
         for k, level in enumerate((*levels, 0.0)):
-            shares = np.array([one.shares[k] for one in found if k < len(one.shares)])
+            shares = np.array(
+                [repetition.shares[k] for repetition in repetitions if k < len(repetition.shares)]
+            )
             name = "failure" if k == len(levels) else f"level {k + 1}"
             if len(shares):
-                spread = float(np.mean(shares)), float(np.min(shares)), float(np.max(shares))
-                rows.append((name, level, *spread, len(shares)))
+                statistics = float(np.mean(shares)), float(np.min(shares)), float(np.max(shares))
+                rows.append((name, level, *statistics, len(shares)))
         about = (
             f"Margins at which runs are forked, {int(self.per_level)} a level and repetition, and "
             "shares of them that come so far. Shares near 0 call for more runs per level."

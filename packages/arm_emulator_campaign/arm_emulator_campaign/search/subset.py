@@ -58,8 +58,8 @@ class Subset(ByLevels):
         """Return its course."""
         rng, D, N = np.random.default_rng(seed), len(names), int(self.per_level)
         chains = round(self.share * N)
-        levels, found, runs = yield from self._run_pilot(rng, D, N, chains)
-        if not found:
+        levels, survivors, runs = yield from self._run_pilot(rng, D, N, chains)
+        if not survivors:
             return [self._list_findings(outputs[0], np.zeros(0), runs)]
         K = int(self.repetitions)
         z = rng.standard_normal((K, N, D))
@@ -93,13 +93,15 @@ class Subset(ByLevels):
             if len(levels) == self._levels or level == np.max(margins):  # too rare, or a plateau
                 return levels, False, runs
             for _ in range(2):  # a level that is tried with the scale of the one before, and anew
-                found = yield from _run_chains(z[:, order], margins[:, order], level, scale, N, rng)
+                outcome = yield from _run_chains(
+                    z[:, order], margins[:, order], level, scale, N, rng
+                )
                 runs += N - chains
-                if abs(found[2] - ACCEPTED) < 0.15:
+                if abs(outcome[2] - ACCEPTED) < 0.15:
                     break
-                scale = min(1.0, scale * math.exp(2.0 * (found[2] - ACCEPTED)))
+                scale = min(1.0, scale * math.exp(2.0 * (outcome[2] - ACCEPTED)))
             levels.append((level, scale))
-            z, margins, _ = found
+            z, margins, _ = outcome
         return levels, True, runs
 
     def _list_findings(self, of: str, p: Array, runs: int) -> Finding:
@@ -121,10 +123,10 @@ def _run_chains(
     for _ in range(-(-N // n) - 1):
         x = rng.standard_normal(now.shape)
         candidates = math.sqrt(1.0 - scale * scale) * now + scale * x
-        found = (yield candidates.reshape(-1, D))[:, 0].reshape(K, n)
-        below = found <= level
+        proposed = (yield candidates.reshape(-1, D))[:, 0].reshape(K, n)
+        below = proposed <= level
         now = np.where(below[:, :, None], candidates, now)
-        of_now = np.where(below, found, of_now)
+        of_now = np.where(below, proposed, of_now)
         states.append(now)
         margins.append(of_now)
         taken.append(float(np.mean(below)))

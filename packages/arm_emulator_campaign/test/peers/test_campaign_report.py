@@ -18,12 +18,12 @@ NARROW = 360  # px
 
 
 def test_the_report_is_as_wide_as_a_phone(tmp_path):
-    one = load_campaign(Path(__file__).parents[4] / "examples/campaign.yaml")
-    results = Results(tmp_path, one)
-    cases = [draw_case(one.variation, index) for index in range(80)]
-    write_part(results.folder, one, Outcomes.join(list(make_simulator(one).runs(cases))))
+    campaign = load_campaign(Path(__file__).parents[4] / "examples/campaign.yaml")
+    results = Results(tmp_path, campaign)
+    cases = [draw_case(campaign.variation, index) for index in range(80)]
+    write_part(results.folder, campaign, Outcomes.join(list(make_simulator(campaign).runs(cases))))
     columns = results.columns()
-    file = write_report(one, results, columns, summarize(one, columns))
+    file = write_report(campaign, results, columns, summarize(campaign, columns))
     with chromium() as browser:
         page = browser.new_page(viewport={"width": NARROW, "height": 740})
         page.goto(file.as_uri())

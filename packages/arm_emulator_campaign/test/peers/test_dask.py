@@ -17,16 +17,16 @@ pytest.importorskip("distributed", reason="Dask: pip install distributed")
 
 @pytest.fixture
 def cluster():
-    one = Cluster()
-    yield one
-    one.end()
+    dask_cluster = Cluster()
+    yield dask_cluster
+    dask_cluster.end()
 
 
 @pytest.fixture
 def file(tmp_path):
-    one = tmp_path / "campaign.yaml"
-    one.write_text(yaml.safe_dump(CAMPAIGN | {"count": 8000}))
-    return one
+    path = tmp_path / "campaign.yaml"
+    path.write_text(yaml.safe_dump(CAMPAIGN | {"count": 8000}))
+    return path
 
 
 @pytest.mark.parametrize("victim", ("", *some(Cluster.victims, 2)))
@@ -34,8 +34,8 @@ def test_a_kill_of_any_process_leaves_the_digest_the_same(tmp_path, file, cluste
     # The time counts from the first part: a client that has no scheduler yet waits less for one.
     rng = np.random.default_rng(7)
     after = rng.uniform(0.0, 0.5)
-    one = one_moment(file, tmp_path / "r", cluster, victim, after, rng, parts=1)
-    assert one.digest == digest_alone(file, tmp_path / "alone"), one
+    trial = one_moment(file, tmp_path / "r", cluster, victim, after, rng, parts=1)
+    assert trial.digest == digest_alone(file, tmp_path / "alone"), trial
 
 
 def test_without_a_scheduler_the_client_ends_with_a_line(tmp_path, file, cluster):
@@ -52,12 +52,12 @@ def test_a_campaign_takes_all_workers_of_a_cluster(cluster):
     from arm_emulator_campaign.execution.worker_pool import DaskPool
 
     _, address = cluster.options
-    given, every = DaskPool(address, 60.0, 7), DaskPool(address, 60.0)
+    limited, every = DaskPool(address, 60.0, 7), DaskPool(address, 60.0)
     try:
         until = time.monotonic() + 60.0
         while every.workers < WORKERS and time.monotonic() < until:
             time.sleep(0.1)
-        assert every.workers == WORKERS and given.workers == 7
+        assert every.workers == WORKERS and limited.workers == 7
     finally:
-        given.end()
+        limited.end()
         every.end()

@@ -33,7 +33,7 @@ def test_rtamt_agrees():
 def for_rtamt(text, count):
     text = re.sub(r"\[([\d.]+), end\]", rf"[\1, {2 * count * PERIOD:.2f}]", text)
 
-    def milliseconds(found):
-        return f"[{round(float(found[1]) * 1e3)}ms:{round(float(found[2]) * 1e3)}ms]"
+    def milliseconds(match):
+        return f"[{round(float(match[1]) * 1e3)}ms:{round(float(match[2]) * 1e3)}ms]"
 
     return re.sub(r"\[([\d.]+), ([\d.]+)\]", milliseconds, text)

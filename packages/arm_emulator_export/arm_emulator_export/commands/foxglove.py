@@ -30,8 +30,8 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     from arm_emulator_msgs.msg import MotorState
 
     machine = load_scene(scene)
-    known = MeasuredFields(machine, MotorState.get_fields_and_field_types())
-    further = {one.name: one.unit for one in known.own if not one.per_unit}
+    measured_fields = MeasuredFields(machine, MotorState.get_fields_and_field_types())
+    further = {output.name: output.unit for output in measured_fields.own if not output.per_unit}
     robot = ET.fromstring(machine.urdf)
     links = list_element_names(robot, "link", scene)
     root = find_root_link(links, read_urdf_joints(robot, links, scene), scene)
@@ -109,7 +109,8 @@ def foxglove_layout(
         for title, topic, field in STATES
     ]
     tabs = [
-        {"title": one["title"].partition(" [")[0], "layout": panel} for panel, one in plots.items()
+        {"title": plot_config["title"].partition(" [")[0], "layout": panel}
+        for panel, plot_config in plots.items()
     ]
     panels = {
         "3D!arm": _arm(root, base),

@@ -48,8 +48,8 @@ def open_requested_bus(
         Refusal: the bus is unknown, or does not open.
     """
     if bus is not None:
-        with open_bus(bus, channel or "", bitrate) as one:
-            yield one, f"{bus} {channel or ''}".rstrip()
+        with open_bus(bus, channel or "", bitrate) as can_bus:
+            yield can_bus, f"{bus} {channel or ''}".rstrip()
         return
     for name, value in (("channel", channel), ("bitrate", bitrate)):
         if value is not None:
@@ -110,9 +110,9 @@ def canopen(
         period = None if lockstep else round(machine.servo_period * 1e9)
         try:
             plant = segment.drives.plant
-            with Recorder(plant, kept, waits=lockstep), watched(plant, page) as desk:
+            with Recorder(plant, kept, waits=lockstep), watched(plant, page) as server:
                 print("canopen: ready", flush=True)
-                BusService(on, segment, period).serve(desk.poll)
+                BusService(on, segment, period).serve(server.poll)
         finally:
             output.facts({"ignored": on.ignored})
             if on.ignored:

@@ -72,9 +72,9 @@ def ethercat(
             print(f"ethercat: {interface} is down: ip link set {interface} up", file=sys.stderr)
     try:
         plant = segment.drives.plant
-        with Recorder(plant, kept, waits=not realtime), watched(plant, page) as desk:
+        with Recorder(plant, kept, waits=not realtime), watched(plant, page) as server:
             print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
-            while not segment.figures.diverged and desk.poll():
+            while not segment.figures.diverged and server.poll():
                 segment.serve(descriptor, _TURN)
         print(f"scene {machine.name}: the machine has diverged", file=sys.stderr)
         return 1

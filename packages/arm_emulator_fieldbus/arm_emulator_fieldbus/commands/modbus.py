@@ -88,12 +88,12 @@ def _print_registers(scene: str) -> int:
         Refusal: the scene is refused.
     """
     table = list_blocks(load_scene(scene))
-    for one in table:
-        last = one.address + one.count - 1
-        where = f"{one.address}" if one.count == 1 else f"{one.address} to {last}"
-        access = "rw" if one.writable else "r"
-        per = f" [{one.per} per joint]" if one.per else ""
-        text = f"{where:<16} {access:<3} {one.kind:<8} {one.name}{per}, {one.unit}"
+    for block in table:
+        last = block.address + block.count - 1
+        where = f"{block.address}" if block.count == 1 else f"{block.address} to {last}"
+        access = "rw" if block.writable else "r"
+        per = f" [{block.per} per joint]" if block.per else ""
+        text = f"{where:<16} {access:<3} {block.kind:<8} {block.name}{per}, {block.unit}"
         output.line(text.rstrip(", "))
     output.facts({"registers": table})
     return 0

@@ -37,15 +37,17 @@ class Line:
         self.emergencies: list[tuple[int, int]] = []  # slave, error code
         for slave in self.slaves:
             slave.add_emergency_callback(
-                lambda one: self.emergencies.append((one.slave_pos, one.error_code))
+                lambda emergency: self.emergencies.append(
+                    (emergency.slave_pos, emergency.error_code)
+                )
             )
         self.log: list[bytes] = []
         self.bad = 0
 
     def exchange(self, outputs: list[bytes]) -> bool:
         """Whether the frame came back in time, with every slave's process data."""
-        for slave, one in zip(self.slaves, outputs, strict=True):
-            slave.output = one
+        for slave, output in zip(self.slaves, outputs, strict=True):
+            slave.output = output
         self.master.send_processdata()
         good = self.master.receive_processdata(TIMEOUT) == self.master.expected_wkc
         self.bad += not good
@@ -56,24 +58,24 @@ class Line:
     def to_op(self) -> None:
         self.master.config_dc()
         self.master.config_map()
-        assert all(len(one.output) == OUT and len(one.input) == INTO for one in self.slaves)
+        assert all(len(slave.output) == OUT and len(slave.input) == INTO for slave in self.slaves)
         self.state(pysoem.SAFEOP_STATE)
         nothing = [bytes(OUT)] * len(self.slaves)
         self.exchange(nothing)
         self.state(pysoem.OP_STATE, nothing)
 
-    def state(self, wanted: int, outputs: list[bytes] | None = None) -> None:
+    def state(self, target: int, outputs: list[bytes] | None = None) -> None:
         for _ in range(TRIES):
-            self.master.state = wanted
+            self.master.state = target
             self.master.write_state()
             for _ in range(20):
                 if outputs:
                     self.exchange(outputs)
-                if self.master.state_check(wanted, 5000) == wanted:
+                if self.master.state_check(target, 5000) == target:
                     return
         self.master.read_state()
-        reported = [(one.state, hex(one.al_status)) for one in self.slaves]
-        raise SystemExit(f"slaves do not reach state {wanted}: {reported}")
+        reported = [(slave.state, hex(slave.al_status)) for slave in self.slaves]
+        raise SystemExit(f"slaves do not reach state {target}: {reported}")
 
 
 def patiently(ask: Any) -> Any:
@@ -90,14 +92,22 @@ def patiently(ask: Any) -> Any:
 def scan(line: Line) -> dict[str, Any]:
     """All slaves, and all entries of the first one's dictionary, by SDO information and by SDO."""
     values, texts = {}, {}
-    for one in patiently(lambda: line.slaves[0].od):
-        entries = patiently(lambda one=one: one.entries) if one.object_code != 7 else [None]
-        texts[one.index] = one.name.decode()
+    for sdo_object in patiently(lambda: line.slaves[0].od):
+        entries = (
+            patiently(lambda sdo_object=sdo_object: sdo_object.entries)
+            if sdo_object.object_code != 7
+            else [None]
+        )
+        texts[sdo_object.index] = sdo_object.name.decode()
         for sub in range(len(entries)):
-            value = patiently(lambda sub=sub, one=one: line.slaves[0].sdo_read(one.index, sub))
-            values[f"{one.index}:{sub}"] = value.hex()
+            value = patiently(
+                lambda sub=sub, sdo_object=sdo_object: line.slaves[0].sdo_read(
+                    sdo_object.index, sub
+                )
+            )
+            values[f"{sdo_object.index}:{sub}"] = value.hex()
     return {
-        "slaves": [(one.name, one.man, one.id, one.rev) for one in line.slaves],
+        "slaves": [(slave.name, slave.man, slave.id, slave.rev) for slave in line.slaves],
         "objects": texts,
         "values": values,
     }
@@ -117,12 +127,12 @@ def move(line: Line, motion: bytes, log: Path) -> dict[str, Any]:
     started = 0.0
     while row < len(rows):
         mode = 8 + min(2, 3 * row // len(rows))
-        enabled = all(one[0] & 0x6F == 0x27 for one in reported)
+        enabled = all(report[0] & 0x6F == 0x27 for report in reported)
         if enabled and not started:
             started = time.perf_counter()
         waited += not enabled
         if waited > 5000:
-            raise SystemExit(f"drives are not enabled: {[hex(one[0]) for one in reported]}")
+            raise SystemExit(f"drives are not enabled: {[hex(report[0]) for report in reported]}")
         for k, (status, q, v, _, _) in enumerate(reported):
             word = ENABLE.get(status & 0x6F, ENABLE.get(status & 0x4F, 0x06))
             position, speed, torque = rows[row][k] if enabled else (q, 0, 0)
@@ -142,8 +152,8 @@ def move(line: Line, motion: bytes, log: Path) -> dict[str, Any]:
     for k, (_, q, _, _, _) in enumerate(reported):
         hold[k] = struct.pack("<HiihbB", 0x0F, q, 0, 0, 8, 0)
     count = 20_000
-    for slave, one in zip(line.slaves, hold, strict=True):
-        slave.output = one
+    for slave, output in zip(line.slaves, hold, strict=True):
+        slave.output = output
     started = time.perf_counter()
     for _ in range(count):
         line.master.send_processdata()
@@ -188,15 +198,19 @@ def pull(line: Line, interface: str) -> dict[str, Any]:
     subprocess.run(["ip", "link", "set", interface, "up"], check=True)
     for _ in range(TRIES):
         line.master.read_state()
-        if all(one.state & 0xF == pysoem.SAFEOP_STATE for one in line.slaves):
+        if all(slave.state & 0xF == pysoem.SAFEOP_STATE for slave in line.slaves):
             break
         time.sleep(0.02)
-    states = [(one.state, one.al_status) for one in line.slaves]
-    errors = [patiently(lambda one=one: one.sdo_read(0x603F, 0)).hex() for one in line.slaves]
-    status = [patiently(lambda one=one: one.sdo_read(0x6041, 0)).hex() for one in line.slaves]
-    for one in line.slaves:
-        one.state = pysoem.SAFEOP_STATE | pysoem.STATE_ACK
-        one.write_state()
+    states = [(slave.state, slave.al_status) for slave in line.slaves]
+    errors = [
+        patiently(lambda slave=slave: slave.sdo_read(0x603F, 0)).hex() for slave in line.slaves
+    ]
+    status = [
+        patiently(lambda slave=slave: slave.sdo_read(0x6041, 0)).hex() for slave in line.slaves
+    ]
+    for slave in line.slaves:
+        slave.state = pysoem.SAFEOP_STATE | pysoem.STATE_ACK
+        slave.write_state()
     line.state(pysoem.OP_STATE, [bytes(OUT)] * len(line.slaves))
     again = enable(line, 5000)
     return {

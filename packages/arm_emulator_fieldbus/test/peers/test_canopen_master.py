@@ -32,7 +32,7 @@ canopen: Any = pytest.importorskip("canopen")
 pytest.importorskip("can")
 
 ROOT = Path(__file__).resolve().parents[4]
-ENTRIES = [one for one in list_entries() if one.buses & CANOPEN]
+ENTRIES = [entry for entry in list_entries() if entry.buses & CANOPEN]
 
 
 @contextmanager
@@ -55,10 +55,10 @@ def network_of(segment: Segment, channel: str, period: int | None = None) -> Ite
             network.disconnect()
 
 
-def wait_until(there: Any, what: str) -> None:
+def wait_until(there: Any, condition: str) -> None:
     until = time.monotonic() + 30.0
     while not there():
-        assert time.monotonic() < until, what
+        assert time.monotonic() < until, condition
         time.sleep(0.001)
 
 
@@ -149,8 +149,8 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
     page = page_of("canopen").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
     (place,) = [k for k, block in enumerate(blocks) if "import canopen" in block]
-    shown = textwrap.dedent(blocks[place]).strip()
-    script, _, printed = shown.rpartition("\n\n")
+    example = textwrap.dedent(blocks[place]).strip()
+    script, _, printed = example.rpartition("\n\n")
     assert "port=29536" in script
     write_eds("three_axis", tmp_path / "eds")
     command = [sys.executable, "-m", "arm_emulator", "canopen", "three_axis", "--listen", "0"]
@@ -162,10 +162,10 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
             lines = [nodes.stdout.readline()]
             while lines[-1] and "ready" not in lines[-1]:
                 lines.append(nodes.stdout.readline())
-            found = re.search(r"socketcand on 127\.0\.0\.1:(\d+)", "".join(lines))
-            assert found, lines
+            match = re.search(r"socketcand on 127\.0\.0\.1:(\d+)", "".join(lines))
+            assert match, lines
             master = subprocess.run(
-                [sys.executable, "-c", script.replace("29536", found[1])],
+                [sys.executable, "-c", script.replace("29536", match[1])],
                 cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
             )  # fmt: skip
             assert master.returncode == 0, master.stderr
@@ -207,18 +207,18 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
         network.nmt.state = "OPERATIONAL"
         wait_until(lambda: all(int(node.state) == 5 for node in segment.nodes), "operational")
         reported: list[tuple[int, ...]] = []
-        got: list[tuple[int, ...]] = []
+        received: list[tuple[int, ...]] = []
         for k, node in enumerate(nodes):
             node.tpdo[2].add_callback(
-                lambda pdo, k=k: got.append((k, pdo[0].raw, pdo[1].raw))  # type: ignore[misc]
+                lambda pdo, k=k: received.append((k, pdo[0].raw, pdo[1].raw))  # type: ignore[misc]
             )
 
         def exchange() -> list[tuple[int, ...]]:
             """Send SYNC, and wait for what six drives report."""
-            got.clear()
+            received.clear()
             network.sync.transmit()
-            wait_until(lambda: len(got) == 6, "six drives answer SYNC")
-            return sorted(got)
+            wait_until(lambda: len(received) == 6, "six drives answer SYNC")
+            return sorted(received)
 
         for word in (6, 7, 15):
             for k, node in enumerate(nodes):
@@ -239,8 +239,8 @@ def test_ur5_moves_as_its_drives_do_in_process(tmp_path: Path) -> None:
         worst = 0.0
         for cycle in range(round(SECONDS / (CYCLE * scene.servo_period))):
             t = cycle * CYCLE * scene.servo_period
-            way = counts * (1 - np.cos(2 * np.pi * hertz * t)) / 2
-            targets = [at + round(step) for at, step in zip(start, way.tolist(), strict=True)]
+            travel = counts * (1 - np.cos(2 * np.pi * hertz * t)) / 2
+            targets = [at + round(step) for at, step in zip(start, travel.tolist(), strict=True)]
             for node, target in zip(nodes, targets, strict=True):
                 node.rpdo[2]["Controlword"].raw = 15
                 node.rpdo[2]["Target position"].raw = target

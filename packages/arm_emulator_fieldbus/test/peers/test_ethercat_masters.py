@@ -53,7 +53,7 @@ class Cable:
 
 @pytest.fixture
 def cable() -> Iterator[Cable]:
-    one = Cable(f"ecs{os.getpid()}", f"ecm{os.getpid()}")
+    pair = Cable(f"ecs{os.getpid()}", f"ecm{os.getpid()}")
 
     def ip(*words: str) -> None:
         done = subprocess.run(["ip", *words], capture_output=True, text=True, check=False)
@@ -61,15 +61,15 @@ def cable() -> Iterator[Cable]:
             pytest.skip(f"no network namespaces here: ip {' '.join(words)}: {done.stderr.strip()}")
 
     try:
-        for name in (one.slave, one.master):
+        for name in (pair.slave, pair.master):
             ip("netns", "add", name)
-        ip("-n", one.slave, "link", "add", one.interface, "type", "veth", "peer", "name",
-           one.interface, "netns", one.master)  # fmt: skip
-        for name in (one.slave, one.master):
-            ip("-n", name, "link", "set", one.interface, "up")
-        yield one
+        ip("-n", pair.slave, "link", "add", pair.interface, "type", "veth", "peer", "name",
+           pair.interface, "netns", pair.master)  # fmt: skip
+        for name in (pair.slave, pair.master):
+            ip("-n", name, "link", "set", pair.interface, "up")
+        yield pair
     finally:
-        for name in (one.slave, one.master):
+        for name in (pair.slave, pair.master):
             subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
 
 
@@ -91,9 +91,9 @@ def emulator(cable: Cable, *words: str) -> Iterator[dict[str, int]]:
     assert process.returncode == 0, f"exit code after Ctrl-C: {process.returncode}"
     for name, words_ in (("exchanges", "all process data"), ("watchdogs", "watchdogs"),
                          ("malformed", "discarded")):  # fmt: skip
-        found = re.search(rf"{words_}\s+(\d+)", rest)
-        assert found, f"{words_} is not reported: {rest}"
-        reported[name] = int(found.group(1))
+        match = re.search(rf"{words_}\s+(\d+)", rest)
+        assert match, f"{words_} is not reported: {rest}"
+        reported[name] = int(match.group(1))
 
 
 def soem(cable: Cable, *words: str) -> dict[str, Any]:
@@ -164,11 +164,11 @@ def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
     )
     with emulator(cable):
         reported = MASTERS[name](cable, "scan", str(tmp_path / "entries"))
-    assert [one[0] for one in reported["slaves"]] == ["arm_emulator drive"] * DRIVES, (
+    assert [fields[0] for fields in reported["slaves"]] == ["arm_emulator drive"] * DRIVES, (
         "slaves by name"
     )
     objects = sorted({entry.index for entry in entries})
-    assert {int(one) for one in reported["objects"]} == listed(name, objects), "objects"
+    assert {int(index) for index in reported["objects"]} == listed(name, objects), "objects"
     read = {key: bytes.fromhex(value) for key, value in reported["values"].items()}
     for entry in entries:
         value = drives.upload(0, entry.index, entry.sub)
@@ -193,7 +193,9 @@ class Motion:
         rows = zip(self.q.tolist(), self.v.tolist(), self.torque.tolist(), strict=True)
         with file.open("wb") as out:
             for row in rows:
-                out.write(b"".join(struct.pack("<iih", *one) for one in zip(*row, strict=True)))
+                out.write(
+                    b"".join(struct.pack("<iih", *sample) for sample in zip(*row, strict=True))
+                )
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +216,7 @@ def motion() -> Motion:
         master.exchange([struct.pack("<HiihbB", word, c, 0, 0, 8, 0) for c in start.tolist()])
     for k, row in enumerate(q.tolist()):
         out = [struct.pack("<HiihbB", 0x0F, c, 0, 0, 8, 0) for c in row]
-        torque[k] = [struct.unpack_from("<Hiih", one)[3] for one in master.exchange(out)]
+        torque[k] = [struct.unpack_from("<Hiih", part)[3] for part in master.exchange(out)]
     return Motion(q, v, torque, per)
 
 
@@ -257,10 +259,10 @@ def test_a_master_moves_the_arm_as_the_plant_predicts(
     # A frame reports measurements from before its targets.
     error = np.abs(moved[1:] - motion.q[:-1]) / motion.counts_per_rad
     mode = 8 + np.minimum(2, 3 * np.arange(rows - 1) // rows)
-    for one, largest in LARGEST.items():
-        off = error[(mode == one) & fine[1:]].max()
-        print(f"{name}, mode {one}: {off:.2e} rad")
-        assert off < largest, f"mode {one} of {name} is off by {off} rad"
+    for judged_mode, largest in LARGEST.items():
+        off = error[(mode == judged_mode) & fine[1:]].max()
+        print(f"{name}, mode {judged_mode}: {off:.2e} rad")
+        assert off < largest, f"mode {judged_mode} of {name} is off by {off} rad"
     assert result["exchanges_per_s"] > 5000 or not FULL, f"{result['exchanges_per_s']} exchanges/s"
 
 
@@ -288,13 +290,13 @@ def test_clocks_are_aligned_and_exchanges_keep_step_with_sync0(clock: str, cable
 def test_a_pulled_cable_leads_to_a_fault_that_can_be_reset(clock: str, cable: Cable) -> None:
     with emulator(cable, clock) as reported:
         result = soem(cable, "pull")
-    assert all(one & 0x6F == 0x27 for one in result["enabled"]), "enabled before"
+    assert all(word & 0x6F == 0x27 for word in result["enabled"]), "enabled before"
     assert result["states"] == [[0x14, 0x1B]] * DRIVES, "SAFEOP with an error: watchdog"
     assert result["errors"] == ["1b82"] * DRIVES, "0x821B, the watchdog of the sync manager"
-    faults = [int.from_bytes(bytes.fromhex(one), "little") & 0x4F for one in result["status"]]
+    faults = [int.from_bytes(bytes.fromhex(word), "little") & 0x4F for word in result["status"]]
     assert faults == [0x08] * DRIVES, "Fault"
-    assert all(one & 0x6F == 0x27 for one in result["again"]), "enabled again after a reset"
-    emergencies = [(one, code) for one, code in result["emergencies"] if code == 0x821B]
+    assert all(word & 0x6F == 0x27 for word in result["again"]), "enabled again after a reset"
+    emergencies = [(slave, code) for slave, code in result["emergencies"] if code == 0x821B]
     assert emergencies == [(k + 1, 0x821B) for k in range(DRIVES)], "an emergency of each slave"
     assert reported["watchdogs"] >= DRIVES, "every slave's watchdog"
 

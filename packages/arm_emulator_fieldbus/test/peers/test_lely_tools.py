@@ -70,10 +70,10 @@ def bus(sheets: list[Path], folder: Path) -> Path:
     nodes = {}
     for number, sheet in enumerate(sheets, 2):
         node = dict(NODE, node_id=number, dcf=str(sheet))
-        for way in ("tpdo", "rpdo"):
-            node[way] = {
+        for direction in ("tpdo", "rpdo"):
+            node[direction] = {
                 k: dict(pdo, mapping=[{"index": index} for index in pdo.get("mapping", ())])
-                for k, pdo in NODE[way].items()
+                for k, pdo in NODE[direction].items()
             }
         nodes[f"joint_{number}"] = node
     master = {"node_id": 1, "sync_period": 10000}
@@ -110,9 +110,9 @@ def test_dcfchk_and_dcfgen_accept_every_data_sheet(name: str, tmp_path: Path) ->
         run("dcfchk", "--print", "--node_id", "5", sheet)
     run("dcfgen", "--remote-pdo", "--directory", tmp_path, bus(sheets, tmp_path))
     for node in segment.nodes:
-        wanted = list(downloads((tmp_path / f"joint_{node.number}.bin").read_bytes()))
-        indices = {index for index, *_ in wanted}
+        expected = list(downloads((tmp_path / f"joint_{node.number}.bin").read_bytes()))
+        indices = {index for index, *_ in expected}
         assert indices >= {0x100C, 0x100D, 0x1006, 0x60C2, 0x6081, 0x6083, 0x1401, 0x1801, 0x1A01}
-        for index, sub, value in wanted:
+        for index, sub, value in expected:
             put(segment, node.number, index, sub, int.from_bytes(value, "little"), len(value))
     assert segment.periods_per_sync == round(0.01 / segment.scene.servo_period)

@@ -81,9 +81,9 @@ def test_a_servo_loop_over_the_line_reaches_its_target(tmp_path: Path, errors: f
         reported = master.read_input_registers(1000, count=9).registers
         start = last = np.array(long_of(reported[3:9])) * rad_per_count
         target = start + np.array([0.10, -0.05, 0.08]) / ratio
-        words, tick, asked = [0, 0, 0], 0, 0
+        words, tick, answered = [0, 0, 0], 0, 0
         while tick < 600:
-            asked += 1
+            answered += 1
             reported = master.readwrite_registers(
                 read_address=1000, read_count=9, write_address=2001, values=words
             ).registers
@@ -102,7 +102,7 @@ def test_a_servo_loop_over_the_line_reaches_its_target(tmp_path: Path, errors: f
         assert np.abs(theta - target).max() < 3 * 2 * np.pi / 1024
         if errors:
             damaged = master.diag_read_bus_comm_error_count().count
-            assert tick > asked or damaged, "a request or a reply came damaged"
+            assert tick > answered or damaged, "a request or a reply came damaged"
 
 
 def test_wrong_requests_are_answered_with_exceptions(tmp_path: Path) -> None:
@@ -119,8 +119,8 @@ def test_page_shows_what_happens(tmp_path: Path) -> None:
     """The master of docs/how_to/modbus.md."""
     page = page_of("modbus").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)
-    (shown,) = [textwrap.dedent(block).strip() for block in blocks if "import Modbus" in block]
-    script, _, printed = shown.rpartition("\n\n")
+    (example,) = [textwrap.dedent(block).strip() for block in blocks if "import Modbus" in block]
+    script, _, printed = example.rpartition("\n\n")
     with master_of(tmp_path) as master:
         master.close()  # the port is for one
         script = script.replace("/tmp/arm", str(tmp_path / "port"))

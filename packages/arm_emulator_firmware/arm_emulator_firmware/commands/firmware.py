@@ -97,28 +97,28 @@ def firmware(
     with contextlib.ExitStack() as open_:
         lines = open_.enter_context(_open_lines(wiring, uart or ()))
         chip = Microcontroller(wiring, ElfImage(firmware), machine, lines)
-        one = TableRun(machine, table, chip)
-        open_.enter_context(Recorder(one.session.plant, kept, waits=True, stays=True))
+        table_run = TableRun(machine, table, chip)
+        open_.enter_context(Recorder(table_run.session.plant, kept, waits=True, stays=True))
         if stop_when is not None:
-            stops = Breakpoint(one.session.plant, stop_when, "firmware: --stop-when")
+            stops = Breakpoint(table_run.session.plant, stop_when, "firmware: --stop-when")
             open_.callback(stops.close)
             chip.break_at(stops.stop)
-        desk = open_.enter_context(watched(one.session.plant, page, steps=True, waits=True))
+        server = open_.enter_context(watched(table_run.session.plant, page, steps=True, waits=True))
         with ctrl_c_ends_at_once():
             if gdb is not None:
                 _wait_for_gdb(chip, gdb, firmware)
             started = time.perf_counter()
             try:
-                desk.drive(one.advance, ticks)
+                server.drive(table_run.advance, ticks)
             except (Diverged, FirmwareEnd) as fault:
                 print(explain_divergence(fault), file=sys.stderr)
                 output.facts({"scene": machine.name, "failed": explain_divergence(fault)})
                 return 1
         wall = time.perf_counter() - started
-        wanted = None if table is None else find_last_target(machine, table, ticks)
-        off = None if wanted is None else compute_tool_error(one.session, wanted)
-        report_run(one.session, ticks, wall, off)
-        missed = "" if wanted is None else find_missed_target(one.session, wanted)
+        target = None if table is None else find_last_target(machine, table, ticks)
+        off = None if target is None else compute_tool_error(table_run.session, target)
+        report_run(table_run.session, ticks, wall, off)
+        missed = "" if target is None else find_missed_target(table_run.session, target)
         figures = chip.figures
         awake = 1.0 - figures.asleep / figures.cycles if figures.cycles else 0.0
         each = figures.instructions / ticks
@@ -128,7 +128,7 @@ def firmware(
             "first_fault": chip.fault if figures.faults else None,
         })  # fmt: skip
         happened = {"faults": figures.faults, "resets": figures.resets}
-        more = "".join(f", {count} {what}" for what, count in happened.items() if count)
+        more = "".join(f", {count} {event}" for event, count in happened.items() if count)
         print(
             f"microcontroller   {each:.0f} instructions per servo period, {awake:.1%} awake{more}"
         )
@@ -155,7 +155,7 @@ def _wait_for_gdb(chip: Microcontroller, port: int, elf: Path) -> None:
 def _open_lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tuple[int, int]]]:
     """Yield file descriptors to write to and read from for serial lines, by their names."""
     names = board.uarts
-    wanted = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
+    outputs = {name: "stdout" if place == 0 else "none" for place, name in enumerate(names)}
     for text in reported:
         name, _, where = text.partition("=")
         if not where and len(names) == 1:
@@ -164,13 +164,13 @@ def _open_lines(board: Board, reported: Sequence[str]) -> Iterator[dict[str, tup
             valid = ", ".join(names) or "none: the board has no uart"
             raise Refusal("firmware", "--uart", "name a serial line of the board", text, valid)
         if where not in _WHERE:
-            valid = ", ".join(f"{name}={one}" for one in _WHERE)
+            valid = ", ".join(f"{name}={destination}" for destination in _WHERE)
             raise Refusal("firmware", "--uart", "state where the line goes", text, valid)
-        wanted[name] = where
+        outputs[name] = where
     sys.stdout.flush()
     with contextlib.ExitStack() as open_:
         lines = {}
-        for name, where in wanted.items():
+        for name, where in outputs.items():
             if where == "stdout":
                 lines[name] = (1, -1)
             elif where == "pty":

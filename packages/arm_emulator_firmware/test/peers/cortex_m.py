@@ -121,8 +121,8 @@ def run_firmware(board: Path, elf: Path, ticks: int = 3) -> bytes:
     try:
         lines = {"line": (theirs, -1)}
         read = load_board(board, SCENE.joint_names)
-        one = TableRun(SCENE, None, Microcontroller(read, ElfImage(elf), SCENE, lines))
-        one.advance(ticks)
+        table_run = TableRun(SCENE, None, Microcontroller(read, ElfImage(elf), SCENE, lines))
+        table_run.advance(ticks)
     finally:
         os.close(theirs)
         listener.join()

@@ -90,7 +90,7 @@ const firmware* arm_firmware(void) {
 }
 """
     )
-    folders = [f"-I{one}" for one in (SERVO, BOUNDARY, EXAMPLE, folder)]
+    folders = [f"-I{path}" for path in (SERVO, BOUNDARY, EXAMPLE, folder)]
     objects = []
     for source in (folder / f"{name}.c", EXAMPLE / "control.c", SERVO / "servo.c"):
         objects.append(str(folder / f"{source.stem}.o"))
@@ -106,13 +106,13 @@ def test_firmware_moves_the_arm_as_the_same_code_in_a_library(
     elf = built("asleep.elf")
     rng = np.random.default_rng(1)
     table = random_table(rng, ur5, 300)
-    wanted = states(TableRun(ur5, table, library_of_example(elf.parent)), 300)
-    assert len({*wanted}) == 300, "states of a machine that moves"
+    expected = states(TableRun(ur5, table, library_of_example(elf.parent)), 300)
+    assert len({*expected}) == 300, "states of a machine that moves"
     for name, level in (("asleep.elf", "-O2"), ("small.elf", "-Os")):
-        one = TableRun(ur5, table, chip_of(ur5, built(name, level=level)))
-        assert states(one, 300) == wanted, f"the machine at each tick with {level}"
+        table_run = TableRun(ur5, table, chip_of(ur5, built(name, level=level)))
+        assert states(table_run, 300) == expected, f"the machine at each tick with {level}"
     awake = TableRun(ur5, table, chip_of(ur5, built("awake.elf", "-DAWAKE")))
-    assert states(awake, 100) == wanted[:100], "the machine at each tick, never asleep"
+    assert states(awake, 100) == expected[:100], "the machine at each tick, never asleep"
 
 
 def test_with_preload_voltages_come_a_period_later(
@@ -130,25 +130,27 @@ def test_ten_runs_are_equal(built: Callable[..., Path], ur5: Scene) -> None:
     """To the last bit of the machine, and to the last instruction of the processor."""
     elf = built("asleep.elf")
     table = random_table(np.random.default_rng(2), ur5, 100)
-    seen = set()
+    outcomes = set()
     for _ in range(10):
         chip = chip_of(ur5, elf)
-        one = TableRun(ur5, table, chip)
-        one.advance(200)
+        table_run = TableRun(ur5, table, chip)
+        table_run.advance(200)
         figures = chip.figures
-        seen.add((one.session.plant.save(), figures.instructions, figures.cycles, figures.asleep))
-    assert len(seen) == 1, "states, instructions and cycles of ten runs"
+        outcomes.add(
+            (table_run.session.plant.save(), figures.instructions, figures.cycles, figures.asleep)
+        )
+    assert len(outcomes) == 1, "states, instructions and cycles of ten runs"
 
 
 def test_two_chips_know_nothing_of_each_other(built: Callable[..., Path], ur5: Scene) -> None:
     elf = built("asleep.elf")
     table = random_table(np.random.default_rng(3), ur5, 50)
     alone = states(TableRun(ur5, table, chip_of(ur5, elf)), 60)
-    one, other = (TableRun(ur5, table, chip_of(ur5, elf)) for _ in range(2))
+    first, second = (TableRun(ur5, table, chip_of(ur5, elf)) for _ in range(2))
     for tick in range(60):
-        one.advance(1)
-        other.advance(1)
-        assert one.session.plant.save() == other.session.plant.save() == alone[tick], tick
+        first.advance(1)
+        second.advance(1)
+        assert first.session.plant.save() == second.session.plant.save() == alone[tick], tick
 
 
 # Debugging
@@ -170,11 +172,11 @@ class Debugger:
 
     def hear(self) -> bytes:
         """Return the next packet."""
-        while (one := self._stream.read(1)) != b"$":
-            assert one, "an open connection"
+        while (character := self._stream.read(1)) != b"$":
+            assert character, "an open connection"
         text = b""
-        while (one := self._stream.read(1)) != b"#":
-            text += one
+        while (character := self._stream.read(1)) != b"#":
+            text += character
         self._stream.read(2)
         return text
 
@@ -190,12 +192,14 @@ def course(
     chip: Microcontroller, scene: Scene, table: TargetTable | None, ticks: int
 ) -> list[tuple[bytes, int, int, int]]:
     """Go on tick by tick; return the machine's state and what the processor has done at each."""
-    one, seen = TableRun(scene, table, chip), []
+    table_run, tick_states = TableRun(scene, table, chip), []
     for _ in range(ticks):
-        one.advance(1)
+        table_run.advance(1)
         done = chip.figures
-        seen.append((one.session.plant.save(), done.instructions, done.asleep, done.exceptions))
-    return seen
+        tick_states.append(
+            (table_run.session.plant.save(), done.instructions, done.asleep, done.exceptions)
+        )
+    return tick_states
 
 
 def address_of(elf: Path, function: str) -> int:
@@ -244,13 +248,13 @@ def test_halting_in_gdb_changes_no_bit(
     free = course(chip_of(ur5, elf), ur5, table, ticks)
     lines = ["set pagination off", "break control_step", "continue", "print *encoder", "backtrace"]
     for _ in range(6):
-        what = rng.choice(["stepi", "next", "continue", "middle"])
-        if what == "stepi":
+        action = rng.choice(["stepi", "next", "continue", "middle"])
+        if action == "stepi":
             lines.append(f"stepi {rng.integers(1, 60)}")
-        elif what == "middle":
+        elif action == "middle":
             lines += [f"tbreak *(servo_command+{4 * rng.integers(1, 12)})", "continue"]
         else:
-            lines.append(str(what))
+            lines.append(str(action))
         lines += [
             "info registers",
             "print $d3",
@@ -282,14 +286,14 @@ def test_gdb_halts_where_a_condition_on_the_machine_begins_to_hold(
     table = random_table(np.random.default_rng(6), ur5, 8)
     free = course(chip_of(ur5, elf), ur5, table, ticks)
     chip = chip_of(ur5, elf)
-    one, seen, stood = TableRun(ur5, table, chip), [], []
-    stops = Breakpoint(one.session.plant, "tick >= 17")
+    run, tick_states, stops_at = TableRun(ur5, table, chip), [], []
+    stops = Breakpoint(run.session.plant, "tick >= 17")
     chip.break_at(stops.stop)
 
     def work(port: int) -> None:
         with Debugger(port) as gdb:
             assert gdb.ask(b"c") == b"S05", "as at a breakpoint"
-            stood.append((stops.tick, len(seen)))
+            stops_at.append((stops.tick, len(tick_states)))
             gdb.send(b"$D#44")
 
     with socket.socket() as listening:
@@ -299,12 +303,14 @@ def test_gdb_halts_where_a_condition_on_the_machine_begins_to_hold(
         worker.start()
         chip.debug(listening)
     for _ in range(ticks):
-        one.advance(1)
+        run.advance(1)
         done = chip.figures
-        seen.append((one.session.plant.save(), done.instructions, done.asleep, done.exceptions))
+        tick_states.append(
+            (run.session.plant.save(), done.instructions, done.asleep, done.exceptions)
+        )
     worker.join()
-    assert stood == [(17, 17)], "before the firmware saw tick 17"
-    assert seen == free
+    assert stops_at == [(17, 17)], "before the firmware saw tick 17"
+    assert tick_states == free
 
 
 def test_every_step_and_any_packet_of_a_debugger_change_no_bit(

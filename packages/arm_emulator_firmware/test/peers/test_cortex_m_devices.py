@@ -69,7 +69,7 @@ def test_ideal_converters_give_the_motion_of_the_template(tmp_path: Path) -> Non
     objects = []
     for source in (SERVO / "template/mine.c", SERVO / "servo.c"):
         objects.append(str(tmp_path / f"{source.stem}.o"))
-        folders = [f"-I{one}" for one in (SERVO, BOUNDARY, tmp_path)]
+        folders = [f"-I{path}" for path in (SERVO, BOUNDARY, tmp_path)]
         host_cc(*C_FLAGS, "-DSERVO_FLOAT", *folders, "-c", str(source), "-o", objects[-1])
     host_cc("-shared", *objects, "-o", str(tmp_path / "mine.so"))
     (tmp_path / "main.c").write_text(
@@ -109,9 +109,9 @@ int main(void) {
     sources = [EXAMPLE / "startup.c", tmp_path / "main.c", SERVO / "servo.c"]
     elf = cross(tmp_path / "ideal.elf", *map(str, sources), "-DSERVO_FLOAT")
     table = random_table(np.random.default_rng(10), SCENE, 200)
-    wanted = states(TableRun(SCENE, table, Firmware(tmp_path / "mine.so")), 300)
+    expected = states(TableRun(SCENE, table, Firmware(tmp_path / "mine.so")), 300)
     chip = chip_of(SCENE, elf, write_board(tmp_path, **FLOATS))
-    assert states(TableRun(SCENE, table, chip), 300) == wanted, "the machine at each tick"
+    assert states(TableRun(SCENE, table, chip), 300) == expected, "the machine at each tick"
 
 
 COUNTING = """
@@ -184,7 +184,7 @@ def test_counters_converters_and_bridges_are_as_documented(seed: int, tmp_path: 
     elf = tiny(tmp_path, text.replace("SLEEP", rng.choice(['"wfi"', '"wfe"'])))
     ticks = 30
     heard = np.array(words_of(run_firmware(board, elf, ticks)), np.int64).reshape(ticks, 6)
-    duty = [min(one / (top + edge), 1.0) for one in (*compare, minus)]
+    duty = [min(count / (top + edge), 1.0) for count in (*compare, minus)]
     sign = -1 if seed % 2 else 1
     voltage = [supply * (2 * duty[0] - 1), sign * supply * duty[1], supply * (duty[2] - duty[3])]
     voltage[disabled] = 0.0
@@ -192,16 +192,17 @@ def test_counters_converters_and_bridges_are_as_documented(seed: int, tmp_path: 
     begun: list[int] = []
     for tick in range(ticks):
         measured = loop.session.measured
-        counts = [int(one) for one in measured.encoder_counts]
+        counts = [int(count) for count in measured.encoder_counts]
         begun = begun or counts
-        wanted = [
-            (first + one - zero) % 2**b for one, zero, b in zip(counts, begun, bits, strict=True)
+        expected = [
+            (first + count - zero) % 2**b
+            for count, zero, b in zip(counts, begun, bits, strict=True)
         ]
-        wanted += [
-            int(min(max(np.floor(one * s + o + 0.5), 0), 2**b - 1))
-            for one, s, o, b in zip(measured.current, scale, offset, adc_bits, strict=True)
+        expected += [
+            int(min(max(np.floor(value * s + o + 0.5), 0), 2**b - 1))
+            for value, s, o, b in zip(measured.current, scale, offset, adc_bits, strict=True)
         ]
-        assert heard[tick].tolist() == wanted, f"registers at tick {tick}"
+        assert heard[tick].tolist() == expected, f"registers at tick {tick}"
         loop.advance(1)
 
 
@@ -293,11 +294,11 @@ def test_targets_arrive_on_a_serial_line(tmp_path: Path) -> None:
     table = random_table(np.random.default_rng(14), SCENE, 20)
     heard = line_run(tmp_path, ECHO, table, b"", 30, targets=True)
     rows = table.q if table.t[0] == 0.0 else np.vstack([SCENE.start, table.q])
-    wanted = b""
+    expected = b""
     for row in rows:
         numbers = row.astype("<f4").tobytes()
-        wanted += b"\xa5\x5a" + numbers + bytes([sum(numbers) % 256])
-    assert heard == wanted, "frames of the table's rows"
+        expected += b"\xa5\x5a" + numbers + bytes([sum(numbers) % 256])
+    assert heard == expected, "frames of the table's rows"
 
 
 @pytest.mark.parametrize("free", [False, True])
@@ -326,8 +327,8 @@ int main(void) {{
     heard = run_firmware(board, tiny(tmp_path, text), 8)
     if free:
         times = np.frombuffer(heard, np.uint8)
-        wanted = [(k * (load + 1) >> 4) % 256 for k in range(1, len(times) + 1)]
-        assert times.tolist() == wanted, "the cycle counter at each tick"
+        expected = [(k * (load + 1) >> 4) % 256 for k in range(1, len(times) + 1)]
+        assert times.tolist() == expected, "the cycle counter at each tick"
     else:
         times = np.array(words_of(heard))
         assert (np.diff(times) == load + 1).all(), "cycles from tick to tick"

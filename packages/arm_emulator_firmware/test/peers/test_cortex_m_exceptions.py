@@ -226,14 +226,14 @@ int main(void) {{
   for (;;) sleep();
 }}
 """
-    wanted = words_of(run_firmware(write_board(tmp_path), tiny(tmp_path, plain), 10))
-    assert len(wanted) == 9, "words of both tasks, one after the other"
+    expected = words_of(run_firmware(write_board(tmp_path), tiny(tmp_path, plain), 10))
+    assert len(expected) == 9, "words of both tasks, one after the other"
     tasks = SWITCH + TASKS.replace("ROUNDS", str(rounds)).replace("LOAD,", f"{load},")
     tasks = tasks.replace(
         "done |= 1u << n;", "done |= 1u << n; if (n == 0) { while (done != 3) continue; report(); }"
     ).replace("static void task", "void report(void);\nstatic void task", 1)
     elf = tiny(tmp_path, tasks, str(rng.choice(["-O1", "-O2"])))
-    assert words_of(run_firmware(write_board(tmp_path), elf, 20)) == wanted, "words of both tasks"
+    assert words_of(run_firmware(write_board(tmp_path), elf, 20)) == expected, "words of both tasks"
 
 
 # Faults
@@ -257,7 +257,7 @@ CULPRITS = {
 @pytest.mark.parametrize("kind", CULPRITS)
 def test_a_fault_ends_the_run_in_one_line_with_its_function(kind: str, tmp_path: Path) -> None:
     rng = np.random.default_rng([6, *kind.encode()])
-    text, what = CULPRITS[kind]
+    text, words = CULPRITS[kind]
     hole = int(rng.choice([0, 0x1000, 0x08200000, 0x30000000, 0x90000000])) + 4 * int(
         rng.integers(99)
     )
@@ -280,7 +280,7 @@ int main(void) {{ sleep(); culprit(0); for (;;) sleep(); }}
     with pytest.raises(FirmwareEnd) as end:
         run_firmware(board, tiny_awake(elf, tmp_path), 3)
     line = str(end.value)
-    assert what in line and "\n" not in line, line
+    assert words in line and "\n" not in line, line
     if kind in ("read", "write"):
         assert f"({hole:#010x})" in line, line
     if kind not in ("jump", "ram"):
@@ -319,9 +319,9 @@ def test_any_bits_are_run_or_end_in_one_line_twice_alike(seed: int, tmp_path: Pa
         ends = []
         for _ in range(2):
             chip = chip_of(SCENE, file, board)
-            one = TableRun(SCENE, None, chip)
+            table_run = TableRun(SCENE, None, chip)
             try:
-                one.advance(5)
+                table_run.advance(5)
                 ends.append(f"{chip.figures.instructions} instructions")
             except FirmwareEnd as end:
                 ends.append(str(end))

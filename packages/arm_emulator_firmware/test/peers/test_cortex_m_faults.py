@@ -71,10 +71,12 @@ def with_handlers(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-@pytest.mark.parametrize("way", ["disabled", "enabled", "masked"])
-def test_a_fault_goes_to_its_handler_with_its_frame(kind: str, way: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("handling", ["disabled", "enabled", "masked"])
+def test_a_fault_goes_to_its_handler_with_its_frame(
+    kind: str, handling: str, tmp_path: Path
+) -> None:
     """Or to that of hard faults: its own is not switched on, or masked. The firmware goes on."""
-    rng = np.random.default_rng([3, *kind.encode(), *way.encode()])
+    rng = np.random.default_rng([3, *kind.encode(), *handling.encode()])
     instruction, exception, status = FAULTS[kind]
     at = 0x08000000 + 4 * int(rng.integers(1 << 17)) if kind == "flash" else HOLE
     at += 4 * int(rng.integers(100))
@@ -84,8 +86,8 @@ def test_a_fault_goes_to_its_handler_with_its_frame(kind: str, way: str, tmp_pat
         for name, value in zip(("r0", "r1", "r2", "r12", "lr", "r4"), values, strict=True)
     )
     flags = int(rng.integers(16)) << 28
-    switch = f"REGISTER({SHCSR}) = 7u << 16;" if way != "disabled" else ""
-    mask = "cpsid i\\n " if way == "masked" else ""
+    switch = f"REGISTER({SHCSR}) = 7u << 16;" if handling != "disabled" else ""
+    mask = "cpsid i\\n " if handling == "masked" else ""
     elf = with_handlers(
         tmp_path,
         f"""{TINY}{HANDLERS}
@@ -105,11 +107,11 @@ int main(void) {{
     ipsr, *frame = reported[:9]
     cfsr, hfsr, bfar, after, culprit, good = reported[9:]
     assert good == 0x600D, "it goes on behind the instruction"
-    assert ipsr == (exception if way == "enabled" else 3), "the handler"
+    assert ipsr == (exception if handling == "enabled" else 3), "the handler"
     assert frame[:6] == [*values[:3], at, values[3], values[4]], "r0 to r3, r12, lr"
     assert frame[6] == culprit & ~1, "pc"
     assert frame[7] & ~0x200 == flags | 1 << 24, "xpsr: flags, Thumb, thread mode"
-    assert (cfsr, hfsr) == (status, 0 if way == "enabled" else FORCED), "status"
+    assert (cfsr, hfsr) == (status, 0 if handling == "enabled" else FORCED), "status"
     if exception == 5:
         assert bfar == at, "the address"
     assert after == 0, "status is cleared by ones"
@@ -259,9 +261,9 @@ int main(void) {{
     assert all(a <= b for a, b in pairwise(reported)), "never backwards"
     for first in (0, reads, 2 * reads):
         steps = np.diff(reported[first : first + reads])
-        wanted = cycles * np.array(counts[1:])
-        assert (np.abs(steps - wanted) <= 1.0).all(), (steps, wanted)
-        assert abs(reported[first + reads - 1] - reported[first] - wanted.sum()) <= 1.0, "in all"
+        expected = cycles * np.array(counts[1:])
+        assert (np.abs(steps - expected) <= 1.0).all(), (steps, expected)
+        assert abs(reported[first + reads - 1] - reported[first] - expected.sum()) <= 1.0, "in all"
 
 
 def heard_while_debugged(folder: Path, elf: Path, work: Callable[[int], None]) -> bytes:
@@ -332,7 +334,7 @@ int main(void) {
 """,
     )
     names = {"msp": 0x22, "psp": 0x23, "primask": 0x24, "basepri": 0x25, "control": 0x27}
-    seen: list[dict[str, int]] = []
+    masks: list[dict[str, int]] = []
 
     def work(port: int) -> None:
         with Debugger(port) as gdb:
@@ -347,18 +349,18 @@ int main(void) {
             here = next(start for start, _, name in ElfImage(elf)._functions if name == "here")
             assert gdb.ask(b"Z0,%x,2" % here) == b"OK", "a breakpoint"
             assert gdb.ask(b"c") == b"S05", "at it"
-            seen.append(all_of())
+            masks.append(all_of())
             assert gdb.ask(b"P25=00000000") == b"OK", "basepri"
             assert gdb.ask(b"P24=01000000") == b"OK", "primask"
-            seen.append(all_of())
+            masks.append(all_of())
             assert gdb.ask(b"c") == b"S05", "at it again"
             assert gdb.ask(b"P24=00000000") == b"OK", "primask"
             gdb.send(b"$D#44")
 
     reported = words_of(heard_while_debugged(tmp_path, elf, work))
-    assert seen[0]["psp"] == 0x20002000 and seen[0]["basepri"] == 0x30, seen
-    assert (seen[0]["primask"], seen[1]["primask"], seen[1]["basepri"]) == (0, 1, 0), seen
-    assert seen[0]["control"] == seen[1]["control"], seen
+    assert masks[0]["psp"] == 0x20002000 and masks[0]["basepri"] == 0x30, masks
+    assert (masks[0]["primask"], masks[1]["primask"], masks[1]["basepri"]) == (0, 1, 0), masks
+    assert masks[0]["control"] == masks[1]["control"], masks
     assert reported[0] == 0 < reported[1], (
         "ticks while the debugger had masked them, and afterwards"
     )

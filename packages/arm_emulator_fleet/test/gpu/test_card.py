@@ -73,9 +73,9 @@ def test_the_card_computes_the_bits_of_the_processor(
         (ProcessorDevice(), load_kernels(ProcessorDevice(1), make_unit(ADDRESS))),
     ):
         array = as_device_array(kernels.device, numbers.copy())
-        given = struct.pack("Qdq", array.pointer, np.pi, -7)
+        packed = struct.pack("Qdq", array.pointer, np.pi, -7)
         for _ in range(3):
-            kernels.launch("scale", threads, given, block=block)
+            kernels.launch("scale", threads, packed, block=block)
         results.append(array.numpy().tobytes())
         assert device.name
     assert results[0] == results[1]
@@ -116,12 +116,12 @@ def test_more_memory_than_the_card_has(card: Device) -> None:
 def test_a_launch_takes_microseconds(card: Device, module: Module) -> None:
     """Printed beside the work of a fleet, of which one launch is many steps."""
     array = DeviceArray(64, "f8", card)
-    given = struct.pack("Qdq", array.pointer, 1.0, 0)
-    module.launch("scale", 64, given)
+    packed = struct.pack("Qdq", array.pointer, 1.0, 0)
+    module.launch("scale", 64, packed)
     card.synchronize()
     began = time.perf_counter()
     for _ in range(1000):
-        module.launch("scale", 64, given)
+        module.launch("scale", 64, packed)
     card.synchronize()
     print(f"{1e3 * (time.perf_counter() - began):.1f} us a launch")
 

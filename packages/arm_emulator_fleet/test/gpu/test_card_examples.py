@@ -35,9 +35,11 @@ def test_an_environment_on_a_card_gives_the_numbers_of_lanes(library: str) -> No
     rng = np.random.default_rng(2)
     for _ in range(80):
         actions = rng.uniform(-1.0, 1.0, (ARMS, 3))
-        given, expected = card.step(card._put(actions))[:4], lanes.step(actions)[:4]
-        for own, other in zip(given, expected, strict=True):
-            np.testing.assert_allclose(to_host(own).astype(float), other.astype(float), 0, REACHED)
+        on_card, expected = card.step(card._put(actions))[:4], lanes.step(actions)[:4]
+        for own, in_lanes in zip(on_card, expected, strict=True):
+            np.testing.assert_allclose(
+                to_host(own).astype(float), in_lanes.astype(float), 0, REACHED
+            )
 
 
 def test_copies_of_an_arm_on_a_card_move_as_it_does() -> None:

@@ -29,11 +29,11 @@ def follow(name: str, count: int, device: str | None, block: int = 0) -> dict[st
     away = np.random.default_rng(4).uniform(-0.5, 0.5, (COUNTS[-1], len(scene.joints)))[:count]
     rise = np.minimum(1.0, np.linspace(0.0, 2.0, PERIODS))[:, np.newaxis, np.newaxis]
     servos.aim(scene.start + rise * away)
-    way = FleetWay(scene, count)
-    way.set_changes(
+    schedule = FleetWay(scene, count)
+    schedule.set_changes(
         [[(200 + k % 50, PowerChange(on=False))] if k % 3 == 0 else [] for k in range(count)]
     )
-    frame = fleet.follow(servos, PERIODS, way=way)
+    frame = fleet.follow(servos, PERIODS, way=schedule)
     names = "q", "v", "current", "t", "faults"
     return {name: np.array(getattr(frame, name))[:COMPARED] for name in names}
 
@@ -44,10 +44,10 @@ def test_a_card_gives_the_bits_of_the_processor(name: str) -> None:
     for count in COUNTS:
         for block in BLOCKS if name == "three_axis" else BLOCKS[1:2]:
             for _ in range(3 if name == "three_axis" else 1):
-                found = follow(name, count, "gpu", block)
+                on_card = follow(name, count, "gpu", block)
                 for key, values in expected.items():
                     np.testing.assert_array_equal(
-                        found[key], values, f"{name} {count} {block} {key}"
+                        on_card[key], values, f"{name} {count} {block} {key}"
                     )
 
 

@@ -56,8 +56,8 @@ def test_no_thread_needs_more_stack_than_it_gets(robot: str, number: int, tmp_pa
     frames = {name: int(size) for name, size in FUNCTION.findall(report)}
     assert frames.keys() >= set(KERNELS), "a kernel of which ptxas reports nothing"
     stacks = [*frames.values(), *map(int, CUMULATIVE.findall(report))]
-    most = STACK if robot == "three_axis" else STACK_WITH_EVENTS
-    assert 1000 < max(stacks) <= most, f"{robot} on sm_{number}: {sorted(stacks)[-5:]} bytes"
+    stack_limit = STACK if robot == "three_axis" else STACK_WITH_EVENTS
+    assert 1000 < max(stacks) <= stack_limit, f"{robot} on sm_{number}: {sorted(stacks)[-5:]} bytes"
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ def fmu(
         fmi: version, 3.0 or 2.0.
         windows: add a binary for 64-bit Windows (by mingw).
     """
-    names = None if varied is None else [one for one in varied.split(",") if one]
+    names = None if varied is None else [name for name in varied.split(",") if name]
     machine = load_scene(scene, {} if names is None else {"varied": names})
     warn(*machine.warnings)
     export(machine, out, target or TARGET, fmi, windows)

@@ -89,9 +89,9 @@ def test_fmpy_finds_no_fault(unit: Path, unit_2: Path, rich: Path, tmp_path: Pat
 
 def test_fmpy_finds_no_fault_in_the_description_of_any_scene(tmp_path: Path) -> None:
     """50 random machines and scenes, whatever names they have."""
-    found = scenes(tmp_path, 50)
-    assert len(found) == 50, "so many are drawn"
-    for number, scene in enumerate(found):
+    many_scenes = scenes(tmp_path, 50)
+    assert len(many_scenes) == 50, "so many are drawn"
+    for number, scene in enumerate(many_scenes):
         texts = [describe_model(scene, list_variables(scene), "{token}")]
         if number % 6 == 0:  # a name per number takes fmpy its time
             texts.append(describe_model_2(scene, list_scalars(scene), "{token}"))
@@ -137,7 +137,7 @@ def test_a_simulation_of_fmi_2_equals_plant_to_the_last_bit(
     signals["time"] = PERIOD * np.arange(count + 1)
     for name, row in zip(names, commands.T, strict=True):
         signals[f"command.{name}"] = row
-    rows = [f"{what}.{name}" for what in ("encoder_counts", "truth.q") for name in names]
+    rows = [f"{group}.{name}" for group in ("encoder_counts", "truth.q") for name in names]
     reported = fmpy.simulate_fmu(
         str(unit_2), stop_time=count * PERIOD, output_interval=PERIOD, input=signals,
         start_values={"start.q.elbow": 0.9, "joints.elbow.gear.stiffness": 2e4}, output=rows,
@@ -147,9 +147,9 @@ def test_a_simulation_of_fmi_2_equals_plant_to_the_last_bit(
     plant.reset([0.0, 0.5, 0.9])
     for row, command in zip(reported[1:], commands, strict=False):
         plant.exchange(command)
-        got = [row[name] for name in rows]
-        wanted = [*plant.measured.encoder_counts.astype(float), *plant.state.q]
-        assert np.array_equal(got, wanted), plant.t
+        actual = [row[name] for name in rows]
+        expected = [*plant.measured.encoder_counts.astype(float), *plant.state.q]
+        assert np.array_equal(actual, expected), plant.t
     assert len(reported) == count + 1, "all of the simulation is compared"
 
 
@@ -166,65 +166,65 @@ def test_fmi_2_saves_refuses_and_reports(unit_2: Path, tmp_path: Path) -> None:
         "guid": description.guid, "unzipDirectory": str(tmp_path), "instanceName": "one",
         "modelIdentifier": description.coSimulation.modelIdentifier,
     }  # fmt: skip
-    one, other = FMU2Slave(**arguments), FMU2Slave(**arguments)
-    for which in (one, other):
+    first, second = FMU2Slave(**arguments), FMU2Slave(**arguments)
+    for which in (first, second):
         which.instantiate(callbacks=callbacks)
         which.setupExperiment(startTime=0.0)
         which.enterInitializationMode()
         which.exitInitializationMode()
-    one.setReal([at["command.waist"]], [5.0])
-    one.doStep(0.0, 20 * PERIOD)
-    state = one.getFMUState()
-    saved = one.serializeFMUState(state)
+    first.setReal([at["command.waist"]], [5.0])
+    first.doStep(0.0, 20 * PERIOD)
+    state = first.getFMUState()
+    saved = first.serializeFMUState(state)
     reported = at["truth.q.waist"], at["truth.v.waist"], at["encoder_counts.elbow"]
 
     def discarded(call: Any, *arguments: Any) -> None:
-        before = one.serializeFMUState(one.getFMUState())
+        before = first.serializeFMUState(first.getFMUState())
         with pytest.raises(FMICallException) as caught:
             call(*arguments)
         assert caught.value.status == fmi2Discard, "it is discarded"
-        assert one.serializeFMUState(one.getFMUState()) == before, "nothing has changed"
+        assert first.serializeFMUState(first.getFMUState()) == before, "nothing has changed"
 
-    discarded(one.setReal, [at["command.elbow"], at["command.waist"]], [1.0, np.nan])
-    discarded(one.setReal, [at["joints.elbow.gear.stiffness"]], [-1.0])
-    discarded(one.doStep, 20 * PERIOD, 1e300)
-    assert one.getRealStatus(fmi2LastSuccessfulTime) == 20 * PERIOD, "where it stands"
-    one.doStep(20 * PERIOD, 20 * PERIOD)
-    wanted = one.getReal(reported)
-    one.setFMUState(state)
-    one.doStep(20 * PERIOD, 20 * PERIOD)
-    assert one.getReal(reported) == wanted, "from a state in memory"
-    other.setFMUState(other.deserializeFMUState(saved))
-    other.doStep(20 * PERIOD, 20 * PERIOD)
-    assert other.getReal(reported) == wanted, "in another instance, from bytes"
+    discarded(first.setReal, [at["command.elbow"], at["command.waist"]], [1.0, np.nan])
+    discarded(first.setReal, [at["joints.elbow.gear.stiffness"]], [-1.0])
+    discarded(first.doStep, 20 * PERIOD, 1e300)
+    assert first.getRealStatus(fmi2LastSuccessfulTime) == 20 * PERIOD, "where it stands"
+    first.doStep(20 * PERIOD, 20 * PERIOD)
+    expected = first.getReal(reported)
+    first.setFMUState(state)
+    first.doStep(20 * PERIOD, 20 * PERIOD)
+    assert first.getReal(reported) == expected, "from a state in memory"
+    second.setFMUState(second.deserializeFMUState(saved))
+    second.doStep(20 * PERIOD, 20 * PERIOD)
+    assert second.getReal(reported) == expected, "in another instance, from bytes"
     for call, values in (
-        (other.getReal, ([10**6],)), (other.getInteger, ([at["command.waist"]],)),
-        (other.setReal, ([at["truth.q.waist"]], [0.0])), (other.setString, ([0], [""])),
-        (other.enterInitializationMode, ()),
+        (second.getReal, ([10**6],)), (second.getInteger, ([at["command.waist"]],)),
+        (second.setReal, ([at["truth.q.waist"]], [0.0])), (second.setString, ([0], [""])),
+        (second.enterInitializationMode, ()),
     ):  # fmt: skip
-        one.fmi2SetFMUstate(one.component, state)
+        first.fmi2SetFMUstate(first.component, state)
         with pytest.raises(FMICallException) as caught:
             call(*values)
         assert caught.value.status == fmi2Error, call.__name__
     assert printed, "errors are reported though logging is off"
-    for which in (one, other):
+    for which in (first, second):
         which.freeInstance()
 
 
 def test_the_portable_binary_equals_the_portable_library(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
     export(scene, tmp_path / "arm.fmu")
-    one = Instance(Fmu(tmp_path / "arm.fmu", tmp_path / "unpacked"))
+    instance = Instance(Fmu(tmp_path / "arm.fmu", tmp_path / "unpacked"))
     plant = plant_for(scene, "x86-64-v2")
-    one.start()
+    instance.start()
     rng = np.random.default_rng(1)
     for _ in range(200):
         command = rng.normal(0.0, 5.0, 3)
-        assert one.set("command", command) == OK, one.printed
-        assert one.step(PERIOD) == OK, one.printed
+        assert instance.set("command", command) == OK, instance.printed
+        assert instance.step(PERIOD) == OK, instance.printed
         plant.exchange(command)
-    assert np.array_equal(one.get("truth.q"), plant.state.q), "equal bits"
-    assert np.array_equal(one.get("truth.current"), plant.state.current), "equal bits"
+    assert np.array_equal(instance.get("truth.q"), plant.state.q), "equal bits"
+    assert np.array_equal(instance.get("truth.current"), plant.state.current), "equal bits"
 
 
 def test_motors_take_torque_current_or_voltage_side_by_side(tmp_path: Path) -> None:
@@ -242,31 +242,31 @@ def test_motors_take_torque_current_or_voltage_side_by_side(tmp_path: Path) -> N
     fmu = Fmu(tmp_path / "unit.fmu", tmp_path / "unpacked")
     command = fmu.variables["command"].attrib
     assert "x [N m], y [A], z [V]" in command["description"] and "unit" not in command, command
-    one, rng = Instance(fmu), np.random.default_rng(0)
+    instance, rng = Instance(fmu), np.random.default_rng(0)
     plant = plant_for(scene, "native")
-    one.start()
+    instance.start()
     for _ in range(100):
         row = rng.normal(0.0, 5.0, 3)
-        assert one.set("command", row) == OK, one.printed
-        assert one.step(PERIOD) == OK, one.printed
+        assert instance.set("command", row) == OK, instance.printed
+        assert instance.step(PERIOD) == OK, instance.printed
         plant.exchange(row)
-        assert np.array_equal(one.get("truth.q"), plant.state.q), plant.t
-        assert np.array_equal(one.get("applied"), plant.measured.applied), plant.t
+        assert np.array_equal(instance.get("truth.q"), plant.state.q), plant.t
+        assert np.array_equal(instance.get("applied"), plant.measured.applied), plant.t
 
 
 def slave(unpacked: Path, name: str) -> tuple[Any, dict[str, Any]]:
     description = fmpy.read_model_description(unpacked)
-    one = FMU3Slave(
+    slave_ = FMU3Slave(
         guid=description.guid, modelIdentifier=description.coSimulation.modelIdentifier,
         unzipDirectory=str(unpacked), instanceName=name,
     )  # fmt: skip
-    one.instantiate()
-    return one, {v.name: v.valueReference for v in description.modelVariables}
+    slave_.instantiate()
+    return slave_, {v.name: v.valueReference for v in description.modelVariables}
 
 
 def test_fmpy_saves_restores_and_goes_on_with_equal_bits(unpacked: Path) -> None:
     """Two instances side by side, a state within one, its bytes in the other; then again."""
-    (one, at), (other, _) = slave(unpacked, "one"), slave(unpacked, "other")
+    (slave_, at), (second, _) = slave(unpacked, "one"), slave(unpacked, "other")
     rng = np.random.default_rng(2)
     stiffness = at["joints.elbow.gear.stiffness"]
 
@@ -281,20 +281,20 @@ def test_fmpy_saves_restores_and_goes_on_with_equal_bits(unpacked: Path) -> None
             reported += which.getFloat64([at["truth.q"], at["truth.v"]], nValues=6)
         return reported
 
-    for which in (one, other):
+    for which in (slave_, second):
         which.enterInitializationMode(startTime=0.0)
         which.exitInitializationMode()
-    go_on(one, 0, rng.normal(0.0, 5.0, (50, 3)))
-    state = one.getFMUState()
-    saved = one.serializeFMUState(state)
+    go_on(slave_, 0, rng.normal(0.0, 5.0, (50, 3)))
+    state = slave_.getFMUState()
+    saved = slave_.serializeFMUState(state)
     rows = rng.normal(0.0, 5.0, (50, 3))
-    wanted = go_on(one, 50, rows)
-    one.setFMUState(state)
-    assert go_on(one, 50, rows) == wanted, "from a state in memory"
-    one.freeFMUState(state)
-    other.setFMUState(other.deserializeFMUState(saved))
-    assert go_on(other, 50, rows) == wanted, "in another instance, from bytes"
-    for which in (one, other):
+    expected = go_on(slave_, 50, rows)
+    slave_.setFMUState(state)
+    assert go_on(slave_, 50, rows) == expected, "from a state in memory"
+    slave_.freeFMUState(state)
+    second.setFMUState(second.deserializeFMUState(saved))
+    assert go_on(second, 50, rows) == expected, "in another instance, from bytes"
+    for which in (slave_, second):
         which.terminate()
         which.freeInstance()
 
@@ -311,9 +311,9 @@ def test_units_of_two_scenes_live_in_one_program(unit: Path, rich: Path, tmp_pat
     together = [
         Instance(Fmu(file, tmp_path / file.stem, ctypes.RTLD_GLOBAL | 0x1)) for file in files
     ]
-    for one in together:
-        one.start()
-        assert one.step(10 * PERIOD) == OK, one.printed
+    for instance in together:
+        instance.start()
+        assert instance.step(10 * PERIOD) == OK, instance.printed
     alone = Instance(Fmu(files[1], tmp_path / "again"))
     alone.start()
     assert alone.step(10 * PERIOD) == OK, alone.printed
@@ -328,19 +328,21 @@ def test_one_command_compiles_the_sources(unit: Path, unpacked: Path, tmp_path: 
     shutil.copytree(unpacked / "sources", sources)
     subprocess.run(command, shell=True, cwd=sources, check=True)
     rebuilt = tmp_path / "rebuilt.fmu"
-    with zipfile.ZipFile(unit) as archive, zipfile.ZipFile(rebuilt, "w") as made:
+    with zipfile.ZipFile(unit) as archive, zipfile.ZipFile(rebuilt, "w") as rebuilt_archive:
         for name in archive.namelist():
             built = sources / "three_axis.so"
-            made.writestr(name, built.read_bytes() if name.endswith(".so") else archive.read(name))
-    one = Instance(Fmu(unit, tmp_path / "one"))
-    other = Instance(Fmu(rebuilt, tmp_path / "other"))
-    one.start()
-    assert one.set("command", [5.0, -5.0, 3.0]) == OK, one.printed
-    assert one.step(20 * PERIOD) == OK, one.printed
-    assert other.restore(one.save()) == OK, other.printed
-    for which in (one, other):
+            rebuilt_archive.writestr(
+                name, built.read_bytes() if name.endswith(".so") else archive.read(name)
+            )
+    instance = Instance(Fmu(unit, tmp_path / "one"))
+    rebuilt_instance = Instance(Fmu(rebuilt, tmp_path / "other"))
+    instance.start()
+    assert instance.set("command", [5.0, -5.0, 3.0]) == OK, instance.printed
+    assert instance.step(20 * PERIOD) == OK, instance.printed
+    assert rebuilt_instance.restore(instance.save()) == OK, rebuilt_instance.printed
+    for which in (instance, rebuilt_instance):
         assert which.step(20 * PERIOD) == OK, which.printed
-    assert one.everything() == other.everything(), "equal bits"
+    assert instance.everything() == rebuilt_instance.everything(), "equal bits"
 
 
 def test_the_description_of_the_build_is_that_of_the_schema(unpacked: Path) -> None:
@@ -384,7 +386,8 @@ def test_our_declarations_are_those_of_the_standard(
     assert len(names) == count, "the functions are found"
     checks = [f"static_assert(kSame<official::{name}TYPE, decltype({name})>);" for name in names]
     checks += [
-        f"static_assert(int(official::{one}) == int({one}));" for one in ENUMERATORS[version]
+        f"static_assert(int(official::{enumerator}) == int({enumerator}));"
+        for enumerator in ENUMERATORS[version]
     ]
     if version == 2:
         for member in ("logger", "componentEnvironment"):

@@ -72,16 +72,20 @@ def test_it_moves_under_wine_as_under_linux(unit: Fmu, tmp_path: Path) -> None:
              "HOME": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    found = [[float.fromhex(word) for word in row.split()] for row in done.stdout.splitlines()]
-    assert len(found) == 60, "a row for each step"
-    one = Instance(unit)
-    one.start()
-    for k, (time, *q) in enumerate(found):
-        assert one.set("command", [(k + j) % 7 - 3.0 for j in range(joints)]) == OK, one.printed
-        one.time = k / 60.0
-        assert one.step(1.0 / 60.0) == OK, one.printed
-        assert time == pytest.approx(one.time, abs=1e-12), "time"
-        assert np.abs(np.array(q) - one.get("truth.q")).max() < AS_LINUX, f"angles at {time} s"
+    printed_rows = [
+        [float.fromhex(word) for word in row.split()] for row in done.stdout.splitlines()
+    ]
+    assert len(printed_rows) == 60, "a row for each step"
+    instance = Instance(unit)
+    instance.start()
+    for k, (time, *q) in enumerate(printed_rows):
+        assert instance.set("command", [(k + j) % 7 - 3.0 for j in range(joints)]) == OK, (
+            instance.printed
+        )
+        instance.time = k / 60.0
+        assert instance.step(1.0 / 60.0) == OK, instance.printed
+        assert time == pytest.approx(instance.time, abs=1e-12), "time"
+        assert np.abs(np.array(q) - instance.get("truth.q")).max() < AS_LINUX, f"angles at {time} s"
 
 
 def test_without_a_cross_compiler_it_states_what_to_install(

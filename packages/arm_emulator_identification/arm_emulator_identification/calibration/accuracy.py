@@ -69,12 +69,12 @@ class Accuracy:
     @property
     def AP(self) -> float:
         """The largest pose accuracy [m]."""
-        return max(one.AP for one in self.poses)
+        return max(pose.AP for pose in self.poses)
 
     @property
     def RP(self) -> float:
         """The largest pose repeatability [m]."""
-        return max(one.RP for one in self.poses)
+        return max(pose.RP for pose in self.poses)
 
 
 @dataclass(frozen=True)
@@ -131,14 +131,14 @@ def calibrate(scene: Scene, gains: Gains, test: AccuracyTest, file: Path) -> Cal
         measure_pose(rest, test.tracker, _finite(test.tracker_angle), rng)
         for rest in visit_at_random(arm, test.poses + test.held, rng)
     ]
-    fitted, held = rests[: test.poses], rests[test.poses :]
+    fitted, checked = rests[: test.poses], rests[test.poses :]
     model = PoseModel(scene.urdf, scene.joint_names, scene.tool)
     sigma = test.tracker, test.tracker_angle
     fit = fit_poses(model, fitted, sigma)
     scale = estimate_scale(model, fit, fitted, sigma)
     fit = fit_poses(model, fitted, (scale * sigma[0], scale * sigma[1]))
     write_calibration(file, fit.deviations)
-    judged = held or fitted
+    judged = checked or fitted
     return Calibrated(
         fit, compare_poses(model, {}, judged), compare_poses(model, fit.displacements, judged), file
     )
@@ -147,8 +147,8 @@ def calibrate(scene: Scene, gains: Gains, test: AccuracyTest, file: Path) -> Cal
 def write_calibration(file: Path, deviations: Mapping[str, Deviation]) -> None:
     """Write deviations as a scene's `calibration.file` and motion controllers take them."""
     lines = ["# Deviations of the joints from the description: m, rad", "joints:"]
-    for name, one in deviations.items():
-        numbers = ", ".join(f"{key}: {value!r}" for key, value in one.given.items())
+    for name, deviation in deviations.items():
+        numbers = ", ".join(f"{key}: {value!r}" for key, value in deviation.given.items())
         lines.append(f'  "{name}": {{{numbers}}}')
     write_atomically(file, "\n".join(lines) + "\n")
 

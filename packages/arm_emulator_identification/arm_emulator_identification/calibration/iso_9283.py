@@ -54,13 +54,13 @@ def judge_pose(
     R, p = command
     barycentre = positions.mean(axis=0)
     distances = np.linalg.norm(positions - barycentre, axis=1)
-    turns = Rotation.from_matrix(orientations @ R.T).as_rotvec()
-    spread = _deviate(distances)
+    rotations = Rotation.from_matrix(orientations @ R.T).as_rotvec()
+    deviation = _deviate(distances)
     return PoseCharacteristics(
         AP=float(np.linalg.norm(barycentre - p)),
-        RP=float(distances.mean() + 3.0 * spread),
-        AP_abc=_triple(turns.mean(axis=0)),
-        RP_abc=_triple([3.0 * _deviate(column) for column in turns.T]),
+        RP=float(distances.mean() + 3.0 * deviation),
+        AP_abc=_triple(rotations.mean(axis=0)),
+        RP_abc=_triple([3.0 * _deviate(column) for column in rotations.T]),
     )
 
 
@@ -70,7 +70,7 @@ def compute_direction_spread(positions: list[Array]) -> float:
     Args:
         positions: attained from each direction (K, 3) [m].
     """
-    centres = [one.mean(axis=0) for one in positions]
+    centres = [cluster.mean(axis=0) for cluster in positions]
     return max(float(np.linalg.norm(a - b)) for a in centres for b in centres)
 
 

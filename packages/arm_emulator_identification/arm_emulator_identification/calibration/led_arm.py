@@ -90,8 +90,8 @@ class Attained:
         return [
             iso_9283.judge_pose(
                 (pose.R_WT, pose.p_WT),
-                np.array([one.p for one in rests]),
-                np.array([one.R for one in rests]),
+                np.array([rest.p for rest in rests]),
+                np.array([rest.R for rest in rests]),
             )
             for pose, rests in zip(self.poses, self.rests, strict=True)
         ]
@@ -132,10 +132,10 @@ def visit_cube(arm: LedArm, poses: tuple[Pose, ...], cycles: int) -> Attained:
     """Return the rests in the poses of a cube, visited in turn; the first cycle warms up."""
     rests = tuple(list[ToolRest]() for _ in poses)
     for cycle in range(cycles + 1):
-        for pose, found in zip(poses, rests, strict=True):
+        for pose, rests_of_pose in zip(poses, rests, strict=True):
             rest = _require(arm.lead(pose))
             if cycle:
-                found.append(rest)
+                rests_of_pose.append(rest)
     return Attained(poses, rests)
 
 

@@ -120,7 +120,10 @@ class PoseFit:
     @property
     def deviations(self) -> dict[str, Deviation]:
         """The displacements, as deviations of joints."""
-        return {name: Deviation.of_frame(one) for name, one in self.displacements.items()}
+        return {
+            name: Deviation.of_frame(displacement)
+            for name, displacement in self.displacements.items()
+        }
 
 
 def fit_poses(model: PoseModel, rests: Sequence[ToolRest], sigma: tuple[float, float]) -> PoseFit:
@@ -132,23 +135,23 @@ def fit_poses(model: PoseModel, rests: Sequence[ToolRest], sigma: tuple[float, f
         sigma: standard deviations of measured positions [m] and turns [rad]; a turn of inf is not
             measured.
     """
-    q = np.array([one.q for one in rests])
+    q = np.array([rest.q for rest in rests])
     weights = np.repeat([1.0 / sigma[0], 1.0 / sigma[1]], 3)
     prior = np.tile(PRIOR, len(model.displaced))
-    found = [Frame() for _ in model.displaced]
+    frames = [Frame() for _ in model.displaced]
     for _ in range(STEPS):
-        r, J = _weigh(model, found, rests, q, weights)
-        x = np.concatenate([_twist(one) for one in found])
-        whole = np.vstack([J * prior, np.eye(len(prior))])
-        step = np.linalg.lstsq(whole, np.concatenate([r, -x / prior]), rcond=None)[0]
-        found = [one @ _turned(dx) for one, dx in
-                 zip(found, (step * prior).reshape(-1, 6), strict=True)]  # fmt: skip
+        r, J = _weigh(model, frames, rests, q, weights)
+        x = np.concatenate([_twist(frame) for frame in frames])
+        augmented = np.vstack([J * prior, np.eye(len(prior))])
+        step = np.linalg.lstsq(augmented, np.concatenate([r, -x / prior]), rcond=None)[0]
+        frames = [frame @ _turned(dx) for frame, dx in
+                 zip(frames, (step * prior).reshape(-1, 6), strict=True)]  # fmt: skip
         if np.abs(step).max() < SMALL:
             break
-    _, J = _weigh(model, found, rests, q, weights)
+    _, J = _weigh(model, frames, rests, q, weights)
     rank, alike = _find_alike(J * prior, model.names)
     names = [joint.name for joint in model.displaced]
-    return PoseFit(dict(zip(names, found, strict=True)), len(prior), rank, alike)
+    return PoseFit(dict(zip(names, frames, strict=True)), len(prior), rank, alike)
 
 
 def estimate_scale(
@@ -159,7 +162,7 @@ def estimate_scale(
     They are larger where links do not stand where they are taken to be, as after friction.
     """
     weights = np.repeat([1.0 / sigma[0], 1.0 / sigma[1]], 3)
-    q = np.array([one.q for one in rests])
+    q = np.array([rest.q for rest in rests])
     r, _ = _weigh(model, [*fit.displacements.values()], rests, q, weights)
     free = len(rests) * int(np.count_nonzero(weights)) - fit.rank
     return max(1.0, float(np.sqrt(r @ r / max(1, free))))
@@ -169,20 +172,20 @@ def compare_poses(
     model: PoseModel, displacements: dict[str, Frame], rests: Sequence[ToolRest]
 ) -> tuple[Array, Array]:
     """Return by how much poses of a model miss the measured ones: (K,) [m] and (K,) [rad]."""
-    found = [displacements.get(joint.name, Frame()) for joint in model.displaced]
-    R, p, _ = model.place(found, np.array([one.q for one in rests]))
-    off = np.array([one.p for one in rests]) - p
-    turns = Rotation.from_matrix(np.array([one.R for one in rests]) @ R.transpose(0, 2, 1))
-    return np.linalg.norm(off, axis=1), turns.magnitude()
+    frames = [displacements.get(joint.name, Frame()) for joint in model.displaced]
+    R, p, _ = model.place(frames, np.array([rest.q for rest in rests]))
+    off = np.array([rest.p for rest in rests]) - p
+    rotations = Rotation.from_matrix(np.array([rest.R for rest in rests]) @ R.transpose(0, 2, 1))
+    return np.linalg.norm(off, axis=1), rotations.magnitude()
 
 
 def _weigh(
-    model: PoseModel, found: Sequence[Frame], rests: Sequence[ToolRest], q: Array, weights: Array
+    model: PoseModel, frames: Sequence[Frame], rests: Sequence[ToolRest], q: Array, weights: Array
 ) -> tuple[Array, Array]:
     """Return residuals and Jacobian in standard deviations."""
-    R, p, J = model.place(found, q)
-    turns = Rotation.from_matrix(np.array([one.R for one in rests]) @ R.transpose(0, 2, 1))
-    off = np.hstack([np.array([one.p for one in rests]) - p, turns.as_rotvec()]) * weights
+    R, p, J = model.place(frames, q)
+    rotations = Rotation.from_matrix(np.array([rest.R for rest in rests]) @ R.transpose(0, 2, 1))
+    off = np.hstack([np.array([rest.p for rest in rests]) - p, rotations.as_rotvec()]) * weights
     return off.ravel(), (J * weights[:, None]).reshape(-1, J.shape[2])
 
 

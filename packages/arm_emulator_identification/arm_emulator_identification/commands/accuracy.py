@@ -94,17 +94,17 @@ def accuracy(
     angle = math.inf if positions else tracker_angle
     test = AccuracyTest(cycles, centre, edge, dwell, directions, fit, held, tracker, angle, seed)
     with show_stages() as stage:
-        size, before, found, after = measure_accuracy(machine, gains, test, stage, out)
+        size, before, calibrated, after = measure_accuracy(machine, gains, test, stage, out)
     output.facts({"scene": machine.name, "edge": size, "cycles": cycles})
     console = output.console(110)
     console.print(f"{machine.name}: {cycles} cycles of 5 poses in a cube of {size:g} m")
-    _print("before the calibration" if found else "as it is", "before", before)
-    if found is None or after is None:
+    _print("before the calibration" if calibrated else "as it is", "before", before)
+    if calibrated is None or after is None:
         return 0
-    _print_fit(found, fit, held)
+    _print_fit(calibrated, fit, held)
     _print("after the calibration", "after", after)
-    console.print(f"calibration: {found.file}")
-    output.facts({"calibration": found.file})
+    console.print(f"calibration: {calibrated.file}")
+    output.facts({"calibration": calibrated.file})
     return 0
 
 
@@ -114,41 +114,41 @@ def _draw(scene: Scene, file: Path, seed: int) -> Scene:
         raise Refusal("accuracy", "--draw", "stand with a scene without calibration", scene.where)
     path = find_joint_path(parse_urdf(scene.urdf, scene.where), scene.where, "", scene.tool,
                            scene.tool)  # fmt: skip
-    drawn = draw_deviations(path.moving + path.behind[:1], np.random.default_rng(seed))
-    joints = {name: one.given for name, one in drawn.items()}
+    deviations = draw_deviations(path.moving + path.behind[:1], np.random.default_rng(seed))
+    joints = {name: deviation.given for name, deviation in deviations.items()}
     return load_scene(file, {"calibration": {"joints": joints}})
 
 
 def _print(title: str, key: str, result: Accuracy) -> None:
     heads = "pose", "AP [mm]", "RP [mm]", "AP, turn [mrad]", "RP, turn [mrad]"
     rows = (
-        (f"P{k}", f"{1e3 * one.AP:.4f}", f"{1e3 * one.RP:.4f}", f"{1e3 * _length(one.AP_abc):.4f}",
-         f"{1e3 * max(one.RP_abc):.4f}")
-        for k, one in enumerate(result.poses, start=1)
+        (f"P{k}", f"{1e3 * pose.AP:.4f}", f"{1e3 * pose.RP:.4f}",
+         f"{1e3 * _length(pose.AP_abc):.4f}", f"{1e3 * max(pose.RP_abc):.4f}")
+        for k, pose in enumerate(result.poses, start=1)
     )  # fmt: skip
     output.table(heads, rows, title=title)
     if result.vAP is not None:
         output.line(f"vAP, three directions of approach: {1e3 * result.vAP:.4f} mm")
-    poses = [{"AP": one.AP, "RP": one.RP, "AP_abc": one.AP_abc, "RP_abc": one.RP_abc}
-             for one in result.poses]  # fmt: skip
+    poses = [{"AP": pose.AP, "RP": pose.RP, "AP_abc": pose.AP_abc, "RP_abc": pose.RP_abc}
+             for pose in result.poses]  # fmt: skip
     output.facts({key: {"AP": result.AP, "RP": result.RP, "vAP": result.vAP, "poses": poses}})
 
 
-def _print_fit(found: Calibrated, poses: int, held: int) -> None:
-    fit = found.fit
+def _print_fit(calibrated: Calibrated, poses: int, separate: int) -> None:
+    fit = calibrated.fit
     output.line(
         f"fit: {fit.count} numbers from {poses} poses; {fit.rank} or combinations of them act alone"
     )
     for name, others in fit.alike.items():
         alike = f"moves the tool as {' with '.join(others)}: cannot be distinguished"
         output.line(f"  {name} {alike if others else 'does not move what is measured'}")
-    what = f"{held} held poses" if held else "the poses of the fit"
+    poses_text = f"{separate} held poses" if separate else "the poses of the fit"
     facts: dict[str, Any] = {}
-    for key, (off, turns) in (("before", found.before), ("after", found.after)):
-        facts[key] = {"p": _rms(off), "p_largest": off.max(), "R": _rms(turns)}
+    for key, (off, angles_off) in (("before", calibrated.before), ("after", calibrated.after)):
+        facts[key] = {"p": _rms(off), "p_largest": off.max(), "R": _rms(angles_off)}
         output.line(
-            f"{what}, {key}: {1e3 * _rms(off):.4f} mm rms, {1e3 * off.max():.4f} mm at most, "
-            f"{1e3 * _rms(turns):.4f} mrad rms"
+            f"{poses_text}, {key}: {1e3 * _rms(off):.4f} mm rms, {1e3 * off.max():.4f} mm at most, "
+            f"{1e3 * _rms(angles_off):.4f} mrad rms"
         )
     output.facts({"numbers": fit.count, "rank": fit.rank, "alike": fit.alike, "held": facts})
 

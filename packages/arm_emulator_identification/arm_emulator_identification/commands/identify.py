@@ -81,50 +81,56 @@ def identify(
         raise Refusal("identify", "--out", "end in .yaml", out)
     if out.resolve() == file.resolve():
         raise Refusal("identify", "--out", "be another file than the scene", out)
-    wanted, kept = ([one for one in names.split(",") if one] for names in (fit, hold))
+    patterns, hold_patterns = (
+        [pattern for pattern in names.split(",") if pattern] for names in (fit, hold)
+    )
     late = _read_delays(delay or ())
     with show_stages() as stage:
         stage("read")
         record = _record(data, nominal, angles, side).shift_back(late)
-        asked = Asked(wanted, kept, low_pass, trust, as_is)
-        found = identify_numbers(nominal, record, asked, stage)
+        request = Asked(patterns, hold_patterns, low_pass, trust, as_is)
+        identified = identify_numbers(nominal, record, request, stage)
         stage("write")
-        numbers = list_found(nominal, found.fit)
-        doubts = found.doubts + list_doubts(nominal, found.fit, numbers)
-        _write(out, file, nominal, found.fit, numbers, doubts, data.name)
+        numbers = list_found(nominal, identified.fit)
+        warnings = identified.doubts + list_doubts(nominal, identified.fit, numbers)
+        _write(out, file, nominal, identified.fit, numbers, warnings, data.name)
         # Gears wind up under the load of the fitted links.
-        springs = [one for one in list_gears(nominal) if has_match(one, wanted)]
-        numbers += list_stiffness(load_scene(out), found.run, springs, kept)
+        springs = [gear for gear in list_gears(nominal) if has_match(gear, patterns)]
+        numbers += list_stiffness(load_scene(out), identified.run, springs, hold_patterns)
 
         def is_sought(name: str) -> bool:
-            return has_match(name, wanted) and not has_match(name, kept)
+            return has_match(name, patterns) and not has_match(name, hold_patterns)
 
-        numbers += list_loops(nominal, found.run, found.motion, found.loads, is_sought, trust)
-        known = {one.name for one in numbers}
-        numbers += list_kept(
-            nominal, found.fit.unknowns, lambda name: is_sought(name) and name not in known
+        numbers += list_loops(
+            nominal, identified.run, identified.motion, identified.loads, is_sought, trust
         )
-        _write(out, file, nominal, found.fit, numbers, doubts, data.name)
+        fitted_names = {number.name for number in numbers}
+        numbers += list_kept(
+            nominal,
+            identified.fit.unknowns,
+            lambda name: is_sought(name) and name not in fitted_names,
+        )
+        _write(out, file, nominal, identified.fit, numbers, warnings, data.name)
         picture = out.with_suffix(".png")
         title = f"{data.name}: torques at the links, below {low_pass:g} Hz"
-        draw_torques(found.motion, found.torques, nominal.joint_names, picture, title)
+        draw_torques(identified.motion, identified.torques, nominal.joint_names, picture, title)
     console = output.console(110)
-    console.print(_write_heading(found, late, low_pass))
+    console.print(_write_heading(identified, late, low_pass))
     heads = "number", "unit", "before", "found", "+-", ""
     rows = (
-        (one.name, one.unit, f"{one.before:.5g}", f"{one.value:.5g}", f"{one.deviation:.2g}",
-         one.brief)
-        for one in numbers
+        (number.name, number.unit, f"{number.before:.5g}", f"{number.value:.5g}",
+         f"{number.deviation:.2g}", number.brief)
+        for number in numbers
     )  # fmt: skip
     output.table(heads, rows, title="Found, with standard deviations", left=2)
-    for reason in dict.fromkeys(one.reason for one in numbers if one.reason):
-        names = ", ".join(one.name for one in numbers if one.reason == reason)
+    for reason in dict.fromkeys(number.reason for number in numbers if number.reason):
+        names = ", ".join(number.name for number in numbers if number.reason == reason)
         console.print(f"not identifiable: {names}: {reason}", markup=False, highlight=False)
-    for doubt in doubts:
+    for doubt in warnings:
         console.print(f"warning: {doubt}", markup=False, highlight=False)
     console.print(f"scene: {out}\npicture: {picture}")
-    given.extend(doubts)
-    output.facts(_list_facts(found, numbers, nominal) | {"scene": out, "picture": picture})
+    given.extend(warnings)
+    output.facts(_list_facts(identified, numbers, nominal) | {"scene": out, "picture": picture})
     return 0
 
 
@@ -135,42 +141,42 @@ def _record(data: Path, nominal: Scene, angles: str, side: str) -> MeasuredRun:
     return read_bag_run(data, nominal)
 
 
-def _list_facts(found: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[str, Any]:
-    explained = dict(zip(nominal.joint_names, found.fit.explained, strict=True))
+def _list_facts(identified: Identified, numbers: Sequence[Found], nominal: Scene) -> dict[str, Any]:
+    explained = dict(zip(nominal.joint_names, identified.fit.explained, strict=True))
     return {
-        "record": found.run.where,
-        "samples": len(found.run.t),
-        "period": found.run.period,
-        "rows": len(found.motion.t),
+        "record": identified.run.where,
+        "samples": len(identified.run.t),
+        "period": identified.run.period,
+        "rows": len(identified.motion.t),
         "explained": explained,
-        "directions": found.fit.directions,
-        "numbers": [{**plain(one), "remark": one.remark} for one in numbers],
+        "directions": identified.fit.directions,
+        "numbers": [{**plain(number), "remark": number.remark} for number in numbers],
     }
 
 
-def _read_delays(given: Sequence[str]) -> dict[str, float]:
+def _read_delays(options: Sequence[str]) -> dict[str, float]:
     delays = dict[str, float]()
-    for one in given:
-        name, sign, text = one.partition("=")
+    for option in options:
+        name, sign, text = option.partition("=")
         try:
             value = float(text)
         except ValueError:
             value = np.nan
         if name not in DELAYED or not sign or not abs(value) <= LONGEST_DELAY:
             rule = f"be {' or '.join(DELAYED)}=SECONDS, at most {LONGEST_DELAY:g}"
-            raise Refusal("identify", "--delay", rule, one)
+            raise Refusal("identify", "--delay", rule, option)
         delays[name] = value
     return delays
 
 
-def _write_heading(found: Identified, delays: dict[str, float], low_pass: float) -> str:
-    run, fit = found.run, found.fit
+def _write_heading(identified: Identified, delays: dict[str, float], low_pass: float) -> str:
+    run, fit = identified.run, identified.fit
     late = ", ".join(f"{name} {1e3 * value:g} ms late" for name, value in delays.items())
     explained = ", ".join(f"{share:.1f}" for share in fit.explained)
     return (
         f"{run.where}: {len(run.t)} samples every {1e3 * run.period:g} ms; "
         f"{late or 'no delays taken out'}; low-pass {low_pass:g} Hz both ways (Butterworth, order "
-        f"4), {len(found.motion.t)} rows used\n"
+        f"4), {len(identified.motion.t)} rows used\n"
         f"torque explained in motion: {explained} %\n"
         f"{int(fit.fitted.sum())} numbers looked for; the motion has {fit.directions} "
         "combinations of them, the rest is as uncertain as before"
@@ -178,13 +184,13 @@ def _write_heading(found: Identified, delays: dict[str, float], low_pass: float)
 
 
 def _write(out: Path, file: Path, scene: Scene, fit: TorqueFit, numbers: Sequence[Found],
-           doubts: Sequence[str], record: str) -> None:  # fmt: skip
-    changed = [one for one in numbers if not np.isnan(one.deviation)]
-    values = {one.name: one.value for one in changed if one.name.startswith("joints.")}
+           warnings: Sequence[str], record: str) -> None:  # fmt: skip
+    changed = [number for number in numbers if not np.isnan(number.deviation)]
+    values = {number.name: number.value for number in changed if number.name.startswith("joints.")}
     values = {name: value for name, value in values.items() if "measured_torque" not in name}
     heading = [f"Made of {scene.where} by `arm_emulator identify`, of the record {record}.", ""]
-    heading += [one.line for one in numbers]
-    heading += [f"warning: {doubt}" for doubt in doubts]
+    heading += [number.line for number in numbers]
+    heading += [f"warning: {doubt}" for doubt in warnings]
     values = add_followers(scene, values)
     write_fitted(out, file, scene, values, list_bodies(scene, fit), "\n".join(heading))
 
@@ -227,6 +233,6 @@ def read_bag_run(path: Path, scene: Scene) -> MeasuredRun:
     link = np.array(at_link, np.float64)
     if link.any():
         per = [joint.sensors.link_encoder for joint in scene.joints]
-        scale = [2.0 * np.pi / one.counts_per_turn if one else np.nan for one in per]
+        scale = [2.0 * np.pi / encoder.counts_per_turn if encoder else np.nan for encoder in per]
         signals["q_link"] = (link + 0.5) * np.array(scale)
     return make_run(signals, scene, str(path))

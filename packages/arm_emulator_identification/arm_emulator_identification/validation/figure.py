@@ -42,8 +42,8 @@ class Figure:
         """Overall value, or the mean of the axes that have a value; NaN if none has."""
         if self.overall is not None:
             return self.overall
-        known = self.values[np.isfinite(self.values)]
-        return float(known.mean()) if known.size else np.nan
+        finite = self.values[np.isfinite(self.values)]
+        return float(finite.mean()) if finite.size else np.nan
 
     @property
     def failures(self) -> Iterator[str]:
@@ -53,19 +53,19 @@ class Figure:
         for axis in self.needed:
             if not np.isfinite(self.values[axis]):
                 yield f"{self.title}: axis {axis + 1} must have a value, got none"
-        known = [(k, v) for k, v in enumerate(self.values) if np.isfinite(v)]
-        for k, value in known:
+        finite = [(k, v) for k, v in enumerate(self.values) if np.isfinite(v)]
+        for k, value in finite:
             if not self.least <= value <= self.most:
                 rule = self._rule(self.least, self.most)
                 yield f"{self.title}: axis {k + 1} must be {rule}, got {value:{self.form}}"
-        if known and not self.least_mean <= self.mean <= self.most_mean:
+        if finite and not self.least_mean <= self.mean <= self.most_mean:
             rule = self._rule(self.least_mean, self.most_mean)
             yield f"{self.title}: the mean must be {rule}, got {self.mean:{self.form}}"
 
     @staticmethod
-    def _rule(least: float, most: float) -> str:
-        ends = ((f">= {least:g}", np.isfinite(least)), (f"<= {most:g}", np.isfinite(most)))
-        return " and ".join(text for text, known in ends if known)
+    def _rule(low: float, high: float) -> str:
+        ends = ((f">= {low:g}", np.isfinite(low)), (f"<= {high:g}", np.isfinite(high)))
+        return " and ".join(text for text, is_bounded in ends if is_bounded)
 
     @property
     def limits(self) -> str:
@@ -83,8 +83,8 @@ def format_table(title: str, names: Sequence[str], figures: Sequence[Figure]) ->
     for name in (*names, "mean", "must be"):
         table.add_column(name, justify="right")
     for figure in figures:
-        shown = [format(v, figure.form) if np.isfinite(v) else "" for v in figure.values]
+        cells = [format(v, figure.form) if np.isfinite(v) else "" for v in figure.values]
         mean = format(figure.mean, figure.form) if np.isfinite(figure.mean) else ""
         style = "red" if any(figure.failures) else "dim" if figure.yardstick else None
-        table.add_row(figure.title, *shown, mean, figure.limits, style=style)
+        table.add_row(figure.title, *cells, mean, figure.limits, style=style)
     return table

@@ -121,8 +121,8 @@ def _filtered(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
 
 
 def _torques(scene: Scene, data: Filtered) -> Array:
-    one = np.ones(len(scene.joints))
-    model = TorqueModel(scene, (one, one), 1.0)
+    ones = np.ones(len(scene.joints))
+    model = TorqueModel(scene, (ones, ones), 1.0)
     return model.of(data).torques(model.start)
 
 
@@ -141,9 +141,9 @@ def torque_figures(
     alone = explained(data.tau, null - data.tau, data.moving)
     yield Figure("torque explained in motion, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = explained(data.tau, torques - data.tau, data.moving)
-    least = max(LEAST_EXPLAINED, float(alone.mean()))
+    limit = max(LEAST_EXPLAINED, float(alone.mean()))
     yield Figure(
-        "torque explained in motion, %", shares, ".1f", least=LEAST_OF_AXIS, least_mean=least
+        "torque explained in motion, %", shares, ".1f", least=LEAST_OF_AXIS, least_mean=limit
     )
     causal = _filtered(run, scene, causal=True)
     shares = explained(causal.tau, _torques(scene, causal) - causal.tau, causal.moving)
@@ -151,8 +151,8 @@ def torque_figures(
     alone = explained(data.tau, null - data.tau, every)
     yield Figure("  all samples, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = explained(data.tau, torques - data.tau, every)
-    least = max(LEAST_OF_ALL, float(alone.mean()))
-    yield Figure("  all samples, %", shares, ".1f", least_mean=least)
+    limit = max(LEAST_OF_ALL, float(alone.mean()))
+    yield Figure("  all samples, %", shares, ".1f", least_mean=limit)
 
 
 def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figure]]:
@@ -196,17 +196,19 @@ def wind_up_figures(run: MeasuredRun, of_gears: WindUp) -> Iterator[Figure]:
     yield _of_rigid("  not computed, of that", share, MOST_OF_RIGID)
     # Only the phase of the encoder's wave is specific to the run, as its zero is.
     wave, q = known(), run.q_motor[np.searchsorted(run.t, of_gears.t)]
-    left, whole = (
+    left, all_runs = (
         _without_wave(error, q, wave.wave_order, wave.wave)
         for error in (of_gears.measured - of_gears.computed, of_gears.measured)
     )
-    yield _of_rigid("  the same beside the encoder's wave of run A", left / whole, MOST_BESIDE_WAVE)
+    yield _of_rigid(
+        "  the same beside the encoder's wave of run A", left / all_runs, MOST_BESIDE_WAVE
+    )
 
 
-def _of_rigid(title: str, share: Array, most: float) -> Figure:
+def _of_rigid(title: str, share: Array, limit: float) -> Figure:
     judged = np.full(len(share), np.nan)
     judged[list(JUDGED)] = share[list(JUDGED)]
-    return Figure(title, judged, ".2f", most=most, needed=JUDGED)
+    return Figure(title, judged, ".2f", most=limit, needed=JUDGED)
 
 
 def _without_wave(error: Array, q: Array, order: Array, amplitude: Array) -> Array:
@@ -285,8 +287,8 @@ def constant_acceleration(run: MeasuredRun, begin: Starts, seconds: float, low: 
 
 def _features(data: Filtered, j: int) -> Array:
     q, v = data.q[:, j], data.v[:, j]
-    one = np.ones(len(q))
-    return np.column_stack([one, data.direction[:, j], v, data.a[:, j], np.cos(q), np.sin(q)])
+    ones = np.ones(len(q))
+    return np.column_stack([ones, data.direction[:, j], v, data.a[:, j], np.cos(q), np.sin(q)])
 
 
 WIDTH = 150  # characters of the tables
@@ -305,66 +307,67 @@ def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[
     """
     scene = load_scene("kuka_kr300")
     paths = list(runs) or list(SHIPPED)
-    found = [
+    comparisons = [
         compare(path, scene) for path in track(paths, "kuka_kr300", console=Console(stderr=True))
     ]
     compared = []
-    for one in found:
-        title = f"KUKA KR300, identified on run A, beside {one.run.where}"
-        console.print(format_table(title, scene.joint_names, one.figures))
-        picture = folder / f"kuka_kr300_{Path(one.run.where).stem}.png"
-        draw(one, scene.joint_names, picture)
-        for failure in one.failures:
+    for comparison in comparisons:
+        title = f"KUKA KR300, identified on run A, beside {comparison.run.where}"
+        console.print(format_table(title, scene.joint_names, comparison.figures))
+        picture = folder / f"kuka_kr300_{Path(comparison.run.where).stem}.png"
+        draw(comparison, scene.joint_names, picture)
+        for failure in comparison.failures:
             console.print(f"[red]{failure}")
-        console.print(f"{one.run.where}: {'good' if one.good else 'NOT GOOD'}; picture: {picture}")
+        verdict = "good" if comparison.good else "NOT GOOD"
+        console.print(f"{comparison.run.where}: {verdict}; picture: {picture}")
         figures = [
             {"title": f.title, "values": f.values, "mean": f.mean, "limits": f.limits}
-            for f in one.figures
+            for f in comparison.figures
         ]
         compared.append(
             {
-                "record": one.run.where,
-                "good": one.good,
-                "failures": one.failures,
+                "record": comparison.run.where,
+                "good": comparison.good,
+                "failures": comparison.failures,
                 "figures": figures,
                 "picture": picture,
             }
         )
-    return {"good": all(one.good for one in found), "runs": compared}
+    return {"good": all(comparison.good for comparison in comparisons), "runs": compared}
 
 
 DRAWN = 5  # free runs: one of this many is drawn
 
 
-def draw(one: Comparison, names: tuple[str, ...], file: Path) -> None:
+def draw(comparison: Comparison, names: tuple[str, ...], file: Path) -> None:
     """Draw torques, free runs and wind-up of each axis."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    N, data, run = len(names), one.data, one.run
+    N, data, run = len(names), comparison.data, comparison.run
     figure, axes = plt.subplots(N, 3, figsize=(15, 1.9 * N), layout="constrained", sharex=True)
     for j, (row, name) in enumerate(zip(axes, names, strict=True)):
-        torque, free, wound = row
+        torque, free, wind_up = row
         moving = np.where(data.moving[:, j], 1.0, np.nan)
         torque.plot(data.t, data.tau[:, j], color="0.6", lw=1.2)
-        torque.plot(data.t, one.torques[:, j] * moving, "C0", lw=1.0)
-        torque.plot(data.t, (data.tau - one.torques)[:, j] * moving, "C3", lw=0.7)
+        torque.plot(data.t, comparison.torques[:, j] * moving, "C0", lw=1.0)
+        torque.plot(data.t, (data.tau - comparison.torques)[:, j] * moving, "C3", lw=0.7)
         torque.set_ylabel(name)
         free.plot(run.t, np.degrees(run.q_motor[:, j]), color="0.6", lw=1.2)
-        for k in range(0, len(one.begins), DRAWN):
-            at = one.begins[k]
-            t = run.t[at + 1 : at + 1 + len(one.paths)]
-            free.plot(t, np.degrees(one.paths[:, k, j]), "C0", lw=1.0)
-        if np.isfinite(one.wind_up.measured[:, j]).any():
-            t, measured = one.wind_up.t, np.degrees(one.wind_up.measured[:, j])
-            computed = np.degrees(one.wind_up.computed[:, j])
-            wound.plot(t, measured, color="0.6", lw=0.8)
-            wound.plot(t, computed, "C0", lw=1.0)
-            wound.plot(t, measured - computed, "C3", lw=0.6)
+        for k in range(0, len(comparison.begins), DRAWN):
+            at = comparison.begins[k]
+            t = run.t[at + 1 : at + 1 + len(comparison.paths)]
+            free.plot(t, np.degrees(comparison.paths[:, k, j]), "C0", lw=1.0)
+        if np.isfinite(comparison.wind_up.measured[:, j]).any():
+            t, measured = comparison.wind_up.t, np.degrees(comparison.wind_up.measured[:, j])
+            computed = np.degrees(comparison.wind_up.computed[:, j])
+            wind_up.plot(t, measured, color="0.6", lw=0.8)
+            wind_up.plot(t, computed, "C0", lw=1.0)
+            wind_up.plot(t, measured - computed, "C3", lw=0.6)
         else:
-            wound.set_axis_off()
+            wind_up.set_axis_off()
         for each in row:
             each.grid(alpha=0.3)
     titles = ("torque at the link, N m, below 10 Hz", "motor at the link, deg: free runs",

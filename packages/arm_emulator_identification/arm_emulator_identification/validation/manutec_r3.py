@@ -66,8 +66,8 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     with Dymola's published one to 4.7e-9 rad.
     """
     data = np.load(find_config_folder() / "validation" / "manutec_r3" / "solution.npz")
-    turns = turns_of_motors()
-    theta_m, omega_m = data["q"] * turns, data["v"] * turns
+    ratios = turns_of_motors()
+    theta_m, omega_m = data["q"] * ratios, data["v"] * ratios
     theta_m[:, ELASTIC], omega_m[:, ELASTIC] = data["motor_angle"], data["motor_speed"]
     motion = Motion(data["t"], data["current"], theta_m, omega_m, data["q"], data["v"])
     modes = data["friction_mode"].astype(float)
@@ -96,17 +96,17 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
         "current": truth.current[0], "theta_m": truth.theta_m[0], "omega_m": truth.omega_m[0],
         "q": truth.q[0], "v": truth.v[0],
     })  # fmt: skip
-    way = Q_END - Q_BEGIN
+    travel = Q_END - Q_BEGIN
     axes = header.rows("manutec_axis", AXES)
     for name, values in {
-        "n": turns_of_motors(), "w": REGULATOR_W, "D": REGULATOR_D, "begin": Q_BEGIN, "way": way,
+        "n": turns_of_motors(), "w": REGULATOR_W, "D": REGULATOR_D, "begin": Q_BEGIN, "way": travel,
         "x": x, "C": C,
     }.items():  # fmt: skip
         axes[name] = values
     # All axes begin and end together (Modelica's KinematicPTP2).
     rate, change = (
-        1.0 / (abs(way) / LARGEST_SPEED).max(),
-        1.0 / (abs(way) / LARGEST_ACCELERATION).max(),
+        1.0 / (abs(travel) / LARGEST_SPEED).max(),
+        1.0 / (abs(travel) / LARGEST_ACCELERATION).max(),
     )
     path = header.new("manutec_path", rate=rate, change=change)
     periods = int(END / period + 1e-6)
@@ -147,19 +147,19 @@ def compare(motion: Motion) -> Comparison:
     }
 
     def largest(differences: Array) -> Array:
-        most: Array = np.abs(differences).max(axis=0)
-        return most
+        maximum: Array = np.abs(differences).max(axis=0)
+        return maximum
 
-    turns = turns_of_motors()
-    wind_up = (turns * q - others["theta_m"])[:, ELASTIC]
-    wound = (turns * truth.q - truth.theta_m)[inside][:, ELASTIC]
+    ratios = turns_of_motors()
+    wind_up = (ratios * q - others["theta_m"])[:, ELASTIC]
+    expected_wind_up = (ratios * truth.q - truth.theta_m)[inside][:, ELASTIC]
     now = np.searchsorted(motion.t, t + 1e-9, side="right") - 1
     same = motion.friction_mode[now] == modes[inside]
     return Comparison(
         largest(q - truth.q[inside]),
         largest(others["v"] - truth.v[inside]),
         largest(others["current"] - truth.current[inside]),
-        largest(wind_up - wound),
+        largest(wind_up - expected_wind_up),
         int((~same).any(axis=1).sum()),
         len(t),
     )
@@ -184,38 +184,42 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
                     "wind-up at the motor, rad", "rows in other friction modes",
                     "times real time"):  # fmt: skip
         table.add_column(heading, justify="right")
-    found: dict[float, tuple[Comparison, float]] = {}
-    shown = None
+    comparisons: dict[float, tuple[Comparison, float]] = {}
+    longest_motion = None
     for period in track(PERIODS, "manutec_r3", console=Console(stderr=True)):
-        motion = min((simulate(period) for _ in range(3)), key=lambda one: one.seconds)
-        one, speed = compare(motion), END / motion.seconds
-        found[period] = one, speed
+        motion = min((simulate(period) for _ in range(3)), key=lambda run: run.seconds)
+        comparison, speed = compare(motion), END / motion.seconds
+        comparisons[period] = comparison, speed
         if period == SHOWN:
-            shown = motion
+            longest_motion = motion
         table.add_row(
-            f"{1e6 * period:g}", f"{one.q.max():.2g}", f"{one.v.max():.2g}",
-            f"{one.current.max():.2g}", f"{one.wind_up.max():.2g}",
-            f"{one.other_modes} of {one.rows}", f"{speed:.0f}",
+            f"{1e6 * period:g}", f"{comparison.q.max():.2g}", f"{comparison.v.max():.2g}",
+            f"{comparison.current.max():.2g}", f"{comparison.wind_up.max():.2g}",
+            f"{comparison.other_modes} of {comparison.rows}", f"{speed:.0f}",
         )  # fmt: skip
     console.print(table)
-    assert shown is not None
+    assert longest_motion is not None
     picture = folder / "manutec_r3.png"
-    draw(shown, [(period, one) for period, (one, _) in found.items()], picture)
-    failures = list(manutec_failures(found))
+    draw(
+        longest_motion,
+        [(period, comparison) for period, (comparison, _) in comparisons.items()],
+        picture,
+    )
+    failures = list(manutec_failures(comparisons))
     for failure in failures:
         console.print(f"[red]{failure}")
-    order = order_of(found)
+    order = order_of(comparisons)
     verdict = "NOT GOOD" if failures else "good"
     console.print(f"order of the angles' error {order:.2f}; {verdict}; picture: {picture}")
     rows = [
         {
             "period": period,
-            **{name: float(getattr(one, name).max()) for name in MOST},
-            "other_modes": one.other_modes,
-            "rows": one.rows,
+            **{name: float(getattr(comparison, name).max()) for name in MOST},
+            "other_modes": comparison.other_modes,
+            "rows": comparison.rows,
             "speed": speed,
         }
-        for period, (one, speed) in found.items()
+        for period, (comparison, speed) in comparisons.items()
     ]
     return {
         "good": not failures,
@@ -226,32 +230,32 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
     }
 
 
-def order_of(found: Mapping[float, tuple[Comparison, float]]) -> float:
+def order_of(by_period: Mapping[float, tuple[Comparison, float]]) -> float:
     """Return the slope of the angles' error over the period, both as logarithms."""
-    periods = [period for period in found if 5e-6 <= period <= SHOWN]
-    errors = [found[period][0].q.max() for period in periods]
+    periods = [period for period in by_period if 5e-6 <= period <= SHOWN]
+    errors = [by_period[period][0].q.max() for period in periods]
     return float(np.polyfit(np.log(periods), np.log(errors), 1)[0])
 
 
 def manutec_failures(
-    found: Mapping[float, tuple[Comparison, float]],
+    by_period: Mapping[float, tuple[Comparison, float]],
 ) -> Iterator[str]:
     """Yield each exceeded limit, as a line: figures at `SHOWN`, order, and modes."""
-    at, speed = found[SHOWN]
+    at, speed = by_period[SHOWN]
     where = f"at {1e6 * SHOWN:g} us"
-    for name, most in MOST.items():
+    for name, limit in MOST.items():
         value = float(getattr(at, name).max())
-        if not value <= most:
-            yield f"{where}: {name} must be within {most:g}, got {value:.3g}"
+        if not value <= limit:
+            yield f"{where}: {name} must be within {limit:g}, got {value:.3g}"
     if not speed >= LEAST_SPEED:
         yield f"{where}: speed must be >= {LEAST_SPEED:g} times real time, got {speed:.3g}"
-    for period, (one, _) in found.items():
-        if not one.other_modes <= MOST_OTHER_MODES * one.rows:
+    for period, (comparison, _) in by_period.items():
+        if not comparison.other_modes <= MOST_OTHER_MODES * comparison.rows:
             yield (
                 f"at {1e6 * period:g} us: rows in other friction modes must be <= "
-                f"{MOST_OTHER_MODES:.0%}, got {one.other_modes} of {one.rows}"
+                f"{MOST_OTHER_MODES:.0%}, got {comparison.other_modes} of {comparison.rows}"
             )
-    order = order_of(found)
+    order = order_of(by_period)
     if not ORDER[0] <= order <= ORDER[1]:
         yield f"order of the angles' error must be {ORDER[0]:g} to {ORDER[1]:g}, got {order:.2f}"
 
@@ -281,7 +285,7 @@ def draw(motion: Motion, by_period: Sequence[tuple[float, Comparison]], file: Pa
     currents.set(title="motor currents", xlabel="s", ylabel="A")
     sticking.set(title="slides back, sticks, slides on", xlabel="s")
     sticking.set(yticks=2.5 * np.arange(AXES), yticklabels=[f"axis {j + 1}" for j in range(AXES)])
-    period = np.array([one for one, _ in by_period])
+    period = np.array([period_of for period_of, _ in by_period])
     off = np.array([[c.q.max(), c.current.max()] for _, c in by_period])
     errors.loglog(1e6 * period, off[:, 0], "o-", label="angles, rad")
     errors.loglog(1e6 * period, off[:, 1], "s-", label="currents, A")

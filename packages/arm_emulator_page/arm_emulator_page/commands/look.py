@@ -59,7 +59,7 @@ def look(
 
 def _view_run(machine: RecordedMachine) -> RunView:
     events = tuple(
-        (tick, ", ".join(str(EVENT_KINDS.get(one.kind, one.kind)) for one in made))
-        for tick, made in sorted(machine.changes.items())
+        (tick, ", ".join(str(EVENT_KINDS.get(event.kind, event.kind)) for event in tick_events))
+        for tick, tick_events in sorted(machine.changes.items())
     )
     return RunView.of(Timeline(machine), machine.last, events)

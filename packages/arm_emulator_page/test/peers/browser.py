@@ -33,8 +33,8 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as one:
-        yield one
+    with chromium() as chromium_browser:
+        yield chromium_browser
 
 
 def without_token(url: str) -> str:
@@ -51,12 +51,12 @@ def opened(browser: Any, url: str, play: str = "Play", **how: Any) -> Any:
     return page
 
 
-def fits(what: Any) -> None:
+def fits(element: Any) -> None:
     """Check that a control is within the screen of a phone, once it is scrolled to."""
-    what.scroll_into_view_if_needed()
-    box = what.bounding_box()
+    element.scroll_into_view_if_needed()
+    box = element.bounding_box()
     for begin, size in (("x", "width"), ("y", "height")):
-        assert 0 <= box[begin] and box[begin] + box[size] < PHONE[size] + 1, (what, box)
+        assert 0 <= box[begin] and box[begin] + box[size] < PHONE[size] + 1, (element, box)
 
 
 def on_picture(page: Any, served: Any, p_W: Any) -> tuple[float, float]:
@@ -66,7 +66,8 @@ def on_picture(page: Any, served: Any, p_W: Any) -> tuple[float, float]:
     (client,) = served.server.get_clients().values()
     camera = client.camera
     canvas = max(
-        (one.bounding_box() for one in page.locator("canvas").all()), key=lambda box: box["height"]
+        (canvas.bounding_box() for canvas in page.locator("canvas").all()),
+        key=lambda box: box["height"],
     )
     x, y, z = SO3(camera.wxyz).as_matrix().T @ (np.asarray(p_W) - camera.position)
     scale = 0.5 * canvas["height"] / np.tan(0.5 * camera.fov)
@@ -76,9 +77,9 @@ def on_picture(page: Any, served: Any, p_W: Any) -> tuple[float, float]:
 
 def tick_of(page: Any) -> int:
     """Return the tick that a page shows."""
-    found = re.search(r"tick (\d+),", page.inner_text("body"))
-    assert found is not None
-    return int(found[1])
+    match = re.search(r"tick (\d+),", page.inner_text("body"))
+    assert match is not None
+    return int(match[1])
 
 
 def shows(page: Any, text: str) -> None:
@@ -104,9 +105,9 @@ def box(page: Any, label: str, place: int = 1) -> Any:
 
 
 def fill(page: Any, label: str, value: str, place: int = 1) -> None:
-    one = box(page, label, place)
-    one.fill(value)
-    one.press("Enter")
+    text_box = box(page, label, place)
+    text_box.fill(value)
+    text_box.press("Enter")
 
 
 def choose(page: Any, label: str, option: str) -> None:

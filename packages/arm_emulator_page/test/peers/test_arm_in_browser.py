@@ -24,9 +24,9 @@ UNREADABLE = '<visual><geometry><mesh filename="file:///no/such.stl"/></geometry
 def test_an_arm_without_readable_shapes_is_shown_by_its_tool(shape: str, words: str) -> None:
     scene = dataclasses.replace(SCENE, true_urdf=VISUAL.sub(shape, SCENE.true_urdf))
     assert scene.true_urdf != SCENE.true_urdf
-    whole, bare = (ArmScene(MagicMock(), one) for one in (SCENE, scene))
-    assert whole.missing == "" and words in bare.missing
-    assert bare.size == pytest.approx(whole.size, rel=0.5)
-    for arm in (whole, bare):
+    with_shapes, bare = (ArmScene(MagicMock(), scene) for scene in (SCENE, scene))
+    assert with_shapes.missing == "" and words in bare.missing
+    assert bare.size == pytest.approx(with_shapes.size, rel=0.5)
+    for arm in (with_shapes, bare):
         arm.show(np.array(SCENE.start) + 0.3)
-    np.testing.assert_array_equal(bare.p_WT, whole.p_WT)
+    np.testing.assert_array_equal(bare.p_WT, with_shapes.p_WT)

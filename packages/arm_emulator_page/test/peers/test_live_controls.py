@@ -93,9 +93,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def live(scene: Path) -> Iterator[Live]:
-    one = Live(scene)
-    yield one
-    one.page.close()
+    served = Live(scene)
+    yield served
+    served.page.close()
 
 
 def test_keys_steps_and_the_past(live: Live, browser: Any) -> None:
@@ -116,11 +116,11 @@ def test_keys_steps_and_the_past(live: Live, browser: Any) -> None:
     slider.press("Enter")
     live.shows(page, "in the past")
     assert tick_of(page) == 120
-    other = opened(browser, live.url, play="Play")
-    live.until(other, lambda: tick_of(other) == 120)  # all browsers see the same moment
-    press(other, "Live")
+    second_page = opened(browser, live.url, play="Play")
+    live.until(second_page, lambda: tick_of(second_page) == 120)  # all browsers see the same moment
+    press(second_page, "Live")
     live.shows(page, "tick 422,")
-    other.context.close()
+    second_page.context.close()
     page.get_by_role("tab", name="Plot").click()
     for span in ("1 s", "10 s", "60 s", "the whole run"):
         box(page, "Span").click()
@@ -242,9 +242,11 @@ def client(url: str) -> Iterator[Any]:
 
     protocols = [Subprotocol(f"viser-v{viser.__version__}")]
     address, how = url.replace("http:", "ws:"), {"max_size": None, "ping_interval": None}
-    with connect(address, subprotocols=protocols, **how) as one:
-        one.send(msgspec.msgpack.encode(CAMERA))  # without one a page sends its first picture alone
-        yield one
+    with connect(address, subprotocols=protocols, **how) as connection:
+        connection.send(
+            msgspec.msgpack.encode(CAMERA)
+        )  # without one a page sends its first picture alone
+        yield connection
 
 
 def test_a_browser_that_stops_reading_holds_up_nobody_and_costs_no_memory(
@@ -253,25 +255,25 @@ def test_a_browser_that_stops_reading_holds_up_nobody_and_costs_no_memory(
     """The other one gets every picture, and nothing is kept for the first."""
     monkeypatch.setattr(live_page, "PLOTTED", 0.0)  # a plot in every picture
     live.advance(1500)
-    got = 0
+    received = 0
 
     def read(socket: Any) -> None:
-        nonlocal got
+        nonlocal received
         for message in socket:
-            got += len(message)
+            received += len(message)
 
-    process, most, enough = psutil.Process(), 4e6, 12e6  # B
+    process, max_bytes, enough = psutil.Process(), 4e6, 12e6  # B
     with client(live.url) as stalled, client(live.url) as reads:
         reader = threading.Thread(target=read, args=[reads])
         reader.start()
         begin, growth, deadline = 0, 0, time.monotonic() + PATIENCE / 1e3
-        while got - begin < enough:
-            assert time.monotonic() < deadline, f"{got} bytes came"
+        while received - begin < enough:
+            assert time.monotonic() < deadline, f"{received} bytes came"
             live.advance(1)
             live.page.draw()
             time.sleep(0.005)  # lets the server's thread work
-            if not begin and got > most:  # what any browser costs is there
-                begin, before = got, process.memory_info().rss
+            if not begin and received > max_bytes:  # what any browser costs is there
+                begin, before = received, process.memory_info().rss
             elif begin:
                 growth = max(growth, process.memory_info().rss - before)
         assert live.page.browsers == 2 and stalled.state.name == "OPEN"

@@ -48,16 +48,16 @@ def press_until(page: Any, button: str, text: str) -> None:
 def paused_at(page: Any) -> int:
     """Return the tick at which the answer of the machine states that it is paused."""
     shows(page, "paused at tick")
-    found = re.search(r"paused at tick (\d+)", page.inner_text("body"))
-    assert found is not None
-    page.wait_for_function(f"/tick {found[1]},/.test(document.body.innerText)")
-    return int(found[1])
+    match = re.search(r"paused at tick (\d+)", page.inner_text("body"))
+    assert match is not None
+    page.wait_for_function(f"/tick {match[1]},/.test(document.body.innerText)")
+    return int(match[1])
 
 
 def url_of(log: Path) -> str:
     """Return the address that the emulator prints."""
-    found = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
-    return found[1] if found else ""
+    match = re.search(r"^page: (\S+)$", log.read_text() if log.exists() else "", re.MULTILINE)
+    return match[1] if match else ""
 
 
 def served(browser: Any, log: Path) -> str:

@@ -71,15 +71,15 @@ class Shown:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
-    shown = Shown(tmp_path_factory.mktemp("page"))
-    yield shown
-    shown.page.close()
+    served_page = Shown(tmp_path_factory.mktemp("page"))
+    yield served_page
+    served_page.page.close()
 
 
 def answer(url: str, **headers: str) -> tuple[int, dict[str, str]]:
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as found:
-            return int(found.status), dict(found.headers)
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers)) as response:
+            return int(response.status), dict(response.headers)
     except urllib.error.HTTPError as error:
         return error.code, dict(error.headers)
 
@@ -119,12 +119,12 @@ def test_a_malformed_request_is_the_fault_of_the_client(shown: Shown, head: str)
         words = head.format(token) + f"\r\nHost: {host}\r\n\r\n"
         client.sendall(words.encode("latin-1"))
         client.shutdown(socket.SHUT_WR)
-        got = b""
+        reply = b""
         while piece := client.recv(65536):
-            got += piece
-    status = int(got.split()[1]) if got else 0  # 0: closed without an answer
-    assert status == 0 or 400 <= status < 500, got[:200]
-    assert b"root:" not in got
+            reply += piece
+    status = int(reply.split()[1]) if reply else 0  # 0: closed without an answer
+    assert status == 0 or 400 <= status < 500, reply[:200]
+    assert b"root:" not in reply
     assert answer(shown.url)[0] == 200, "the page goes on"
 
 
@@ -177,10 +177,10 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
         shows(page, f"tick {tick},")
     go_to(page, 77)
     shows(page, "tick 77,")
-    other = RecordedMachine.of(shown.machine.topics.bag.path, scene)
-    other.advance(77)
-    assert shown.machine.session.plant.save() == other.session.plant.save(), "to the last bit"
-    shows(page, f"{other.session.state.q[1]:.4f}")
+    repeated = RecordedMachine.of(shown.machine.topics.bag.path, scene)
+    repeated.advance(77)
+    assert shown.machine.session.plant.save() == repeated.session.plant.save(), "to the last bit"
+    shows(page, f"{repeated.session.state.q[1]:.4f}")
     page.get_by_role("tab", name="Events").click()
     page.get_by_role("button", name="120: power").click()
     shows(page, "tick 120,")
@@ -224,10 +224,10 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
 
 
 def test_a_second_browser_and_a_lost_connection(shown: Shown, browser: Any) -> None:
-    one, two = opened(browser, shown.url), opened(browser, shown.url)
-    press(one, "to end")
+    first, two = opened(browser, shown.url), opened(browser, shown.url)
+    press(first, "to end")
     shows(two, f"tick {LAST},")
-    one.close()
+    first.close()
     press(two, "-1")
     shows(two, f"tick {LAST - 1},")
     again = opened(browser, shown.url)
@@ -239,10 +239,10 @@ def test_a_second_browser_and_a_lost_connection(shown: Shown, browser: Any) -> N
 def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
-    shown = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
-    futures = WhatIf(shown, line)
+    run_page = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
+    futures = WhatIf(run_page, line)
     try:
-        page = opened(browser, shown.url)
+        page = opened(browser, run_page.url)
         go_to(page, 100)
         shows(page, "tick 100,")
         page.get_by_role("tab", name="What if").click()
@@ -251,7 +251,7 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
         until(page, lambda: futures.seconds == 0.05 and names(futures) == ["power off"])
         page.get_by_role("button", name="Go on from this moment").click()
         shows(page, "fork 1, from 0.1 s of the run: power off")
-        fork = shown.line
+        fork = run_page.line
         assert fork is not line and fork.parent is line and fork.newest == 150
         press(page, "to end")
         shows(page, "tick 150,")
@@ -264,22 +264,22 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
         # At the end of a fork it goes on, and does not fork again.
         page.get_by_role("button", name="Go on from this moment").click()
         page.wait_for_function("/as it was/.test(document.body.innerText)")
-        assert shown.line is fork and fork.newest == 200
+        assert run_page.line is fork and fork.newest == 200
         line.go_to(300)
         assert line.run.session.powered, "the run itself is as it was"
         page.close()
     finally:
-        shown.close()
+        run_page.close()
 
 
 def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_path: Path) -> None:
     scene = own_three_axis(tmp_path / "scene", "external_wrench: true")
     line = Timeline(load_offline_run(str(scene)), every=100)
     line.advance(120)
-    shown = RunPage(RunView.of(line, 120), lambda: (TermsNow({}, {}), []))
-    futures = WhatIf(shown, line, write_timeline)
+    run_page = RunPage(RunView.of(line, 120), lambda: (TermsNow({}, {}), []))
+    futures = WhatIf(run_page, line, write_timeline)
     try:
-        page = opened(browser, shown.url)
+        page = opened(browser, run_page.url)
         page.get_by_role("tab", name="Push").click()
         fill(page, "Force [N], world axes", "4", 2)
         push = page.get_by_role("button", name="Push", exact=True)
@@ -296,16 +296,16 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
         page.get_by_role("tab", name="What if").click()
         fill(page, "Position gains times", "2")
         fill(page, "Go on for [s]", "0.05")
-        asked = ["position gains times 2", pushed]
-        until(page, lambda: futures.seconds == 0.05 and names(futures) == asked)
+        orders = ["position gains times 2", pushed]
+        until(page, lambda: futures.seconds == 0.05 and names(futures) == orders)
         page.get_by_role("button", name="Go on from this moment").click()
-        shows(page, ", ".join(asked))
+        shows(page, ", ".join(orders))
         straight = load_offline_run(str(scene))
         straight.advance(70)
         ScaleGains(2.0)(straight)
         Push("forearm", (0.0, 4.0, 0.0))(straight)
         straight.advance(50)
-        fork = shown.line
+        fork = run_page.line
         fork.go_to(120)
         assert fork.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
         fill(page, "New folder for bags", str(tmp_path / "kept"))
@@ -319,11 +319,11 @@ def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_pa
         shows(page, "be new")
         page.close()
     finally:
-        shown.close()
+        run_page.close()
 
 
 def names(futures: WhatIf) -> list[str]:
-    return [one.name for one in futures.orders]
+    return [order.name for order in futures.orders]
 
 
 def tool_of(run: Any) -> Any:
@@ -355,11 +355,11 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         run.advance(260)
     apart = 1e3 * float(np.linalg.norm(tool_of(straight) - tool_of(left)))
     assert apart > 1.0
-    shown = RunPage(
+    run_page = RunPage(
         RunView.of(line, 500), lambda: (TermsNow({}, {}), []), over=RunView.of(fork, 480)
     )
     try:
-        page = opened(browser, shown.url)
+        page = opened(browser, run_page.url)
         go_to(page, 460)
         shows(page, f"tools {apart:.4g} mm apart")
         assert line.run.session.plant.save() == straight.session.plant.save(), "to the last bit"
@@ -369,28 +369,28 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         page.locator(".uplot canvas").first.wait_for()
         choose(page, "Of", "difference")
         by = straight.session.state.q - left.session.state.q
-        until(page, lambda: len(shown.plotted[0]) == 481)
-        t, *differences = shown.plotted
+        until(page, lambda: len(run_page.plotted[0]) == 481)
+        t, *differences = run_page.plotted
         assert t[460] == pytest.approx(0.46), "where both runs are"
-        np.testing.assert_array_equal([one[460] for one in differences], by)
+        np.testing.assert_array_equal([difference[460] for difference in differences], by)
         page.screenshot(path=tmp_path / "over.png")
         go_to(page, 500)  # the other run stays at its end
         shows(page, "tick 500,")
-        shown.lay_over(None)
+        run_page.lay_over(None)
         page.wait_for_function("!/mm apart/.test(document.body.innerText)")
-        assert len(shown.plotted[0]) == 501
+        assert len(run_page.plotted[0]) == 501
         page.close()
     finally:
-        shown.close()
+        run_page.close()
 
 
 def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
-    shown = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
-    WhatIf(shown, line)
+    run_page = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
+    WhatIf(run_page, line)
     try:
-        page = opened(browser, shown.url)
+        page = opened(browser, run_page.url)
         page.get_by_role("tab", name="What if").click()
         choose(page, "Laid over it", "the run")
         shows(page, "tools 0 mm apart")
@@ -398,14 +398,14 @@ def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
         page.wait_for_function("!/mm apart/.test(document.body.innerText)")
         page.close()
     finally:
-        shown.close()
+        run_page.close()
 
 
 def test_runs_of_other_joints_are_not_laid_over_each_other(shown: Shown) -> None:
-    other = Timeline(load_offline_run("panda"))
-    other.advance(1)
+    timeline = Timeline(load_offline_run("panda"))
+    timeline.advance(1)
     with pytest.raises(Refusal, match="joints of the other run must be"):
-        shown.page.lay_over(RunView.of(other, 1))
+        shown.page.lay_over(RunView.of(timeline, 1))
     scene = SimpleNamespace(joint_names=shown.machine.scene.joint_names, servo_period=0.5)
     run = SimpleNamespace(session=SimpleNamespace(scene=scene))
     slow: Any = SimpleNamespace(line=SimpleNamespace(run=run))

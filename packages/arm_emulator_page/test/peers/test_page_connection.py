@@ -46,10 +46,10 @@ class Cable:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def cut(self) -> None:
-        for one in (self._door, *self._ends):
+        for end in (self._door, *self._ends):
             with contextlib.suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
@@ -65,11 +65,11 @@ class Cable:
                     threading.Thread(target=self._pass, args=pair, daemon=True).start()
 
     @staticmethod
-    def _pass(one: socket.socket, other: socket.socket) -> None:
+    def _pass(source: socket.socket, target: socket.socket) -> None:
         with contextlib.suppress(OSError):
-            while data := one.recv(65536):
-                other.sendall(data)
-            other.shutdown(socket.SHUT_RDWR)
+            while data := source.recv(65536):
+                target.sendall(data)
+            target.shutdown(socket.SHUT_RDWR)
 
 
 @pytest.fixture(scope="module")
@@ -81,36 +81,36 @@ def test_browsers_come_late_and_connections_and_servers_break_off(browser: Any, 
     served = Served(bag)
     cable = Cable(served.port)
     try:
-        one = opened(browser, served.url)
-        press(one, "to end")
-        shows(one, f"tick {LAST},")
+        browser_page = opened(browser, served.url)
+        press(browser_page, "to end")
+        shows(browser_page, f"tick {LAST},")
         far = opened(browser, served.url.replace(str(served.port), str(cable.port)))
         assert tick_of(far) == LAST, "who comes late sees the same moment"
         press(far, "-1")
-        shows(one, f"tick {LAST - 1},")
+        shows(browser_page, f"tick {LAST - 1},")
         # The cable is cut, and mended; meanwhile the page goes on.
         cable.cut()
         shows(far, "onnecting...")
-        press(one, "to start")
-        shows(one, "tick 0,")
+        press(browser_page, "to start")
+        shows(browser_page, "tick 0,")
         assert tick_of(far) == LAST - 1
         cable = Cable(served.port, cable.port)
         shows(far, "tick 0,")
         press(far, "+1")
-        shows(one, "tick 1,")
+        shows(browser_page, "tick 1,")
         # The server is killed, and started again at its port.
         url = served.url
         served.kill()
-        shows(one, "onnecting...")
+        shows(browser_page, "onnecting...")
         served = Served(bag, served.port)
         assert served.url != url, "a new run has a new token"
-        for page, port in ((one, served.port), (far, cable.port)):
+        for page, port in ((browser_page, served.port), (far, cable.port)):
             shows(page, "onnecting...")
             page.goto(served.url.replace(str(served.port), str(port)))
             shows(page, "tick 0,")
-        press(one, "to end")
+        press(browser_page, "to end")
         shows(far, f"tick {LAST},")
-        one.context.close()
+        browser_page.context.close()
         far.context.close()
     finally:
         cable.cut()

@@ -49,7 +49,8 @@ def luminance(color: list[float]) -> float:
 def test_a_phone_shows_the_arm_above_all_controls(shown: RunPage, browser: Any) -> None:
     page = opened(browser, shown.url, viewport=PHONE, has_touch=True)
     canvas = max(
-        (one.bounding_box() for one in page.locator("canvas").all()), key=lambda box: box["height"]
+        (canvas.bounding_box() for canvas in page.locator("canvas").all()),
+        key=lambda box: box["height"],
     )
     controls = page.get_by_role("button", name="Play", exact=True).bounding_box()
     assert canvas["width"] == PHONE["width"] and canvas["height"] > 0.4 * PHONE["height"]

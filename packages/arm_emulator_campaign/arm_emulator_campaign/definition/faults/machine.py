@@ -33,8 +33,8 @@ class Machine(Fault):
         """Refuse what the scene does not list, or a magnitude out of its range."""
         listed = {fault.name: fault.varied.number for fault in scene.faults}
         if self.fault not in listed:
-            known = ", ".join(listed) or f"none, set: {{faults: [{self.fault}]}} lists it"
-            raise Refusal(where, "fault", "be listed by the scene", self.fault, known)
+            listed_names = ", ".join(listed) or f"none, set: {{faults: [{self.fault}]}} lists it"
+            raise Refusal(where, "fault", "be listed by the scene", self.fault, listed_names)
         listed[self.fault].take(where, self.magnitude, "magnitude")
 
     def begins(self, scene: Scene) -> Change:

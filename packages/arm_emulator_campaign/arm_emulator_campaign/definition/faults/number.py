@@ -39,7 +39,7 @@ class NumberOfScene(Fault):
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse a pattern of names, or a value out of the number's range."""
-        of = {one.name: one.number for one in scene.varied}
+        of = {number.name: number.number for number in scene.varied}
         if self.name not in of:
             raise Refusal(where, "name", "be one number, not a pattern", self.name, ", ".join(of))
         of[self.name].take(where, self.value, "value")

@@ -107,5 +107,5 @@ class Impulse(OnLink):
     def wrench(self, period: float) -> ExternalWrench:
         """Return the force."""
         contact = period * max(1, count_ticks(self.lasting, period))
-        force = tuple(one / contact for one in self.impulse)
+        force = tuple(component / contact for component in self.impulse)
         return ExternalWrench(force, NO_WRENCH, self.point, self.axes)
