@@ -29,7 +29,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(
-    ("place", "friction_laws", "scheme", "events", "weightless"), some(CASES, 2)
+    ("place", "frictions", "scheme", "events", "weightless"), some(CASES, 2)
 )
 def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     place: str, frictions: tuple[str, ...], scheme: str, events: str, weightless: bool

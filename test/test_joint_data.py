@@ -167,7 +167,7 @@ def test_a_joint_is_asked_for_what_its_motor_gives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "kind", "refusal"),
+    ("data_files", "kind", "refusal"),
     [
         (["mx65"], "continuous",
          "--joint must name a joint with a data file, got mx65; valid: erob80_100"),

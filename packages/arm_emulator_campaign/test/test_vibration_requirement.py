@@ -72,7 +72,7 @@ def test_a_run_that_ends_with_its_reference_fails(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("requirement", "words"),
     [
         ({"vibration": "shake", "at_most": 1e-3}, "still.vibration must be one of the known"),
         ({"vibration": "swing"}, "still.at_most must be"),

@@ -163,7 +163,7 @@ ABORTS = [
 ]
 
 
-@pytest.mark.parametrize(("what", "requests", "code"), ABORTS, ids=[abort[0] for abort in ABORTS])
+@pytest.mark.parametrize(("case", "requests", "code"), ABORTS, ids=[abort[0] for abort in ABORTS])
 def test_an_sdo_that_cannot_be_changes_nothing(
     bus: Bus, case: str, requests: list[str], code: int
 ) -> None:

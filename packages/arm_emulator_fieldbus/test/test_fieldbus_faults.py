@@ -169,7 +169,7 @@ def test_registers_set_faults_as_a_session_does(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "given", "code"),
+    ("address", "register_values", "code"),
     [
         (1, words(2.0)[:3], Code.VALUE),  # a part of a number
         (2, words(2.0), Code.VALUE),

@@ -236,7 +236,7 @@ def test_malformed_frames_change_nothing(scene: Scene, clock: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "line"),
+    ("options", "line"),
     [
         ({"baud": 49}, r"modbus: baud must be 50 to 100000000 bit/s, got 49"),
         ({"station": 0}, r"modbus: station must be 1 to 247, got 0"),

@@ -166,7 +166,7 @@ def test_a_compiler_that_is_too_old(
 
 
 @pytest.mark.parametrize(
-    ("does", "got"),
+    ("does", "message"),
     [
         ("exit 3", "must compile the kernels, got exit code 3"),
         ("kill -9 $$", "must compile the kernels, got ended by SIGKILL"),
