@@ -528,8 +528,8 @@ MUTANTS = (
     ),
     Mutant(
         "packages/arm_emulator_fleet/arm_emulator_fleet/device_core.py",
-        "given.pointer + each * np.arange(len(pushes))",
-        "given.pointer + 0 * np.arange(len(pushes))",
+        "wrench_array.pointer + each * np.arange(len(pushes))",
+        "wrench_array.pointer + 0 * np.arange(len(pushes))",
         "../packages/arm_emulator_fleet/test/test_fleet_on_device.py::test_every_call_gives_the_bits_of_lanes",
     ),
     Mutant(
