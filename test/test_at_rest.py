@@ -28,9 +28,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("place", "frictions", "scheme", "events", "weightless"), some(CASES, 2)
-)
+@pytest.mark.parametrize(("place", "frictions", "scheme", "events", "weightless"), some(CASES, 2))
 def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     place: str, frictions: tuple[str, ...], scheme: str, events: str, weightless: bool
 ) -> None:
