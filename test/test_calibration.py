@@ -363,6 +363,9 @@ def test_machine_data_of_kuka_are_read(tmp_path: Path) -> None:
     (tmp_path / "own.dat").write_text("$MAMES[1]=0.0\n")
     with pytest.raises(Refusal, match=r"\$MAMES\[2\] must be given, as of joint shoulder"):
         load_scene(own)
+    (tmp_path / "own.dat").write_text(text.replace("-90.0", "9000.0"))
+    with pytest.raises(Refusal, match=r"own.dat: encoder_zero of joint shoulder must be a number"):
+        load_scene(own)
     (tmp_path / "own.dat").write_text("$MACHINE=1\n")
     with pytest.raises(Refusal, match=r"file must have lines \$MAMES"):
         load_scene(own)
@@ -374,13 +377,24 @@ def test_machine_data_of_kuka_are_read(tmp_path: Path) -> None:
         ({"joints": {"elbow": {"a": 1.0}}}, "key calibration.joints.elbow.a must be known"),
         ({"joints": {"elbow": {"x": 2.0}}}, "calibration.joints.elbow.x must be a number from -1"),
         ({"joints": {"elbow": {"x": "1"}}}, "calibration.joints.elbow.x must be a number"),
-        ({"joints": {"hip": {"x": 0.1}}}, "joint hip must be a joint of the URDF, got hip"),
+        ({"joints": {"hip": {"x": 0.1}}}, "calibration.joints.hip must be a joint of the URDF"),
+        (
+            {"joints": {"tool_mount": {"encoder_zero": 0.1}}},
+            "calibration.joints.tool_mount.encoder_zero must belong to a joint that moves",
+        ),
+        (
+            {"joints": {"tool_mount": {"delta_a": 0.1}}},
+            "calibration.joints.tool_mount.delta_a must be of a joint that moves the flange",
+        ),
         ({"joints": {"elbow": 1.0}}, "calibration.joints.elbow must be a section"),
-        ({"file": "none.yaml"}, "calibration must be a file, got none.yaml"),
+        ({"file": "none.yaml"}, "calibration.file must be a file, got none.yaml"),
+        ({"file": "hip.yaml"}, "hip.yaml: joints.hip must be a joint of the URDF"),
         ({"file": "own.urdf"}, "file must be a calibration, got .urdf"),
         ({"file": "own.dat"}, "calibration.nominal must be the machine data of the type"),
-        ({"nominal": "own.dat"}, "calibration.nominal must come with a key file"),
-        ({"base": "hip"}, ""),
+        ({"nominal": "none.dat"}, "calibration.nominal must come with a key file"),
+        ({"file": "own.dat", "nominal": "none.dat"}, "calibration.nominal must be a file"),
+        ({"base": "hip"}, "calibration.base must be a link of the URDF"),
+        ({"flange": "hip"}, "calibration.flange must be a link of the URDF"),
         (
             {"base": "hip", "joints": {"elbow": {"delta_a": 1e-3}}},
             "calibration.base must be a link",
@@ -393,9 +407,7 @@ def test_calibrations_that_are_not_taken(tmp_path: Path, keys: dict[str, Any], w
     file = own_three_axis(tmp_path, "")
     for name in ("own.dat", "own.urdf"):
         (tmp_path / name).write_text("")
-    if not words:
-        assert load_scene(file, {"calibration": keys}).true_urdf, "a link that nothing needs"
-        return
+    (tmp_path / "hip.yaml").write_text("joints: {hip: {x: 0.1}}\n")
     with pytest.raises(Refusal, match=words):
         load_scene(file, {"calibration": keys})
 

@@ -17,8 +17,9 @@ from scipy.optimize import brentq
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.analysis.torque_terms import TorqueTerms
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.frictions.load_friction import RotorLoadFriction
+from arm_emulator.machine.parts.frictions.load_friction import DIRECTED, RotorLoadFriction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 
 MASS, GRAVITY = 2.0, 9.81
 PERIOD, ROWS = 0.02, 15
@@ -447,3 +448,16 @@ def test_an_exponent_without_a_speed_is_refused(tmp_path: Path) -> None:
     joint, _ = sample_joint(np.random.default_rng(1))
     with pytest.raises(Refusal, match=r"motor\.friction\.exponent must come with a stribeck speed"):
         scene_of(tmp_path, joint, {"load": 0.1, "exponent": 1.5})
+
+
+@pytest.mark.parametrize("key", DIRECTED)
+@pytest.mark.parametrize("place", ["elbow.friction", "elbow.motor.friction"])
+def test_each_key_names_the_law_without_load(place: str, key: str) -> None:
+    """A published joint with K_e = 0 has no `load`, which is then 0."""
+    given = {"coulomb": 0.1, "stribeck": 1.0, key: 0.6}
+    with_zero, without = (
+        write_scene_unit(load_scene("three_axis", {f"joints.{place}": friction}))
+        for friction in (given | {"load": 0.0}, given)
+    )
+    assert without == with_zero
+    assert "DirectedLoadFriction" in without

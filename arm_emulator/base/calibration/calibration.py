@@ -19,11 +19,13 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.frames import Frame, rpy_of
 from arm_emulator.base.urdf.joint_tree import (
     MOVING_KINDS,
+    UrdfJoint,
     list_element_names,
     parse_joints,
     read_joints,
 )
 from arm_emulator.base.urdf.urdf_text import parse_urdf
+from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.base.validation.section import Section
 
 KUKA = ".dat"
@@ -58,21 +60,11 @@ class Calibration:
                 encoders report place the links; else positions are the joints' own.
 
         Raises:
-            Refusal: a joint that the description does not have, or a number that it cannot take.
+            Refusal: a number that the description cannot take.
         """
-        joints = {
-            one.name: one
-            for one in read_joints(robot, list_element_names(robot, "link", self.where), self.where)
-        }
-        for name in self.deviations:
-            if name not in joints:
-                known = ", ".join(joints)
-                raise Refusal(self.where, f"joint {name}", "be a joint of the URDF", name, known)
+        joints = _read_joints_by_name(robot, self.where)
         frames = self._displace_axes(robot, tool)
         for name, one in self.deviations.items():
-            if one.encoder_zero and joints[name].kind not in MOVING_KINDS:
-                rule = "belong to a joint that moves"
-                raise Refusal(self.where, f"{name}.encoder_zero", rule, joints[name].kind)
             frames[name] = frames.get(name, Frame()) @ one.displaced
             if zeros and one.encoder_zero:
                 back = joints[name].place_at(-one.encoder_zero)
@@ -88,8 +80,9 @@ class Calibration:
         moving = [joint.name for joint in path.moving]
         for name in of_axes:
             if name not in moving:
+                key = next(key for key in self.deviations[name].given if key.startswith("delta_"))
                 rule = "be of a joint that moves the flange"
-                raise Refusal(self.where, f"deltas of {name}", rule, name, ", ".join(moving))
+                raise Refusal(self.where, name_key(name, key), rule, name, ", ".join(moving))
         dh, children = find_dh_frames(path), path.frames
         ends = [*moving, path.behind[0].name] if path.behind else moving
         found, before = {}, None
@@ -100,7 +93,8 @@ class Calibration:
         last = self.deviations.get(moving[-1], Deviation())
         if not path.behind and (last.delta_a or last.delta_alpha):
             rule = "be 0 of the last joint, whose own link is the flange"
-            raise Refusal(self.where, f"{moving[-1]}.delta_a, delta_alpha", rule, "others")
+            key = "delta_a" if last.delta_a else "delta_alpha"
+            raise Refusal(self.where, name_key(moving[-1], key), rule, getattr(last, key))
         return found
 
 
@@ -137,7 +131,7 @@ def correct_urdf(urdf_xml: str, file: Path, tool: str) -> str:
 def load_calibration(file: Path, robot: ET.Element, tool: str) -> Calibration:
     """Return the calibration in a file: ours, or one of Universal Robots."""
     root = Section({"file": file.name}, file.name)
-    return read_calibration(root, robot, tool, find_beside(file.parent, file.name))
+    return read_calibration(root, robot, tool, find_beside(file.parent))
 
 
 def read_calibration(
@@ -149,33 +143,69 @@ def read_calibration(
         root: the section, of a scene or a file.
         robot: the description, locked joints fixed.
         tool: the tool's link.
-        find: gives the file of a name.
+        find: gives the path of a name.
 
     Raises:
-        Refusal: a key, a value or a file that is not taken.
+        Refusal: a key, a value or a file that is not taken, or no such joint or link.
     """
-    base, flange = (root.text(key) if root.has(key) else "" for key in ("base", "flange"))
-    nominal = find(root.text("nominal")) if root.has("nominal") else None
-    if nominal is not None and not root.has("file"):
+    base, flange = (_read_link(root, key, robot) for key in ("base", "flange"))
+    if root.has("nominal") and not root.has("file"):
         raise root.refusal("nominal", "come with a key file", "alone")
+    file, nominal = (_find_file(root, key, find) for key in ("file", "nominal"))
     deviations = dict[str, Deviation]()
-    if root.has("file"):
-        file = find(root.text("file"))
+    if file is not None:
         _check_nominal(root, file, nominal)
         of_file = _read_file(file, nominal, base, flange, robot, tool)
         deviations |= of_file.deviations
         base, flange = base or of_file.base, flange or of_file.flange
     section = root.section("joints")
+    joints = _read_joints_by_name(robot, root.where)
     for name in () if section is None else section.keys():
         assert section is not None
+        if name not in joints:
+            raise section.refusal(name, "be a joint of the URDF", name, ", ".join(joints))
         below = section.required_section(name)
         numbers = below.numbers(Deviation)
+        if numbers["encoder_zero"] and joints[name].kind not in MOVING_KINDS:
+            rule = "belong to a joint that moves"
+            raise below.refusal("encoder_zero", rule, joints[name].kind)
         of_joint = deviations.get(name, Deviation())
         deviations[name] = replace(
             of_joint, **{key: value for key, value in numbers.items() if below.has(key)}
         )
     root.finish()
     return Calibration(deviations, base, flange, root.where)
+
+
+def name_key(joint: str, key: str) -> str:
+    """Return the place of a joint's number in a scene."""
+    return f"calibration.joints.{joint}.{key}"
+
+
+def _read_joints_by_name(robot: ET.Element, where: str) -> dict[str, UrdfJoint]:
+    joints = read_joints(robot, list_element_names(robot, "link", where), where)
+    return {joint.name: joint for joint in joints}
+
+
+def _read_link(root: Section, key: str, robot: ET.Element) -> str:
+    """Return the name of a link, empty if the key is absent."""
+    if not root.has(key):
+        return ""
+    name, links = root.text(key), list_element_names(robot, "link", root.where)
+    if name not in links:
+        raise root.refusal(key, "be a link of the URDF", name, ", ".join(links))
+    return name
+
+
+def _find_file(root: Section, key: str, find: Callable[[str], Path]) -> Path | None:
+    """Return the file that a key names, None if the key is absent."""
+    if not root.has(key):
+        return None
+    name = root.text(key)
+    reason = explain_missing_file(find(name))
+    if reason is not None:
+        raise root.refusal(key, "be a file", f"{name} ({reason})")
+    return find(name)
 
 
 def _check_nominal(root: Section, file: Path, nominal: Path | None) -> None:
@@ -197,7 +227,7 @@ def _read_file(
             for key in ("file", "nominal"):
                 if root.has(key):
                     raise root.refusal(key, "stand in the scene", repr(root.text(key)))
-            return read_calibration(root, robot, tool, find_beside(file.parent, file.name))
+            return read_calibration(root, robot, tool, find_beside(file.parent))
     path = find_path(robot, file.name, base, flange, tool)
     if root is not None:
         found = read_ur_kinematics(root, path)
@@ -205,20 +235,12 @@ def _read_file(
         found = read_kuka_zeros(file, nominal, path)
     else:
         found = read_ur_deltas(file, path)
+    for name, one in found.items():
+        for key, number in list_numbers(Deviation).items():
+            number.take(file.name, getattr(one, key), f"{key} of joint {name}")
     return Calibration(found, base, flange, file.name)
 
 
-def find_beside(folder: Path, where: str) -> Callable[[str], Path]:
-    """Return a function that gives the file of a name, beside others in a folder.
-
-    Raises:
-        Refusal: the function, where there is no such file.
-    """
-
-    def find(name: str) -> Path:
-        reason = explain_missing_file(folder / name)
-        if reason is not None:
-            raise Refusal(where, "calibration", "be a file", f"{name} ({reason})")
-        return folder / name
-
-    return find
+def find_beside(folder: Path) -> Callable[[str], Path]:
+    """Return a function that gives the path of a name, beside others in a folder."""
+    return lambda name: folder / name

@@ -115,7 +115,7 @@ def rotor_friction_of(**numbers: float) -> OfRotor:
 
 def read_friction(section: Section, kinds: Sequence[type[AnyFriction]]) -> AnyFriction:
     """Return the friction that a section describes, of a link or of a rotor."""
-    return next(one for one in kinds if all(map(section.has, one.named_by))).read(section)
+    return next(one for one in kinds if one.is_named_in(section)).read(section)
 
 
 def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[JointEffect, ...]:

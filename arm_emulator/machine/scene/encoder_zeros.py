@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from arm_emulator.base.calibration.calibration import Calibration
+from arm_emulator.base.calibration.calibration import Calibration, name_key
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.measuring.encoder import Encoder
 from arm_emulator.machine.scene.joint import Joint
@@ -27,7 +27,7 @@ def put_zeros(joints: tuple[Joint, ...], calibration: Calibration) -> tuple[Join
         if name not in driven:
             known = ", ".join(sorted(driven)) or "none"
             rule = "belong to a joint with a motor"
-            raise Refusal(calibration.where, f"{name}.encoder_zero", rule, name, known)
+            raise Refusal(calibration.where, name_key(name, "encoder_zero"), rule, name, known)
     return tuple(_turn_discs(one, given[one.name]) if one.name in given else one for one in joints)
 
 

@@ -93,8 +93,7 @@ class SceneLinks:
             return Calibration()
         held = copy.deepcopy(self.robot)
         lock_joints(held, self._locked, self.urdf_file.name)
-        find = find_beside(file.parent, file.name)
-        calibration = read_calibration(section, held, self.tool, find)
+        calibration = read_calibration(section, held, self.tool, find_beside(file.parent))
         frames = calibration.list_displacements(held, self.tool, zeros=False)
         self._true_robot = displace_joints(self.robot, frames, file.name)
         return calibration

@@ -41,6 +41,11 @@ class Friction(Part):
         """Return its section and the keys that distinguish it."""
         return " with ".join([super().name_place(), *sorted(cls.named_by)])
 
+    @classmethod
+    def is_named_in(cls, section: Section) -> bool:
+        """Whether the keys of a section name this law."""
+        return all(map(section.has, cls.named_by))
+
     def sliding(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""
         return np.full_like(motion.speed, self.coulomb)

@@ -73,7 +73,13 @@ class LoadFriction(Friction):
         text="vs, see [Stribeck friction](stribeck.md)",
     )
     load: float = number(
-        "mu", "N m/(N m)", ends=(0.0, 10.0), sought="known", shown=UNDER_LOAD, text="mu"
+        "mu",
+        "N m/(N m)",
+        ends=(0.0, 10.0),
+        sought="known",
+        shown=UNDER_LOAD,
+        default=0.0,
+        text="mu",
     )
     back_load: float | None = _declare_optional(
         "mu_back", "mu where the link drives the motor", DRIVEN, absent="`load`"
@@ -106,6 +112,10 @@ class LoadFriction(Friction):
         ends=(0.5, 20.0),
         absent="2",
     )
+
+    @classmethod
+    def is_named_in(cls, section: Section) -> bool:  # noqa: D102
+        return any([section.has(key) for key in (*cls.named_by, *DIRECTED)])
 
     @property
     def is_directed(self) -> bool:
