@@ -177,6 +177,10 @@ def test_a_joint_is_asked_for_what_its_motor_gives() -> None:
          "--joint must name joints for one supply voltage, got mx64 for 15 V, xl330 for 7.5 V"),
         (["elbow=mx64"], "prismatic",
          "--joint must be of a joint that turns, got elbow, a prismatic one"),
+        (["mx64", "mx106"], "continuous",
+         "--joint must be given once for all joints, got mx64 mx106"),
+        (["elbow=mx64", "mx106", "elbow=mx106"], "continuous",
+         "--joint must be given once for elbow, got elbow=mx64 mx106 elbow=mx106"),
     ],
 )  # fmt: skip
 def test_joints_that_do_not_fit_are_refused(
@@ -190,6 +194,15 @@ def test_joints_that_do_not_fit_are_refused(
     with pytest.raises(Refusal) as caught:
         write_new(robot, tmp_path / "arm", joint_data=data_files)
     assert refusal in str(caught.value)
+
+
+@pytest.mark.parametrize("data_files", [["mx64"], ["elbow=mx64", "shoulder=mx106"]])
+def test_a_kind_of_motor_that_no_joint_would_have_is_refused(
+    tmp_path: Path, data_files: list[str]
+) -> None:
+    rule = "--motor must be left out where --joint names the motor of each joint, got pmsm"
+    with pytest.raises(Refusal, match=rule):
+        write_new(robot_of(tmp_path, "continuous"), tmp_path, joint_data=data_files, motor="pmsm")
 
 
 @pytest.mark.usefixtures("untuned")

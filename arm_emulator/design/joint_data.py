@@ -88,15 +88,23 @@ def choose_joint_data(choices: Sequence[str], joints: Sequence[str]) -> dict[str
         joints: names of the moving joints.
 
     Raises:
-        Refusal: no such joint, no such data, or joints for different supplies.
+        Refusal: no such joint, no such data, two data for a joint, or joints for different
+            supplies.
     """
-    named = dict[str, str]()
+    of_all, of_joint = list[str](), dict[str, str]()
     for choice in choices:
         joint, sign, name = choice.rpartition("=")
         if sign and joint not in joints:
             rule = "be JOINT=NAME of a moving joint"
             raise Refusal("new", "--joint", rule, choice, ", ".join(joints))
-        named = {**named, joint: name} if sign else {**dict.fromkeys(joints, name), **named}
+        if joint in of_joint or (of_all and not sign):
+            whose = joint or "all joints"
+            raise Refusal("new", "--joint", f"be given once for {whose}", " ".join(choices))
+        if sign:
+            of_joint[joint] = name
+        else:
+            of_all.append(name)
+    named = {joint: name for name in of_all for joint in joints} | of_joint
     data = {name: load_joint_data(name) for name in dict.fromkeys(named.values())}
     supplies = {one.supply: one.name for one in data.values()}
     if len(supplies) > 1:
