@@ -7,9 +7,17 @@ import functools
 import inspect
 import io
 from collections.abc import Callable, Iterable, Sequence
-from typing import Literal
+from typing import Any, Literal, get_args
 
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import (
+    App,
+    CoercionError,
+    CycloptsError,
+    Parameter,
+    Token,
+    UnusedCliTokensError,
+    convert,
+)
 from cyclopts.help import DefaultFormatter, PanelSpec
 from rich.box import Box
 from rich.console import Console
@@ -20,7 +28,20 @@ from arm_emulator.cli.options import Json
 
 WIDTH = 100  # of help
 FRAMELESS = Box("    \n" * 8)
+
+
+def _convert_whole(kind: Any, tokens: Sequence[Token]) -> Any:
+    """Return the value of words; 2.5 is no whole number, which cyclopts would round to 2."""
+    if int in (kind, *get_args(kind)):
+        for token in tokens:
+            with contextlib.suppress(ValueError):
+                if not float(token.value).is_integer():
+                    raise CoercionError(token=token, target_type=int)
+    return convert(kind, tokens)
+
+
 DEFAULTS = Parameter(
+    converter=_convert_whole,
     negative=(),
     consume_multiple=(1, None),
     json_list=False,

@@ -287,6 +287,7 @@ def test_the_command_states_what_it_has_measured(
         ({"edge": 0.0}, "--edge must be a number > 0"),
         ({"fit": 5, "out": tmp_path / "a.txt"}, "--out must end in .yaml"),
         ({"edge": 5.0, "cycles": 2}, "--edge must leave five poses about the centre"),
+        ({"centre": (9.0, 0.0, 0.0), "cycles": 2}, "--centre must have a cube of 0.1 m about it"),
     ):
         with pytest.raises(Refusal, match=words):
             accuracy(str(file), **keys)  # type: ignore[arg-type]

@@ -124,8 +124,13 @@ def find_cube(
         poses = tuple(Pose(p, start.R_WT) for p in places)
         if all(arm.lead(pose) is not None for pose in (*poses, poses[0])):
             return poses
-    rule = "leave five poses about the centre within the arm's reach"
-    raise Refusal("accuracy", "--edge", rule, edge or iso_9283.EDGES[-1])
+    if edge is not None:
+        rule = "leave five poses about the centre within the arm's reach"
+        raise Refusal("accuracy", "--edge", rule, edge)
+    rule = f"have a cube of {iso_9283.EDGES[-1]:g} m about it within the arm's reach"
+    place = " ".join(f"{x:.4g}" for x in middle)
+    got = f"{place}, the tool's place at the start" if centre is None else place
+    raise Refusal("accuracy", "--centre", rule, got, "another centre, or a smaller --edge")
 
 
 def visit_cube(arm: LedArm, poses: tuple[Pose, ...], cycles: int) -> Attained:
