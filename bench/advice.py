@@ -60,7 +60,7 @@ def _joint(rng: Rng, kind: str) -> Numbers:
     """Return the scene's section of a joint that has what its class is about."""
     inertia = {"rotor_inertia": draw_scaled(rng, 5e-5, 3e-4)}
     joint: Numbers = {"friction": {"viscous": draw_scaled(rng, 0.05, 0.5)}}
-    motor = {**mixtures.drawn_motor(rng, DcMotor), **inertia}
+    motor = {**mixtures.draw_motor(rng, DcMotor), **inertia}
     gear = draw_part(ElasticGear if rng.random() < 0.5 else RigidGear, rng)
     dry = draw_part(mixtures.any_of(rng, LINK_FRICTIONS), rng)
     if kind == "friction":
@@ -75,16 +75,16 @@ def _joint(rng: Rng, kind: str) -> Numbers:
         motor["current_limit"] = draw_scaled(rng, 2.0, 8.0)
         joint["end_stops"] = draw_part(EndStops, rng)
     elif kind == "pmsm":
-        motor = {**mixtures.drawn_motor(rng, Pmsm), **inertia}
+        motor = {**mixtures.draw_motor(rng, Pmsm), **inertia}
     elif kind == "torque":
         which = mixtures.any_of(rng, (TorqueMotor, CurrentMotor))
-        motor = {**mixtures.drawn_motor(rng, which), **inertia}
+        motor = {**mixtures.draw_motor(rng, which), **inertia}
         if rng.random() < 0.5:
             joint["friction"] = dry
     return {**joint, "motor": motor, "gear": gear}
 
 
-def drawn_scene(folder: Path, seed: int) -> tuple[str, Scene]:
+def draw_scene(folder: Path, seed: int) -> tuple[str, Scene]:
     """Write a scene of one of the classes; return the class and the scene."""
     rng, kind = np.random.default_rng([seed, 31]), CLASSES[seed % len(CLASSES)]
     urdf = random_chain_urdf(rng, int(rng.integers(1, 3)))
@@ -104,7 +104,7 @@ def drawn_scene(folder: Path, seed: int) -> tuple[str, Scene]:
     return kind, load_scene(file)
 
 
-def other_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Motion]:
+def draw_unseen_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Motion]:
     """Return motions that `advise` has not seen."""
     rng, excitation = np.random.default_rng([seed, 32]), ExcitationMotions(scene, seconds)
     kinds = [str(kind) for kind in rng.choice(list(KINDS), OTHERS)]
@@ -159,9 +159,9 @@ def judge_scene(
 ) -> list[Verdict]:
     """Draw a scene and hold the claims against it, for every error."""
     with tempfile.TemporaryDirectory() as folder:
-        kind, scene = drawn_scene(Path(folder), seed)
+        kind, scene = draw_scene(Path(folder), seed)
         own = Judge(scene, judged_motions(scene, seconds))
-        others = Judge(scene, other_motions(scene, seed, seconds))
+        others = Judge(scene, draw_unseen_motions(scene, seed, seconds))
         advices = {error: advise(own, error) for error in sorted(errors, reverse=True)}
         # All that was stated is held against truths that are known five times as well.
         fine = 0.2 * min(

@@ -26,7 +26,7 @@ from bench.tables import table
 TITLE = "What is assumed of the arms"
 
 ARMS = ("ur5", "panda")
-DRAWN = 24  # arms with all figures drawn
+SAMPLED_ARMS = 24  # arms with all figures drawn
 Values = dict[str, float]  # of varied numbers, by name
 
 
@@ -151,7 +151,7 @@ def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:
     arms: list[Values] = [{}]
     for figure in assumed:
         arms += [figure.at(figure.low), figure.at(figure.high)]
-    for _ in range(2 if quick else DRAWN):
+    for _ in range(2 if quick else SAMPLED_ARMS):
         arm: Values = dict(assumed[0].nominal)
         for figure in assumed:
             factors, sample = figure.nominal, figure.at(figure.draw(rng))

@@ -32,7 +32,7 @@ from oracles import alone, mixtures, random_machines
 
 Verdict = Any  # a dataclass; its `claims` state by name which hold
 
-JUDGES: dict[str, Callable[[int], Sequence[Verdict]]] = {
+EVALUATORS: dict[str, Callable[[int], Sequence[Verdict]]] = {
     "random_machines": lambda seed: random_machines.judge(seed, LOCATING_SCHEMES),
     "mixtures": lambda seed: [mixtures.judge(seed)],
     "alone": lambda seed: [alone.judge(seed)],
@@ -43,7 +43,7 @@ JUDGES: dict[str, Callable[[int], Sequence[Verdict]]] = {
 def main(arguments: list[str] | None = None) -> int:
     """Judge cases and print how many meet each claim; exit code 1 if one is broken."""
     parser = argparse.ArgumentParser(prog="bench.claims", description=__doc__.splitlines()[0])
-    parser.add_argument("about", choices=JUDGES)
+    parser.add_argument("about", choices=EVALUATORS)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--first", type=int, default=0, help="seed of the first case")
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
@@ -82,7 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _judged(about: str, seed: int) -> Sequence[Verdict]:
-    return JUDGES[about](seed)
+    return EVALUATORS[about](seed)
 
 
 def _begin(cache: str) -> None:

@@ -17,26 +17,28 @@ from arm_emulator.design.new_scene import write_new
 from bench.measure import progress
 from bench.pictures import new_figure, save
 from bench.tables import table
-from oracles.followed_line import Known, Line, follow
+from oracles.followed_line import AssumedNumbers, Line, follow
 
 TITLE = "Feed-forward on a fast line"
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = "ur5", "panda", "kuka_kr300"
-MADE = {"kuka_kr300": ROOT / "config" / "urdf" / "kuka_kr300.urdf"}  # scenes without a servo
+WITHOUT_SERVO = {
+    "kuka_kr300": ROOT / "config" / "urdf" / "kuka_kr300.urdf"
+}  # scenes without a servo
 CASES = {
-    "none": Known("none"),
-    "speed": Known("speed"),
-    "torque": Known("torque"),
-    "full": Known("full"),
-    "full, all 30 % too small": Known("full", stiffness=0.7, friction=0.7, inertia=0.7),
-    "full, all 30 % too large": Known("full", stiffness=1.3, friction=1.3, inertia=1.3),
-    "full, gears 30 % too soft, inertia 30 % too large": Known("full", 0.7, 1.3, 1.3),
-    "full, gears 30 % too stiff, inertia 30 % too small": Known("full", 1.3, 0.7, 0.7),
-    "full, all 50 % too small": Known("full", stiffness=0.5, friction=0.5, inertia=0.5),
-    "full, all 50 % too large": Known("full", stiffness=1.5, friction=1.5, inertia=1.5),
+    "none": AssumedNumbers("none"),
+    "speed": AssumedNumbers("speed"),
+    "torque": AssumedNumbers("torque"),
+    "full": AssumedNumbers("full"),
+    "full, all 30 % too small": AssumedNumbers("full", stiffness=0.7, friction=0.7, inertia=0.7),
+    "full, all 30 % too large": AssumedNumbers("full", stiffness=1.3, friction=1.3, inertia=1.3),
+    "full, gears 30 % too soft, inertia 30 % too large": AssumedNumbers("full", 0.7, 1.3, 1.3),
+    "full, gears 30 % too stiff, inertia 30 % too small": AssumedNumbers("full", 1.3, 0.7, 0.7),
+    "full, all 50 % too small": AssumedNumbers("full", stiffness=0.5, friction=0.5, inertia=0.5),
+    "full, all 50 % too large": AssumedNumbers("full", stiffness=1.5, friction=1.5, inertia=1.5),
 }
-DRAWN = "speed", "torque", "full, all 30 % too small", "full"
+PICTURED = "speed", "torque", "full, all 30 % too small", "full"
 PICTURE = "feedforward"
 
 
@@ -49,7 +51,11 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
         progress("lines", len(chosen) * len(CASES)) as done,
     ):
         for name in chosen:
-            scene = name if name not in MADE else str(_made(MADE[name], Path(folder) / name))
+            scene = (
+                name
+                if name not in WITHOUT_SERVO
+                else str(_make_scene(WITHOUT_SERVO[name], Path(folder) / name))
+            )
             for case, assumed in CASES.items():
                 followed = follow(scene, assumed)
                 again = (
@@ -76,7 +82,7 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
     return {"rows": rows, "curves": curves}
 
 
-def _made(robot: Path, folder: Path) -> Path:
+def _make_scene(robot: Path, folder: Path) -> Path:
     """Return the scene of a robot description, with servo and motion controller."""
     return write_new(robot, folder).file
 
@@ -108,7 +114,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the distance of the tool from its reference over time."""
     figure = new_figure(7.0, 3.2)
     axes = figure.add_subplot()
-    for name in DRAWN:
+    for name in PICTURED:
         curve = figures["curves"][name]
         axes.plot(curve["t"], [1e3 * off for off in curve["off"]], label=name)
     axes.set_xlabel("t [s]")

@@ -30,7 +30,7 @@ SIDE = 0.3  # m, of the square across which the tool goes
 EVERY = 10  # servo periods between samples
 FRAMES = 40
 SIZE = (960, 540)  # points
-SHOWN = (0, 37, 960, 510)  # of these, without menu and time line
+CROP = (0, 37, 960, 510)  # of these, without menu and time line
 COLOURS = 96  # of the .gif
 POLL = 0.1  # s
 # Pictures until the viewer shows a moment as a whole: it draws meshes and curves some pictures
@@ -86,7 +86,7 @@ def picture(out: Path) -> Path:
     """Draw the picture into a folder and return its file."""
     begin, end = record(out / "square.rrd")
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES
-    pictures = [frame.crop(SHOWN) for frame in screenshots(out / "square.rrd", moments.tolist())]
+    pictures = [frame.crop(CROP) for frame in screenshots(out / "square.rrd", moments.tolist())]
     palette = pictures[FRAMES // 2].quantize(COLOURS)
     frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in pictures]
     each = round(1e3 * (end - begin) / FRAMES)

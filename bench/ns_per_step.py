@@ -24,7 +24,7 @@ ROBOTS = {"three_axis": 3, "ur5": 6, "panda": 7}
 CHAINS = (12, 24)
 STEPS = dict.fromkeys(SCHEMES, 20_000)  # in one measurement
 MUJOCO_STEPS = 2_000
-WAYS = len(SCHEMES) + len(INTEGRATORS)
+CASES_PER_MACHINE = len(SCHEMES) + len(INTEGRATORS)
 DT = 1e-5  # s; what a step costs does not depend on it
 VOLTAGE = 3.0  # V, of changing sign from joint to joint: everything moves
 CALLS = 1_000  # servo periods, for the cost of a call from Python
@@ -42,7 +42,7 @@ def run(quick: bool) -> dict[str, Any]:
             }
         compile_all(scene for schemes in arms.values() for scene in schemes.values())
         figures: dict[str, Any] = {"arms": {}}
-        with progress("time per step", repetitions * len(arms) * WAYS) as done:
+        with progress("time per step", repetitions * len(arms) * CASES_PER_MACHINE) as done:
             for name, schemes in arms.items():
                 tasks = _tasks(schemes)
                 timings = interleaved(tasks, repetitions, done)

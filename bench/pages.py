@@ -94,7 +94,7 @@ def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path
     return make
 
 
-DRAWN: dict[str, Callable[[Path], Path]] = {
+PAINTERS: dict[str, Callable[[Path], Path]] = {
     "arm.gif": _bench("moving_picture"),
     "campaign.png": _command("influences.png", "campaign", "examples/campaign.yaml", into="--into"),
     "faults.png": _section("fault_matrix", "faults.png"),
@@ -114,7 +114,7 @@ DRAWN: dict[str, Callable[[Path], Path]] = {
 
 def main() -> int:
     """Measure and draw all, or what is named; exit code 1 where something failed."""
-    names = [*tables(), *DRAWN]
+    names = [*tables(), *PAINTERS]
     parser = argparse.ArgumentParser(prog="pages", description="Measure the pages' figures anew.")
     parser.add_argument("names", nargs="*", help=f"of {', '.join(names)} (default: all)")
     chosen = parser.parse_args().names or names
@@ -124,9 +124,9 @@ def main() -> int:
             print(Refusal("pages", "name", "be known", name, ", ".join(names)), file=sys.stderr)
             return 2
         try:
-            if name in DRAWN:
+            if name in PAINTERS:
                 with tempfile.TemporaryDirectory() as scratch:
-                    shutil.copy(DRAWN[name](Path(scratch)), PICTURES / name)
+                    shutil.copy(PAINTERS[name](Path(scratch)), PICTURES / name)
             else:
                 _write_table(name, tables()[name])
         except (Refusal, subprocess.CalledProcessError) as error:

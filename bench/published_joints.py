@@ -30,7 +30,7 @@ NAME, DT, STEPS = "joint", 1e-4, 10
 PERIOD = DT * STEPS
 SETTLED = 2000  # periods at rest under a load, before anything is measured
 RAMP = 1e-4  # of the largest load, each period
-MOVED, SEEN = 4000, 500  # periods of a motion at constant speed; at their end it is measured
+MOVED, MEASURED = 4000, 500  # periods of a motion at constant speed; at their end it is measured
 BANDWIDTH, RESET = 40.0, 10.0  # rad/s, of the servo of the speed
 POINTS, CURVE = 6, 61
 
@@ -198,7 +198,7 @@ class Stand:
                 self.advance(0.0, -torque)
             else:
                 self.advance(load + torque, load)
-            if k >= MOVED - SEEN:
+            if k >= MOVED - MEASURED:
                 torques.append(abs(torque) if off else abs(self.torque - load))
         assert abs(error) < 1e-6 * w, "the speed is constant"
         return float(np.mean(torques))

@@ -76,7 +76,7 @@ ABB = (
 FREQUENCIES = np.geomspace(1.0, 100.0, 4001)  # Hz
 RUNS = ("A", "B")
 AXES = 3  # of the KR 300 with a known stiffness
-LEAST, MOST = 4.0, 30.0  # Hz, between the commanded motion and the noise
+LOWEST, HIGHEST = 4.0, 30.0  # Hz, between the commanded motion and the noise
 SAMPLES = 1024  # of a piece of the spectrum
 EVERY = 50  # samples from one pose to the next
 
@@ -130,7 +130,7 @@ def _read_spectrum(name: str) -> dict[str, Any]:
     record = _read_run(name)
     rate = 1.0 / (record["t"][1] - record["t"][0])
     f, power = signal.welch(record["tau_abs"][:, :AXES], rate, nperseg=SAMPLES, axis=0)
-    band = (f >= LEAST) & (f <= MOST)
+    band = (f >= LOWEST) & (f <= HIGHEST)
     peaks = [float(f[band][np.argmax(row[band])]) for row in power.T]
     return {"f": f.tolist(), "power": power.T.tolist(), "peaks": peaks}
 

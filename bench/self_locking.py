@@ -32,7 +32,7 @@ RATIO, ROTOR = 1e-3, 2e-4  # m/rad, kg m2
 CARRIED = ROTOR / RATIO**2  # the rotor's inertia at the load [kg]
 TUNED = 50.0  # kg, the load for which a constant friction is chosen
 LOADS = (0.5, 1.0, 2.0)  # by TUNED
-STOPPED, HELD = 0.2, 10.0  # m/s, s
+STOPPED, LOADED_TIME = 0.2, 10.0  # m/s, s
 NO_SLIP = 'noslip_iterations="10"'
 
 
@@ -239,7 +239,9 @@ def run(quick: bool) -> dict[str, Any]:
     rows = []
     with progress("hoists", len(PEERS)) as done:
         for name, peer in PEERS.items():
-            rows.append({"name": name, **_measure(peer, 0.2 * HELD if quick else HELD)})
+            rows.append(
+                {"name": name, **_measure(peer, 0.2 * LOADED_TIME if quick else LOADED_TIME)}
+            )
             done(name)
     return {"peers": rows}
 

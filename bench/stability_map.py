@@ -194,7 +194,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         panel.set_title(name, fontsize=11)
     for row, axis in zip(panels, axes.values(), strict=True):
         for panel, name in zip(row, names, strict=True):
-            levels = _shown(axis["cells"][name], axis["errors"][name])
+            levels = _grade_cells(axis["cells"][name], axis["errors"][name])
             image = panel.pcolormesh(
                 _borders(axis["values"]),
                 _borders(figures["steps"]),
@@ -219,7 +219,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     save(figure, folder, "stability_map")
 
 
-def _shown(cells: list[list[int]], errors: list[list[float | None]]) -> Array:
+def _grade_cells(cells: list[list[int]], errors: list[list[float | None]]) -> Array:
     """Return (steps, values): the error's decade, or where divergence lies on the colour scale."""
     levels = np.empty((len(cells[0]), len(cells)))
     for i, (column, column_errors) in enumerate(zip(cells, errors, strict=True)):

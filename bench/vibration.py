@@ -39,7 +39,7 @@ SCENES = (
 )
 LENGTH, SPEED, ACCELERATION = 0.3, 1.0, 10.0  # m, m/s, m/s2
 AT_ONCE = 1e5  # m/s3 and rad/s3: the acceleration jumps, as planners of shortest time command it
-SETTLE, WATCHED = 5.0, 1.0  # s, before and after the line
+SETTLE, SETTLED_WINDOW = 5.0, 1.0  # s, before and after the line
 STIFF = 6.0  # times the velocity gains: motors that their drives hold firmly
 SHAPED = 2  # modes
 BAND = 1e-4  # m
@@ -121,7 +121,7 @@ class _ArmAtLine:
         run.instructor.add_path(run.controller, ends)
         places, targets, tools = [], [], []
         delay = motion.design_shaper().delay
-        for _ in range(round((1.5 + delay + WATCHED) / motion.period)):
+        for _ in range(round((1.5 + delay + SETTLED_WINDOW) / motion.period)):
             for _ in range(run.motion_ticks):
                 run.advance(1)
                 places.append(kinematics.forward(run.session.state.q)[1])
@@ -129,7 +129,7 @@ class _ArmAtLine:
             tools.append(kinematics.forward(targets[-1])[1] - start)
         tool, reference = np.array(places), np.array(tools)
         end = find_reference_end(np.array(targets)) * run.motion_ticks
-        after = tool[end : end + round(WATCHED / period)]
+        after = tool[end : end + round(SETTLED_WINDOW / period)]
         vibration = measure_vibration(after, period, BAND)
         unshaped = end * period - delay
         speed = np.linalg.norm(np.diff(reference, axis=0), axis=1).max() / motion.period

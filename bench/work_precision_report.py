@@ -11,7 +11,7 @@ from bench.tables import table
 
 INPUTS = 3  # motions; the error is the root mean square over them
 FROM_PYTHON = "rosenbrock, called every period"
-SHOWN_STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+PRINTED_STEPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
@@ -146,7 +146,7 @@ def _limits(figures: dict[str, Any]) -> list[str]:
 def _table(case: dict[str, Any]) -> list[str]:
     """Return one machine's errors and times, whole decades of the step."""
     dts = {p["dt"] for points in case["series"].values() for p in points if "dt" in p}
-    steps = [dt for dt in SHOWN_STEPS if dt in dts]
+    steps = [dt for dt in PRINTED_STEPS if dt in dts]
     rows = []
     for name, points in case["series"].items():
         if "dt" in points[0]:

@@ -65,17 +65,17 @@ def _law(rng: Rng, name: str, dry: float, speed: float) -> Numbers:
 # Of parts that the reference solves; dc motors, with and without their limits, as often as others.
 MOTORS = (DcMotor, DcMotor, TorqueMotor, CurrentMotor)
 GEARS = (RigidGear, ElasticGear, ProgressiveGear, BacklashGear)
-LAWS = ("viscous", "coulomb", "breakaway", "stribeck", "load", "load and stribeck")
+FRICTIONS = ("viscous", "coulomb", "breakaway", "stribeck", "load", "load and stribeck")
 
 
-def drawn_joint(rng: Rng) -> Numbers:
+def draw_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint: motor, gear, and one law of friction at most."""
     joint: Numbers = {}
-    law = str(rng.choice(("none", "lugre", *LAWS)))
+    law = str(rng.choice(("none", "lugre", *FRICTIONS)))
     at_rotor = bool(rng.random() < 0.5)
     motor = MOTORS[rng.choice(len(MOTORS))]
     joint["motor"] = {
-        **mixtures.drawn_motor(rng, motor),
+        **mixtures.draw_motor(rng, motor),
         "rotor_inertia": draw_scaled(rng, 5e-5, 3e-4),
     }
     joint["gear"] = draw_part(GEARS[rng.choice(len(GEARS))], rng)
@@ -95,11 +95,11 @@ def drawn_joint(rng: Rng) -> Numbers:
     return joint
 
 
-def write_drawn(folder: Path, seed: int) -> Path:
+def write_sample(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 6161])
     urdf = random_chain_urdf(rng, int(rng.integers(1, 3)))
-    joints = {name: drawn_joint(rng) for name in moving_joints(urdf)}
+    joints = {name: draw_joint(rng) for name in moving_joints(urdf)}
     return mixtures.write_scene(folder, urdf, joints)
 
 
@@ -195,7 +195,7 @@ def judge(seed: int) -> Verdict:
     """Draw a mixture and hold the claims against it."""
     schemes = LOCATING_SCHEMES[seed % 2], SCHEMES[seed // 2 % len(SCHEMES)]
     with tempfile.TemporaryDirectory() as folder:
-        file = write_drawn(Path(folder), seed)
+        file = write_sample(Path(folder), seed)
 
         def scene(steps: int, events: str) -> Scene:
             scheme = schemes[0 if events == "located" else 1]

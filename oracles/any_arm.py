@@ -235,15 +235,15 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Mo
         words = str(fault).splitlines()[0]
     reasons = [r.reason for r in run.instructor.reports.waiting if r.state is State.MOVING]
     tool_move = Move(distance, 0.0, words, seconds, way="; ".join(reasons))
-    tool_move.peak_speed = _most(np.array(speeds), kinematics.velocity_limit)
+    tool_move.peak_speed = _find_largest(np.array(speeds), kinematics.velocity_limit)
     accelerations = np.diff(speeds, axis=0) / sample
-    tool_move.peak_acceleration = _most(accelerations, kinematics.acceleration_limit)
-    tool_move.peak_torque = _most(np.array(torques), kinematics.effort_limit)
+    tool_move.peak_acceleration = _find_largest(accelerations, kinematics.acceleration_limit)
+    tool_move.peak_torque = _find_largest(np.array(torques), kinematics.effort_limit)
     tool_move.length, tool_move.past, tool_move.aside = along_its_line(np.array(tool_path))
     return tool_move
 
 
-def _most(rows: Array, limits: Array) -> float:
+def _find_largest(rows: Array, limits: Array) -> float:
     """Return the largest of rows (K, N) over limits (N,)."""
     return float((np.abs(rows) / limits).max(initial=0.0))
 

@@ -49,7 +49,7 @@ ALONE: dict[str, Any] = {
 Numbers = dict[str, float]
 
 
-def laws(dry: float, inertia: float, bend: float) -> dict[str, tuple[str, Numbers]]:
+def list_frictions(dry: float, inertia: float, bend: float) -> dict[str, tuple[str, Numbers]]:
     """Return sections of friction by name, with the key of the section, for a shaft.
 
     Args:
@@ -73,7 +73,7 @@ def laws(dry: float, inertia: float, bend: float) -> dict[str, tuple[str, Number
     }
 
 
-LAWS = tuple(laws(1.0, 1.0, 1.0))
+FRICTIONS = tuple(list_frictions(1.0, 1.0, 1.0))
 PLACES = ("link", "rotor")
 
 
@@ -160,7 +160,7 @@ def scene_of(case: Case, equations: Equations, dt: float | None = None) -> Scene
     key = ""
     for j, joint in enumerate(load_scene(case.scene, ALONE).joints):
         dry, inertia, bend = equations.dry * ratio, equations.inertia * ratio**2, BEND / ratio
-        key, numbers = laws(float(dry[j]), float(inertia[j]), float(bend[j]))[case.law]
+        key, numbers = list_frictions(float(dry[j]), float(inertia[j]), float(bend[j]))[case.law]
         key = f"motor.{key}" if at_rotor else key
         overrides[f"joints.{joint.name}.{key}"] = numbers
     # Laws of one kind share a library.
@@ -196,7 +196,7 @@ def cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[Case]:
         for scene in scenes
         for weightless in (False, True)
         for place in PLACES
-        for law in LAWS
+        for law in FRICTIONS
         for scheme in schemes
         for events in (("step", "located") if scheme in LOCATING_SCHEMES else ("step",))
     ]

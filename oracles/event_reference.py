@@ -18,8 +18,8 @@ from arm_emulator.machine.scene.scene import Scene
 from oracles.reference import ROWS, STIFF, ReferenceMachine
 
 ROUNDING = 1e-9  # of a breakaway torque or a limit: what is nearer to it is at it
-MOST_PIECES = 1000  # in one row
-MOST_ROUNDS = 10  # per joint, of freeing and locking
+MAX_PIECES = 1000  # in one row
+MAX_ROUNDS = 10  # per joint, of freeing and locking
 
 Margin = Callable[[float, Array], float]
 
@@ -97,7 +97,7 @@ class MachineWithModes(ReferenceMachine):
         if freed is not None:
             self.locked[freed], self.direction[freed] = False, np.sign(hold[freed])
             rests[freed] = False  # how it sets out is within rounding
-        for _ in range(MOST_ROUNDS * self.N):
+        for _ in range(MAX_ROUNDS * self.N):
             _, a, hold = self.forces(x, V)
             over = np.where(self.locked, np.abs(hold) - self.Ds * (1.0 + ROUNDING), -1.0)
             worst = int(np.argmax(over))
@@ -184,7 +184,7 @@ def reference_with_events(
         t = 0.0
         machine.choose_sides(x, V)
         machine.choose_locks(x, V)
-        for _ in range(MOST_PIECES):
+        for _ in range(MAX_PIECES):
             margins = machine.margins(V)
             stops = [margin for _, _, margin in margins]
             for stop in stops:
@@ -219,6 +219,6 @@ def reference_with_events(
                     machine.side[j] = 0.0
             machine.choose_locks(x, V, freed)
         else:
-            raise RuntimeError(f"reference: more than {MOST_PIECES} events in row {k}")
+            raise RuntimeError(f"reference: more than {MAX_PIECES} events in row {k}")
         out[k] = x[3]
     return out, events

@@ -32,7 +32,7 @@ PATIENCE = 20.0  # s, of all of it
 
 
 @dataclass(frozen=True)
-class Known:
+class AssumedNumbers:
     """Assumed numbers of servo and motion controller, relative to the true ones."""
 
     feedforward: str
@@ -94,7 +94,7 @@ class Followed:
 
 
 def follow(
-    scene_name: str, assumed: Known, line: Line | None = None, *, practised: bool = False
+    scene_name: str, assumed: AssumedNumbers, line: Line | None = None, *, practised: bool = False
 ) -> Followed:
     """Send a scene's tool along a line; where the scene starts the line begins.
 

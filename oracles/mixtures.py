@@ -73,7 +73,7 @@ def any_of(rng: Rng, kinds: Sequence[Kind]) -> Kind:
     return kinds[int(rng.integers(len(kinds)))]
 
 
-def drawn_motor(rng: Rng, kind: type[Motor]) -> Numbers:
+def draw_motor(rng: Rng, kind: type[Motor]) -> Numbers:
     """Return the scene's section of a motor without its rotor, half of them in a loop."""
     motor = {"kind": kind.kind, **draw_part(kind, rng)}
     for decorator in DECORATORS:
@@ -86,13 +86,13 @@ def drawn_motor(rng: Rng, kind: type[Motor]) -> Numbers:
     return motor
 
 
-def drawn_joint(rng: Rng) -> Numbers:
+def draw_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint with random parts."""
     joint: Numbers = {}
     if rng.random() < 0.6:
         joint["friction"] = draw_part(any_of(rng, LINK_FRICTIONS), rng)
     if rng.random() < 0.9:
-        joint["motor"] = {**drawn_motor(rng, any_of(rng, MOTORS)), **_rotor(rng)}
+        joint["motor"] = {**draw_motor(rng, any_of(rng, MOTORS)), **_rotor(rng)}
         joint["gear"] = draw_part(any_of(rng, GEARS), rng)
     for extra in EXTRAS:
         if rng.random() < 0.3 and (place := place_of(joint, extra)) is not None:
@@ -141,13 +141,13 @@ def write_mixture(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 4242])
     urdf = random_chain_urdf(rng, 2)
-    joints = {name: drawn_joint(rng) for name in moving_joints(urdf)}
+    joints = {name: draw_joint(rng) for name in moving_joints(urdf)}
     scene: Numbers = {"joints": joints}
     add_surroundings(np.random.default_rng([seed, 4243]), scene)
     return write_scene(folder, urdf, joints, external_wrench=scene["external_wrench"])
 
 
-def drawn_alone(part: type[Part], seed: int) -> Numbers:
+def draw_alone(part: type[Part], seed: int) -> Numbers:
     """Return the scene's section of a joint without friction and limits but for one part."""
     rng = np.random.default_rng([seed, 4244, *part.__name__.encode()])
     rotor = {"rotor_inertia": 1e-4}
@@ -158,10 +158,10 @@ def drawn_alone(part: type[Part], seed: int) -> Numbers:
     if issubclass(part, DriveStage):
         for kind in MOTORS:
             if part.around_kind == kind.kind:
-                motor = {"kind": kind.kind, **rotor, **drawn_motor(rng, kind)}
+                motor = {"kind": kind.kind, **rotor, **draw_motor(rng, kind)}
     joint: Numbers = {"motor": motor, "gear": {"ratio": 0.02, "stiffness": 3e3, "damping": 2.0}}
     if issubclass(part, Motor):
-        joint["motor"] = {**rotor, **drawn_motor(rng, part)}
+        joint["motor"] = {**rotor, **draw_motor(rng, part)}
     elif issubclass(part, Gear):
         joint["gear"] = draw_part(part, rng)
     else:

@@ -82,7 +82,7 @@ NEVER_ZERO = {"inductance", "ambient", "reference", "lower", "upper"}
 
 
 @dataclass(frozen=True)
-class DrawnJoint:
+class RandomJoint:
     """A joint's section of the scene, and the kinds of its parts."""
 
     section: dict[str, Any] = field(default_factory=dict)
@@ -98,9 +98,9 @@ class DrawnJoint:
             self.kinds.append(kind)
 
 
-def drawn_joint(rng: Rng) -> DrawnJoint:
+def draw_random_joint(rng: Rng) -> RandomJoint:
     """Return a joint with a motor, a gear, friction of both shafts, and half of all else."""
-    joint = DrawnJoint()
+    joint = RandomJoint()
     motor = any_of(rng, MOTORS)
     joint.section["motor"] = {"kind": motor.kind, "rotor_inertia": float(rng.uniform(5e-5, 3e-4))}
     joint.put(motor, rng)
@@ -119,7 +119,7 @@ def drawn_joint(rng: Rng) -> DrawnJoint:
     return joint
 
 
-def pairs_of(joints: tuple[DrawnJoint, DrawnJoint]) -> set[Pair]:
+def pairs_of(joints: tuple[RandomJoint, RandomJoint]) -> set[Pair]:
     """Return the pairs of parts that stand beside or opposite each other."""
     names = [[kind.__name__ for kind in joint.kinds] for joint in joints]
     beside = (itertools.combinations(kinds, 2) for kinds in names)
@@ -132,21 +132,21 @@ def pairs_of(joints: tuple[DrawnJoint, DrawnJoint]) -> set[Pair]:
 def all_pairs() -> frozenset[Pair]:
     """Return the pairs that machines can have."""
     rng = np.random.default_rng(0)
-    pairs = (pairs_of((drawn_joint(rng), drawn_joint(rng))) for _ in range(1500))
+    pairs = (pairs_of((draw_random_joint(rng), draw_random_joint(rng))) for _ in range(1500))
     return frozenset(set().union(*pairs))
 
 
-def machines() -> Iterator[tuple[DrawnJoint, DrawnJoint]]:
+def machines() -> Iterator[tuple[RandomJoint, RandomJoint]]:
     """Yield the joints of machines until they have had all pairs."""
     rng, left = np.random.default_rng(1), set(all_pairs())
     while left:
-        some = [(drawn_joint(rng), drawn_joint(rng)) for _ in range(CANDIDATES)]
+        some = [(draw_random_joint(rng), draw_random_joint(rng)) for _ in range(CANDIDATES)]
         best = max(some, key=lambda joints: len(left & pairs_of(joints)))
         left -= pairs_of(best)
         yield best
 
 
-def write_machine(folder: Path, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Path:
+def write_machine(folder: Path, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Path:
     """Write the scene of a machine, all of whose numbers may differ, and return its path."""
     urdf = random_chain_urdf(np.random.default_rng([seed, 51]), 2)
     sections = dict(zip(moving_joints(urdf), (joint.section for joint in joints), strict=True))
@@ -164,7 +164,7 @@ class Draw:
     powered: np.ndarray  # (ROWS,)
 
 
-def draw(scene: Scene, joints: tuple[DrawnJoint, DrawnJoint], seed: int) -> Draw:
+def draw(scene: Scene, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Draw:
     """Draw numbers and commands for a machine."""
     rng = np.random.default_rng([seed, 52])
     varied = {number.name: number for number in scene.varied}
@@ -236,7 +236,7 @@ def moved(file: Path, sample: Draw, steps: int, scheme: str, events: str) -> np.
 
 
 def judge(
-    file: Path, joints: tuple[DrawnJoint, DrawnJoint], machine: int, seed: int, scheme: str
+    file: Path, joints: tuple[RandomJoint, RandomJoint], machine: int, seed: int, scheme: str
 ) -> Verdict:
     """Judge a draw with a scheme, whose events are located if it can."""
     located = scheme in LOCATING_SCHEMES

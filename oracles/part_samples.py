@@ -1,7 +1,7 @@
 """Random numbers of parts, as sections of a scene state them, for random machines.
 
-A part whose numbers are independent has a row in `USUAL`; a part whose numbers depend on each other
-has a function in `SAMPLERS`. A class without either takes that of the class it inherits.
+A part whose numbers are independent has a row in `TYPICAL`; a part whose numbers depend on each
+other has a function in `SAMPLERS`. A class without either takes that of the class it inherits.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Rng = np.random.Generator
 Numbers = dict[str, Any]
 
 # Ends of usual values, by the keys of a part.
-USUAL: dict[type[Part], dict[str, tuple[float, float]]] = {
+TYPICAL: dict[type[Part], dict[str, tuple[float, float]]] = {
     Inverter: {"voltage_error": (0.3, 3.0), "knee": (0.2, 1.0)},
     Winding: {
         "heat_capacity": (0.2, 5.0),
@@ -75,12 +75,12 @@ def draw_part(part: type[Part], rng: Rng) -> Numbers:
     for base in part.__mro__:
         if base in SAMPLERS:
             return SAMPLERS[base](part, rng)
-        if base in USUAL:
-            return _draw_usual(part, USUAL[base], rng)
+        if base in TYPICAL:
+            return _draw_typical(part, TYPICAL[base], rng)
     raise AssertionError(f"oracles/part_samples.py: {part.__name__} has no usual numbers")
 
 
-def _draw_usual(part: type[Part], typical: dict[str, tuple[float, float]], rng: Rng) -> Numbers:
+def _draw_typical(part: type[Part], typical: dict[str, tuple[float, float]], rng: Rng) -> Numbers:
     """Return the section of a part, with half of what may be absent."""
     numbers: Numbers = {}
     for key, number in part.numbers().items():
@@ -134,18 +134,18 @@ def _draw_friction(part: type[Part], rng: Rng) -> Numbers:
     return {"coulomb": dry, "breakaway": 1.3 * dry, "viscous": viscous}
 
 
-def _usual_speed(part: type[Part]) -> float:
+def _find_typical_speed(part: type[Part]) -> float:
     """Return a slow speed of the shaft [rad/s]."""
     return 6.0 if issubclass(part, OfRotor) else 0.2
 
 
 def _draw_stribeck(part: type[Part], rng: Rng) -> Numbers:
-    return _draw_friction(part, rng) | {"stribeck": _usual_speed(part)}
+    return _draw_friction(part, rng) | {"stribeck": _find_typical_speed(part)}
 
 
 def _draw_load_friction(part: type[Part], rng: Rng) -> Numbers:
     """With and without a fall of the dry torque."""
-    falls = {"stribeck": _usual_speed(part)} if rng.random() < 0.5 else {}
+    falls = {"stribeck": _find_typical_speed(part)} if rng.random() < 0.5 else {}
     return _draw_friction(part, rng) | {"load": 0.2, **falls}
 
 

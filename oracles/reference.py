@@ -121,7 +121,7 @@ def reference_states(
 
 
 # The parts whose equations stand here. Brakes are open: there is power.
-KNOWN = (
+SUPPORTED_PARTS = (
     DcMotor, CurrentLoop, RigidGear, ElasticGear, ProgressiveGear, LinkFriction, Brake, EndStops,
 )  # fmt: skip
 
@@ -129,10 +129,10 @@ KNOWN = (
 def _motor_of(joint: Joint) -> DcMotor | None:
     """Return a joint's motor; refuse parts whose equations are not here."""
     for part in joint.parts:
-        if type(part) not in KNOWN:
+        if type(part) not in SUPPORTED_PARTS:
             where, kinds = (
                 f"joints.{joint.name}.{part.section}",
-                (part_kind.__name__ for part_kind in KNOWN),
+                (part_kind.__name__ for part_kind in SUPPORTED_PARTS),
             )
             rule = "be a part that the reference knows"
             raise Refusal("reference", where, rule, type(part).__name__, ", ".join(kinds))

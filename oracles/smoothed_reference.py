@@ -36,7 +36,7 @@ from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.scene.joint import Joint
 from oracles.reference import links_model
 
-KNOWN = (
+SUPPORTED_PARTS = (
     DcMotor, CurrentLoop, TorqueMotor, CurrentMotor, RigidGear, ElasticGear, ProgressiveGear,
     BacklashGear, LinkFriction, OfRotor, LinkLuGre, RotorLuGre, Brake, EndStops,
 )  # fmt: skip
@@ -103,7 +103,7 @@ class SmoothJoint:
 
     def __init__(self, joint: Joint, smoothing: Smoothing, supply: float) -> None:
         for part in joint.parts:
-            if not isinstance(part, KNOWN):
+            if not isinstance(part, SUPPORTED_PARTS):
                 where = f"joints.{joint.name}.{part.section}"
                 raise Refusal("reference", where, "be a part that it knows", type(part).__name__)
         self.joint, self.motor, self.gear = joint, joint.motor, joint.gear

@@ -68,7 +68,7 @@ def text_of(file: Path) -> str:
     return text
 
 
-def found_in(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]:
+def find_banned(text: str, words: dict[str, str]) -> Iterator[tuple[int, str, str]]:
     """Yield line, word and what to write instead, of each banned word in a text."""
     for word, instead in words.items():
         # Neither a method of a library nor the position of a stream is a word.
@@ -96,7 +96,7 @@ def main() -> int:
     words, count = banned(), 0
     for file in files(ROOMS):
         text = text_of(file)
-        findings = [*found_in(text, words), *(openings_in(text) if file.suffix in CODE else ())]
+        findings = [*find_banned(text, words), *(openings_in(text) if file.suffix in CODE else ())]
         for line, word, instead in sorted(findings):
             print(f"{file.relative_to(ROOT)}:{line}: '{word}' is banned; write {instead}")
             count += 1

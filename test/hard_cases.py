@@ -174,7 +174,7 @@ def all_schemes(*dts: float) -> dict[str, tuple[float, ...]]:
     return dict.fromkeys(SCHEMES, dts)
 
 
-def of_one_case(quick: bool, case: str) -> tuple[str, ...]:
+def choose_schemes(quick: bool, case: str) -> tuple[str, ...]:
     """Return the schemes to try on a machine of one case alone.
 
     A compiler takes longer over each of them than the case itself, so in quick runs it is `case`.
@@ -243,7 +243,7 @@ def light_distal_link(quick: bool) -> Iterator[Outcome]:
             lambda scheme, dt: three_axis(scheme, dt, **where),
             {
                 scheme: (1e-3, 1e-4, 1e-6) if scheme == "paper" else (1e-2, 1e-3, 1e-4)
-                for scheme in of_one_case(quick, "rosenbrock")
+                for scheme in choose_schemes(quick, "rosenbrock")
             },
             of_order(3.0, 10.0),
         )
@@ -254,7 +254,7 @@ SPIN = 100.0  # rad/s
 
 def spin(quick: bool) -> Iterator[Outcome]:
     """The links alone thrown at 100 rad/s about the vertical: arms fly up and down for 60 s."""
-    for scheme in of_one_case(quick, "rosenbrock"):
+    for scheme in choose_schemes(quick, "rosenbrock"):
         for dt in (1e-3, 1e-4) if quick else (1e-3, 1e-4, 1e-5):
             plant = Plant(three_axis(scheme, dt, 1e-1, **LINKS_ALONE))
             model = links_model(plant.scene)
@@ -303,7 +303,7 @@ def fifty_links(quick: bool) -> Iterator[Outcome]:
             scene,
             {
                 scheme: (1e-2, 1e-3, 1e-4) if scheme == "paper" else (1e-3, 1e-4)
-                for scheme in of_one_case(quick, "extrapolated")
+                for scheme in choose_schemes(quick, "extrapolated")
             },
             of_order(50.0, 500.0),
         )
@@ -315,7 +315,7 @@ def stick_slip(quick: bool) -> Iterator[Outcome]:
     # start are below 20 N m.
     friction = {"viscous": 0.5, "coulomb": 45.0, "breakaway": 72.0}
     machine = EVERYTHING | {"joints.*.friction": friction}
-    for scheme in of_one_case(quick, "rosenbrock"):
+    for scheme in choose_schemes(quick, "rosenbrock"):
         for dt in (1e-2, 1e-3):
             moved = 0.0
             for volts in (0.0, 5.0):
@@ -337,7 +337,7 @@ def everything_at_ten_milliseconds(quick: bool) -> Iterator[Outcome]:
         rows,
         period,
         lambda scheme, dt: three_axis(scheme, dt, **EVERYTHING),
-        dict.fromkeys(of_one_case(quick, "rosenbrock"), (1e-2,)),
+        dict.fromkeys(choose_schemes(quick, "rosenbrock"), (1e-2,)),
         lambda scheme, dt: 5e-2 if KNOWN[scheme].order == 1 else 2e-2,
     )
 

@@ -19,7 +19,7 @@ from arm_emulator.base.arrays import Array
 
 # Torque against a shaft that moves that way, at a speed, under the torque that drives it and the
 # torque of the gear that it moves; the last: whether the first counts as the greater one.
-MOST_PIECES = 200  # between two events, in one row
+MAX_PIECES = 200  # between two events, in one row
 Law = Callable[[float, float, float, float, bool], float]
 
 
@@ -171,10 +171,10 @@ class Rotor:
         for k, A in enumerate(commands):
             t, end, away = 0.0, period, 0.0
             leads = self.leads(x, A) > 0.0
-            for piece in range(MOST_PIECES):
+            for piece in range(MAX_PIECES):
                 if t >= end:
                     break
-                assert piece < MOST_PIECES - 1, f"no progress at {t} s of row {k}"
+                assert piece < MAX_PIECES - 1, f"no progress at {t} s of row {k}"
                 sign = self.way_at(x, A, away)
                 solution = solve_ivp(
                     lambda _, y, A=A, sign=sign, leads=leads: self.rates(y, A, sign, leads),

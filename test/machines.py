@@ -73,7 +73,7 @@ def own_three_axis(folder: Path, more: str) -> Path:
     return file
 
 
-def one_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) -> str:
+def make_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) -> str:
     """A link that turns about y, its centre of mass at distance `com` along x."""
     return f"""<robot name="one_link"><link name="base"/>{
         LINK.format(

@@ -35,9 +35,9 @@ from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import build_fleet_unit
 from oracles.mixtures import write_mixture
 
-KEPT = Path(__file__).with_suffix(".json")
+STORED = Path(__file__).with_suffix(".json")
 ROWS, STEPS, ARMS = 100, 100, 3  # rows of commands, steps under each, arms of a fleet
-UNPOWERED, CHANGED, WOUND_BACK = range(20, 30), 40, 60  # rows
+UNPOWERED, CHANGED, REWOUND = range(20, 30), 40, 60  # rows
 TICKS = 1000  # of servos
 
 # Somebody's: voltages by what the encoders lack, held back by the currents.
@@ -145,7 +145,7 @@ def digest_of_machine(scene: Scene, arm: int = 0) -> str:
             return str(digest)
         digest.put(plant.state.q, plant.state.v)
         row += 1
-        if row == WOUND_BACK and not has_returned:
+        if row == REWOUND and not has_returned:
             plant.restore(saved)
             row, has_returned = CHANGED + 1, True
     digest.put(plant.energy, *(getattr(plant.measured, name) for name in KNOWN))
@@ -169,7 +169,7 @@ def digests_of_fleet(scene: Scene) -> list[str]:
         for arm in set(range(ARMS)) - stopped:
             arm_digests[arm].put(fleet.state.q[arm], fleet.state.v[arm])
         row += 1
-        if row == WOUND_BACK and not has_returned:
+        if row == REWOUND and not has_returned:
             fleet.restore(saved)
             row, has_returned = CHANGED + 1, True
     measured = fleet.measured
@@ -237,4 +237,4 @@ if __name__ == "__main__":
     elif not FULL:
         sys.exit("with FULL=1, which every digest takes")
     else:
-        KEPT.write_text(json.dumps(dict(digests("native", "-O3")), indent=1) + "\n")
+        STORED.write_text(json.dumps(dict(digests("native", "-O3")), indent=1) + "\n")

@@ -241,16 +241,16 @@ def bad_message(
 ) -> Any:
     """Return a message that its receiver must refuse; see the module for the arguments."""
     message = _sound(rng, topic, joint_names, tick, period_ns)
-    changes = _WAYS[topic]
+    changes = _CHANGES[topic]
     for change in rng.sample(changes, min(len(changes), rng.choice((1, 1, 1, 2, len(changes))))):
         change(rng, message, joint_names, tick)
     return message
 
 
-Way = Callable[[random.Random, Any, Sequence[str], int], None]
+Change = Callable[[random.Random, Any, Sequence[str], int], None]
 
 
-def _wrong_in(field: str, wrong: Callable[[random.Random], Any] = _wrong) -> Way:
+def _wrong_in(field: str, wrong: Callable[[random.Random], Any] = _wrong) -> Change:
     """Put a number that nobody may take at a random place of an array."""
 
     def spoil(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
@@ -263,7 +263,7 @@ def _wrong_in(field: str, wrong: Callable[[random.Random], Any] = _wrong) -> Way
     return spoil
 
 
-def _wrong_length_of(field: str) -> Way:
+def _wrong_length_of(field: str) -> Change:
     def spoil(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
         names_field, own = ("name", "joint_names")[hasattr(message, "joint_names")], field
         others = [
@@ -274,7 +274,7 @@ def _wrong_length_of(field: str) -> Way:
     return spoil
 
 
-def _other_names(field: str) -> Way:
+def _rename_joints(field: str) -> Change:
     def spoil(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
         wrong = _wrong_names(rng, names)
         before = len(getattr(message, field))
@@ -320,14 +320,14 @@ def _wrong_clock(rng: random.Random, message: Any, names: Sequence[str], tick: i
     message.clock = _wrong_time(rng)
 
 
-def _point(spoil: Callable[[random.Random, Any, int], None]) -> Way:
+def _point(spoil: Callable[[random.Random, Any, int], None]) -> Change:
     """Spoil a random point of a trajectory, with the number of its joints."""
 
-    def way(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
+    def change_point(rng: random.Random, message: Any, names: Sequence[str], tick: int) -> None:
         if message.points:
             spoil(rng, rng.choice(message.points), len(message.joint_names))
 
-    return way
+    return change_point
 
 
 def _wrong_number(rng: random.Random, point: Any, count: int) -> None:
@@ -396,11 +396,11 @@ def _no_urdf(rng: random.Random, message: Any, names: Sequence[str], tick: int) 
     )()
 
 
-_WAYS: dict[str, list[Way]] = {
+_CHANGES: dict[str, list[Change]] = {
     "motor_commands": [
         _wrong_in("command"),
         _wrong_length_of("command"),
-        _other_names("joint_names"),
+        _rename_joints("joint_names"),
         _future_tick,
     ],
     "motor_states": [
@@ -408,7 +408,7 @@ _WAYS: dict[str, list[Way]] = {
         _wrong_in("current"),
         _wrong_length_of("encoder_counts"),
         _wrong_length_of("current"),
-        _other_names("joint_names"),
+        _rename_joints("joint_names"),
         _wrong_stamp,
         _another_tick,
     ],
@@ -417,13 +417,13 @@ _WAYS: dict[str, list[Way]] = {
         _wrong_in("velocity"),
         _wrong_in("effort"),
         _wrong_length_of("position"),
-        _other_names("name"),
+        _rename_joints("name"),
         _wrong_stamp,
     ],
     "joint_states": [
         _wrong_in("position"),
         _wrong_length_of("position"),
-        _other_names("name"),
+        _rename_joints("name"),
         _wrong_stamp,
     ],
     "tool_target": [_wrong_position, _wrong_orientation, _wrong_frame, _wrong_stamp],

@@ -138,7 +138,7 @@ def _places(tree: Any) -> list[tuple[Any, Any]]:
     return places
 
 
-def _with_other_values(rng: Rng, folder: Path) -> Path:
+def _change_values(rng: Rng, folder: Path) -> Path:
     """Change, remove, add or rename a few entries of a sound scene."""
     file = folder / "scene.yaml"
     data = copy.deepcopy(yaml.safe_load(file.read_text()))
@@ -290,7 +290,7 @@ def _urdf_cut_up(rng: Rng, folder: Path) -> Path:
     return folder / "scene.yaml"
 
 
-def _urdf_with_other_parts(rng: Rng, folder: Path) -> Path:
+def _change_parts(rng: Rng, folder: Path) -> Path:
     """Change, remove, repeat or move a few elements or attributes of a sound URDF."""
     robot = ET.fromstring(URDF)
     for _ in range(int(rng.integers(1, 4))):
@@ -459,12 +459,12 @@ def _many_links(rng: Rng, folder: Path) -> Path:
 
 
 _MAKERS: list[tuple[Callable[[Rng, Path], Path], float]] = [
-    (_with_other_values, 5.0),
+    (_change_values, 5.0),
     (_yaml_cut_up, 3.0),
     (_yaml_that_is_no_scene, 2.0),
     (_paths, 2.0),
     (_urdf_cut_up, 3.0),
-    (_urdf_with_other_parts, 5.0),
+    (_change_parts, 5.0),
     (_arm, 6.0),
     (_xml_that_is_no_robot, 2.0),
     (_many_links, 0.05),

@@ -148,7 +148,7 @@ def same(first: Measured, second: Measured) -> bool:
     return all(getattr(first, f).tobytes() == getattr(second, f).tobytes() for f in FIELDS)
 
 
-def drawn_state(rng: np.random.Generator, plant: Plant) -> None:
+def draw_state(rng: np.random.Generator, plant: Plant) -> None:
     q, v = rng.normal(0.0, 1.0, 3), rng.normal(0.0, 2.0, 3)
     ratio = plant.scene.gear_ratios
     theta_m, omega_m = (q + 1e-3 * rng.normal(size=3)) / ratio, (v + rng.normal(size=3)) / ratio

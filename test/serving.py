@@ -18,11 +18,11 @@ class Server(Protocol):
     def close(self) -> None: ...
 
 
-One = TypeVar("One", bound=Server)
+AnyServer = TypeVar("AnyServer", bound=Server)
 
 
 @contextlib.contextmanager
-def serving(server: One, session: Session) -> Iterator[One]:
+def serving(server: AnyServer, session: Session) -> Iterator[AnyServer]:
     """Serve a session; both are closed at the end."""
     thread = threading.Thread(target=server.serve)
     thread.start()

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from machines import one_link_urdf, write_scene
+from machines import make_link_urdf, write_scene
 
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator_identification.measured_run import MeasuredRun
@@ -31,7 +31,7 @@ def pendulum(folder: Path) -> Path:
         "friction": {"viscous": 0.01, "coulomb": 0.02},
     }
     return write_scene(
-        folder, one_link_urdf(), {"joint": {"motor": motor, "gear": {"ratio": 0.05}}},
+        folder, make_link_urdf(), {"joint": {"motor": motor, "gear": {"ratio": 0.05}}},
         gravity=[0.0, 0.0, -9.81], servo_period=4e-3,
         integrator={"scheme": "rosenbrock", "dt": 1e-3},
     )  # fmt: skip

@@ -83,7 +83,7 @@ class Towed:
         return out, stops
 
 
-def drawn(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
+def draw(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
     """Friction that falls by 20 to 60 %, and a spring that tows a mass at a part of its speed."""
     Dc, Kg = float(rng.uniform(0.5, 3.0)), float(10 ** rng.uniform(1.0, 2.0))
     Ds, viscous = Dc * float(rng.uniform(1.2, 1.6)), float(rng.uniform(0.0, 0.1))

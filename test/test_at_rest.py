@@ -12,7 +12,7 @@ from draws import some
 from machines import ROTOR, write_scene
 
 from arm_emulator import Plant, load_scene
-from oracles.at_rest import INSTANT, LAWS, PARTS, PLACES, Case, equations_of, judge
+from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, Case, equations_of, judge
 from oracles.random_chain import moving_joints, random_chain_urdf
 from oracles.reference import links_model
 
@@ -24,7 +24,7 @@ CASES = [
     ("rotor", LOADED, "implicit", "step", True),
     ("rotor", LOADED, "implicit", "step", False),
     ("link", LOADED, "rosenbrock", "located", False),
-    *((place, (law,), "rosenbrock", "located", False) for place in PLACES for law in LAWS),
+    *((place, (law,), "rosenbrock", "located", False) for place in PLACES for law in FRICTIONS),
 ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from balance import balance_of
 from draws import some
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 from test_located import STICKING
 
 from arm_emulator import Plant, Scene, load_scene
@@ -70,7 +70,7 @@ def scene_of(folder: Path, period: float, steps: int, **integrator: Any) -> Scen
     joint, _ = sample_joint(np.random.default_rng(0))
     file = write_scene(
         folder,
-        one_link_urdf(),
+        make_link_urdf(),
         {"joint": joint},
         servo_period=period,
         integrator={"scheme": "rosenbrock", "dt": period / steps, **integrator},

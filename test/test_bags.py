@@ -108,10 +108,10 @@ def restart(user: User, bag: Path) -> None:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A run of three processes with a stop of the power, in a bag; and the recorder's words."""
-    return record_one(tmp_path_factory.mktemp("recording"))
+    return record_run(tmp_path_factory.mktemp("recording"))
 
 
-def record_one(folder: Path) -> tuple[Path, str]:
+def record_run(folder: Path) -> tuple[Path, str]:
     bag = folder / "bag"
     with network(folder / "log") as (user, _), command_line("record", bag) as recorder:
         await_until_all_are_recorded(recorder)
@@ -406,13 +406,15 @@ def test_a_true_state_of_no_tick_is_counted(recording: tuple[Path, str], tmp_pat
     code, printed = run("check-bag", recording[0], "--strict")
     assert "true joint states of no tick" not in printed, printed
 
-    def other(record: BagMessage) -> bytes:
+    def replace_time(record: BagMessage) -> bytes:
         if record.topic != "/emulator/joint_states":
             return record.data
         message = deserialize_message(record.data, JointState)
         message.header.stamp.nanosec += 1
         return serialize_message(message)
 
-    code, printed = run("check-bag", rewrite(recording[0], tmp_path / "copy", other), "--strict")
+    code, printed = run(
+        "check-bag", rewrite(recording[0], tmp_path / "copy", replace_time), "--strict"
+    )
     assert code == 1, printed
     assert "true joint states of no tick that the bag has" in printed, printed

@@ -24,7 +24,7 @@ WORDS = {"tell": "report", "says": "states", "what there is": "its name", "is no
     ],
 )
 def test_words_are_reported_with_their_line(text: str, result: list[tuple[int, str]]) -> None:
-    assert [match[:2] for match in banned_words.found_in(text, WORDS)] == result
+    assert [match[:2] for match in banned_words.find_banned(text, WORDS)] == result
 
 
 @pytest.mark.parametrize(
@@ -77,4 +77,4 @@ def test_released_entries_of_the_change_log_are_not_checked() -> None:
     ],
 )
 def test_a_receiver_is_not_reported_a_fact(text: str, result: bool) -> None:
-    assert bool([*banned_words.found_in(text, banned_words.banned())]) == result
+    assert bool([*banned_words.find_banned(text, banned_words.banned())]) == result

@@ -14,7 +14,7 @@ import yaml
 from by_hand import CLOCKS, go_on, session_of
 from draws import some
 from in_process import in_process
-from machines import CONFIG, MOVED, gantry_urdf, one_link_urdf, write_scene
+from machines import CONFIG, MOVED, gantry_urdf, make_link_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
@@ -248,6 +248,6 @@ def test_an_open_brake_does_nothing() -> None:
 
 
 def test_a_brake_belongs_to_a_motor(tmp_path: Path) -> None:
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": {"brake": BRAKE}})
+    file = write_scene(tmp_path, make_link_urdf(), {"joint": {"brake": BRAKE}})
     with pytest.raises(Refusal, match=r"joint\.brake must belong to a joint with a motor"):
         load_scene(file)

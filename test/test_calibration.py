@@ -104,7 +104,7 @@ def displaced_urdf(urdf: str, deltas: Mapping[str, Mapping[str, float]]) -> str:
     return ET.tostring(robot, encoding="unicode")
 
 
-def drawn(rng: np.random.Generator, names: list[str]) -> dict[str, dict[str, float]]:
+def draw_deltas(rng: np.random.Generator, names: list[str]) -> dict[str, dict[str, float]]:
     """Displacements of some centimetres and degrees, ten times what machines have."""
     sizes = dict.fromkeys("xyz", 0.02) | dict.fromkeys(("roll", "pitch", "yaw"), 0.05)
     return {
@@ -125,7 +125,7 @@ def test_the_machine_stands_as_its_calibration_has_it(tmp_path: Path, seed: int)
     make = (random_chain_urdf, random_tree_urdf)[seed % 2]
     urdf = make(rng, 4)
     names = [element.get("name", "") for element in ET.fromstring(urdf).findall("joint")]
-    deltas = drawn(rng, names)
+    deltas = draw_deltas(rng, names)
     joints = {name: {} for name in moving_joints(urdf)}
     tool = f"{names[-1]}_link"
     keys = {"gravity": GRAVITY, "tool": tool, "calibration": {"joints": deltas}}
@@ -445,7 +445,7 @@ def test_a_controller_corrects_its_description(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     file = own_three_axis(tmp_path, "")
     names = load_scene(file).joint_names
-    joints = drawn(rng, list(names))
+    joints = draw_deltas(rng, list(names))
     for joint in joints.values():
         joint |= {"encoder_zero": float(rng.normal(0.0, 0.02)), "delta_a": 1e-3}
     cal = tmp_path / "mine.yaml"

@@ -10,7 +10,7 @@ import pytest
 from draws import some
 from kinematic_arms import turning_chain
 from scipy.spatial.transform import Rotation
-from test_ways import PERIOD, drawn, law_of, needs_robots, pose_of, random_arm
+from test_ways import PERIOD, draw_configuration, law_of, needs_robots, pose_of, random_arm
 
 from arm_emulator import Kinematics, Pose, load_scene
 from arm_emulator.motion.collision.collisions import Collisions
@@ -42,7 +42,7 @@ def test_angles_that_converge_slowly_are_no_goal_while_others_reach_the_target(s
     """120 steps of the search, as many as the arm waits for, have not found the angles."""
     rng = np.random.default_rng(seed)
     arm = random_arm(rng, int(rng.integers(6, 8)), slide=0.0)
-    start, end = drawn(rng, arm), drawn(rng, arm)
+    start, end = draw_configuration(rng, arm), draw_configuration(rng, arm)
     target = pose_of(arm, end)
     goal = InverseKinematics(arm)
     goal.begin(start)
@@ -68,7 +68,7 @@ def test_no_tool_goes_far_past_its_end(seed: int) -> None:
     while lines < 6:
         arm = random_arm(rng, 6, slide=0.2)
         tree = ArmTree(arm, (0.0, 0.0, 0.0))
-        start, end = drawn(rng, arm), drawn(rng, arm)
+        start, end = draw_configuration(rng, arm), draw_configuration(rng, arm)
         line = JointCurve.line(start, end)
         if measure_overshoot(tree, line) < 10.0e-3:
             continue

@@ -315,7 +315,7 @@ def test_friction_only_takes_energy(tmp_path: Path) -> None:
     assert worst < 1e-3, f"{worst} of what was exchanged came from nowhere"
 
 
-def held_rows(rng: np.random.Generator, plant: Plant, law: Bam, joint: Rotor) -> float:
+def put_at_rest(rng: np.random.Generator, plant: Plant, law: Bam, joint: Rotor) -> float:
     """Bring a joint to rest under a torque inside the cone, and return that torque."""
     S = joint.Ng * joint.weight
     share = float(rng.uniform(-0.98, 0.98))
@@ -346,7 +346,7 @@ def creep(folder: Path, draws: int, seconds: float) -> None:
             plants[which] = Plant(scene_of(folder, joint, friction, events=events, dt=dt))
         plant = plants[which]
         vary(plant, joint, friction)
-        torque = held_rows(rng, plant, law, joint)
+        torque = put_at_rest(rng, plant, law, joint)
         before = plant.state.theta_m[0]
         plant.advance(np.array([torque]), round(seconds / dt))
         assert plant.state.theta_m[0] == before, f"draw {draw} creeps under {torque} N m"

@@ -11,7 +11,7 @@ from sensed_machine import (
     DRAWS,
     SIGMAS,
     TURN,
-    drawn_state,
+    draw_state,
     late,
     motion,
     rows,
@@ -204,7 +204,7 @@ def test_a_machine_put_elsewhere_is_measured_there_with_its_missed_edges(scene: 
     lag = math.floor(plant.state.theta_m[0] * 1000 / TURN) - plant.measured.encoder_counts[0]
     pulses = plant.measured.index_pulses.tolist()
     assert lag != 0, "some shall be missed"
-    drawn_state(np.random.default_rng(6), plant)
+    draw_state(np.random.default_rng(6), plant)
     x, measured = plant.state, plant.measured
     counts = np.floor(x.theta_m * np.array([1000, 1024, 1000]) / TURN)
     expected = [counts[0] - lag, counts[1], counts[2] % 1024]

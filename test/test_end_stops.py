@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
+from machines import LINK_INERTIA, MOTOR, make_link_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 
@@ -22,7 +22,7 @@ STOPS = {"lower": -0.4, "upper": 0.5, "stiffness": 5e3, "damping": 5.0}
 def free_link(folder: Path, events: str) -> Path:
     """A link without a motor between its stops, all numbers of which may be set."""
     return write_scene(
-        folder, one_link_urdf(), {"joint": {"end_stops": STOPS}}, varied=["joints.*"],
+        folder, make_link_urdf(), {"joint": {"end_stops": STOPS}}, varied=["joints.*"],
         energy_flow=True, servo_period=PERIOD,
         integrator={"scheme": "rosenbrock", "dt": PERIOD / 5, "events": events},
     )  # fmt: skip
@@ -107,7 +107,7 @@ def stopped_arm(folder: Path, **stops: Any) -> Path:
         "end_stops": STOPS | stops,
     }
     return write_scene(
-        folder, one_link_urdf(), {"joint": joint}, gravity=[0.0, 0.0, -9.81], energy_flow=True,
+        folder, make_link_urdf(), {"joint": joint}, gravity=[0.0, 0.0, -9.81], energy_flow=True,
         servo_period=PERIOD, integrator={"scheme": "rosenbrock", "dt": PERIOD / 5},
     )  # fmt: skip
 

@@ -158,7 +158,7 @@ def analog(effect: str) -> Callable[..., None]:
         rows = []
         for m in (0.0, number.default):
             readings = run(plant, saved, fault.varied.name, m)
-            name = field if hasattr(readings[0], field) else OTHER[section]
+            name = field if hasattr(readings[0], field) else BESIDE[section]
             at = 0 if fault.kind.of == "imus" else joint_of(fault, scene)
             rows.append(np.array([np.ravel(getattr(r, name)[at]) for r in readings]))
         (y, z), m = rows, number.default
@@ -186,7 +186,7 @@ def analog(effect: str) -> Callable[..., None]:
     return check
 
 
-OTHER = {"tachometer": "link_speed", "thermometer": "motor_temperature"}
+BESIDE = {"tachometer": "link_speed", "thermometer": "motor_temperature"}
 RANGE = {"thermometer": 40.0}
 
 CHECKS: dict[str, Callable[..., None]] = {

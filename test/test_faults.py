@@ -28,7 +28,7 @@ BEGIN, END = 12, 72  # of faults and of the motion [servo periods]
 Begun = tuple[Plant, bytes, list[bytes]]
 
 
-def whole_scene(folder: Path) -> Scene:
+def make_scene(folder: Path) -> Scene:
     """The machine with every fault, and every number varied that they change."""
     # The link that carries the payload has its mass's numbers from there.
     plain = everything(folder, faults=[])
@@ -46,7 +46,7 @@ def whole_scene(folder: Path) -> Scene:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    return whole_scene(tmp_path_factory.mktemp("everything"))
+    return make_scene(tmp_path_factory.mktemp("everything"))
 
 
 def drive(plant: Plant, ticks: range) -> list[bytes]:
@@ -252,7 +252,7 @@ def record(folder: Path, session: Session, rng: np.random.Generator) -> set[str]
 def test_random_faults_are_repeated_to_equal_bits(tmp_path: Path) -> None:
     file = tmp_path / "scene"
     file.mkdir()
-    session = Session(whole_scene(file), "lockstep", "first_answer")
+    session = Session(make_scene(file), "lockstep", "first_answer")
     observed = record(tmp_path / "bag", session, np.random.default_rng(5))
     result = compare(tmp_path / "bag", str(file / "scene.yaml"))
     assert result.difference is None, result.difference

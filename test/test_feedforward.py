@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from draws import some
-from machines import one_link_urdf
+from machines import make_link_urdf
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
@@ -23,7 +23,7 @@ from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.motion.model.rest_load import RestLoad
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.servo.servo_arm import ServoArm, Target
-from oracles.followed_line import Known, follow
+from oracles.followed_line import AssumedNumbers, follow
 
 GRAVITY = (0.0, 0.0, -9.81)
 NONE = np.full(6, np.inf)
@@ -100,7 +100,7 @@ def test_gears_carry_the_torque_of_the_links(seed: int) -> None:
 def test_a_single_elastic_joint_is_that_of_the_closed_form() -> None:
     """An inertia I behind K and D that swings as A sin(wt)."""
     inertia, K, D, size, rate = 0.5, 2000.0, 0.6, 0.4, 7.0
-    urdf = one_link_urdf(mass=1e-9, com=0.0, inertia=inertia)
+    urdf = make_link_urdf(mass=1e-9, com=0.0, inertia=inertia)
     links = LinkTorques(urdf, ("joint",), (0.0, 0.0, 0.0))
     arm = ElasticArm(links, [DriveParameters(stiffness=K, damping=D)], np.array([np.inf]))
     period, slip = 0.01, math.atan2(D * rate, K)
@@ -177,7 +177,7 @@ class Weighed:
         config = MotionConfig(
             tool="joint_link", period=0.01, feedforward="full", drives={"joint": drive}
         )
-        urdf = one_link_urdf(self.MASS * heavier, self.COM, 0.05 * heavier)
+        urdf = make_link_urdf(self.MASS * heavier, self.COM, 0.05 * heavier)
         self.feedforward = Feedforward(Kinematics(urdf, ["joint"], "joint_link"), config)
         self.held = holding
 
@@ -278,13 +278,13 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
 @pytest.mark.parametrize(
     ("knowledge", "bound"),
     [
-        (Known("full"), 0.5e-3),
+        (AssumedNumbers("full"), 0.5e-3),
         # Claimed bounds for numbers that are 30 % off, to either side.
-        (Known("full", stiffness=0.7, friction=0.7, inertia=0.7), 2e-3),
-        (Known("full", stiffness=1.3, friction=1.3, inertia=1.3), 2e-3),
+        (AssumedNumbers("full", stiffness=0.7, friction=0.7, inertia=0.7), 2e-3),
+        (AssumedNumbers("full", stiffness=1.3, friction=1.3, inertia=1.3), 2e-3),
     ],
 )
-def test_the_tool_follows_a_fast_line(knowledge: Known, bound: float) -> None:
+def test_the_tool_follows_a_fast_line(knowledge: AssumedNumbers, bound: float) -> None:
     """300 mm at 1 m/s with ur5: the true tool beside its reference, through the whole machine."""
     result = follow("ur5", knowledge)
     assert result.peak_speed == pytest.approx(1.0, rel=0.02)
@@ -295,8 +295,8 @@ def test_the_tool_follows_a_fast_line(knowledge: Known, bound: float) -> None:
 def test_better_numbers_reduce_the_error() -> None:
     """Each mode of feed-forward leaves less than the one before, and 50 % off is between."""
     modes = "none", "speed", "torque", "full"
-    off = {mode: follow("ur5", Known(mode)).off for mode in modes}
-    half = follow("ur5", Known("full", stiffness=1.5, friction=1.5, inertia=0.5)).off
+    off = {mode: follow("ur5", AssumedNumbers(mode)).off for mode in modes}
+    half = follow("ur5", AssumedNumbers("full", stiffness=1.5, friction=1.5, inertia=0.5)).off
     assert off["none"] > 10.0 * off["speed"]
     assert off["full"] < half < off["torque"] <= 1.05 * off["speed"]
 

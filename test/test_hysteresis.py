@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, Scene, load_scene
@@ -48,7 +48,7 @@ def scene_of(
                  "hysteresis": hysteresis},
     }  # fmt: skip
     file = write_scene(
-        folder, one_link_urdf(), {"joint": joint}, servo_period=PERIOD, supply_voltage=1e3,
+        folder, make_link_urdf(), {"joint": joint}, servo_period=PERIOD, supply_voltage=1e3,
         integrator={"scheme": scheme, "dt": PERIOD / steps, "events": events}, energy_flow=True,
         varied=["joints.joint.gear.hysteresis.*"],
     )  # fmt: skip

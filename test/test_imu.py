@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from machines import GRAVITY, Oracle
-from sensed_machine import FRICTION, POSE, drawn_state, write
+from sensed_machine import FRICTION, POSE, draw_state, write
 
 from arm_emulator import Plant, Scene, load_scene
 
@@ -36,7 +36,7 @@ def test_an_imu_measures_the_acceleration_of_the_equations_of_motion(scene: Scen
     data = model.createData()
     viscous, coulomb = FRICTION["viscous"], FRICTION["coulomb"]
     for _ in range(30):
-        drawn_state(rng, plant)
+        draw_state(rng, plant)
         x, measured = plant.state, plant.measured
         tau = x.gear_torque - viscous * x.v - coulomb * np.sign(x.v)
         at = oracle.configuration(x.q)

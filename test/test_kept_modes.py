@@ -45,7 +45,7 @@ def scene_of(name: str, scheme: str, events: str = "located") -> Scene:
     )  # fmt: skip
 
 
-def drawn_command(rng: np.random.Generator, largest: float) -> np.ndarray:
+def draw_command(rng: np.random.Generator, largest: float) -> np.ndarray:
     """Mostly small or none, so that some joints rest, all rest, or lie on their stops."""
     size = largest * rng.choice([0.0, 0.05, 0.3, 1.0], p=[0.3, 0.3, 0.2, 0.2])
     return rng.uniform(-size, size, 3)
@@ -64,7 +64,7 @@ def test_a_machine_moves_as_one_that_forgets_its_modes_before_every_step(
     command, moving = np.zeros(3), np.zeros((PERIODS, 3), bool)
     for k in range(PERIODS):
         if rng.random() < 0.03:
-            command = drawn_command(rng, largest) * (k < CALM)
+            command = draw_command(rng, largest) * (k < CALM)
         if k < CALM and rng.random() < 0.01:
             wrench = ExternalWrench(rng.uniform(-60.0, 60.0, 3) * (rng.random() < 0.5))
             keeps.set_external_wrench("forearm", wrench)
@@ -94,7 +94,7 @@ def test_an_arm_that_breaks_away_beside_resting_ones_moves_as_a_single_arm() -> 
     for part in range(60):
         if part % 12 != 11:
             arm = rng.integers(9)
-            rows[arm] = drawn_command(rng, MACHINES[name][1])
+            rows[arm] = draw_command(rng, MACHINES[name][1])
         else:
             rows[:] = 0.0
         if part % 12 == 0:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, Refusal, load_scene
@@ -78,7 +78,7 @@ def truth(joint: dict[str, Any], voltages: Array) -> Array:
 def sample_machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     joint = machine(np.random.default_rng(51))
     file = write_scene(
-        tmp_path_factory.mktemp("gear"), one_link_urdf(), {"joint": joint}, servo_period=PERIOD,
+        tmp_path_factory.mktemp("gear"), make_link_urdf(), {"joint": joint}, servo_period=PERIOD,
         energy_flow=True,
     )  # fmt: skip
     return file, joint

@@ -15,7 +15,7 @@ from one_motor import PERIOD, Drivetrain
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from bench.tool_paths import drive
-from oracles.followed_line import Known, follow
+from oracles.followed_line import AssumedNumbers, follow
 
 # A count of 16 bits shows loads of 0.03 N m at the link; one of 10 bits hides all of them.
 JOINT = dataclasses.replace(COARSE, counts_per_turn=2**16)
@@ -146,7 +146,7 @@ def test_heavier_links_are_followed_nearly_as_well(scene: str, wrong: float) -> 
 
     Without a factor ur5 leaves 0.57 and 0.69 mm beside that, panda 0.98 and 0.97 mm.
     """
-    result = follow(scene, Known("full", inertia=wrong))
+    result = follow(scene, AssumedNumbers("full", inertia=wrong))
     assert result.off - result.unseen < {"ur5": 0.5e-3, "panda": 0.8e-3}[scene]
 
 

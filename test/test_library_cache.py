@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_compiler import fake_compiler
-from machines import one_link_urdf, write_scene
+from machines import make_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.machine.plant.compiler import (
@@ -58,7 +58,7 @@ class Sound:
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
     folder = tmp_path_factory.mktemp("one_link")
-    at = write_scene(folder, one_link_urdf(), {"joint": {}}, name="one_link")
+    at = write_scene(folder, make_link_urdf(), {"joint": {}}, name="one_link")
     scene = load_scene(at)
     for name, library in (
         ("one_link", load_machine(scene)),

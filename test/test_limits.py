@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import LINK_INERTIA, MOTOR, one_link_urdf, write_scene
+from machines import LINK_INERTIA, MOTOR, make_link_urdf, write_scene
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
@@ -135,7 +135,7 @@ def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, s
     """A current that meets and leaves its limit within steps costs no more than their size."""
     motor, gear, V = sample_joint(seed)
     truth = limited_truth(motor, gear, V, 0.01)[:, 3]
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor, "gear": gear}})
+    file = write_scene(tmp_path, make_link_urdf(), {"joint": {"motor": motor, "gear": gear}})
     errors = []
     for dt in (1e-4, 2.5e-5):
         integrator = {"integrator.dt": dt, "integrator.scheme": scheme}

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from balance import balance_of
 from draws import some
-from machines import GANTRY, MOVED, gantry_urdf, one_link_urdf, write_scene
+from machines import GANTRY, MOVED, gantry_urdf, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 from stick_slip import Towed, assert_order_two
-from stick_slip import drawn as drawn_stribeck
+from stick_slip import draw as drawn_stribeck
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
@@ -128,7 +128,7 @@ def test_the_loss_of_a_gear_with_play_closes_the_balance_of_energy(tmp_path: Pat
         "gear": {"ratio": 0.033, "stiffness": 3e3, "damping": 8.0, "backlash": 6e-3},
         "friction": {"viscous": 0.1},
     }  # fmt: skip
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, servo_period=0.01,
+    file = write_scene(tmp_path, make_link_urdf(), {"joint": joint}, servo_period=0.01,
                        energy_flow=True, gravity=[0.0, 0.0, -9.81])  # fmt: skip
     rows, left = rng.uniform(-0.3, 0.3, (20, 1)), []
     for steps in (80, 160, 320, 640):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from balance import balance_of
 from draws import some
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 from test_limits import limited_truth, sample_joint
 
 from arm_emulator import Plant, Refusal, load_scene
@@ -35,7 +35,7 @@ def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str
     joint["friction"] = {"coulomb": Dc}
     period, rows, steps = 0.013, 8, 4
     file = write_scene(
-        tmp_path, one_link_urdf(), {"joint": joint}, **located(scheme, period / steps, period)
+        tmp_path, make_link_urdf(), {"joint": joint}, **located(scheme, period / steps, period)
     )
     plant = Plant(load_scene(file))
     commands = np.where(np.arange(rows) < 3, V, -V)[:, None]
@@ -66,7 +66,7 @@ def test_currents_at_limits_follow_the_closed_form_with_order_two(
     for dt in (1e-5, 5e-6, 2.5e-6):
         file = write_scene(
             tmp_path,
-            one_link_urdf(),
+            make_link_urdf(),
             {"joint": {"motor": motor, "gear": gear}},
             varied=["joints.*.motor.*", "joints.*.gear.*"],  # one library for all that are drawn
             **located(scheme, dt, 1e-2),
@@ -148,7 +148,7 @@ def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
     gear = {"ratio": 0.02, "stiffness": 2e3, "damping": 5.0}
     friction = {"viscous": 0.5, "coulomb": 1.0}
     joint = {"motor": motor, "gear": gear, "friction": friction}
-    scene = write_scene(tmp_path, one_link_urdf(), {"joint": joint}, energy_flow=True)
+    scene = write_scene(tmp_path, make_link_urdf(), {"joint": joint}, energy_flow=True)
     plant = Plant(load_scene(scene))
     for volts in (4.0, 30.0):
         plant.reset()

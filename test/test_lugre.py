@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Diverged, Plant, load_scene
@@ -53,7 +53,7 @@ def with_steps(
     (joint if side == "link" else motor)["lugre"] = lugre
     events = "located" if KNOWN[scheme].locates else "step"
     file = write_scene(
-        folder, one_link_urdf(), {"joint": joint}, servo_period=PERIOD, supply_voltage=1e3,
+        folder, make_link_urdf(), {"joint": joint}, servo_period=PERIOD, supply_voltage=1e3,
         integrator={"scheme": scheme, "dt": PERIOD / steps, "events": events}, energy_flow=True,
         # one library for all that are drawn
         varied=["joints.*.friction.*", "joints.*.lugre.*"],

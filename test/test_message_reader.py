@@ -78,18 +78,18 @@ def fill(draw: random.Random, message: Any) -> Any:
         if hasattr(value, "get_fields_and_field_types"):
             fill(draw, value)
         elif kind == base:
-            setattr(message, name, drawn(draw, base))
+            setattr(message, name, draw_value(draw, base))
         elif kind.startswith("sequence"):
-            many = [drawn(draw, base) for _ in range(draw.choice([0, 1, 2, 5]))]
+            many = [draw_value(draw, base) for _ in range(draw.choice([0, 1, 2, 5]))]
             setattr(
                 message, name, array(value.typecode, many) if hasattr(value, "typecode") else many
             )
         else:
-            setattr(message, name, [drawn(draw, base) for _ in value])
+            setattr(message, name, [draw_value(draw, base) for _ in value])
     return message
 
 
-def drawn(draw: random.Random, kind: str) -> Any:
+def draw_value(draw: random.Random, kind: str) -> Any:
     if kind == "string":
         return "".join(draw.choices("ax_1é", k=draw.randrange(9)))
     if kind == "boolean":

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import MOTOR, one_link_urdf, write_scene
+from machines import MOTOR, make_link_urdf, write_scene
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.machine.parts.gears.gear import RigidGear
@@ -19,7 +19,7 @@ VOLTAGE = 10.0
 def plant_with(folder: Path, dt: float, motor: Any = MOTOR) -> Plant:
     joint = {"motor": motor, "gear": GEAR, "friction": {"viscous": 0.5}}
     # Motors that differ in numbers only share a library.
-    file = write_scene(folder, one_link_urdf(), {"joint": joint}, varied=["joints.*.motor.*"])
+    file = write_scene(folder, make_link_urdf(), {"joint": joint}, varied=["joints.*.motor.*"])
     overrides = {"integrator.dt": dt, "servo_period": 1e-2}
     return Plant(load_scene(file, overrides=overrides))
 

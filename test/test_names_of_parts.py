@@ -113,15 +113,17 @@ def sources() -> Iterator[tuple[str, set[str]]]:
 
 
 @cache
-def seen() -> dict[str, set[str]]:
+def list_occurrences() -> dict[str, set[str]]:
     return dict(sources())
 
 
 def test_no_room_names_a_part() -> None:
-    assert len(seen()) > 500, "the rooms are there"
-    named = {path: names for path, names in seen().items() if names and path not in ALLOWED}
+    assert len(list_occurrences()) > 500, "the rooms are there"
+    named = {
+        path: names for path, names in list_occurrences().items() if names and path not in ALLOWED
+    }
     assert not named, f"what these need of a part the part declares: {named}"
 
 
 def test_every_exception_is_needed() -> None:
-    assert not {path for path in ALLOWED if not seen().get(path)}
+    assert not {path for path in ALLOWED if not list_occurrences().get(path)}

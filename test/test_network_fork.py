@@ -60,7 +60,7 @@ def moved(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         return nodes.write(tmp_path_factory.mktemp("bags") / "moved")
 
 
-def way(bag: Path, scene: Path) -> list[bytes]:
+def record_states(bag: Path, scene: Path) -> list[bytes]:
     """The machine at each tick."""
     machine = RecordedMachine.of(bag, load_scene(scene))
     states = [machine.session.plant.save()]
@@ -78,8 +78,8 @@ def test_a_fork_without_a_change_is_the_recorded_run(
     bag = tmp_path / "fork"
     last = next(end for end in (200, 230, 260, 320, LAST) if end > at)
     assert fork(moved, bag, at=at * 1e-3, seconds=(last - at) * 1e-3, scene=str(scene)) == 0
-    expected = way(moved, scene)
-    assert way(bag, scene)[1:] == expected[1 : last + 1]
+    expected = record_states(moved, scene)
+    assert record_states(bag, scene)[1:] == expected[1 : last + 1]
     assert np.ptp([np.frombuffer(state)[1] for state in expected[1:]]) > 0.005, (
         "an arm that moves [rad]"
     )
@@ -93,10 +93,10 @@ def test_forks_of_forks_name_the_bag_with_the_targets(
     assert fork(moved, first, at=0.21, gains=1.5, seconds=0.1, scene=str(scene)) == 0
     assert fork(first, second, at=0.29, set_=[f"{VISCOUS}=0.1"], seconds=0.1, scene=str(scene)) == 0
     assert fork(second, third, at=0.39, seconds=0.0, scene=str(scene)) == 0
-    assert way(third, scene) == way(second, scene)
-    assert way(second, scene)[1:291] == way(first, scene)[1:291]
-    assert way(first, scene)[1:211] == way(moved, scene)[1:211]
-    assert way(first, scene)[310] != way(moved, scene)[310], "the gains act"
+    assert record_states(third, scene) == record_states(second, scene)
+    assert record_states(second, scene)[1:291] == record_states(first, scene)[1:291]
+    assert record_states(first, scene)[1:211] == record_states(moved, scene)[1:211]
+    assert record_states(first, scene)[310] != record_states(moved, scene)[310], "the gains act"
     about = Bag(third).about
     assert about[TARGETS] == str(moved)
     kinds = [order["kind"] for order in json.loads(about[ORDERS])]

@@ -135,7 +135,7 @@ def arm(efforts: list[float | None], first_axis: str = "0 1 0") -> str:
     return serial("arm", parts)
 
 
-def made(folder: Path, text: str, payload: float | None = None) -> tuple[NewScene, list[str]]:
+def make_new(folder: Path, text: str, payload: float | None = None) -> tuple[NewScene, list[str]]:
     """Its scene, and where each torque comes from."""
     folder.mkdir()
     file = folder / "arm.urdf"
@@ -149,11 +149,11 @@ def test_a_makers_torque_is_kept_and_a_placeholder_is_found_joint_by_joint(
     tmp_path: Path,
 ) -> None:
     # Of 70 N m at the shoulder 55 hold it: the arm is slow, the figure stays.
-    written, how = made(tmp_path / "weak", arm([70.0, 20.0, 1000.0]))
+    written, how = make_new(tmp_path / "weak", arm([70.0, 20.0, 1000.0]))
     assert how == ["URDF", "URDF", "guess"]
     assert [drive.peak_torque for drive in written.drives[:2]] == [70.0, 20.0]
     assert 10.0 < written.drives[2].peak_torque < 30.0, "a wrist that holds a tool of 7 kg"
-    strong, how = made(tmp_path / "strong", arm([400.0, 100.0, None]))
+    strong, how = make_new(tmp_path / "strong", arm([400.0, 100.0, None]))
     assert how == ["URDF", "URDF", "guess"]
     weak, able = ([drive.acceleration for drive in arm.drives] for arm in (written, strong))
     assert weak[0] < 0.5 * able[0], "less torque, less acceleration"
@@ -170,7 +170,7 @@ def test_loads_that_the_arm_cannot_hold_are_reported(
 ) -> None:
     """By pose and by payload; against the closed form of an arm that is stretched out."""
     text = arm([70.0, 20.0, None])
-    written, how = made(tmp_path / "loaded", text, payload=5.0)
+    written, how = make_new(tmp_path / "loaded", text, payload=5.0)
     assert not overloads(load_scene(written.file, {"payload.mass": 0.5}))
     assert how[:2] == ["URDF", "URDF"], "a payload is no reason to raise a maker's figure"
     names = {load.joint: load for load in written.overloads}
@@ -184,14 +184,14 @@ def test_loads_that_the_arm_cannot_hold_are_reported(
     for joint in ("j1", "j2"):
         assert f"joints.{joint}: its motor gives" in warned
     with pytest.raises(Refusal, match="--payload must be from 0 to"):
-        made(tmp_path / "refused", text, payload=-1.0)
+        make_new(tmp_path / "refused", text, payload=-1.0)
 
 
 @pytest.mark.usefixtures("untuned")
 def test_published_figures_come_before_rules(tmp_path: Path) -> None:
     """A servo's motor is that of its data sheet: stall torque and no-load speed at its supply."""
     five = [Part("0 1 0", (0.08, 0.0, 0.0), 0.1, effort=35.0, velocity=1.0)] * 5
-    written, how = made(tmp_path / "hobby", serial("so101_new_calib", five))
+    written, how = make_new(tmp_path / "hobby", serial("so101_new_calib", five))
     assert how == ["published"] * 5
     scene = load_scene(written.file)
     assert scene.supply_voltage == STS3215.supply == 12.0
@@ -201,7 +201,7 @@ def test_published_figures_come_before_rules(tmp_path: Path) -> None:
         stall = motor.torque_constant * 12.0 / motor.resistance / Ng
         free = 12.0 / motor.back_emf_constant * Ng
         assert stall == pytest.approx(2.94, rel=1e-2) and free == pytest.approx(4.71, rel=1e-2)
-    unknown, how = made(tmp_path / "unknown", serial("my_arm", five[:2]))
+    unknown, how = make_new(tmp_path / "unknown", serial("my_arm", five[:2]))
     assert how == ["guess"] * 2, "35 N m in every joint of an arm that needs 0.5"
     assert load_scene(unknown.file).supply_voltage == 24.0
 
@@ -253,9 +253,9 @@ def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
     tmp_path: Path, share: float
 ) -> None:
     """On a vertical axis no weight refutes it."""
-    free, _ = made(tmp_path / "free", arm([None, 100.0, 5.0], "0 0 1"))
+    free, _ = make_new(tmp_path / "free", arm([None, 100.0, 5.0], "0 0 1"))
     needed = free.drives[0].peak_torque
-    written, how = made(tmp_path / "weak", arm([share * needed, 100.0, 5.0], "0 0 1"))
+    written, how = make_new(tmp_path / "weak", arm([share * needed, 100.0, 5.0], "0 0 1"))
     placeholder = share < 0.05
     assert how[0] == ("guess" if placeholder else "URDF")
     torque = written.drives[0].peak_torque
@@ -268,8 +268,8 @@ def test_a_figure_of_all_joints_that_one_cannot_have_is_a_placeholder(
     tmp_path: Path, last: float
 ) -> None:
     """10 N m do not hold the second joint; about a vertical axis nothing refutes them."""
-    free, _ = made(tmp_path / "free", arm([None, None, None], "0 0 1"))
-    written, how = made(tmp_path / "same", arm([10.0, 10.0, last], "0 0 1"))
+    free, _ = make_new(tmp_path / "free", arm([None, None, None], "0 0 1"))
+    written, how = make_new(tmp_path / "same", arm([10.0, 10.0, last], "0 0 1"))
     if last == 10.0:
         assert how == ["guess"] * 3
         assert [drive.peak_torque for drive in written.drives] == [

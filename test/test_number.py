@@ -31,7 +31,7 @@ UNITS = ("", "ohm", "N m s/rad")
 Read = Callable[[Any], object]
 
 
-def drawn(rng: np.random.Generator) -> Number:
+def draw_number(rng: np.random.Generator) -> Number:
     low, high = sorted(rng.uniform(-10.0, 10.0, 2).round(1).tolist())
     is_integer, in_size = bool(rng.random() < 0.3), bool(rng.random() < 0.3)
     if in_size:
@@ -48,7 +48,7 @@ def test_words_and_range_agree() -> None:
     rng = np.random.default_rng(22)
     taken = 0
     for _ in range(400):
-        number = drawn(rng)
+        number = draw_number(rng)
         ends = [x for x in (number.above, number.at_least, number.at_most) if x is not None]
         near = [math.nextafter(x, to) for x in ends for to in (-math.inf, math.inf)]
         near = [x for x in near if not 0.0 < abs(x) < SMALLEST]
@@ -70,7 +70,7 @@ def test_a_bound_of_a_row_holds_if_it_holds_for_every_number() -> None:
     rng = np.random.default_rng(23)
     verdicts = set()
     for _ in range(2000):
-        number = drawn(rng)
+        number = draw_number(rng)
         row = rng.choice([0.0, 1.0, -3.5, 9.0, 1e16, math.nan, -math.inf], int(rng.integers(1, 5)))
         holds = all(map(number.holds, row))
         verdicts.add(holds)

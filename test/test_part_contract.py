@@ -22,7 +22,7 @@ from oracles.mixtures import (
     STEPS,
     commands,
     converge,
-    drawn_alone,
+    draw_alone,
     run,
     write_scene,
 )
@@ -37,7 +37,7 @@ def names(parts: Parts) -> str:
 
 
 def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
-    joints = {f"slide{k}": drawn_alone(part, 0) for k, part in enumerate(parts)}
+    joints = {f"slide{k}": draw_alone(part, 0) for k, part in enumerate(parts)}
     urdf = slides_urdf(joints, ("1 0 0", "0 1 0", "0 0 1"))
     file = write_scene(folder, urdf, joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": "located"})

@@ -19,7 +19,7 @@ AT_STEPS = [scheme for scheme in SCHEMES if scheme not in LOCATING_SCHEMES]
 
 
 @cache
-def machines() -> list[tuple[part_pairs.DrawnJoint, part_pairs.DrawnJoint]]:
+def machines() -> list[tuple[part_pairs.RandomJoint, part_pairs.RandomJoint]]:
     return list(part_pairs.machines())
 
 

@@ -30,7 +30,7 @@ OF_NUMBERS = (*(part for part in PARTS if part is not TorqueTable), *ANALOG)
 parts = pytest.mark.parametrize("part", OF_NUMBERS, ids=lambda part: part.__name__)
 
 
-def drawn_number(number: PartNumber, rng: np.random.Generator) -> float:
+def draw_number(number: PartNumber, rng: np.random.Generator) -> float:
     """A number within its bounds; small and large ones are as likely."""
     if number.whole:
         return int(rng.integers(int(number.least), int(number.most) + 1))
@@ -42,22 +42,22 @@ def drawn_number(number: PartNumber, rng: np.random.Generator) -> float:
     return float(rng.uniform(low, high))
 
 
-def drawn_section(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
+def draw_section(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
     """Numbers that a section of the part may have, with some of the optional ones left out."""
     for _ in range(50):
-        data = drawn_numbers(part, rng)
+        data = draw_numbers(part, rng)
         with contextlib.suppress(Refusal):  # of numbers that do not go together
             read(part, data)
             return data
     raise AssertionError(f"{part.__name__} takes no numbers")
 
 
-def drawn_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
+def draw_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
     data: dict[str, float] = {}
     for key, number in part.numbers().items():
         if number.default is not REQUIRED and rng.random() < 0.3:
             continue
-        value = drawn_number(number, rng)
+        value = draw_number(number, rng)
         if number.follows is not None:
             if number.follows not in data:
                 continue
@@ -92,7 +92,7 @@ def out_of_bounds(key: str, number: PartNumber, data: dict[str, float]) -> list[
 def test_numbers_are_read_as_given_or_take_their_defaults(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 1])
     for _ in range(20):
-        data = drawn_section(part, rng)
+        data = draw_section(part, rng)
         part_read = read(part, data)
         for key, number in part.numbers().items():
             followed = number.follows and getattr(part_read, number.follows)
@@ -104,7 +104,7 @@ def test_numbers_are_read_as_given_or_take_their_defaults(part: type[Part]) -> N
 def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 2])
     for key, number in part.numbers().items():
-        data = drawn_section(part, rng)
+        data = draw_section(part, rng)
         if number.follows is not None:
             data.setdefault(number.follows, 1.0)
         for bad in out_of_bounds(key, number, data):
@@ -118,7 +118,7 @@ def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Par
 @parts
 def test_a_missing_number_and_an_unknown_one_are_refused(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 3])
-    data = drawn_section(part, rng)
+    data = draw_section(part, rng)
     for key, number in part.numbers().items():
         if number.default is REQUIRED:
             rest = {name: value for name, value in data.items() if name != key}
@@ -137,7 +137,7 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
     """Constants to the last bit, varied numbers by their place, what follows one by its ratio."""
     rng = np.random.default_rng([len(part.__name__), 4])
     for _ in range(20):
-        instance = read(part, drawn_section(part, rng))
+        instance = read(part, draw_section(part, rng))
         could = {varied.name: varied for varied in instance.list_variable_numbers("elbow")}
         chosen = [name for name in could if rng.random() < 0.5]
         places = {name: f"p[{k}]" for k, name in enumerate(chosen)}
@@ -188,7 +188,7 @@ def keys_of(part: type[Part]) -> dict[str, list[str]]:
     return {key.removeprefix(of): row for key, row in rows_of(table).items() if key.startswith(of)}
 
 
-class Asked(Section):
+class ReadSection(Section):
     """A section that knows which keys its reader has asked for."""
 
     @property
@@ -196,18 +196,18 @@ class Asked(Section):
         return self._known
 
 
-def given(part: type[Part], rng: np.random.Generator) -> dict[str, Any]:
+def supply(part: type[Part], rng: np.random.Generator) -> dict[str, Any]:
     """A section of a part that is sound."""
     if issubclass(part, Encoder):
         return {"counts_per_turn": 1000}
     if part in SENSOR_PARTS:
-        return dict(drawn_numbers(part, rng))
+        return dict(draw_numbers(part, rng))
     return ({"rotor_inertia": 1e-4} if issubclass(part, Motor) else {}) | draw_part(part, rng)
 
 
 @pytest.mark.parametrize("part", (*PARTS, *SENSOR_PARTS), ids=lambda part: part.__name__)
 def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]) -> None:
-    section = Asked(given(part, np.random.default_rng(3)), "drawn.yaml", part.section)
+    section = ReadSection(supply(part, np.random.default_rng(3)), "drawn.yaml", part.section)
     if issubclass(part, JointEffect):
         part.put_limits(section, None)
     part.read(section)

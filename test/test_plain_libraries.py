@@ -105,7 +105,7 @@ def no_vector(rng: np.random.Generator) -> Any:
     ][int(rng.integers(15))]
 
 
-def given(x: Any) -> Any:
+def constant(x: Any) -> Any:
     """Replace None, which is allowed here, by something wrong."""
     return "none" if x is None else x
 
@@ -182,8 +182,8 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
         lambda x: servo.observe(x, good),
         lambda x: servo.observe(counts, x),
         servo.control,
-        lambda x: servo.control(good, given(x)),
-        lambda x: servo.control(good, good, given(x)),
+        lambda x: servo.control(good, constant(x)),
+        lambda x: servo.control(good, good, constant(x)),
         lambda x: drives.measure(1, x, good),
         lambda x: drives.measure(1, counts, x),
         kinematics.forward,

@@ -23,7 +23,7 @@ SUPPLY = 48.0
 AMPLITUDE = SUPPLY / math.sqrt(3.0)  # V, largest of a phase
 
 
-def drawn_motor(rng: np.random.Generator) -> dict[str, Any]:
+def draw_motor(rng: np.random.Generator) -> dict[str, Any]:
     """A motor of any saliency, with electrical time constants of 1 to 10 ms."""
     resistance = float(rng.uniform(0.2, 1.0))
     Ld, Lq = (resistance * 10 ** rng.uniform(-3.0, -2.0, 2)).tolist()
@@ -34,7 +34,7 @@ def drawn_motor(rng: np.random.Generator) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drawn_arm(folder: Path, seed: int) -> Path:
+def draw_arm(folder: Path, seed: int) -> Path:
     """Three random joints: elastic, rigid and elastic gears; gravity aslant."""
     rng = np.random.default_rng([seed, 31])
     urdf = random_chain_urdf(rng, 3)
@@ -43,14 +43,14 @@ def drawn_arm(folder: Path, seed: int) -> Path:
         gear = {"ratio": float(rng.uniform(0.02, 0.05))}
         if k != 1:
             gear |= {"stiffness": float(rng.uniform(1e3, 3e3)), "damping": float(rng.uniform(1, 5))}
-        joints[name] = {"motor": drawn_motor(rng), "gear": gear, "friction": {"viscous": 0.2}}
+        joints[name] = {"motor": draw_motor(rng), "gear": gear, "friction": {"viscous": 0.2}}
     return write_scene(
         folder, urdf, joints, gravity=[1.0, -2.0, -9.0], servo_period=PERIOD,
         supply_voltage=SUPPLY, integrator={"scheme": "rosenbrock", "dt": 1e-4},
     )  # fmt: skip
 
 
-def drawn_commands(rng: np.random.Generator, rows: int) -> tuple[np.ndarray, np.ndarray]:
+def draw_commands(rng: np.random.Generator, rows: int) -> tuple[np.ndarray, np.ndarray]:
     """Voltages ud and uq (K, 3) within the circle."""
     size = AMPLITUDE * np.sqrt(rng.uniform(0.0, 1.0, (rows, 3)))
     angle = rng.uniform(-np.pi, np.pi, (rows, 3))
@@ -114,12 +114,12 @@ def motion(file: Path, steps: int, ud: np.ndarray, uq: np.ndarray) -> np.ndarray
 
 @pytest.fixture(scope="module", params=some(range(2), 1))
 def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return drawn_arm(tmp_path_factory.mktemp("arm"), request.param)
+    return draw_arm(tmp_path_factory.mktemp("arm"), request.param)
 
 
 def test_the_motion_is_that_of_an_independent_solution_to_1e_11(arm: Path) -> None:
     """In the limit of small steps: extrapolated from steps of 25 to 0.8 us."""
-    ud, uq = drawn_commands(np.random.default_rng(5), 10)
+    ud, uq = draw_commands(np.random.default_rng(5), 10)
     truth = solved(load_scene(arm), ud, uq)
     size = np.abs(truth).max(axis=0)
     levels = [motion(arm, 40 * 2**k, ud, uq) for k in range(6)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from portable_bits import KEPT, digests
+from portable_bits import STORED, digests
 
 
 def test_bits_are_those_of_every_compiler_and_processor(
@@ -13,7 +13,7 @@ def test_bits_are_those_of_every_compiler_and_processor(
 ) -> None:
     # `make test` compiles at another level, by quick_cxx, on the strength of this test.
     monkeypatch.delenv("CXX", raising=False)
-    expected = json.loads(KEPT.read_text())
+    expected = json.loads(STORED.read_text())
     computed = dict(digests("native", "-O3"))
     assert computed == {name: expected[name] for name in computed}, (
         "the physics, or a compiler, differs"

@@ -31,7 +31,7 @@ def exchanged(plant: Plant, V: Array) -> None:
         plant.exchange(V)
 
 
-WAYS = [fed, rows, metered, exchanged]
+CALLS = [fed, rows, metered, exchanged]
 
 
 def moved(scene: Scene, drive: Callable[[Plant, Array], None], on: bool, V: Array) -> Array:
@@ -42,7 +42,7 @@ def moved(scene: Scene, drive: Callable[[Plant, Array], None], on: bool, V: Arra
     return np.array([*state.q, *state.v, *state.current])
 
 
-@pytest.mark.parametrize("drive", WAYS)
+@pytest.mark.parametrize("drive", CALLS)
 @pytest.mark.parametrize("sensed", some([True, False], 1))
 def test_without_power_commands_are_nothing(
     drive: Callable[[Plant, Array], None], sensed: bool

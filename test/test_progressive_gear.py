@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import moving_joints, one_link_urdf, random_chain_urdf, write_scene
+from machines import make_link_urdf, moving_joints, random_chain_urdf, write_scene
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
@@ -30,7 +30,7 @@ SCHEME_ORDERS = [
 ]
 
 
-def drawn_gear(rng: np.random.Generator, torque: float) -> dict[str, float]:
+def draw_gear(rng: np.random.Generator, torque: float) -> dict[str, float]:
     """A gear in which the cube has a tenth to three times the linear share at that torque."""
     Kg = float(10 ** rng.uniform(3.0, 4.0))
     share = float(10 ** rng.uniform(-1.0, 0.5))
@@ -42,7 +42,7 @@ def drawn_gear(rng: np.random.Generator, torque: float) -> dict[str, float]:
     }
 
 
-def drawn_motor(rng: np.random.Generator, inductance: bool) -> dict[str, float]:
+def draw_motor(rng: np.random.Generator, inductance: bool) -> dict[str, float]:
     motor = {
         "resistance": float(rng.uniform(0.5, 2.0)),
         "torque_constant": 0.05,
@@ -52,7 +52,7 @@ def drawn_motor(rng: np.random.Generator, inductance: bool) -> dict[str, float]:
     return motor | ({"inductance": 2e-3} if inductance else {})
 
 
-def drawn_arm(folder: Path, seed: int) -> Path:
+def draw_arm(folder: Path, seed: int) -> Path:
     """Three random joints, at least one with such a gear; others linear, rigid or without motor."""
     rng = np.random.default_rng([seed, 77])
     urdf = random_chain_urdf(rng, 3)
@@ -64,26 +64,26 @@ def drawn_arm(folder: Path, seed: int) -> Path:
         joints[name] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
         if kind == "no":
             continue
-        gear = drawn_gear(rng, torque=20.0)
+        gear = draw_gear(rng, torque=20.0)
         if kind != "progressive":
             del gear["cubic_stiffness"]
         if kind == "rigid":
             gear = {"ratio": gear["ratio"]}
-        joints[name] |= {"motor": drawn_motor(rng, (seed + place) % 2 == 0), "gear": gear}
+        joints[name] |= {"motor": draw_motor(rng, (seed + place) % 2 == 0), "gear": gear}
     return write_scene(
         folder, urdf, joints, gravity=[0.0, 0.0, -9.81], servo_period=PERIOD, energy_flow=True
     )
 
 
-def one_gear(folder: Path, scheme: str, dt: float, period: float = PERIOD) -> Path:
+def write_gear(folder: Path, scheme: str, dt: float, period: float = PERIOD) -> Path:
     """One link behind such a gear, in gravity, all of whose numbers may be set."""
     rng = np.random.default_rng(1)
     joint = {
-        "motor": drawn_motor(rng, inductance=True),
-        "gear": drawn_gear(rng, torque=10.0) | {"ratio": 0.02},
+        "motor": draw_motor(rng, inductance=True),
+        "gear": draw_gear(rng, torque=10.0) | {"ratio": 0.02},
     }
     return write_scene(
-        folder, one_link_urdf(), {"joint": joint}, servo_period=period,
+        folder, make_link_urdf(), {"joint": joint}, servo_period=period,
         varied=["joints.*", "links.*"], gravity=[0.0, 0.0, -9.81],
         integrator={"scheme": scheme, "dt": dt},
     )  # fmt: skip
@@ -110,7 +110,7 @@ def orders_of(errors: list[float]) -> Array:
 
 @pytest.mark.parametrize("seed", some(range(2), 1))
 def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) -> None:
-    file = drawn_arm(tmp_path, seed)
+    file = draw_arm(tmp_path, seed)
     voltages = np.random.default_rng(seed).uniform(-20.0, 20.0, (4, 3))
     truth = reference_states(load_scene(file), voltages, PERIOD, 1e-12, method="DOP853")
     for scheme, order in some(SCHEME_ORDERS, 1):
@@ -133,10 +133,10 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
 def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:
     """At rest under gravity: torque, wind-up and Kg w + Kg3 w^3 agree."""
     rng = np.random.default_rng(8)
-    file = one_gear(tmp_path, "rosenbrock", 1e-4)
+    file = write_gear(tmp_path, "rosenbrock", 1e-4)
     for _ in range(3):
-        gear = drawn_gear(rng, torque=6.0) | {"damping": 5.0, "ratio": 0.02}
-        motor = drawn_motor(rng, inductance=True)
+        gear = draw_gear(rng, torque=6.0) | {"damping": 5.0, "ratio": 0.02}
+        motor = draw_motor(rng, inductance=True)
         plant = plant_with(file, motor=motor, gear=gear, friction={"viscous": 2.0})
         unwound, A = plant.energy, ProgressiveGear(**gear).wind_up(6.0)
         plant.put("the gear", {"theta_m": [A / gear["ratio"]]})
@@ -173,7 +173,7 @@ def test_wind_up_solves_the_cubic() -> None:
 def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) -> None:
     """A part that is absent is not compiled; one of no effect changes rounding alone."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 4])
-    file = one_gear(tmp_path, scheme, PERIOD / 100)
+    file = write_gear(tmp_path, scheme, PERIOD / 100)
     linear = load_scene(file, {"joints.joint.gear.cubic_stiffness": None})
     scenes = [linear, load_scene(file)]
     named = ["ProgressiveGear" in write_scene_unit(scene) for scene in scenes]
@@ -191,9 +191,9 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
     """A motion that a scheme does not damp is never wrong without a report."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 3])
     name, rows, outcomes = "joints.joint.gear.cubic_stiffness", 15, []
-    file = one_gear(tmp_path, scheme, 1e-3)
-    own = {"motor": drawn_motor(rng, inductance=True),
-           "gear": drawn_gear(rng, torque=20.0) | {"damping": 1.0},
+    file = write_gear(tmp_path, scheme, 1e-3)
+    own = {"motor": draw_motor(rng, inductance=True),
+           "gear": draw_gear(rng, torque=20.0) | {"damping": 1.0},
            "friction": {"viscous": 0.1}}  # fmt: skip
     numbers = {
         f"joints.joint.{section}.{key}": value

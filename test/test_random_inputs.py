@@ -39,10 +39,10 @@ WORDS = (
     "max_speed", "joints.waist.kp", "use_sim_time", "real_time_factor", "nobody", "",
 )  # fmt: skip
 # A shutdown for good ends the work of a node, which a client may ask for.
-LASTING = ("change_state",)
+PERSISTENT = ("change_state",)
 PUSHES = ("external_wrench", "external_wrench_in_world")  # move the arm by force
 OUTSTANDING = 20  # calls
-FREE_WAY_DRAWS = 20  # of a trajectory; links touch on some 1 in 6 of these ways
+FREE_PATH_DRAWS = 20  # of a trajectory; links touch on some 1 in 6 of these ways
 IGNORED = ("/parameter_events", "/rosout", "/diagnostics")
 COUNT = some(range(int(os.environ.get("COUNT", "10000"))), 400)  # of each of the two tests
 SEED = os.environ.get("SEED", "19")
@@ -161,7 +161,7 @@ def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path
     with network(tmp_path, start="first_answer", forked=False) as (user, nodes):
         user.wait("the run", lambda: user.tick > 100)
         strangers = Strangers(user, rng)
-        services = [service for service in strangers.services if not service.endswith(LASTING)]
+        services = [service for service in strangers.services if not service.endswith(PERSISTENT)]
         assert len(services) > 30 and len(strangers.topics) > 9, strangers.topics
         for number, _ in enumerate(COUNT):
             if rng.random() < 0.5:
@@ -237,7 +237,7 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
         kind = MotionStatus.KIND_JOINT_TRAJECTORY
         moving = (MotionStatus.STATE_ACCEPTED, MotionStatus.STATE_MOVING)
         # A trajectory on whose way links touch each other is refused: another one is drawn.
-        for _ in range(FREE_WAY_DRAWS):
+        for _ in range(FREE_PATH_DRAWS):
             heard, goal = len(reports), swing(rng, names)
             # The reset is answered before the reports of orders that it gave up are heard.
             last = max((report.number for report in reports if report.kind == kind), default=0)

@@ -48,7 +48,7 @@ def described(name: str, joints: list[dict[str, str]]) -> str:
     return serial(name, parts)
 
 
-def made(folder: Path, text: str, payload: float | None) -> NewScene:
+def make_new(folder: Path, text: str, payload: float | None) -> NewScene:
     """Return the scene of a description, with a payload."""
     folder.mkdir()
     file = folder / "arm.urdf"
@@ -63,7 +63,7 @@ def shares(folder: Path, names: list[str], payload: bool | float) -> np.ndarray:
         joints = ARMS[name]
         rating = float(joints[0]["payload"]) if payload is True else payload
         mass = None if payload is False else float(rating)
-        written = made(folder / f"{name}_{payload}", described(name, joints), mass)
+        written = make_new(folder / f"{name}_{payload}", described(name, joints), mass)
         assert all(drive.notes["torque"].startswith("guess") for drive in written.drives)
         for motor in motors(written):
             assert motor.resistance <= 100.0 and 1e-5 < motor.inductance <= 0.1, name
@@ -110,7 +110,7 @@ def test_a_flange_that_rolls_holds_and_turns_a_cube_beside_its_axis(
     """In closed form: a cube as dense as water, half an edge off the axis and off the flange."""
     speed = 4.0
     parts = [Part("0 1 0", (1.0, 0.0, 0.0), 30.0), Part(axis, (0.1, 0.0, 0.0), 1e-6, velocity=4.0)]
-    written = made(tmp_path / "roll", serial("roll", parts), payload)
+    written = make_new(tmp_path / "roll", serial("roll", parts), payload)
     a = (payload / 1000.0) ** (1.0 / 3.0)
     static, dynamic = payload * G * a / 2.0, payload * (a**2 / 4.0 + a**2 / 6.0)
     # The heaviest of the poses drawn is not quite the horizontal one.
@@ -126,7 +126,7 @@ def test_a_flange_that_rolls_holds_and_turns_a_cube_beside_its_axis(
 
 def test_a_last_joint_that_bends_the_arm_holds_its_tool_at_the_end(tmp_path: Path) -> None:
     parts = [Part("0 1 0", (0.5, 0.0, 0.0), 5.0), Part("0 1 0", (0.3, 0.0, 0.0), 1e-6)]
-    written = made(tmp_path / "bend", serial("bend", parts), 8.0)
+    written = make_new(tmp_path / "bend", serial("bend", parts), 8.0)
     np.testing.assert_allclose(written.tools[0].centre, [0.1, 0.1, 0.0], atol=1e-9)
 
 

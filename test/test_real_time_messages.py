@@ -20,7 +20,7 @@ def session_of(nodes: InProcess) -> Any:
     return nodes.nodes["emulator"]._session
 
 
-def drawn(draw: random.Random, answered: int, newest: int) -> MotorCommand:
+def draw_message(draw: random.Random, answered: int, newest: int) -> MotorCommand:
     """A command that is due, or spoiled in one way."""
     spoil = draw.choice(["", "", "nan", "inf", "large", "stale", "same", "future", "machine"])
     numbers = [draw.uniform(-3.0, 3.0) for _ in JOINTS]
@@ -58,7 +58,7 @@ def test_only_commands_that_are_due_are_held(seed: int) -> None:
                 session.answers.tick, session.tick, nodes.refused("emulator"),
             )  # fmt: skip
             command_before, in_c = session.held[0].tolist(), done[0]
-            command = drawn(draw, answered, newest)
+            command = draw_message(draw, answered, newest)
             nodes.send("motor_commands", command)
             if is_due(command, answered, newest):
                 place = dict(zip(command.joint_names, command.command, strict=True))

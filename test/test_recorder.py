@@ -257,7 +257,7 @@ def await_rows(process: subprocess.Popen[str], folder: Path) -> None:
         time.sleep(0.02)
 
 
-def wait_until_whole(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
+def wait_until_complete(file: Path) -> tuple[dict[str, list[Any]], dict[str, str]]:
     """Read a file whose writer ends by itself soon."""
     end = time.monotonic() + PATIENCE
     while True:
@@ -297,7 +297,7 @@ def test_a_run_that_is_ended_leaves_a_whole_file(
     finally:
         process.kill()
         process.communicate()
-    columns, _ = wait_until_whole(file)
+    columns, _ = wait_until_complete(file)
     assert len(columns["t"]) > 100
     np.testing.assert_allclose(np.diff(columns["t"]), 1e-3, rtol=1e-6)
     assert {len(values) for values in columns.values()} == {len(columns["t"])}

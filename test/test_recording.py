@@ -35,7 +35,7 @@ from arm_emulator.ros.recording.run_record import RunRecord
 from arm_emulator_msgs.msg import MotorState, RecorderReport
 from emulator_node.recorder_gate import RecorderGate
 
-USUAL = ("-m", "arm_emulator")
+COMMAND = ("-m", "arm_emulator")
 # A recorder that keeps little, and writes nothing between SIGUSR1 and SIGUSR2. Only its writing
 # stands: a process that is stopped stops its middleware's threads too, and what the middleware does
 # about that is another matter.
@@ -55,7 +55,7 @@ main()
 
 @contextmanager
 def recorder(
-    out: Path, *arguments: str, program: tuple[str, ...] = USUAL
+    out: Path, *arguments: str, program: tuple[str, ...] = COMMAND
 ) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
         [sys.executable, *program, "record", str(out), *arguments],

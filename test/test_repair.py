@@ -76,7 +76,7 @@ def words_of(bag: Path) -> list[str]:
     return [deserialize_message(m.data, String).data for m in Bag(bag).messages()]
 
 
-def whole_chunks(file: Path) -> list[tuple[int, int]]:
+def list_complete_chunks(file: Path) -> list[tuple[int, int]]:
     """Return where each chunk of a whole file ends, and how many messages it has."""
     ends = []
     with file.open("rb") as stream:
@@ -89,7 +89,7 @@ def whole_chunks(file: Path) -> list[tuple[int, int]]:
     return ends
 
 
-def assert_whole(bag: Path, words: list[str]) -> None:
+def assert_complete(bag: Path, words: list[str]) -> None:
     """Ask independent readers: rosbags by its metadata, mcap by its files alone."""
     file = bag / f"{bag.name}_0.mcap"
     reported = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
@@ -111,7 +111,11 @@ def assert_whole(bag: Path, words: list[str]) -> None:
 def test_every_whole_chunk_of_a_bag_that_was_cut_anywhere_is_kept(tmp_path: Path) -> None:
     talk(tmp_path / "whole", 500)
     file = tmp_path / "whole" / "whole_0.mcap"
-    words, data, chunks = words_of(tmp_path / "whole"), file.read_bytes(), whole_chunks(file)
+    words, data, chunks = (
+        words_of(tmp_path / "whole"),
+        file.read_bytes(),
+        list_complete_chunks(file),
+    )
     assert len(chunks) > 20, "the test is of many chunks"
     draw = random.Random(1)
     ends = [end for end, _ in chunks]
@@ -131,19 +135,19 @@ def test_every_whole_chunk_of_a_bag_that_was_cut_anywhere_is_kept(tmp_path: Path
         assert repair(bag), f"cut at {length}: taken for whole"
         assert words_of(bag) == words[:count], f"cut at {length} of {len(data)}"
         assert not count or Bag(bag).about.items() >= FACTS.items(), "facts precede all chunks"
-        assert_whole(bag, words[:count])
+        assert_complete(bag, words[:count])
         assert not repair(bag), f"cut at {length}: mended, and not whole"
 
 
 def test_zeros_that_a_lost_power_leaves_are_cut_off(tmp_path: Path) -> None:
     talk(tmp_path / "bag", 100)
     file = tmp_path / "bag" / "bag_0.mcap"
-    chunks, words = whole_chunks(file), words_of(tmp_path / "bag")
+    chunks, words = list_complete_chunks(file), words_of(tmp_path / "bag")
     end, _ = chunks[-2]
     os.truncate(file, end)
     os.truncate(file, end + 5000)
     assert repair(tmp_path / "bag")
-    assert_whole(tmp_path / "bag", words[: sum(messages for _, messages in chunks[:-1])])
+    assert_complete(tmp_path / "bag", words[: sum(messages for _, messages in chunks[:-1])])
 
 
 def test_repair_states_what_it_did(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
@@ -160,7 +164,7 @@ def test_repair_states_what_it_did(tmp_path: Path, monkeypatch: Any, capsys: Any
 def test_a_folder_without_a_bag_stays_as_it_is(tmp_path: Path) -> None:
     talk(tmp_path / "bag", 200)
     file = tmp_path / "bag" / "bag_0.mcap"
-    (end, _), *_ = whole_chunks(file)
+    (end, _), *_ = list_complete_chunks(file)
     damaged = bytearray(file.read_bytes()[:-30])
     damaged[end - 20] ^= 1
     for data in (b"this is not a bag\n", bytes(damaged)):
@@ -219,7 +223,7 @@ def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
             f"{bag.name}: error, whole, count"
         )
         assert readable == printed[: len(readable)], "what is kept"
-        assert_whole(bag, readable)
+        assert_complete(bag, readable)
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EDQUOT, errno.ENOSPC, None])
@@ -249,7 +253,7 @@ def test_no_row_is_written_after_the_first_failure(
         readable = words_of(bag)
         assert readable == printed[: len(readable)], "what is kept"
         assert len(readable) == 100 or number is not None, "what is lost"
-        assert_whole(bag, readable)
+        assert_complete(bag, readable)
 
 
 class _Writes:
@@ -312,7 +316,7 @@ def test_a_recorder_killed_at_any_moment_leaves_what_repair_makes_whole(
         talk(tmp_path / "whole", 300, turn)
         readable, all_words = words_of(bag), words_of(tmp_path / "whole")
         assert readable == all_words[: len(readable)], "what is kept"
-        assert_whole(bag, readable)
+        assert_complete(bag, readable)
 
 
 def test_metadata_that_count_otherwise_are_written_anew(tmp_path: Path) -> None:
@@ -322,4 +326,4 @@ def test_metadata_that_count_otherwise_are_written_anew(tmp_path: Path) -> None:
     for text in (sound.replace("message_count: 50", "message_count: 51"), "", "[", sound[:200]):
         file.write_text(text)
         assert repair(tmp_path / "bag"), f"taken for whole: {text[:80]!r}"
-        assert_whole(tmp_path / "bag", words)
+        assert_complete(tmp_path / "bag", words)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import LINK_INERTIA, one_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, write_scene
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.arrays import Array
@@ -77,7 +77,7 @@ def test_every_source_shakes_the_link_by_its_order_and_the_linear_response(
     joint = draw_joint(np.random.default_rng(seed))
     ratio = joint["gear"]["ratio"]
     varied = {"integrator": {"scheme": "rosenbrock", "dt": 2e-5}, "servo_period": PERIOD}
-    plant = Plant(load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint}, **varied)))
+    plant = Plant(load_scene(write_scene(tmp_path, make_link_urdf(), {"joint": joint}, **varied)))
     plant.run(np.full((3000, 1), TORQUE), 50)  # to constant speed: time constants below 0.1 s
     rows = 16000  # 16 s, some ten turns of the link
     v, places = np.empty(rows), np.empty((rows, 2))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import one_link_urdf, slides_urdf, write_scene
+from machines import make_link_urdf, slides_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
@@ -60,7 +60,7 @@ def swing_truth(joint: dict[str, Any], begin: float, t: Array) -> tuple[Array, f
 def scene_of(folder: Path, joint: dict[str, Any], steps: int, **integrator: Any) -> Scene:
     file = write_scene(
         folder,
-        one_link_urdf(),
+        make_link_urdf(),
         {"joint": joint},
         servo_period=PERIOD,
         integrator={"scheme": "rosenbrock", "dt": PERIOD / steps, **integrator},

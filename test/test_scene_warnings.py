@@ -11,7 +11,7 @@ from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.scene.scene import load_scene
 
 # Sections of each law of friction alone; whether a shaft at rest is held by it.
-LAWS: dict[str, tuple[dict[str, float], bool]] = {
+FRICTIONS: dict[str, tuple[dict[str, float], bool]] = {
     "viscous": ({"viscous": 2.0}, False),
     "none": ({"coulomb": 0.0}, False),
     "coulomb": ({"coulomb": 0.4}, True),
@@ -21,10 +21,10 @@ LAWS: dict[str, tuple[dict[str, float], bool]] = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", FRICTIONS)
 @pytest.mark.parametrize("place", ["elbow.friction", "shoulder.motor.friction"])
 def test_a_joint_that_sticks_is_warned_of_by_name_unless_located(place: str, law: str) -> None:
-    section, sticks = LAWS[law]
+    section, sticks = FRICTIONS[law]
     keys: dict[str, Any] = {f"joints.{place}": section}
     for events in ("step", "located"):
         for scheme in ("rosenbrock", "extrapolated", "implicit"):
@@ -57,7 +57,7 @@ def test_load_friction_behind_a_rigid_gear_is_warned_of_by_name(place: str) -> N
 
 def test_every_law_of_friction_is_tried() -> None:
     keys = {key for kind in (*LINK_FRICTIONS, *ROTOR_FRICTIONS) for key in kind.named_by}
-    assert keys <= {key for section, _ in LAWS.values() for key in section}, keys
+    assert keys <= {key for section, _ in FRICTIONS.values() for key in section}, keys
 
 
 @pytest.mark.parametrize("name", ["ur5", "panda"])

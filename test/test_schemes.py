@@ -14,8 +14,8 @@ from machines import (
     GRAVITY,
     LINK_INERTIA,
     MOTOR,
+    make_link_urdf,
     moving_joints,
-    one_link_urdf,
     random_chain_urdf,
     write_scene,
 )
@@ -141,7 +141,7 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
     }
     gear = {"ratio": Ng} if rigid else {"ratio": Ng, "stiffness": Kg, "damping": Dg}
     joint = {"motor": motor, "gear": gear, "friction": {"viscous": Dl}}
-    machine = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": joint}))
+    machine = load_scene(write_scene(tmp_path, make_link_urdf(), {"joint": joint}))
     V = 10.0
     # Rows of (i, tm, wm, q, v, 1); without L the current's row is its steady value inserted.
     i = np.array([1.0, 0, 0, 0, 0, 0]) if L else np.array([0, 0, -K / R, 0, 0, V / R])
@@ -275,7 +275,7 @@ def test_first_order_remains_where_friction_and_limits_bend(overrides: dict[str,
 def sliding(folder: Path, scheme: str, dt: float, friction: dict[str, float]) -> Plant:
     """A link with friction, without weight."""
     file = write_scene(
-        folder, one_link_urdf(), {"joint": {"friction": friction}},
+        folder, make_link_urdf(), {"joint": {"friction": friction}},
         varied=VARIED,
     )  # fmt: skip
     return Plant(load_scene(file, {"integrator.scheme": scheme, "integrator.dt": dt}))
@@ -293,7 +293,7 @@ def test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end(
     Kt, V, Ng, Mm, h = 0.05, 8.0, 0.02, 1e-4, 1e-3
     motor = {"resistance": 1.0, "torque_constant": Kt, "back_emf_constant": 0.0}
     joint = {"motor": motor | {"rotor_inertia": Mm}, "gear": {"ratio": Ng}}
-    file = write_scene(tmp_path, one_link_urdf(), {"joint": joint})
+    file = write_scene(tmp_path, make_link_urdf(), {"joint": joint})
     plant = Plant(load_scene(file, {"integrator": {"scheme": scheme, "dt": h}}))
     a = Kt * V / Ng / (LINK_INERTIA + Mm / Ng**2)
     for k in (1, 2, 3, 10):

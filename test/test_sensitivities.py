@@ -26,7 +26,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.varied import Varied
-from oracles.mixtures import PERIOD, commands, drawn_alone, write_mixture, write_scene
+from oracles.mixtures import PERIOD, commands, draw_alone, write_mixture, write_scene
 
 Parts = tuple[type[Part], ...]
 
@@ -94,7 +94,7 @@ def compare(scene: Scene, rows: Array) -> None:
 # In a short run a mixture has some of them.
 @pytest.mark.parametrize("parts", some(BESIDE, 0), ids=lambda of: "-".join(p.__name__ for p in of))
 def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> None:
-    joints = {name: drawn_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
+    joints = {name: draw_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
     file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / 4, "integrator.events": "located"})
     compare(scene, commands(scene, 0))

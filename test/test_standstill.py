@@ -41,7 +41,7 @@ SECOND = 1000  # ticks
 PAST = 1.5e-3  # m; three_axis, whose gears feed-forward does not know, 1.42 mm without a standstill
 OVER = 1.02  # of a limit of speed: links swing a little on their gears
 TOOL_LINE = np.array([0.0, 0.1, -0.2])  # m, from where the tool begins
-JOINT_WAY = 0.6  # rad
+JOINT_TRAVEL = 0.6  # rad
 PERIOD_NS = 50_000_000  # of three_axis' motion
 
 
@@ -63,13 +63,13 @@ class Stopped:
         self.waited = 0  # the last tick at which it stood still, or came to rest
         instruct = self.run.instructor.instruct
 
-        def kept(*arguments: Any) -> JointSetpoint:
+        def store(*arguments: Any) -> JointSetpoint:
             answer = instruct(*arguments)
             if answer.now is not None:
                 self.asked.append((len(self.links), answer.now))
             return answer
 
-        self.run.instructor.instruct = kept  # type: ignore[method-assign, assignment]
+        self.run.instructor.instruct = store  # type: ignore[method-assign, assignment]
         self.run.advance(200)
 
     @property
@@ -169,7 +169,7 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
         start = arm.scene.start
         if trajectory:
             names = arm.kinematics.joint_names
-            displacement = rng.uniform(-JOINT_WAY, JOINT_WAY, len(names))
+            displacement = rng.uniform(-JOINT_TRAVEL, JOINT_TRAVEL, len(names))
             points = [
                 TrajectoryPoint(
                     k * 400_000_000,

@@ -88,15 +88,15 @@ def has_room(arm: Streamed, at: Callable[[float], np.ndarray]) -> bool:
     return bool(slow and np.abs(a).max() < 8.0 and inside.all())
 
 
-FOUND: dict[tuple[str, int], Callable[[float], np.ndarray]] = {}
+TRUTHS: dict[tuple[str, int], Callable[[float], np.ndarray]] = {}
 
 
 def curve_for(arm: Streamed, seed: int) -> Callable[[float], np.ndarray]:
     """Return the first curve of a seed that an arm has room for: at any period the same one."""
     key, rng = (arm.scene.name, seed), np.random.default_rng(seed)
-    if key not in FOUND:
-        FOUND[key] = next(at for at in (curve(rng) for _ in range(100)) if has_room(arm, at))
-    return FOUND[key]
+    if key not in TRUTHS:
+        TRUTHS[key] = next(at for at in (curve(rng) for _ in range(100)) if has_room(arm, at))
+    return TRUTHS[key]
 
 
 @pytest.mark.parametrize("seed", some(range(30), 2))

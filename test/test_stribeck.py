@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import some
-from stick_slip import assert_order_two, drawn
+from stick_slip import assert_order_two, draw
 
 
 @pytest.mark.parametrize(
@@ -17,5 +17,5 @@ from stick_slip import assert_order_two, drawn
 def test_sticking_and_slipping_is_of_order_two_where_located(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
-    friction, towed = drawn(np.random.default_rng([seed, 31]))
+    friction, towed = draw(np.random.default_rng([seed, 31]))
     assert_order_two(tmp_path, towed, friction, scheme, stops=2)

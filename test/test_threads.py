@@ -45,7 +45,7 @@ def plant(
     return Plant(load_scene("three_axis", overrides=overrides))
 
 
-def after_one_second(machine: Plant) -> np.ndarray:
+def simulate_second(machine: Plant) -> np.ndarray:
     """Joint angles after 1 s of sine voltages, held over servo periods of 1 ms."""
     machine.reset()
     t = np.arange(1000)[:, None] * 1e-3
@@ -75,7 +75,7 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
     """Table 1 for our scene: first order for every joint, no joint above the paper's figure."""
     differences = {}
     for dt, papers in PAPER_TABLE_1.items():
-        single, double = (after_one_second(plant(threads, dt)) for threads in (1, 2))
+        single, double = (simulate_second(plant(threads, dt)) for threads in (1, 2))
         differences[dt] = np.abs(single - double)
         assert np.all(differences[dt] <= papers), f"at {dt} s, one thread and two: {differences}"
     # Ten times smaller with a tenth of the step; 15 % are left for the next order at 1e-3.
@@ -87,8 +87,8 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
 @pytest.mark.parametrize(("exchange", "depth"), some([("predict", 2), ("lag", 2), ("lag", 4)], 1))
 def test_a_deeper_exchange_costs_what_it_states(exchange: str, depth: int) -> None:
     """D steps late; or led on by D differences of v, which leaves D (D + 1) / 2 second ones."""
-    exact = after_one_second(plant(1))
-    once, deep = (after_one_second(plant(2, 1e-4, exchange, depth=d)) - exact for d in (1, depth))
+    exact = simulate_second(plant(1))
+    once, deep = (simulate_second(plant(2, 1e-4, exchange, depth=d)) - exact for d in (1, depth))
     times = depth if exchange == "lag" else depth * (depth + 1) / 2
     # The next order of the step takes up to 15 % at ten times this step (above).
     assert deep == pytest.approx(times * once, rel=0.03), f"differences at depth 1: {once}"
@@ -101,8 +101,8 @@ PREDICTED = [("paper", 1), ("paper", 2), ("extrapolated", 1), ("implicit", 2), (
 def test_predicting_makes_the_lag_an_error_of_second_order(scheme: str, depth: int) -> None:
     differences = []
     for dt in (1e-3, 5e-4, 2.5e-4):
-        single = after_one_second(plant(1, dt, scheme=scheme))
-        double = after_one_second(plant(2, dt, "predict", scheme, depth))
+        single = simulate_second(plant(1, dt, scheme=scheme))
+        double = simulate_second(plant(2, dt, "predict", scheme, depth))
         differences.append(float(np.linalg.norm(single - double)))
     orders = np.log2(np.array(differences[:-1]) / differences[1:])
     assert orders == pytest.approx([2.0, 2.0], abs=0.3), "orders of the difference"

@@ -18,7 +18,7 @@ from arm_emulator.runs.offline import load_offline_run
 Act = Callable[[OfflineRun], object]
 
 
-def whole(run: OfflineRun) -> tuple[Any, ...]:
+def save_all(run: OfflineRun) -> tuple[Any, ...]:
     """All that a run shows at a tick."""
     servo = run.drives.servo
     return (
@@ -108,9 +108,9 @@ def straight(scene: str, story: list[tuple[int, str, Act]], ends: int) -> dict[i
         end = run.tick + ticks
         while run.tick < end:
             run.advance(min(7 - run.tick % 7, end - run.tick))
-            states[run.tick] = whole(run)
+            states[run.tick] = save_all(run)
         act(run)
-        states[run.tick] = whole(run)
+        states[run.tick] = save_all(run)
     return states
 
 
@@ -130,11 +130,11 @@ def test_any_tick_of_the_past_equals_the_straight_run(scene: str) -> None:
     rng = np.random.default_rng(3)
     for tick in rng.permutation(list(states)).tolist():
         line.go_to(tick)
-        assert whole(line.run) == states[tick], f"tick {tick} visited"
+        assert save_all(line.run) == states[tick], f"tick {tick} visited"
     # Driving on from the past leads through the changes, too.
     line.go_to(5)
     line.advance(line.newest - 5)
-    assert whole(line.run) == states[line.newest], "end, driven from the past"
+    assert save_all(line.run) == states[line.newest], "end, driven from the past"
 
 
 def test_forks_of_forks_are_straight_runs_of_their_own_story() -> None:
@@ -164,13 +164,13 @@ def test_forks_of_forks_are_straight_runs_of_their_own_story() -> None:
         for tick in sorted(states, key=lambda tick: tick * 7919 % 101):
             for member in (line, of_fork, timeline):  # they share one run
                 member.go_to(min(tick, member.newest))
-            assert whole(timeline.run) == states[tick], f"{timeline}, tick {tick}"
+            assert save_all(timeline.run) == states[tick], f"{timeline}, tick {tick}"
 
 
 def test_a_change_that_is_refused_leaves_no_trace() -> None:
     line = Timeline(load_offline_run("three_axis"))
     line.advance(20)
-    before = whole(line.run)
+    before = save_all(line.run)
 
     def half(run: OfflineRun) -> None:
         run.session.powered = False
@@ -178,7 +178,7 @@ def test_a_change_that_is_refused_leaves_no_trace() -> None:
 
     with pytest.raises(Refusal, match="joint names must name joints"):
         line.change("half", half)
-    assert whole(line.run) == before and not line.changes
+    assert save_all(line.run) == before and not line.changes
     line.advance(5)
     line.go_to(20)
     with pytest.raises(Refusal, match="tick must be 25, the newest, got 20"):

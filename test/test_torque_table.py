@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 from arm_emulator import Plant, Refusal, Scene, load_scene
 
 
-def drawn(seed: int, points: int, periodic: bool) -> dict[str, Any]:
+def draw_table(seed: int, points: int, periodic: bool) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     angles = -2.5 + np.cumsum(rng.uniform(0.02, 1.0, points))
     torques = rng.uniform(-5.0, 5.0, points)
@@ -27,7 +27,7 @@ def drawn(seed: int, points: int, periodic: bool) -> dict[str, Any]:
     return {"angles": angles.tolist(), "torques": torques.tolist(), "periodic": periodic}
 
 
-TABLES = [drawn(1, 4, False), drawn(2, 23, False), drawn(3, 9, True)]
+TABLES = [draw_table(1, 4, False), draw_table(2, 23, False), draw_table(3, 9, True)]
 
 
 class Interpolant:

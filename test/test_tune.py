@@ -22,7 +22,7 @@ from arm_emulator.design.tuned import compute, falls, holding, link_inertias, to
 from arm_emulator.servo.servo_config import ServoConfig
 
 
-def other_gains(servo: ServoConfig, rng: np.random.Generator, rigid: bool) -> ServoConfig:
+def change_gains(servo: ServoConfig, rng: np.random.Generator, rigid: bool) -> ServoConfig:
     joints = tuple(
         dataclasses.replace(
             joint,
@@ -44,7 +44,7 @@ def test_gains_are_written_and_nothing_else_changes(name: str, rigid: bool, tmp_
     file = tmp_path / "servo.yaml"
     before = (CONFIG / "servo" / f"{name}.yaml").read_text()
     file.write_text(before)
-    expected = other_gains(load_servo_config(file), rng, rigid)
+    expected = change_gains(load_servo_config(file), rng, rigid)
     write_gains(file, expected)
     assert load_servo_config(file) == expected
     comments = re.compile(r"#.*")
@@ -57,7 +57,7 @@ def test_gains_are_written_and_nothing_else_changes(name: str, rigid: bool, tmp_
         for text in (before, after)
     ]
     assert others[0] == others[1], "lines that are no gains"
-    again = other_gains(expected, rng, rigid)
+    again = change_gains(expected, rng, rigid)
     write_gains(file, again)  # a link_inertia that is there is replaced
     assert load_servo_config(file) == again
 
@@ -73,7 +73,7 @@ def test_a_dotted_file_is_written_too(tmp_path: Path) -> None:
         else:
             lines.append(f"    joints.{name}.{line.strip()}")
     file.write_text(head + "\n".join(lines) + "\n")
-    expected = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=True)
+    expected = change_gains(load_servo_config(file), np.random.default_rng(0), rigid=True)
     write_gains(file, expected)
     assert load_servo_config(file) == expected
 
@@ -85,7 +85,7 @@ def test_values_that_joints_share_are_refused_and_stay(tmp_path: Path) -> None:
     start = shared.index("      shoulder:\n")
     shared = shared[:start] + "      shoulder: *one\n      elbow: *one\n"
     file.write_text(shared)
-    expected = other_gains(load_servo_config(file), np.random.default_rng(0), rigid=False)
+    expected = change_gains(load_servo_config(file), np.random.default_rng(0), rigid=False)
     with pytest.raises(Refusal, match="have values of its own for each joint"):
         write_gains(file, expected)
     assert file.read_text() == shared

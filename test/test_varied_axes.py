@@ -56,7 +56,7 @@ def skew(rng: np.random.Generator, urdf: str) -> str:
     return ET.tostring(robot, encoding="unicode")
 
 
-def with_other_links(rng: np.random.Generator, urdf: str) -> str:
+def change_links(rng: np.random.Generator, urdf: str) -> str:
     """The same chain with links of other masses, elsewhere, turned about."""
     robot = ET.fromstring(urdf)
     for inertial in robot.iter("inertial"):
@@ -118,7 +118,7 @@ def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1
 def test_varied_links_on_skewed_axes_are_those_of_pinocchio(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng([seed, 12])
     urdf = skew(rng, random_chain_urdf(rng, 3))
-    changed_urdf = with_other_links(rng, urdf)
+    changed_urdf = change_links(rng, urdf)
     files = []
     for name, text in (("one", urdf), ("other", changed_urdf)):
         (tmp_path / name).mkdir()
@@ -155,7 +155,7 @@ def write_skewed_mixture(folder: Path, seed: int) -> tuple[Path, Path]:
     scene["seed"] = 3
     urdf = skew(rng, (folder / "mixture.urdf").read_text())
     files = []
-    for name, text in (("mixture", urdf), ("other", with_other_links(rng, urdf))):
+    for name, text in (("mixture", urdf), ("other", change_links(rng, urdf))):
         (folder / f"{name}.urdf").write_text(text)
         files.append(folder / f"{name}.yaml")
         files[-1].write_text(yaml.safe_dump({**scene, "urdf": f"{name}.urdf"}))
@@ -167,7 +167,7 @@ OF_DC = "resistance", "inductance", "back_emf_constant"
 OF_PMSM = "inductance_d", "inductance_q", "flux"
 
 
-def other_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dict[str, float]:
+def change_values(scene: Scene, of_links: Scene, rng: np.random.Generator) -> dict[str, float]:
     """Other values of all that is varied; of the links those of another scene.
 
     A current loop is set up for the winding that is built in, so that none could be built in with
@@ -232,7 +232,7 @@ def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path
     all_of_them = {**fine, "varied": ["joints.*", "links.*", "imus.*", "seed"]}
     rng = np.random.default_rng([seed, 14])
     scene = load_scene(mixture, all_of_them)
-    values = other_values(scene, load_scene(with_links, all_of_them), rng)
+    values = change_values(scene, load_scene(with_links, all_of_them), rng)
     try:
         built = load_scene(with_links, {**fine, **constants(scene, values)})
         expected, measured = moved(built, {}, seed)

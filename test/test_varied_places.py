@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from draws import some
 from machines import GRAVITY, Oracle, own_three_axis, write_scene
-from test_calibration import displaced_urdf, drawn, tool_by_pinocchio
+from test_calibration import displaced_urdf, draw_deltas, tool_by_pinocchio
 
 from arm_emulator import ExternalWrench, Plant, Refusal, Scene, load_scene, sensitivities
 from arm_emulator.machine.session.tool_chain import ToolChain
@@ -39,12 +39,12 @@ def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
     rng = np.random.default_rng(seed)
     urdf = (random_chain_urdf, random_tree_urdf)[seed % 2](rng, int(rng.integers(1, 7)))
     names = moving_joints(urdf)
-    base = drawn(rng, names[:2])
+    base = draw_deltas(rng, names[:2])
     keys: dict[str, Any] = {"gravity": GRAVITY, "tool": f"{names[-1]}_link"}
     keys |= {"calibration": {"joints": base}, "varied": ["calibration.*"]}
     scene = load_scene(write_scene(tmp_path, urdf, {name: {} for name in names}, **keys))
     plant = Plant(scene)
-    for deltas in (base, drawn(rng, names), base | drawn(rng, names[1:])):
+    for deltas in (base, draw_deltas(rng, names), base | draw_deltas(rng, names[1:])):
         set_all(plant, deltas)
         expected = displaced_urdf(
             urdf, {name: dict.fromkeys("xyz", 0.0) for name in names} | deltas
@@ -62,7 +62,7 @@ def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
 
 @pytest.fixture
 def deltas() -> Deltas:
-    return drawn(np.random.default_rng(11), ["waist", "shoulder", "elbow"])
+    return draw_deltas(np.random.default_rng(11), ["waist", "shoulder", "elbow"])
 
 
 def three_axis(folder: Path, deltas: Deltas, events: str, varied: bool) -> Scene:
@@ -109,7 +109,7 @@ def test_a_machine_with_set_places_moves_as_one_compiled_with_them(
 def test_lanes_have_places_of_their_own(tmp_path: Path, deltas: Deltas) -> None:
     scene = three_axis(tmp_path, deltas, "step", varied=True)
     rng = np.random.default_rng(2)
-    every = [drawn(rng, list(deltas)) for _ in range(9)]
+    every = [draw_deltas(rng, list(deltas)) for _ in range(9)]
     rows = [name_numbers(numbers) for numbers in every]
     fleet = Fleet(
         scene, 9, varied={name: np.array([row[name] for row in rows]) for name in rows[0]}

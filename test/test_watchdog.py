@@ -61,20 +61,20 @@ def test_watchdog_holds_then_cuts_when_either_falls_silent(silent: str) -> None:
 def test_watchdog_hold_ends_with_new_input_but_a_cut_only_with_a_reset() -> None:
     dog = ClockedWatchdog(0.2, 2.0)
 
-    def both_came(now: float) -> WatchdogState:
+    def receive_both(now: float) -> WatchdogState:
         dog.note_target(now)
         dog.note_state(now)
         return dog.check(now)
 
-    assert both_came(0.0) is WatchdogState.OK
+    assert receive_both(0.0) is WatchdogState.OK
     assert dog.check(1.0) is WatchdogState.HOLD
-    assert both_came(1.0) is WatchdogState.OK
+    assert receive_both(1.0) is WatchdogState.OK
     assert dog.check(3.5) is WatchdogState.CUT
-    assert both_came(3.5) is WatchdogState.CUT
+    assert receive_both(3.5) is WatchdogState.CUT
     assert dog.reason.endswith("the power stays off until a reset")
     dog.reset()
     assert dog.check(3.6) is WatchdogState.HOLD
-    assert both_came(3.6) is WatchdogState.OK
+    assert receive_both(3.6) is WatchdogState.OK
 
 
 def test_watchdog_takes_a_clock_that_jumps_back() -> None:

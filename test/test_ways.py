@@ -62,7 +62,7 @@ def pose_of(kinematics: Kinematics, q: np.ndarray) -> Pose:
     return Pose(p_WT, R_WT)
 
 
-def drawn(rng: np.random.Generator, kinematics: Kinematics) -> np.ndarray:
+def draw_configuration(rng: np.random.Generator, kinematics: Kinematics) -> np.ndarray:
     return rng.uniform(np.maximum(kinematics.lower, -3.0), np.minimum(kinematics.upper, 3.0))
 
 
@@ -99,13 +99,13 @@ def test_limits_hold_whatever_is_asked(seed: int) -> None:
     limits = controller.limits
     assert (limits.speed <= np.minimum(arm.velocity_limit, 4.0)).all()
     assert (limits.acceleration <= np.minimum(arm.acceleration_limit, 10.0)).all()
-    q = drawn(rng, arm)
+    q = draw_configuration(rng, arm)
     controller.begin(q)
     target, twist = pose_of(arm, q), np.zeros(3)
     for k in range(200):
         if rng.random() < 0.1:
             far = Pose(rng.normal(size=3) * 3.0, Rotation.random(random_state=k).as_matrix())
-            target = far if rng.random() < 0.3 else pose_of(arm, drawn(rng, arm))
+            target = far if rng.random() < 0.3 else pose_of(arm, draw_configuration(rng, arm))
             twist = rng.normal(size=3) * rng.choice([0.0, 0.5])
         target = Pose(target.p_WT + period * twist, target.R_WT)
         now = controller.update(q, target).now
@@ -134,7 +134,7 @@ def test_a_line_keeps_position_limits_between_its_nodes(seed: int) -> None:
     tried = 0
     for _ in range(20):
         arm = random_arm(rng, 6, slide=0.0)
-        start = drawn(rng, arm)
+        start = draw_configuration(rng, arm)
         end = np.clip(start + rng.normal(size=6) * 0.3, arm.lower, arm.upper)
         tree, ends = ArmTree(arm, (0.0, 0.0, 0.0)), (pose_of(arm, start), pose_of(arm, end))
         curve = trace_line(tree, start, *ends, None)
@@ -167,7 +167,7 @@ def test_reachable_poses_are_reached_and_not_passed(joints: int) -> None:
     arms = some(range(8), 4)
     for _ in arms:
         arm = random_arm(rng, joints)
-        start = drawn(rng, arm)
+        start = draw_configuration(rng, arm)
         end = np.clip(start + rng.normal(size=joints) * 0.3, arm.lower, arm.upper)
         target = pose_of(arm, end)
         controller = law_of(arm, 0.02)
@@ -192,7 +192,7 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
     free = 0
     for _ in range(20):
         arm = random_arm(rng, int(rng.integers(6, 8)), slide=0.0)
-        start, end = drawn(rng, arm), drawn(rng, arm)
+        start, end = draw_configuration(rng, arm), draw_configuration(rng, arm)
         target = pose_of(arm, end)
         controller = law_of(arm, PERIOD)
         controller.begin(start)
@@ -228,8 +228,8 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
 def test_the_same_questions_have_the_same_answers_to_the_last_bit() -> None:
     rng = np.random.default_rng(2)
     arm = random_arm(rng, 7)
-    start = drawn(rng, arm)
-    targets = [pose_of(arm, drawn(rng, arm)) for _ in range(5)]
+    start = draw_configuration(rng, arm)
+    targets = [pose_of(arm, draw_configuration(rng, arm)) for _ in range(5)]
     ends = []
     for _ in range(2):
         controller, q = law_of(arm, PERIOD), start
@@ -354,7 +354,7 @@ def test_redundant_arms_do_not_drift_over_circles(seed: int) -> None:
     rng = np.random.default_rng(seed)
     while True:
         arm = random_arm(rng, 7, slide=0.0)
-        start = drawn(rng, arm)
+        start = draw_configuration(rng, arm)
         squares, _ = compute_directions(arm.jacobian(start) * arm.scale[:, None])
         if squares[1] > 0.1**2:  # the first is that of the joint motion that moves no tool
             break

@@ -23,7 +23,7 @@ EARLY = subprocess.run(
     capture_output=True, text=True, check=True,
 ).stdout.split()  # fmt: skip
 STANDARD = {name for name in sys.stdlib_module_names if not name.startswith("_")} - set(EARLY)
-ANSWERS = "imported from the working folder"
+IMPORTED = "imported from the working folder"
 ROBOT = "spoiled.urdf"  # whose machine `test_spoiled_files` has, too
 
 
@@ -31,7 +31,7 @@ ROBOT = "spoiled.urdf"  # whose machine `test_spoiled_files` has, too
 def folder(tmp_path: Path) -> Path:
     """A folder of a user with files of every name that somebody imports."""
     for name in (*OURS, *OTHERS, *STANDARD):
-        (tmp_path / f"{name}.py").write_text(f"raise SystemExit('{name} {ANSWERS}')\n")
+        (tmp_path / f"{name}.py").write_text(f"raise SystemExit('{name} {IMPORTED}')\n")
     return tmp_path
 
 
@@ -51,7 +51,7 @@ def command(folder: Path, *words: str, path: str = "") -> None:
         cwd=folder, capture_output=True, text=True, timeout=120.0, check=False,
         env={**os.environ, "PYTHONPATH": f"{os.environ['PYTHONPATH']}{path}"},
     )  # fmt: skip
-    assert ANSWERS not in done.stdout + done.stderr, done.stderr
+    assert IMPORTED not in done.stdout + done.stderr, done.stderr
     assert done.returncode == (2 if words[1] == "nothing" else 0), done.stderr
 
 
@@ -78,7 +78,7 @@ def test_a_node_imports_nothing_of_the_working_folder(node: str, folder: Path) -
         [sys.executable, "-m", f"{node}.node", "--ros-args", "-p", "clock:=no_clock"],
         cwd=folder, capture_output=True, text=True, timeout=120.0, check=False,
     )  # fmt: skip
-    assert ANSWERS not in done.stdout + done.stderr, done.stderr
+    assert IMPORTED not in done.stdout + done.stderr, done.stderr
     assert done.returncode == 2 or "Refusal" not in done.stderr, done.stderr
 
 

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from arm_emulator import Plant, Refusal, load_scene
 
-KEPT = Path(__file__).with_suffix(".json")
+STORED = Path(__file__).with_suffix(".json")
 LINES = ("command_late", "command_lost")
 SCENE = load_scene("three_axis", overrides={"faults": [f"elbow.{line}" for line in LINES]})
 JOINTS = list(SCENE.joint_names)
@@ -245,9 +245,9 @@ def check(door: Door) -> None:
         outcomes[fault] = getattr(door, does.__name__)()
         if door.raw:
             door._as_plant()
-    stored = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    stored = json.loads(STORED.read_text()) if STORED.exists() else {}
     if os.environ.get("FAULTS_AT_DOORS") == "write":
-        KEPT.write_text(
+        STORED.write_text(
             json.dumps(stored | {door.title: outcomes}, indent=1, sort_keys=True) + "\n"
         )
     else:

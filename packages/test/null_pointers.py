@@ -37,14 +37,14 @@ from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator_fleet.unit import FLEET, load_fleet
 
 ROOM = 1 << 16  # bytes behind any pointer
-KEPT: list[object] = []
+ALIVE: list[object] = []
 
 
 def room(size: int = 512) -> Any:
     """Memory of zeros that begins with a size, as structs do; it lives indefinitely."""
     memory = np.zeros(ROOM // 4, np.uint32)
     memory[0] = size
-    KEPT.append(memory)
+    ALIVE.append(memory)
     return ARM.ffi.cast("void *", memory.ctypes.data)
 
 
@@ -55,7 +55,7 @@ def main() -> None:
     segment = Segment(scene, config, lockstep=True)
     servo = ServoDrives(config).servo
     fleet_library = load_fleet(scene)
-    KEPT.extend((plant, segment, servo))
+    ALIVE.extend((plant, segment, servo))
 
     fleet = fleet_library.arm_fleet_new(make_options(scene, np.zeros(0)), 3)
     machine = fleet_library.arm_fleet_machine(fleet, 0)

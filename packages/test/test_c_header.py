@@ -171,7 +171,7 @@ def test_functions_outlive_the_library_that_gave_them_and_machines_leave_nothing
     assert saved_size() == before
 
 
-def kept(cache: Path) -> dict[str, bytes]:
+def read_cache(cache: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in cache.iterdir() if file.suffix == ".cdef"}
 
 
@@ -189,13 +189,13 @@ def test_read_headers_are_cached_and_read_anew_if_the_cache_is_spoiled(
         return done.stdout
 
     first = run()
-    stored = kept(cache)
+    stored = read_cache(cache)
     assert {name.partition("-")[0] for name in stored} >= {"arm", "equations", "firmware"}
     for spoil in (lambda b: b[:-1], lambda b: b"", lambda b: bytes([b[0] ^ 1]) + b[1:]):
         for name, body in stored.items():
             (cache / name).write_bytes(spoil(body))
         assert run() == first
-        assert kept(cache) == stored
+        assert read_cache(cache) == stored
     monkeypatch.setenv(library_cache.CACHE_VARIABLE, "/proc/none")
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
     monkeypatch.setenv("TMPDIR", "/proc/none")

@@ -96,7 +96,7 @@ def machine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return Machine(request.param, tmp_path_factory.mktemp("coupled"))
 
 
-class Watched(OfflineRun):
+class Monitored(OfflineRun):
     """A run whose shafts are looked at every 5 ms."""
 
     def __init__(self, scene: Scene, gains: Gains) -> None:
@@ -120,7 +120,7 @@ def test_targets_trajectories_and_jogs_keep_the_joints_limits(machine: Machine) 
     gains = dataclasses.replace(
         machine.gains, motion=dataclasses.replace(motion, jog_command_in_type="speed_units")
     )
-    run = Watched(scene, gains)
+    run = Monitored(scene, gains)
     kinematics, names = run.controller.kinematics, scene.joint_names
     low, high = np.maximum(kinematics.lower, -1.5), np.minimum(kinematics.upper, 1.5)
     draw = np.random.default_rng(4)

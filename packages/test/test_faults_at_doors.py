@@ -37,9 +37,9 @@ from faults_at_doors import (
     ELBOW,
     FEW,
     JOINTS,
-    KEPT,
     NO_BREAKPOINTS,
     SCENE,
+    STORED,
     VOLT,
     Door,
     Refused,
@@ -403,7 +403,7 @@ class ByRos2Control(Door):
 
 def test_each_door_is_in_the_table_and_refuses_in_the_same_words() -> None:
     """But for what the page of doors states."""
-    stored = json.loads(KEPT.read_text())
+    stored = json.loads(STORED.read_text())
     pages = [page.read_text() for page in DOCUMENTS]
     doors = [title for page in pages for title in re.findall(r"^<!-- door: (.+?) \|", page, re.M)]
     assert doors and not [

@@ -58,7 +58,7 @@ def scene(file: Path) -> Scene:
     return load_scene(file)
 
 
-def drawn(seed: int, rows: int = 30) -> tuple[np.ndarray, np.ndarray]:
+def draw_commands(seed: int, rows: int = 30) -> tuple[np.ndarray, np.ndarray]:
     """Commands and voltages along the flux, (rows, 3) each; motors cannot get some of them."""
     rng = np.random.default_rng(seed)
     commands = rng.normal(0.0, 1.0, (rows, 3)) * [25.0, 10.0, 2.0]
@@ -101,7 +101,7 @@ def test_the_core_describes_them(scene: Scene) -> None:
 def by_plant(scene: Scene, seed: int) -> Plant:
     """A plant after commands, against what motors could get."""
     plant = Plant(scene)
-    for command, along in zip(*drawn(seed), strict=True):
+    for command, along in zip(*draw_commands(seed), strict=True):
         plant.exchange(command, command_d=along)
         measured = plant.measured
         d = float(np.clip(along[0], -AMPLITUDE, AMPLITUDE))
@@ -114,7 +114,7 @@ def by_plant(scene: Scene, seed: int) -> Plant:
 
 def by_fleet(scene: Scene, seed: int) -> Plant:
     fleet = Fleet(scene, 3)
-    for command, along in zip(*drawn(seed), strict=True):
+    for command, along in zip(*draw_commands(seed), strict=True):
         fleet.exchange(command, command_d=np.array([along, 0.5 * along, along]))
     assert fleet.measured.applied_d[:, 0].tolist() == [
         fleet[k].measured.applied_d[0] for k in range(3)
@@ -127,7 +127,7 @@ def by_session(scene: Scene, seed: int) -> Plant:
     """In another order of joints, named."""
     session = Session(scene, "lockstep", "first_answer")
     names = list(scene.joint_names)[::-1]
-    for tick, (command, along) in enumerate(zip(*drawn(seed), strict=True)):
+    for tick, (command, along) in enumerate(zip(*draw_commands(seed), strict=True)):
         session.offer(tick, names, command[::-1].tolist(), {"command_d": along[::-1].tolist()})
         session.advance()
     return session.plant
@@ -137,7 +137,7 @@ def by_real_time(scene: Scene, seed: int) -> Plant:
     """In the loop of the core; each command is given while it stands."""
     session = open_real_time_session(scene, "paused")
     plant, names = session.plant, scene.joint_names
-    for tick, (command, along) in enumerate(zip(*drawn(seed), strict=True)):
+    for tick, (command, along) in enumerate(zip(*draw_commands(seed), strict=True)):
         session.offer(tick, names, command.tolist(), {"command_d": along.tolist()})
         session.advance()
     del plant
@@ -153,7 +153,7 @@ def test_a_machine_moves_alike_at_each_door(
     door: Callable[[Scene, int], Plant], scene: Scene
 ) -> None:
     expected, plant = by_plant(scene, 1), door(scene, 1)
-    ticks = len(drawn(1)[0])
+    ticks = len(draw_commands(1)[0])
     assert plant.t == pytest.approx(ticks * scene.servo_period)
     for name in ("q", "current", "omega_m"):
         np.testing.assert_array_equal(getattr(plant.state, name), getattr(expected.state, name))
@@ -179,7 +179,7 @@ def test_over_ros_and_repeated_from_its_bag(
 ) -> None:
     """A controller of one's own answers each state, with joints and inputs by name."""
     with in_process(clock, file=file) as inside:
-        rows = drawn(2, 300)
+        rows = draw_commands(2, 300)
 
         def answer(state: MotorState) -> None:
             command, along = (row[state.tick % 300] for row in rows)

@@ -141,7 +141,7 @@ def by_clock(command: np.ndarray) -> Door:
 
 ALL = (by_call, by_hand, by_control_code, by_drives, by_clock)
 LOOPS = (by_control_code, by_drives, by_clock)
-GIVEN = (by_call, by_hand, by_control_code)  # commands that are not checked before
+UNCHECKED = (by_call, by_hand, by_control_code)  # commands that are not checked before
 
 
 @pytest.mark.parametrize("door", LOOPS)
@@ -155,7 +155,7 @@ def test_a_breakpoint_ends_every_loop_at_its_tick(door: Callable[[np.ndarray], D
     stop.close()
 
 
-@pytest.mark.parametrize("door", GIVEN)
+@pytest.mark.parametrize("door", UNCHECKED)
 def test_a_refused_command_changes_nothing(door: Callable[[np.ndarray], Door]) -> None:
     command = np.zeros(N)
     loop = door(command)

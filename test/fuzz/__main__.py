@@ -177,7 +177,7 @@ class Fuzzer:
         self._console.print(f"{name}, case {worker.case}: {last} ({file})", markup=False)
 
 
-def turns(messages: int) -> list[int]:
+def divide_networks(messages: int) -> list[int]:
     """Share messages out to networks, each with a seed of its own: every state of a run is kept."""
     full_networks, rest = divmod(messages, MESSAGES_PER_NETWORK)
     return [MESSAGES_PER_NETWORK] * full_networks + ([rest] if rest else [])
@@ -240,7 +240,7 @@ def main() -> None:
     with progress, tempfile.TemporaryDirectory(prefix="fuzz-cache-") as cache:
         fuzzer = Fuzzer(arguments.seed, progress, console)
         for clock in ("lockstep", "realtime") if messages else ():
-            for turn, count in enumerate(turns(messages // 2)):
+            for turn, count in enumerate(divide_networks(messages // 2)):
                 worker = Worker("messages", [str(arguments.seed + turn), clock, str(count)])
                 fuzzer.run("messages", [worker], None, deadline + 1e9)
         if not bounded:

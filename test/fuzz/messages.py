@@ -180,13 +180,13 @@ def fuzz(seed: int, clock: str, count: int, folder: Path) -> dict[str, int]:
             assert silence.longest < SILENCE, (
                 f"a node was silent for {silence.longest:.1f} s of work"
             )
-        _begin_anew(user, nodes, clock)
+        _restart_all(user, nodes, clock)
     assert "Traceback" not in logs(folder), logs(folder)
     total = min(total, count)
     return {REFUSED: total, TAKEN: count - total}
 
 
-def _begin_anew(user: User, nodes: Bringup, clock: str) -> None:
+def _restart_all(user: User, nodes: Bringup, clock: str) -> None:
     """Reset the network, with a motion controller that has heard of no target and no other arm."""
     kill(user, nodes, "motion_controller")
     nodes.start("motion_controller")

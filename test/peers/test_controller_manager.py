@@ -40,7 +40,11 @@ from arm_emulator_export.control_files import PLUGIN
 
 PACKAGE = Path(__file__).resolve().parents[2] / "packages/arm_emulator_hardware"
 PREFIXES = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
-WANTED = ("controller_manager", "joint_trajectory_controller", "forward_command_controller")
+REQUIRED_PACKAGES = (
+    "controller_manager",
+    "joint_trajectory_controller",
+    "forward_command_controller",
+)
 MOCK = "mock_components/GenericSystem"
 TARGETS = {
     "three_axis": {"waist": 0.4, "shoulder": 0.8, "elbow": 1.0},
@@ -57,7 +61,9 @@ CHECKS = "-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=undefined"
 QUIET = {"ASAN_OPTIONS": "detect_leaks=0:new_delete_type_mismatch=0:verify_asan_link_order=0"}
 
 absent = [
-    package for package in WANTED if not any((at / "share" / package).is_dir() for at in PREFIXES)
+    package
+    for package in REQUIRED_PACKAGES
+    if not any((at / "share" / package).is_dir() for at in PREFIXES)
 ]
 pytestmark = pytest.mark.skipif(bool(absent), reason=f"not there: {', '.join(absent)}")
 
@@ -302,7 +308,7 @@ def test_lockstep_node_ends_in_a_line_after_a_wrong_description(
     ros2_control("three_axis", into=tmp_path)
     description = tmp_path / "three_axis.urdf"
     description.write_text(description.read_text().replace("three_axis</param>", "none</param>"))
-    with guest() as node:
+    with client_node() as node:
         node_manager = Managed(node, prefix, description, tmp_path / "three_axis_controllers.yaml")
         node_manager.wait("its end", lambda: node_manager.process.poll() is not None)
     assert node_manager.process.returncode == 2
@@ -324,7 +330,7 @@ def test_lockstep_node_refuses_a_parameter_in_a_line(
 
 
 @contextmanager
-def guest() -> Iterator[NetworkClient]:
+def client_node() -> Iterator[NetworkClient]:
     """A client in the domain."""
     context = rclpy.Context()
     context.init()
@@ -341,7 +347,7 @@ def test_times_of_another_process_are_refused_in_a_line(prefix: Path, folder: Pa
     ros2_control("three_axis", into=folder)
     files = folder / "three_axis.urdf", folder / "three_axis_controllers.yaml"
     over = threading.Event()
-    with guest() as node:
+    with client_node() as node:
         publisher = node.create_publisher(Clock, "/clock", 10)
 
         def publish() -> None:
@@ -496,7 +502,7 @@ class Managed:
 @contextmanager
 def managed(prefix: Path, description: Path, parameters: Path) -> Iterator[Managed]:
     """Start a manager in the domain, and end it."""
-    with guest() as node:
+    with client_node() as node:
         managed_node = Managed(node, prefix, description, parameters)
         try:
             yield managed_node

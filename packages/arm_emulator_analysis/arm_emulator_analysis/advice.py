@@ -36,13 +36,13 @@ from arm_emulator_analysis.true_motion import (
     is_confirmed,
 )
 
-MOST_STEPS = 3e7  # of one motion: some seconds of computing
+MAX_STEPS = 3e7  # of one motion: some seconds of computing
 SHARE = 0.05  # of the requested error, permitted in the truth
 LOOK = 4  # steps per servo period at which events are looked for
 SPACING = 1.04  # between numbers of steps tried
 ROUNDS = 7  # of timing
 DEARER = 2.0  # than the cheapest by preliminary timing: not tried further
-LEAST_RESERVE = 5.0
+MIN_RESERVE = 5.0
 ENOUGH = 12  # motions, for an estimate of others
 
 
@@ -151,7 +151,7 @@ class Judge:
     def know_truths(self, error: float) -> str:
         """Find the truths to a share of an error; return why that is impossible, or nothing."""
         for m, motion in enumerate(self.motions):
-            max_steps = int(MOST_STEPS / len(motion.commands))
+            max_steps = int(MAX_STEPS / len(motion.commands))
             truth = self._truths.get(m)
             if truth is None or truth.error > SHARE * error:
                 better_truth = find_truth(self.runs, motion.commands, SHARE * error, max_steps)
@@ -178,7 +178,7 @@ class Judge:
             error: on the motions judged.
             max_cost: settings expected to cost more are not tried [s/s].
         """
-        max_steps = MOST_STEPS / max(len(motion.commands) for motion in self.motions)
+        max_steps = MAX_STEPS / max(len(motion.commands) for motion in self.motions)
         failed, steps = 0, 1
         while (off := self.error(method, steps, error)) > error:
             failed, steps = (
@@ -252,14 +252,14 @@ def advise(judge: Judge, error: float) -> Advice:
 def reserve(errors: Array) -> float:
     """Return the ratio of the errors of other motions to the largest of some errors, at most.
 
-    `LEAST_RESERVE`, or more if the largest stands out: the next one may stand out as much.
+    `MIN_RESERVE`, or more if the largest stands out: the next one may stand out as much.
     `python -m bench.claims advice` measures how often that is enough. Few motions permit no
     estimate.
     """
     if len(errors) < ENOUGH or not np.isfinite(errors).all():
         return math.inf
     second, largest = np.sort(errors)[-2:].tolist()
-    return max(LEAST_RESERVE, largest / second if second > 0.0 else 0.0)
+    return max(MIN_RESERVE, largest / second if second > 0.0 else 0.0)
 
 
 def _measure_time(plant: Plant, steps: int, motion: Motion) -> float:

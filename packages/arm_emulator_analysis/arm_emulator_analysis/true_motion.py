@@ -22,8 +22,8 @@ from arm_emulator.extension.base import Array
 from arm_emulator.extension.machine import SCHEMES, Diverged, Integrator, Plant, Scene, SmallMotions
 
 # Differences that fall by less when a step is halved show no convergence.
-LEAST_FALL = 1.4
-MOST_FALL = 4.0  # of order 2; a larger fall is chance
+MIN_FALL = 1.4
+MAX_FALL = 4.0  # of order 2; a larger fall is chance
 RESERVE = 2.0  # on the remaining error
 FEWEST = 4  # steps per servo period to begin with, at least
 RESOLVED = 1.0  # of the fastest small motion in a step, by its rate
@@ -166,11 +166,11 @@ def remainder(differences: list[float]) -> float:
         return np.inf
     before, middle, last = differences[-3:]
     # A difference that is small by chance must not count.
-    last = max(last, middle / MOST_FALL / 2.0, before / MOST_FALL**2 / 2.0)
+    last = max(last, middle / MAX_FALL / 2.0, before / MAX_FALL**2 / 2.0)
     if last == 0.0:
         return 0.0
-    fall = min(np.sqrt(max(before, middle) / last), middle / last, MOST_FALL)
-    return last / (fall - 1.0) if fall >= LEAST_FALL else np.inf
+    fall = min(np.sqrt(max(before, middle) / last), middle / last, MAX_FALL)
+    return last / (fall - 1.0) if fall >= MIN_FALL else np.inf
 
 
 def is_confirmed(runs: Runs, commands: Array, truth: Truth, enough: float, max_steps: int) -> bool:

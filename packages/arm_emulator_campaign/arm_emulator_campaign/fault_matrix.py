@@ -17,10 +17,10 @@ from arm_emulator.extension.runs import MotionState, OfflineRun, Pose, load_gain
 
 AWAY = (0.0, 0.05, 0.05)  # m, of the tool and back
 BEGINS, ENDS = 0.1, 1.5  # s, of the fault and of the run
-NOBODY = "nobody"
+UNDETECTED = "nobody"
 COLOURS = {
     "drive": "#4878a8", "servo": "#6aa56e", "motion controller": "#d99a3d",
-    "encoder check": "#8a6fb0", NOBODY: "#d1495b",
+    "encoder check": "#8a6fb0", UNDETECTED: "#d1495b",
 }  # fmt: skip
 
 
@@ -44,7 +44,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Trace:
     tool: list[NDArray[np.float64]]
     by: str
     at: int  # motion periods
@@ -77,7 +77,9 @@ def _load_with_faults(file: str) -> Scene:
         return load_scene(file, {"faults": [n for n in names if not n.endswith("mass_at_joint")]})
 
 
-def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float) -> _Seen:
+def _simulate_fault(
+    run: OfflineRun, fresh: bytes, fault: SceneFault | None, apart: float
+) -> _Trace:
     """Move away and back, with the fault from `BEGINS` on."""
     run.restart(fresh)
     session, period = run.session, run.session.scene.servo_period
@@ -85,7 +87,7 @@ def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apa
     path = [Pose(p_WT + np.array(AWAY), R_WT), Pose(p_WT, R_WT)]
     run.instructor.add_path(run.controller, path, 0)
     tool: list[NDArray[np.float64]] = []
-    by, at, largest = NOBODY, 0, 0.0
+    by, at, largest = UNDETECTED, 0, 0.0
     begins = math.ceil(BEGINS / period / run.motion_ticks)
     for k in range(math.ceil(ENDS / period / run.motion_ticks)):
         if k == begins and fault is not None:
@@ -94,7 +96,7 @@ def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apa
         try:
             run.advance(run.motion_ticks)
         except Diverged:
-            return _Seen(tool, "drive", k + 1 - begins, largest)
+            return _Trace(tool, "drive", k + 1 - begins, largest)
         tool.append(run.true_kinematics.forward(session.state.q)[1])
         largest = max(largest, _compare_encoders(run))
         unable = k > begins and able and not run.drives.movable(session.powered).all()
@@ -106,9 +108,9 @@ def _simulate_fault(run: OfflineRun, fresh: bytes, fault: SceneFault | None, apa
             *["motion controller"] * (MotionState.ABORTED in states),
             *["encoder check"] * (largest > apart),
         ]
-        if messages and by == NOBODY and fault is not None and k >= begins:
+        if messages and by == UNDETECTED and fault is not None and k >= begins:
             by, at = messages[0], k + 1 - begins
-    return _Seen(tool, by, at, largest)
+    return _Trace(tool, by, at, largest)
 
 
 def _compare_encoders(run: OfflineRun) -> float:
@@ -124,13 +126,13 @@ def _compare_encoders(run: OfflineRun) -> float:
     return float(max(apart))
 
 
-def _make_row(run: OfflineRun, fault: SceneFault, sound: _Seen, trace: _Seen) -> Row:
+def _make_row(run: OfflineRun, fault: SceneFault, sound: _Trace, trace: _Trace) -> Row:
     number, period = fault.varied.number, run.motion_ticks * run.session.scene.servo_period
     begins = math.ceil(BEGINS / period)
-    end = len(trace.tool) if trace.by == NOBODY else min(len(trace.tool), begins + trace.at)
+    end = len(trace.tool) if trace.by == UNDETECTED else min(len(trace.tool), begins + trace.at)
     pairs = zip(trace.tool[:end], sound.tool[:end], strict=True)
     travel = max((float(np.linalg.norm(a - b)) for a, b in pairs), default=0.0)
-    after = math.nan if trace.by == NOBODY else trace.at * period
+    after = math.nan if trace.by == UNDETECTED else trace.at * period
     magnitude = float(number.default)
     return Row(fault.name, fault.kind.name, magnitude, number.unit, trace.by, after, travel)
 
@@ -164,7 +166,7 @@ def draw_matrix(rows: Sequence[Row], title: str, file: Path) -> None:
     travel = [max(1e-3, 1e3 * row.travel) for row in worst]
     axes.barh([row.fault for row in worst], travel, color=[COLOURS[r.detected_by] for r in worst])
     for place, row in enumerate(worst):
-        if row.detected_by != NOBODY:
+        if row.detected_by != UNDETECTED:
             axes.text(travel[place], place, f" {1e3 * row.after:.0f} ms", va="center", fontsize=7)
     axes.set(xscale="log", xlabel="tool off its way until then, or to the end [mm]", title=title)
     axes.tick_params(axis="y", labelsize=7)

@@ -12,7 +12,7 @@ from arm_emulator.extension.machine import is_at_one_instant
 
 HERE = Path(__file__).resolve().parent
 ROBUSTNESS = Header(HERE / "robustness.h")
-MOST_NODES = 10_000
+MAX_NODES = 10_000
 _FOREVER = ROBUSTNESS.constant("ROBUSTNESS_FOREVER")
 _ROUNDING = 1e-6  # of a period: tolerance for times written with few digits
 
@@ -68,8 +68,8 @@ class Robustness:
             self._calls.robustness_delete(pointer)
 
     def _put(self, name: str, left: int, right: int = 0, begin: int = 0, end: int = 0) -> int:
-        if len(self._nodes) >= MOST_NODES:
-            rule = f"have at most {MOST_NODES} operators"
+        if len(self._nodes) >= MAX_NODES:
+            rule = f"have at most {MAX_NODES} operators"
             raise Refusal(self._where, self._quantity, rule, "more")
         kind = ROBUSTNESS.constant(f"ROBUSTNESS_{name.upper()}")
         self._nodes.append((kind, left, right, begin, end))

@@ -178,21 +178,21 @@ def _make_campaign(campaign: Campaign, shrunk: Shrunk, folder: Path) -> dict[str
     }
     beside, period = campaign.file.parent, campaign.scene.servo_period
 
-    def seen(name: str) -> str:
+    def join_folder(name: str) -> str:
         return make_path(folder, beside / name) if (beside / name).is_file() else name
 
-    data["scene"] = seen(data["scene"])
+    data["scene"] = join_folder(data["scene"])
     data["scenario"] = dict(data["scenario"]) | {"seconds": shrunk.seconds}
     if "table" in data["scenario"]:
-        data["scenario"]["table"] = seen(data["scenario"]["table"])
+        data["scenario"]["table"] = join_folder(data["scenario"]["table"])
     controller = dict(data.get("controller") or {})
     data["controller"] = controller | {
-        key: seen(controller[key]) for key in ("servo", "motion") if key in controller
+        key: join_folder(controller[key]) for key in ("servo", "motion") if key in controller
     }
     requirement = campaign.requirements[shrunk.requirement]
     if isinstance(requirement, Mapping) and "python" in requirement:
         file, _, function = str(requirement["python"]).partition(":")
-        requirement = {**requirement, "python": f"{seen(file)}:{function}"}
+        requirement = {**requirement, "python": f"{join_folder(file)}:{function}"}
     data["requirements"] = {shrunk.requirement: requirement}
     noise = {
         f"noise_{k}": {"kind": "number", "name": "seed", "value": seed, "at": tick * period}

@@ -29,7 +29,7 @@ from arm_emulator_campaign.results.outcome import Outcome, Outcomes
 from arm_emulator_campaign.signals import Sampler
 
 ROOM = 4096  # samples in a batch for requirements
-MOST = 2**31  # ticks of a piece
+MAX_TICKS = 2**31  # ticks of a piece
 
 
 class Simulator:
@@ -104,7 +104,10 @@ class Simulator:
         return Outcomes(np.array([case.index]), values, robustness, measures, np.array([diverged]))
 
     def drive(
-        self, case: Case, max_ticks: int = MOST, changed: Callable[[Change], None] | None = None
+        self,
+        case: Case,
+        max_ticks: int = MAX_TICKS,
+        changed: Callable[[Change], None] | None = None,
     ) -> Iterator[int]:
         """Simulate a run piece by piece, for a recorder of the machine.
 
@@ -170,7 +173,7 @@ class Simulator:
                 run.instructor.add(at, Pose(points[0], R_WT))
 
     def _pieces(
-        self, max_ticks: int = MOST, changed: Callable[[Change], None] | None = None
+        self, max_ticks: int = MAX_TICKS, changed: Callable[[Change], None] | None = None
     ) -> Iterator[int]:
         """Run to the end, piece by piece between events; yield ticks done."""
         session, run = self.session, self._run
@@ -194,7 +197,7 @@ class Simulator:
         """Ticks after which targets that were given to the servo are noted."""
         run = self._run
         if isinstance(run, TableRun):
-            return MOST
+            return MAX_TICKS
         return run.motion_ticks - self.session.tick % run.motion_ticks
 
     def _order_joints(self, q: Array) -> Array:

@@ -20,7 +20,7 @@ from arm_emulator.extension.machine import (
 
 KEY = "vibration"
 SOURCES = ("truth", "encoders")
-_AT_MOST = {
+_LIMITS = {
     unit: Number("at_most", unit, at_least=0.0, at_most=1e3)
     for unit in VIBRATION_QUANTITIES.values()
 }
@@ -45,7 +45,7 @@ class VibrationRequirement:
         self._section, self._period = section, scene.servo_period
         first = next(iter(VIBRATION_QUANTITIES))
         self._quantity = section.choice(KEY, tuple(VIBRATION_QUANTITIES), first)
-        self._at_most = section.number(_AT_MOST[VIBRATION_QUANTITIES[self._quantity]])
+        self._at_most = section.number(_LIMITS[VIBRATION_QUANTITIES[self._quantity]])
         self._source = section.choice("from", SOURCES, SOURCES[0])
         self._band = section.number(_BAND)
         section.finish()

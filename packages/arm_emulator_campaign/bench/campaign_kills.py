@@ -217,7 +217,7 @@ def count_of_parts(file: Path, into: Path, place: Place) -> int:
     return len(parts_in(into))
 
 
-def one_moment(
+def simulate_kill(
     file: Path,
     into: Path,
     place: Place,
@@ -285,7 +285,7 @@ def main() -> None:
                 name, victim = kinds[moment % len(kinds)]
                 before, after = int(rng.integers(1, parts[name] + 1)), rng.uniform(0.0, LATER)
                 into = folder / f"{moment}"
-                trial = one_moment(file, into, places[name], victim, after, rng, before)
+                trial = simulate_kill(file, into, places[name], victim, after, rng, before)
                 survived[f"{name} {victim}"] += trial.digest == expected
                 when[trial.when] += 1
                 good = "same digest" if trial.digest == expected else f"{trial}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator_campaign import fault_matrix as matrix
-from arm_emulator_campaign.fault_matrix import NOBODY, Row, find_worst, try_faults
+from arm_emulator_campaign.fault_matrix import UNDETECTED, Row, find_worst, try_faults
 from bench.tables import table
 
 
@@ -18,7 +18,7 @@ def report(rows_of: list[Row]) -> str:
     """Return the table of the worst joint of each kind."""
     rows = []
     for row in find_worst(rows_of):
-        after = "" if row.detected_by == NOBODY else f"{1e3 * row.after:.0f} ms"
+        after = "" if row.detected_by == UNDETECTED else f"{1e3 * row.after:.0f} ms"
         rows.append((f"`{row.fault}`", row.detected_by, after, f"{1e3 * row.travel:.2g} mm"))
     return table(("fault", "detected by", "after", "tool off its way"), rows)
 

@@ -32,7 +32,7 @@ from arm_emulator_campaign.evaluators import Checked
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, compute_digest, make_schema, write_part
 from arm_emulator_campaign.simulator import Simulator
-from bench.campaign_kills import Here, one_moment
+from bench.campaign_kills import Here, simulate_kill
 
 TABLE = {
     "scene": "three_axis",
@@ -438,7 +438,7 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
     rng = np.random.default_rng(5)
     file = written(tmp_path, changed(TABLE, "count", 2000))
     after = rng.uniform(0.0, 2.0)
-    trial = one_moment(file, tmp_path / "killed", Here(), victim, after, rng)
+    trial = simulate_kill(file, tmp_path / "killed", Here(), victim, after, rng)
     assert trial.digest == digest_alone(file)[0], trial
 
 
@@ -461,12 +461,12 @@ def test_the_price_is_known_beforehand(tmp_path):
 
 def test_the_page_lists_what_a_file_may_have():
     from arm_emulator_campaign.definition.campaign_file import KEYS
-    from arm_emulator_campaign.definition.scenario import WAYS
+    from arm_emulator_campaign.definition.scenario import TARGET_KEYS
     from arm_emulator_campaign.evaluators import REDUCTIONS
     from docs.campaign_tables import TABLES
 
     page = (Path(__file__).parents[1] / "docs/reference/campaign.md").read_text()
-    for word in (*KEYS, *WAYS):
+    for word in (*KEYS, *TARGET_KEYS):
         assert f"`{word}`" in page, word
     for word in REDUCTIONS:
         assert f"`{word}(...)`" in page, word

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from draws import some
 from test_campaign import MOVES, written
-from test_campaign_lanes import DRAWN, campaign_of, cases_of, rows_of
+from test_campaign_lanes import VARIED, campaign_of, cases_of, rows_of
 from test_splitting import DRIFTS
 
 from arm_emulator import Refusal
@@ -24,11 +24,11 @@ from arm_emulator_campaign.results.parts import Results, compute_digest
 POOLS = {"lanes": lambda: LocalPool(1), "devices": lambda: LocalPool(2, ["processor"] * 2)}
 
 
-@pytest.mark.parametrize("name", some(DRAWN, 2))
+@pytest.mark.parametrize("name", some(VARIED, 2))
 def test_runs_on_a_device_equal_those_in_lanes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    campaign = campaign_of(tmp_path, DRAWN[name])
+    campaign = campaign_of(tmp_path, VARIED[name])
     lanes, count = BatchSimulator(campaign), WIDTH + 5
     expected = rows_of(Outcomes.join(list(lanes.runs(cases_of(campaign, range(count))))))
     assert len(np.unique(expected, axis=0)) == count

@@ -39,7 +39,7 @@ JUDGED: dict[str, Any] = {
         "target": "last(target.elbow)",
     },
 }
-DRAWN = {
+VARIED = {
     "all that varies": {},
     "a run's length and its start": {
         "vary": {
@@ -97,9 +97,9 @@ def rows_of(outcomes: Outcomes) -> np.ndarray:
     return np.hstack([outcomes.robustness, outcomes.measures, outcomes.diverged[:, None]])
 
 
-@pytest.mark.parametrize("name", some(DRAWN, 2))
+@pytest.mark.parametrize("name", some(VARIED, 2))
 def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, name: str) -> None:
-    campaign = campaign_of(tmp_path, DRAWN[name])
+    campaign = campaign_of(tmp_path, VARIED[name])
     runs, alone = make_simulator(campaign), Simulator(campaign)
     assert isinstance(runs, BatchSimulator)
     count = WIDTH + 5

@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from arm_emulator_campaign.results.pictures import (
     FAILS,
     HOLDS,
-    MOST_LINES,
+    MAX_LINES,
     NO_BREAK,
     _add_unit,
     draw_coordinates,
@@ -35,7 +35,7 @@ def test_no_kind_of_run_hides_the_other(share: float) -> None:
     )
     colors = [to_hex(color) for color in lines.get_color()]
     encode_png(figure)  # closes it
-    assert colors.count(FAILS) == colors.count(HOLDS) == MOST_LINES
+    assert colors.count(FAILS) == colors.count(HOLDS) == MAX_LINES
     # Of 150 in turns, 50 of one kind in a row are drawn once in 1e15.
     for last in (colors[-50:], colors[:50]):
         assert {FAILS, HOLDS} == set(last)

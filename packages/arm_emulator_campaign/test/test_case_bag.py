@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from draws import some
 from test_campaign import MOVES, written
-from test_campaign_lanes import DRAWN, campaign_of
+from test_campaign_lanes import VARIED, campaign_of
 
 from arm_emulator.bags.comparison import compare
 from arm_emulator.bags.recorded_topics import RecordedTopics
@@ -27,11 +27,11 @@ def campaign(folder: Path, name: str) -> Campaign:
     return (
         load_campaign(written(folder, MOVES))
         if name == "moves"
-        else campaign_of(folder, DRAWN[name])
+        else campaign_of(folder, VARIED[name])
     )
 
 
-@pytest.mark.parametrize("name", [*DRAWN, "moves"])
+@pytest.mark.parametrize("name", [*VARIED, "moves"])
 def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None:
     definition = campaign(tmp_path, name)
     simulator = Simulator(definition)

@@ -104,7 +104,7 @@ NOISY = {
     },
 }
 
-Answers = Sequence[float]
+Verdicts = Sequence[float]
 
 
 def campaign_of(texts: Sequence[str], folder: Path, data: dict[str, object]) -> Campaign:
@@ -128,17 +128,17 @@ def by_breakpoint(texts: Sequence[str], folder: Path) -> list[bool]:
     return hits
 
 
-def by_lanes(texts: Sequence[str], folder: Path) -> Answers:
+def by_lanes(texts: Sequence[str], folder: Path) -> Verdicts:
     campaign = campaign_of(texts, folder, SAMPLED)
     case = draw_case(campaign.variation, 0)
     return list(BatchSimulator(campaign).run(case).robustness.values())
 
 
-def by_simulator(texts: Sequence[str], folder: Path) -> Answers:
+def by_simulator(texts: Sequence[str], folder: Path) -> Verdicts:
     return list(Simulator(campaign_of(texts, folder, SAMPLED)).run(0).robustness.values())
 
 
-def by_splitting(texts: Sequence[str], folder: Path) -> Answers:
+def by_splitting(texts: Sequence[str], folder: Path) -> Verdicts:
     margins = []
     for text in texts:
         search = {"method": "splitting", "of": "r0", "per_level": 20, "repetitions": 4}
@@ -159,7 +159,7 @@ def test_verdicts(user: Callable[[Sequence[str], Path], list[bool]], tmp_path: P
 
 
 @pytest.mark.parametrize("user", MARGINS)
-def test_margins(user: Callable[[Sequence[str], Path], Answers], tmp_path: Path) -> None:
+def test_margins(user: Callable[[Sequence[str], Path], Verdicts], tmp_path: Path) -> None:
     margins = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
     assert margins == {text: reported(margin) for text, margin in TABLE.items()}
 

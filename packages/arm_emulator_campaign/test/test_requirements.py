@@ -27,7 +27,7 @@ NAMES = ("a", "b.c", "d")
 ALL, NONE = (1, math.inf), (-1, -math.inf)
 
 
-def drawn_formula(rng, depth, horizon):
+def draw_formula(rng, depth, horizon):
     """A random text, and the brute force over rows of signals that means the same.
 
     A truth value is (1, margin) where it holds, (-1, margin) where it fails, and (0, 0) where it is
@@ -38,16 +38,16 @@ def drawn_formula(rng, depth, horizon):
         name, limit = str(rng.choice(NAMES)), float(rng.integers(-8, 9)) / 4.0
         sign = str(rng.choice(["<", "<=", ">", ">="]))
         return f"{name} {sign} {limit!r}", atom(name, sign, limit)
-    left, of_left = drawn_formula(rng, depth - 1, horizon)
+    left, of_left = draw_formula(rng, depth - 1, horizon)
     if kind == "not":
         return f"not ({left})", lambda rows, t: negated(of_left(rows, t))
     if kind in ("always", "eventually"):
-        text, begin, end = drawn_interval(rng, horizon)
+        text, begin, end = draw_interval(rng, horizon)
         best, none = (min, ALL) if kind == "always" else (max, NONE)
         return f"{kind}{text} ({left})", window(of_left, begin, end, best, none)
-    right, of_right = drawn_formula(rng, depth - 1, horizon)
+    right, of_right = draw_formula(rng, depth - 1, horizon)
     if kind == "until":
-        text, begin, end = drawn_interval(rng, horizon)
+        text, begin, end = draw_interval(rng, horizon)
         return f"({left}) until{text} ({right})", until(of_left, of_right, begin, end)
     if kind == "implies":
         return f"({left}) -> ({right})", lambda r, t: max(negated(of_left(r, t)), of_right(r, t))
@@ -97,7 +97,7 @@ def until(left, right, begin, end):
     return value
 
 
-def drawn_interval(rng, horizon):
+def draw_interval(rng, horizon):
     if rng.random() < 0.25:
         return "", 0, math.inf
     begin = int(rng.integers(0, horizon))
@@ -137,10 +137,10 @@ class Judged:
         return value
 
 
-def drawn_case(seed, horizon=None):
+def draw_case(seed, horizon=None):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 14))
-    text, brute = drawn_formula(rng, int(rng.integers(0, 4)), horizon or 1 + count // 2)
+    text, brute = draw_formula(rng, int(rng.integers(0, 4)), horizon or 1 + count // 2)
     rows = {name: rng.integers(-12, 13, count) / 4.0 + rng.normal(0, 1e-3) for name in NAMES}
     cuts = sorted(rng.integers(0, count + 1, int(rng.integers(0, 4))).tolist())
     return text, brute, rows, cuts
@@ -151,7 +151,7 @@ def test_random_formulas_equal_brute_force(part):
     # Minima and maxima of differences: not a bit may differ.
     finite = 0
     for k in range(1000 if FULL else 40):
-        text, brute, rows, cuts = drawn_case([part, k])
+        text, brute, rows, cuts = draw_case([part, k])
         expected = margin_of(brute(rows, 0))
         assert fed(text, rows, cuts) == expected, (part, k, text)
         finite += math.isfinite(expected)
@@ -162,7 +162,7 @@ def test_random_formulas_equal_brute_force(part):
 def test_traces_of_unknown_length_end_within_or_before_any_window(horizon):
     # Where the length of runs is drawn, no window can be cut to it beforehand.
     for k in range(1000 if FULL else 60):
-        text, brute, rows, cuts = drawn_case([7, k], horizon)
+        text, brute, rows, cuts = draw_case([7, k], horizon)
         expected = margin_of(brute(rows, 0))
         assert fed(text, rows, cuts, longest=2**40) == expected, (k, text)
 
@@ -171,7 +171,7 @@ def test_samples_that_are_no_numbers_decide_nothing():
     """A verdict that is reached beside them would be the same with any values in their place."""
     undefined, decided = 0, 0
     for k in range(300):
-        text, brute, rows, cuts = drawn_case([8, k])
+        text, brute, rows, cuts = draw_case([8, k])
         count = len(rows["a"])
         rng = np.random.default_rng(k)
         for name in NAMES:
@@ -258,7 +258,7 @@ def test_stars_stand_for_all_joints():
     assert robustness.tolist() == [[0.25]] and measures.shape == (1, 0)
 
 
-def drawn_arithmetic(rng, depth, signals):
+def draw_arithmetic(rng, depth, signals):
     """A random expression, and its values by NumPy."""
     if depth == 0 or rng.random() < 0.15:
         if rng.random() < 0.2:
@@ -267,10 +267,10 @@ def drawn_arithmetic(rng, depth, signals):
         name = str(rng.choice(sorted(signals)))
         return Signal(name), signals[name]
     sign = str(rng.choice(["+", "-", "*", "/", "abs", "sqrt", "min", "max"]))
-    left, of_left = drawn_arithmetic(rng, depth - 1, signals)
+    left, of_left = draw_arithmetic(rng, depth - 1, signals)
     if sign in ("abs", "sqrt"):
         return Operation(sign, (left,)), getattr(np, sign)(of_left)
-    right, of_right = drawn_arithmetic(rng, depth - 1, signals)
+    right, of_right = draw_arithmetic(rng, depth - 1, signals)
     name = {"+": "add", "-": "subtract", "*": "multiply", "/": "divide"}.get(sign, f"{sign}imum")
     if sign == "/":  # which numpy gives a sign of infinity
         divisor = np.where(of_right == 0.0, math.nan, of_right)
@@ -297,7 +297,7 @@ def test_arithmetic_of_signals_equals_numpy(seed):
         signals |= {f"target.{joint}": target, f"error.{joint}": signals[f"q.{joint}"] - target}
     rows = Rows(joints, PERIOD)
     with np.errstate(all="ignore"):
-        expressions = [drawn_arithmetic(rng, 4, signals) for _ in range(8)]
+        expressions = [draw_arithmetic(rng, 4, signals) for _ in range(8)]
     traced = [rows.of(expression) for expression, _ in expressions]
     measures = [(kind, row) for kind in REDUCED for row in traced]
     program = Program(rows, [()], measures, traced, count)

@@ -51,7 +51,7 @@ def written(folder, data, name="c.yaml"):
     return file
 
 
-def found_by(method, outputs_at, D, seed=1, outputs=("g",)):
+def run_search(method, outputs_at, D, seed=1, outputs=("g",)):
     """Finding about a function of points (K, D) -> (K, M), and the points that were asked for."""
     sampler, requested = method.sampler([f"x{k}" for k in range(D)], list(outputs), seed), []
     try:
@@ -73,7 +73,7 @@ def plane(beta, D):
 
 def share_of_intervals(method, margin, p, D, seeds):
     """Share of intervals that have the truth, and the ratio of estimate and truth, of each seed."""
-    rows = [found_by(method, margin, D, seed)[0].rows[0] for seed in range(seeds)]
+    rows = [run_search(method, margin, D, seed)[0].rows[0] for seed in range(seeds)]
     return np.mean([low <= p <= high for _, _, low, high, _ in rows]), np.array(
         [mean / p for _, mean, *_ in rows]
     )
@@ -108,20 +108,20 @@ def test_intervals_from_few_runs_a_level_hold_as_often_as_they_claim(per_level):
 
 @pytest.mark.parametrize(("beta", "p"), [(4.753424, 1e-6), (5.997807, 1e-9)])
 def test_rare_probabilities_are_known_from_few_runs(beta, p):
-    _, mean, low, high, runs = found_by(Subset(), plane(beta, 20), 20)[0].rows[0]
+    _, mean, low, high, runs = run_search(Subset(), plane(beta, 20), 20)[0].rows[0]
     assert low <= p <= high and mean == pytest.approx(p, rel=0.5)
     assert high < 3.0 * low and runs <= 2e5
 
 
 def test_a_requirement_that_never_fails_has_no_probability():
-    finding = found_by(Subset(per_level=50), lambda z: 1.0 + 0.0 * z[:, 0], 2)[0]
+    finding = run_search(Subset(per_level=50), lambda z: 1.0 + 0.0 * z[:, 0], 2)[0]
     assert finding.rows[0][1:4] == (0.0, 0.0, 1.0) and "No level reached" in finding.about
-    finding = found_by(Subset(per_level=50, least=1e-3), plane(9.0, 2), 2)[0]
+    finding = run_search(Subset(per_level=50, least=1e-3), plane(9.0, 2), 2)[0]
     assert finding.rows[0][1:4] == (0.0, 0.0, 1.0)
 
 
 def test_subset_simulation_of_a_frequent_failure_is_plain_sampling():
-    _, mean, low, high, runs = found_by(Subset(per_level=500), plane(0.5, 2), 2)[0].rows[0]
+    _, mean, low, high, runs = run_search(Subset(per_level=500), plane(0.5, 2), 2)[0].rows[0]
     assert low <= stats.norm.sf(0.5) <= high and runs == 11 * 500 and mean < 0.4
 
 
@@ -142,16 +142,16 @@ def bowl(z):
 def test_falsification_finds_what_sampling_does_not(method):
     pytest.importorskip(method.package[0], reason=f"pip install {method.package[1]}")
     some = method(most=400, below=-1e300)
-    finding, points = found_by(some, bowl, 3)
+    finding, points = run_search(some, bowl, 3)
     assert len(points) == 400 == finding.rows[0][3] and np.abs(points).max() <= 3.0
     sampled = bowl(np.random.default_rng(1).standard_normal((400, 3))).min()
     assert finding.rows[0][1] == bowl(points).min() < 0.5 * sampled
     assert bowl(points)[finding.rows[0][2]] == finding.rows[0][1]
-    again = found_by(some, bowl, 3)[1]
-    assert (again == points).all() and (found_by(some, bowl, 3, 2)[1] != points).any()
-    stopped, points = found_by(replace(some, below=0.0), lambda z: bowl(z) - 1.0, 3)
+    again = run_search(some, bowl, 3)[1]
+    assert (again == points).all() and (run_search(some, bowl, 3, 2)[1] != points).any()
+    stopped, points = run_search(replace(some, below=0.0), lambda z: bowl(z) - 1.0, 3)
     assert len(points) < 400 and stopped.rows[0][1] < 0.0 and stopped.rows[0][4] > 0
-    diverging, _ = found_by(some, lambda z: np.where(z[:, 0] > 0.0, -np.inf, bowl(z)), 3)
+    diverging, _ = run_search(some, lambda z: np.where(z[:, 0] > 0.0, -np.inf, bowl(z)), 3)
     assert diverging.rows[0][1] == -math.inf
 
 
@@ -163,7 +163,9 @@ def test_sobol_indices_are_those_of_ishigami():
         g = np.sin(x[:, 0]) + 7.0 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
         return np.column_stack([g, 1e6 + g, 0.0 * g, np.where(z[:, 0] > 2.0, -np.inf, g)])
 
-    finding, points = found_by(Sobol(base=1024), ishigami, 3, outputs=("g", "moved", "flat", "inf"))
+    finding, points = run_search(
+        Sobol(base=1024), ishigami, 3, outputs=("g", "moved", "flat", "inf")
+    )
     assert len(points) == Sobol(base=1024).runs(3) == 5 * 1024
     rows = {(row[0], row[1]): row[2:] for row in finding.rows}
     truth = {"x0": (0.5576, 0.3139), "x1": (0.4424, 0.4424), "x2": (0.2437, 0.0)}
@@ -176,7 +178,7 @@ def test_sobol_indices_are_those_of_ishigami():
 
 def test_morris_effects_of_a_sum_are_its_factors():
     pytest.importorskip("SALib", reason="pip install SALib")
-    finding, points = found_by(
+    finding, points = run_search(
         Morris(trajectories=10), lambda z: special.ndtr(z) @ np.array([3.0, -2.0, 0.0]), 3
     )
     assert len(points) == 40
@@ -301,7 +303,7 @@ def test_a_search_does_not_depend_on_how_it_was_divided(tmp_path):
     assert done == findings and json.loads((into / "search.json").read_text())[0]["title"]
     # Runs that other versions of a package asked for are not taken for ours.
     part = sorted((into / "parts").iterdir())[0]
-    changed_table = _with_other_values(part)
+    changed_table = _change_masses(part)
     part.unlink()
     part.with_name(
         f"{part.stem.rpartition('-')[0]}-{compute_checksum(changed_table)}.parquet"
@@ -310,7 +312,7 @@ def test_a_search_does_not_depend_on_how_it_was_divided(tmp_path):
         searched(campaign, into, Here(), 1)
 
 
-def _with_other_values(part):
+def _change_masses(part):
     import io
 
     import pyarrow as pa

@@ -12,7 +12,7 @@ import pytest
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.batch_simulator import WIDTH
 from arm_emulator_campaign.execution.executor import size_chunk
-from arm_emulator_campaign.execution.worker_pool import MOST_BREAKS, Progress, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import MAX_BREAKS, Progress, Work, WorkerPool
 
 
 class Killed(Exception):
@@ -69,9 +69,9 @@ def test_nothing_left_needs_no_pool():
 
 
 def test_pools_that_end_without_any_result_are_refused():
-    assert len(work_of(MOST_BREAKS - 1, 0)[0]) == MOST_BREAKS
-    with pytest.raises(Refusal, match=f"end by themselves, got ended {MOST_BREAKS}"):
-        work_of(MOST_BREAKS, 0)
+    assert len(work_of(MAX_BREAKS - 1, 0)[0]) == MAX_BREAKS
+    with pytest.raises(Refusal, match=f"end by themselves, got ended {MAX_BREAKS}"):
+        work_of(MAX_BREAKS, 0)
 
 
 def test_workers_that_are_equally_quick_end_together():

@@ -26,21 +26,23 @@ from arm_emulator_export.moveit_package import (
 )
 
 SCENES = ("three_axis", "ur5", "panda")
-DRAWN = 500
+SAMPLED_CONFIGURATIONS = 500
 
 
 @pytest.fixture(scope="module", params=SCENES)
 def files(request: pytest.FixtureRequest) -> tuple[str, dict[str, str]]:
     name = request.param
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("arm_emulator_export.moveit_package.srdf.__defaults__", (DRAWN,))
+        patch.setattr(
+            "arm_emulator_export.moveit_package.srdf.__defaults__", (SAMPLED_CONFIGURATIONS,)
+        )
         return name, moveit_files(load_scene(name), load_gains(name).motion, name)
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_pinocchio_reads_the_srdf(name: str) -> None:
     scene = load_scene(name)
-    text = srdf(scene, DRAWN)
+    text = srdf(scene, SAMPLED_CONFIGURATIONS)
     model = pin.buildModelFromXML(scene.urdf)
     pin.loadReferenceConfigurationsFromXML(model, text)
     places = [model.joints[model.getJointId(joint)] for joint in scene.joint_names]

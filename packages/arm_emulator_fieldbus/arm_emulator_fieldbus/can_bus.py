@@ -17,7 +17,7 @@ from arm_emulator_fieldbus.canopen_segment import Segment
 LOOK = 0.1  # s, after which a silent bus is checked
 REPORT_SILENCE = 5.0  # s
 LATEST = 100_000_000  # ns, beyond which periods are lost
-MOST_FRAMES = 200  # frames answered between two late servo periods
+MAX_FRAMES = 200  # frames answered between two late servo periods
 
 
 @contextlib.contextmanager
@@ -153,7 +153,7 @@ class BusService:
             due += period
             self._send(self._segment.pass_period())
             self._report_fault()
-            for _ in range(MOST_FRAMES):
+            for _ in range(MAX_FRAMES):
                 if not self._take(0.0):
                     break
 

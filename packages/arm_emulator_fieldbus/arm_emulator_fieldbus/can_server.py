@@ -17,9 +17,9 @@ from arm_emulator.extension.base import refuse_taken_address
 from arm_emulator_fieldbus.canopen_node import Frame
 
 PORT = 29536  # of socketcand
-MOST_CLIENTS = 64
+MAX_CLIENTS = 64
 LONGEST_LINE = 256  # bytes
-MOST_UNSENT = 1 << 20  # bytes, for a client that does not read
+MAX_UNSENT = 1 << 20  # bytes, for a client that does not read
 SETTLING = 0.05  # s, in which a new client reads the replies to its first lines
 _OK = b"< ok >"
 
@@ -47,7 +47,7 @@ class CanServer:
         try:
             self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listening.bind((host, port))
-            self._listening.listen(MOST_CLIENTS)
+            self._listening.listen(MAX_CLIENTS)
         except (OSError, OverflowError) as error:
             self._listening.close()
             raise refuse_taken_address("canopen", host, port, error) from None
@@ -108,7 +108,7 @@ class CanServer:
             connection, _ = self._listening.accept()
         except OSError:  # it has gone again
             return
-        if len(self._members) >= MOST_CLIENTS:
+        if len(self._members) >= MAX_CLIENTS:
             connection.close()
             return
         connection.setblocking(False)
@@ -203,7 +203,7 @@ class CanServer:
         else:
             member.unsent += line
             self._write(member)
-        if len(member.held) + len(member.unsent) > MOST_UNSENT:
+        if len(member.held) + len(member.unsent) > MAX_UNSENT:
             self._drop(member)
 
     def _write(self, member: _Member) -> None:

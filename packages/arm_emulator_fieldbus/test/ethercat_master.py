@@ -37,7 +37,7 @@ def frame(*datagrams: tuple[int, int, bytes]) -> bytes:
     return HEADER + struct.pack("<H", len(chain) | 0x1000) + chain
 
 
-def answers(back: bytes) -> list[tuple[bytes, int]]:
+def read_replies(back: bytes) -> list[tuple[bytes, int]]:
     """Data and working counter of each datagram of a frame."""
     out, place, more = [], 16, True
     while more:
@@ -77,7 +77,7 @@ class Master:
         self._counter = [0] * self.slaves
 
     def send(self, *datagrams: tuple[int, int, bytes]) -> list[tuple[bytes, int]]:
-        return answers(self.segment.frame(frame(*datagrams), self.now))
+        return read_replies(self.segment.frame(frame(*datagrams), self.now))
 
     def one(self, command: int, address: int, data: bytes) -> tuple[bytes, int]:
         return self.send((command, address, data))[0]

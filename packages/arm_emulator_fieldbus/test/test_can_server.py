@@ -17,7 +17,7 @@ from draws import some
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_fieldbus import can_server
 from arm_emulator_fieldbus.can_bus import BusService, PythonCanBus
-from arm_emulator_fieldbus.can_server import LONGEST_LINE, MOST_CLIENTS, CanServer
+from arm_emulator_fieldbus.can_server import LONGEST_LINE, MAX_CLIENTS, CanServer
 from arm_emulator_fieldbus.canopen_node import Frame
 from arm_emulator_fieldbus.commands.canopen import load_segment, open_requested_bus
 
@@ -194,7 +194,7 @@ def test_one_that_does_not_read_and_one_too_many_are_dropped(server: CanServer) 
             for _ in range(50):
                 client.frame(0x581)
         assert client.device_type() == DEVICE_TYPE
-        more = [socket.create_connection(server.address, timeout=20.0) for _ in range(MOST_CLIENTS)]
+        more = [socket.create_connection(server.address, timeout=20.0) for _ in range(MAX_CLIENTS)]
         assert client.device_type() == DEVICE_TYPE
         assert any(late.recv(64) == b"" for late in more), "one too many is hung up on"
         for late in more:

@@ -317,7 +317,7 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
     for k in range(FRAMES // 4):
         frame = noise(draw, numbers)
         look = k % 50 == 0 and frame.id not in (0, 0x80)
-        before = whole(segment) if look else None
+        before = list_everything(segment) if look else None
         frames = segment.receive(frame)
         assert all(0 <= frame.id < 0x800 and len(frame.data) <= 8 for frame in frames)
         if not look:
@@ -325,7 +325,7 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
         aborted = frames and frames[0].id & 0x780 == 0x580 and frames[0].data[0] == 0x80
         unaddressed = frame.id & 0x7F not in numbers and not frame.remote and not frames
         if aborted or (unaddressed and frame.id not in ids_of(segment)):
-            assert whole(segment) == before, frame
+            assert list_everything(segment) == before, frame
             looked += 1
     assert looked > FRAMES // 4 // 50 // 8
     assert np.isfinite(segment.drives.plant.state.q).all()
@@ -344,7 +344,7 @@ def ids_of(segment: Segment) -> set[int]:
     return ids
 
 
-def whole(segment: Segment) -> tuple[object, ...]:
+def list_everything(segment: Segment) -> tuple[object, ...]:
     dumps = [dumped(segment, node.number) for node in segment.nodes]
     return dumps, [node.state for node in segment.nodes], segment.drives.plant.save()
 

@@ -19,11 +19,11 @@ from cia402 import (
     HALT,
     HM,
     MODE,
+    MODE_DISPLAY,
     PP,
     PV,
     REACHED,
     ROOT,
-    SHOWN,
     STATUS,
     TARGET,
     TQ,
@@ -358,7 +358,7 @@ def test_profile_velocity_and_torque_follow_their_slopes() -> None:
     begins = drives.read(0, 0x6074)
     drives.period()
     slope = until(drives, lambda: bool(drives.read(0, STATUS) & REACHED))
-    assert drives.read(0, SHOWN) == TQ, "mode that is shown"
+    assert drives.read(0, MODE_DISPLAY) == TQ, "mode that is shown"
     assert slope == pytest.approx((100 - begins) / 500 / T, abs=2), "periods to the torque"
 
 
@@ -377,7 +377,7 @@ def test_modes_change_without_a_jump_of_the_arm(seed: int) -> None:
             drives.write(j, TARGET, drives.read(j, ACTUAL))
             drives.write(j, MODE, mode)
         drives.period(2)
-        assert {drives.read(j, SHOWN) for j in range(N)} == {mode}, "mode that is shown"
+        assert {drives.read(j, MODE_DISPLAY) for j in range(N)} == {mode}, "mode that is shown"
         for _ in range(20):
             for j in range(N):
                 drives.write(j, TARGET, drives.read(j, ACTUAL))

@@ -61,7 +61,7 @@ def enabled(drives: Drives) -> None:
         drives.period(5)
 
 
-def whole(drives: Drives) -> tuple[bytes, list[bytes]]:
+def read_everything(drives: Drives) -> tuple[bytes, list[bytes]]:
     """The machine, and every entry of every dictionary."""
     values = []
     for j in range(N):
@@ -73,7 +73,7 @@ def whole(drives: Drives) -> tuple[bytes, list[bytes]]:
     return drives.plant.save(), values
 
 
-def drawn(seed: int) -> list[tuple[int, Callable[[Drives], None]]]:
+def draw_changes(seed: int) -> list[tuple[int, Callable[[Drives], None]]]:
     """Changes by their ticks."""
     rng = random.Random(seed)
     return [(tick, words(rng)) for tick in sorted(rng.sample(range(LAST), 60))]
@@ -84,7 +84,7 @@ def straight(seed: int, until: int) -> Drives:
     drives = make(RICH)
     enabled(drives)
     begin = drives.tick
-    for tick, write in drawn(seed):
+    for tick, write in draw_changes(seed):
         if tick > until:
             break
         drives.period(begin + tick - drives.tick)
@@ -99,7 +99,7 @@ def test_any_tick_of_the_past_has_the_bits_of_the_straight_run(seed: int) -> Non
     enabled(drives)
     begin = drives.tick
     line = Timeline(drives, every=EVERY)
-    for tick, write in drawn(seed):
+    for tick, write in draw_changes(seed):
         line.advance(begin + tick - line.tick)
         line.change("words", write)
     line.advance(begin + LAST - line.tick)
@@ -107,7 +107,7 @@ def test_any_tick_of_the_past_has_the_bits_of_the_straight_run(seed: int) -> Non
     for tick in [*rng.sample(range(LAST), 8), LAST]:
         line.go_to(begin + tick)
         assert drives.tick == begin + tick
-        assert whole(drives) == whole(straight(seed, tick)), f"at tick {tick}"
+        assert read_everything(drives) == read_everything(straight(seed, tick)), f"at tick {tick}"
 
 
 def test_forks_of_drives_go_on_as_if_they_were_alone() -> None:
@@ -132,7 +132,7 @@ def test_forks_of_drives_go_on_as_if_they_were_alone() -> None:
             alone.period(at)
             words(random.Random(seed))(alone)
         alone.period(branch.newest - alone.tick)
-        assert whole(drives) == whole(alone)
+        assert read_everything(drives) == read_everything(alone)
 
 
 def test_other_states_are_refused() -> None:
@@ -140,9 +140,9 @@ def test_other_states_are_refused() -> None:
     for state in (second.save(), b"", None):
         with pytest.raises(Refusal, match="the same drives"):
             first.restore(state)  # type: ignore[arg-type]
-    before = whole(first)
+    before = read_everything(first)
     saved = first.save()
     assert len(saved) > len(saved.machine) + 1000
     first.period(10)
     first.restore(saved)
-    assert whole(first) == before
+    assert read_everything(first) == before

@@ -34,10 +34,10 @@ from ethercat_master import (
     SAFEOP,
     STATION,
     Master,
-    answers,
     at,
     frame,
     master,
+    read_replies,
     segment,
 )  # fmt: skip
 
@@ -80,7 +80,7 @@ def test_working_counters_and_positions_are_those_of_the_standard(master: Master
     ]
     for command, address, counter, position in cases:
         back = master.segment.frame(frame((command, address, two)))
-        assert answers(back)[0][1] == counter, (
+        assert read_replies(back)[0][1] == counter, (
             f"working counter of command {command} at {address:#x}"
         )
         reported = struct.unpack_from("<H", back, 18)[0]

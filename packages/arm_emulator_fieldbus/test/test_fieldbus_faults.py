@@ -22,7 +22,7 @@ from arm_emulator_fieldbus.modbus_rtu import Code
 
 COUNT, NUMBER, NAME, MAGNITUDE = 0x2010, 0x2011, 0x2012, 0x2013
 NAMES = ["faults.elbow.command_late", "faults.elbow.encoder_slips"]
-SLIPS = 0.1  # rad, no sum of powers of two
+OFFSET = 0.1  # rad, no sum of powers of two
 BEGIN, END, TICKS = 30, 90, 140
 OF_REGISTERS, OF_NAMES, PER_NAME = 4000, 20000, 40
 
@@ -89,17 +89,17 @@ def test_every_fault_of_the_scene_is_named_and_set_by_its_number(scene: Scene, b
 def test_a_refused_access_leaves_fault_and_choice(scene: Scene, bus: Bus) -> None:
     drives, read, write = bus(scene)
     assert write(NUMBER, struct.pack("<H", 2)) == 0
-    assert write(MAGNITUDE, struct.pack("<d", SLIPS)) == 0
+    assert write(MAGNITUDE, struct.pack("<d", OFFSET)) == 0
     before = drives.plant.save()
     assert write(NUMBER, struct.pack("<H", 3)) == 0x06090031
     for bad in (np.nan, np.inf, -np.inf, 1e300):
         assert write(MAGNITUDE, struct.pack("<d", bad)) == 0x06090030, bad
-    assert write(MAGNITUDE, struct.pack("<f", SLIPS)) == 0x06070013
+    assert write(MAGNITUDE, struct.pack("<f", OFFSET)) == 0x06070013
     assert write(COUNT, bytes(2)) == write(NAME, b"x") == 0x06010002
     assert (read(NUMBER), drives.plant.save()) == (struct.pack("<H", 2), before)
     assert write(NUMBER, bytes(2)) == 0
     assert (read(NAME), read(MAGNITUDE)) == (b"none", bytes(8))
-    assert write(MAGNITUDE, struct.pack("<d", SLIPS)) == 0x08000022, "no fault is chosen"
+    assert write(MAGNITUDE, struct.pack("<d", OFFSET)) == 0x08000022, "no fault is chosen"
     assert drives.plant.save() == before
 
 
@@ -119,7 +119,7 @@ def test_a_fault_over_sdo_is_that_of_a_session_from_its_tick_on(scene: Scene, bu
     for drive_set in alike:
         enable(drive_set, CSP)
     start, moved = twin.read(2, TARGET), set()
-    magnitudes = {"faults.elbow.command_late": 2.0, "faults.elbow.encoder_slips": SLIPS}
+    magnitudes = {"faults.elbow.command_late": 2.0, "faults.elbow.encoder_slips": OFFSET}
     for tick in range(TICKS):
         if tick in (BEGIN, END):
             for k, (name, magnitude) in enumerate(magnitudes.items()):
@@ -150,8 +150,8 @@ def test_registers_set_faults_as_a_session_does(scene: Scene) -> None:
     differs = set()
     for tick in range(60):
         if tick == 20:  # both in one request, no period passes
-            master.write(OF_REGISTERS + 1, *words(2.0), *words(SLIPS))
-            for name, value in zip(NAMES, (2.0, SLIPS), strict=True):
+            master.write(OF_REGISTERS + 1, *words(2.0), *words(OFFSET))
+            for name, value in zip(NAMES, (2.0, OFFSET), strict=True):
                 truth.set_varied(name, value)
             assert converter.session.tick == 20
         if tick == 40:  # the second alone

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import FULL
-from machines import one_link_urdf, write_scene
+from machines import make_link_urdf, write_scene
 from modbus_line import Master, line_of, long_of, read_write, sound
 
 from arm_emulator import Refusal, Scene, Session, load_scene
@@ -263,10 +263,10 @@ def test_full_scale_is_the_supply_or_the_limit_of_the_motor(tmp_path: Path) -> N
         ("current", {"current_limit": 12.0, "torque_constant": 0.1}),
     ):
         motor = {"kind": kind, "rotor_inertia": 1e-4, **numbers}
-        limited = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
+        limited = load_scene(write_scene(tmp_path, make_link_urdf(), {"joint": {"motor": motor}}))
         limit = numbers[f"{kind}_limit"]
         assert registers.find_full_scale(limited, limited.joints[0]) == limit
         del motor[f"{kind}_limit"]
-        without = load_scene(write_scene(tmp_path, one_link_urdf(), {"joint": {"motor": motor}}))
+        without = load_scene(write_scene(tmp_path, make_link_urdf(), {"joint": {"motor": motor}}))
         with pytest.raises(Refusal, match=rf"joints.joint.motor.{kind}_limit must be given"):
             registers.find_full_scale(without, without.joints[0])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import FULL, some
-from machines import one_link_urdf, write_scene
+from machines import make_link_urdf, write_scene
 from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
@@ -139,7 +139,7 @@ def test_it_swings_as_its_eigenvalues_state() -> None:
     assert heard == pytest.approx(loop.frequency, rel=0.35)
 
 
-def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConfig] | None:
+def draw_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConfig] | None:
     """A link behind a motor of any speed, by a voltage or a current; None: no gains hold it."""
     looped = bool(rng.random() < 0.25)
     numbers = {
@@ -173,7 +173,7 @@ def drawn_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoCon
     joint = {"motor": numbers | loop, "gear": gear, "friction": {"viscous": 1.0}}
     keys = ["resistance", "inductance", "torque_constant", "back_emf_constant", "rotor_inertia"]
     file = write_scene(
-        folder, one_link_urdf(), {"joint": joint}, servo_period=1e-3,
+        folder, make_link_urdf(), {"joint": joint}, servo_period=1e-3,
         varied=[*(f"joints.joint.motor.{key}" for key in keys), "joints.joint.gear.stiffness",
                 *(["joints.joint.motor.current_loop.bandwidth"] if looped else [])],
         integrator={"scheme": "extrapolated", "dt": 2.5e-4},
@@ -187,7 +187,7 @@ def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
     stable, grew = 0, 0
     for draw in range(200 if FULL else 16):
         (folder := tmp_path / str(draw)).mkdir()
-        scene_and_servo = drawn_drive(rng, folder)
+        scene_and_servo = draw_drive(rng, folder)
         if scene_and_servo is None:
             continue
         scene, servo = scene_and_servo

@@ -19,8 +19,8 @@ from arm_emulator_firmware import CORE_FOLDER
 
 PAGE = 1024  # bytes that regions are multiples of
 PRIVATE = 0xE0000000  # where the processor's own registers begin
-MOST_INTERRUPTS = 240
-MOST = 64  # entries of a section
+MAX_INTERRUPTS = 240
+MAX_ENTRIES = 64  # entries of a section
 LARGEST = 1 << 28  # bytes of a region
 
 RUNNER = Header(CORE_FOLDER / "runner.h", (BOUNDARY_FOLDER,))
@@ -31,7 +31,7 @@ BOARD = (
     Number("cycles_per_instruction", "cycles", at_least=0.0, at_most=1000.0, default=1.0),
     Number("cycles_per_branch", "cycles", at_least=0.0, at_most=1000.0, default=1.0),
     Number("boot", "s", at_least=0.0, at_most=100.0, default=0.0),
-    Number("interrupts", at_least=1, at_most=MOST_INTERRUPTS, whole=True),
+    Number("interrupts", at_least=1, at_most=MAX_INTERRUPTS, whole=True),
     Number("priority_bits", at_least=1, at_most=8, whole=True, default=4),
 )
 ENCODER = (Number("bits", at_least=8, at_most=32, whole=True),)
@@ -326,8 +326,8 @@ class _Reader:
     def _sections(above: Section, key: str) -> list[tuple[str, Section]]:
         section = above.section(key)
         names = section.keys() if section else []
-        if len(names) > MOST:
-            raise above.refusal(key, f"have at most {MOST} entries", len(names))
+        if len(names) > MAX_ENTRIES:
+            raise above.refusal(key, f"have at most {MAX_ENTRIES} entries", len(names))
         return [(name, section.required_section(name)) for name in names] if section else []
 
     def _own(self, section: Section, key: str) -> int:

@@ -10,8 +10,8 @@ from arm_emulator.extension.base import Refusal, read_bytes
 from arm_emulator_firmware.unicorn_library import find_package
 
 LARGEST = 1 << 28  # bytes
-MOST_HEADERS = 4096  # of segments and of sections
-MOST_SYMBOLS = 200_000
+MAX_HEADERS = 4096  # of segments and of sections
+MAX_SYMBOLS = 200_000
 ARM = 40  # e_machine
 
 
@@ -48,8 +48,8 @@ class ElfImage:
             self.pieces = [(int(segment["p_paddr"]), bytes(segment.data())) for segment in segments]
             table = elf.get_section_by_name(".symtab")
             symbols = table if isinstance(table, SymbolTableSection) else None
-            if symbols is not None and symbols.num_symbols() > MOST_SYMBOLS:
-                rule = f"have at most {MOST_SYMBOLS} symbols"
+            if symbols is not None and symbols.num_symbols() > MAX_SYMBOLS:
+                rule = f"have at most {MAX_SYMBOLS} symbols"
                 raise Refusal(self.name, "file", rule, symbols.num_symbols())
             functions = sorted(
                 (symbol["st_value"] & ~1, symbol["st_size"], symbol.name)
@@ -68,8 +68,8 @@ class ElfImage:
 
     def _check_counts(self, *counts: int) -> None:
         for count in counts:
-            if count > MOST_HEADERS:
-                rule = f"have at most {MOST_HEADERS} segments and sections"
+            if count > MAX_HEADERS:
+                rule = f"have at most {MAX_HEADERS} segments and sections"
                 raise Refusal(self.name, "file", rule, count)
 
     def symbol(self, address: int) -> str:

@@ -16,7 +16,7 @@ from arm_emulator_fleet.processor_device import PROCESSOR
 
 LEGACY_STREAM = 1  # in which all work of ours is, as DLPack and CUDA's array interface number it
 NO_WAITING = -1  # as DLPack numbers it
-OTHER = (BufferError, TypeError, ValueError, RuntimeError)  # what arrays of others raise
+LIBRARY_ERRORS = (BufferError, TypeError, ValueError, RuntimeError)  # what arrays of others raise
 
 
 class DeviceArray:
@@ -320,7 +320,7 @@ def _share_capsule(device: Device, values: Any, to_write: bool) -> DeviceArray |
             capsule = values.__dlpack__(**stream, max_version=VERSION)
         except TypeError:  # from before DLPack 1.0
             capsule = values.__dlpack__(**stream)
-    except OTHER:
+    except LIBRARY_ERRORS:
         return None
     handed = read_capsule(capsule)
     if handed is None or handed.dtype is None or not handed.is_in_order:
@@ -359,7 +359,7 @@ def _to_numpy(where: str, values: Any) -> NDArray[Any]:
         if hasattr(values, "__dlpack__") and not isinstance(values, np.ndarray):
             return _from_dlpack(values)
         array = np.asarray(values)
-    except OTHER as error:
+    except LIBRARY_ERRORS as error:
         rule = "be an array of numbers, in C's order on a card"
         raise Refusal(where, "values", rule, error) from None
     if array.dtype.kind not in "biufcV":

@@ -23,12 +23,12 @@ from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_kernels_unit
 OK = ARM.constant("ARM_OK")
 _COMMAND = ARM.sizeof("arm_joint_command")
 NONE_REFUSED = KERNELS.constant("FLEET_NONE_REFUSED")
-_UNDER_ROWS, _UNDER_HELD_COMMANDS, _UNDER_CONTROL = (
+_UNDER_ROWS, _UNDER_ZOH_COMMANDS, _UNDER_CONTROL = (
     KERNELS.constant(f"FLEET_UNDER_{name}") for name in ("ROWS", "HELD_COMMANDS", "CONTROL")
 )
 ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
 HALVED = 8  # one arm in so many may halve its steps
-LEAST_HALVED = 4096  # arms that may, in any fleet
+MIN_HALVED = 4096  # arms that may, in any fleet
 # Bytes of a thread: 6 kB for three_axis; 80 kB for panda with located events, where steps that are
 # halved call themselves. A card keeps as many for every thread that it can hold.
 STACK, STACK_WITH_EVENTS = 16 * 1024, 96 * 1024
@@ -108,7 +108,7 @@ class DeviceCore:
         """
         of_fleet, of_places, of_group, of_half, lanes, _ = self._measure_room(count)
         groups = self.count_groups(count)
-        halved = min(count, max(LEAST_HALVED, count // HALVED)) * of_half
+        halved = min(count, max(MIN_HALVED, count // HALVED)) * of_half
         size = of_places + groups * (of_group + ALIGNMENT * (lanes + 2)) + halved + 8 * ALIGNMENT
         memory, pool = self.device.allocate(of_fleet), self.device.allocate(size)
         if self.device.architecture != NATIVE:  # a processor has its heap
@@ -286,7 +286,7 @@ class DeviceCore:
 
     def _step(self, fleet: DeviceFleet, periods: int, **values: Any) -> int:
         kernels = "fleet_check_commands", "fleet_advance"
-        values |= {"motion": _UNDER_HELD_COMMANDS, "joint": self._joint_commands(fleet)}
+        values |= {"motion": _UNDER_ZOH_COMMANDS, "joint": self._joint_commands(fleet)}
         return self._check_and_do(fleet, kernels, periods=periods, **values)
 
     def _joint_commands(self, fleet: DeviceFleet) -> Memory:

@@ -19,7 +19,7 @@ from arm_emulator_fleet.work_threads import WorkThreads
 
 ALIGNMENT = 256  # bytes, as a card aligns memory
 PROCESSOR = 1, 0  # kDLCPU
-MOST_COUNTS = 8  # numbers of threads whose shares are remembered
+MAX_COUNTS = 8  # numbers of threads whose shares are remembered
 KERNEL = "void (*)(int64_t, int64_t, void **)"
 
 
@@ -62,7 +62,7 @@ class ProcessorDevice(Device):
         """Return the division of a launch among cores, which learns from earlier launches."""
         key = os.getpid(), threads  # a fork has none of its parent's threads
         if key not in self._shares:
-            while len(self._shares) >= MOST_COUNTS:
+            while len(self._shares) >= MAX_COUNTS:
                 self._shares.pop(next(iter(self._shares))).end()
             self._shares[key] = WorkThreads(threads, 1, self.units)
         return self._shares[key]

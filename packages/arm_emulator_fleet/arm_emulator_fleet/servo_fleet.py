@@ -42,7 +42,7 @@ from arm_emulator_fleet.fleet_control import FleetControl
 from arm_emulator_fleet.fleet_machines import choose_arms
 from arm_emulator_fleet.unit import FOLDER, SERVOS
 
-_MOST_PERIODS = 10**9
+_MAX_PERIODS = 10**9
 
 if TYPE_CHECKING:
     from arm_emulator_fleet.device_servos import DeviceServos
@@ -172,7 +172,7 @@ class ServoFleet(FleetControl):
                 take their targets for late; nothing has changed.
         """
         where = "ServoFleet.aim"
-        every = check_count(where, "every", every, 1, _MOST_PERIODS)
+        every = check_count(where, "every", every, 1, _MAX_PERIODS)
         if every * self._period > self._hold_after:
             rule = f"be at most {int(self._hold_after / self._period)}: hold_after of the servo"
             raise Refusal(where, "every", rule, every)

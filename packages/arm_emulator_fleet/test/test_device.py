@@ -22,7 +22,7 @@ from arm_emulator_fleet import cuda_device
 from arm_emulator_fleet.device import Device, DeviceError
 from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.open_device import open_device
-from arm_emulator_fleet.processor_device import MOST_COUNTS, ProcessorDevice
+from arm_emulator_fleet.processor_device import MAX_COUNTS, ProcessorDevice
 
 pytest_plugins = ["devices"]
 
@@ -203,7 +203,7 @@ def test_the_processor_shares_threads_among_its_cores(kernels: Path) -> None:
     """Each way of sharing, by repetition, and more numbers of threads than are remembered."""
     device = ProcessorDevice(3)
     module = device.load(kernels)
-    for threads in [*range(20_000, 20_000 + 2 * MOST_COUNTS), 20_000]:
+    for threads in [*range(20_000, 20_000 + 2 * MAX_COUNTS), 20_000]:
         array = DeviceArray(threads, "f8", device)
         array[:] = np.zeros(threads)
         for _ in range(3):

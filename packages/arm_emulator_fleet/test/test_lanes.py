@@ -15,7 +15,7 @@ from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator_fleet import Fleet
-from oracles.mixtures import LARGEST, drawn_alone
+from oracles.mixtures import LARGEST, draw_alone
 
 PERIOD, STEPS, ROWS, ROUNDS = 2e-3, 10, 8, 6
 COUNT = 9  # more than a group
@@ -95,7 +95,7 @@ def parts_of(joints: list[dict[str, Any]]) -> set[type[Part]]:
 NAMED = set().union(*(parts_of([joint for joint, _ in value]) for value in JOINTS.values()))
 OTHERS = [part for part in PARTS if part not in NAMED]
 JOINTS = {
-    "-".join(part.__name__ for part in three): [(drawn_alone(part, 0), None) for part in three]
+    "-".join(part.__name__ for part in three): [(draw_alone(part, 0), None) for part in three]
     for three in ([*OTHERS, *PARTS][k : k + 3] for k in range(0, len(OTHERS), 3))
 } | JOINTS
 

@@ -24,7 +24,7 @@ from oracles.random_chain import LINK
 OK, WARNING, DISCARD, ERROR, FATAL = range(5)
 KINDS = {"Float64": ctypes.c_double, "Int64": ctypes.c_int64, "Int32": ctypes.c_int32}
 KINDS["Boolean"] = ctypes.c_bool
-OTHER_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "UInt64", "String")
+FURTHER_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "UInt64", "String")
 LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p)
 WATCH = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_double, *[ctypes.c_bool] * 4,
@@ -36,7 +36,7 @@ _ARGUMENTS: dict[str, list[Any]] = {
     "SetDebugLogging": [POINTER, FLAG, SIZE, POINTER],
     "EnterInitializationMode": [POINTER, FLAG, DOUBLE, DOUBLE, FLAG, DOUBLE],
     **{name: [POINTER] for name in ("ExitInitializationMode", "Terminate", "Reset")},
-    **{f"{verb}{kind}": _VALUES for verb in ("Get", "Set") for kind in (*KINDS, *OTHER_TYPES)},
+    **{f"{verb}{kind}": _VALUES for verb in ("Get", "Set") for kind in (*KINDS, *FURTHER_TYPES)},
     "GetFMUState": [POINTER, POINTER],
     "SetFMUState": [POINTER, POINTER],
     "FreeFMUState": [POINTER, POINTER],
@@ -344,7 +344,7 @@ def _values(rng: np.random.Generator, instance: Instance) -> tuple[str, int]:
     """Get or set some variables, mostly of the right type and size."""
     kind = str(rng.choice([*KINDS, "Float64", "Float64"]))
     if rng.random() < 0.05:
-        kind = str(rng.choice(OTHER_TYPES))
+        kind = str(rng.choice(FURTHER_TYPES))
     variables = list(instance.fmu.variables.values())
     fitting = [v for v in variables if v.tag == kind] or variables
     count = int(rng.integers(0, 4))

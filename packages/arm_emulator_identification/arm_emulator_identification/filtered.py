@@ -22,7 +22,7 @@ ORDER = 4
 FOR_SIGN = 4.0  # times the low-pass: bandwidth of the speed whose sign directs friction
 EDGE = 2.0  # periods of the low-pass, at either end, in which the filter is not yet settled
 REACH = 0.1  # periods of the low-pass
-MOST_ROWS = 5000  # of a fit, for any length of the record
+MAX_ROWS = 5000  # of a fit, for any length of the record
 ROWS_PER_PERIOD = 2.5  # of the low-pass: more add nothing
 
 
@@ -128,7 +128,7 @@ def filter_run(run: MeasuredRun, ratio: Array, frequency: float, slowest: float 
         reach = int(REACH / (frequency * period))
         moving = minimum_filter1d(moving, 2 * reach + 1, axis=0)
     edge = int(EDGE / (frequency * period))
-    few = max(int(1.0 / (ROWS_PER_PERIOD * frequency * period)), len(q) // MOST_ROWS)
+    few = max(int(1.0 / (ROWS_PER_PERIOD * frequency * period)), len(q) // MAX_ROWS)
     step = every or max(1, few)
     inside = slice(edge, len(q) - edge, step)
     tau = filter_low_pass(run.tau / ratio, period, frequency, causal)

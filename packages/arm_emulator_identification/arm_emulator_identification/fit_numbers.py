@@ -135,7 +135,7 @@ class _Fit:
         unknowns: Mapping[str, Sought],
         modifier: Modifier,
     ) -> None:
-        ranges = [_check_sought(name, unknown) for name, unknown in unknowns.items()]
+        ranges = [_check_unknown(name, unknown) for name, unknown in unknowns.items()]
         self.begin, self._width, self._least, self._most = np.array(ranges).T
         self._names, self._modifier = list(unknowns), modifier
         self._rows, self._signals = rows, list(measured)
@@ -197,7 +197,7 @@ class _Fit:
         return deviations
 
 
-def _check_sought(name: str, unknown: object) -> tuple[float, float, float, float]:
+def _check_unknown(name: str, unknown: object) -> tuple[float, float, float, float]:
     """Return value, width and range of an unknown."""
     of = (
         (unknown.value, unknown.width, unknown.least, unknown.most)

@@ -15,7 +15,7 @@ from arm_emulator_identification.torque_model import Unknown
 
 UNITS = {"mass": "kg", "moment": "kg m", "inertia": "kg m2"}
 MIXED = 0.5  # correlation from which a number is named beside another
-MOST_MIXED = 2  # of such names
+MAX_MIXED = 2  # of such names
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def list_bodies(scene: Scene, fit: TorqueFit) -> list[Body]:
     ]
 
 
-def list_found(scene: Scene, fit: TorqueFit) -> list[Found]:
+def list_numbers(scene: Scene, fit: TorqueFit) -> list[Found]:
     """Return the sought numbers: links as mass, first moment and inertia of the URDF's links."""
     n, numbers = inertia.NUMBERS, list[Found]()
     mixed = list_mixed(fit)
@@ -128,18 +128,18 @@ def list_mixed(fit: TorqueFit) -> dict[int, tuple[str, ...]]:
     alike = np.abs(share / np.outer(own, own)) - 2.0 * np.eye(len(own))
     mixed = dict[int, tuple[str, ...]]()
     for k in np.flatnonzero((own >= IDENTIFIED) & (alone < IDENTIFIED)):
-        near = [m for m in np.argsort(-alike[k])[:MOST_MIXED] if alike[k][m] > MIXED]
+        near = [m for m in np.argsort(-alike[k])[:MAX_MIXED] if alike[k][m] > MIXED]
         names = (fit.unknowns[fitted[m]].name for m in near)
-        mixed[int(fitted[k])] = tuple(dict.fromkeys(_name_whole(name) for name in names))
+        mixed[int(fitted[k])] = tuple(dict.fromkeys(_name_link(name) for name in names))
     return mixed
 
 
-def _name_whole(name: str) -> str:
+def _name_link(name: str) -> str:
     """Return the name of a number, of a link's that of the link: its parameters are logarithms."""
     return name.rpartition(".")[0] if name.startswith("links.") else name
 
 
-def list_kept(scene: Scene, unknowns: Sequence[Unknown], is_requested: Callable[[str], bool],
+def list_unfitted(scene: Scene, unknowns: Sequence[Unknown], is_requested: Callable[[str], bool],
               ) -> list[Found]:  # fmt: skip
     """Return numbers of parts that no record of torques determines, or beside another one.
 

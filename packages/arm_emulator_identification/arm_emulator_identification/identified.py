@@ -40,7 +40,7 @@ from arm_emulator_identification.torque_model import MotionTorques, TorqueModel,
 
 
 @dataclass(frozen=True)
-class Asked:
+class FitRequest:
     """Numbers to identify, and the way to do so.
 
     Attributes:
@@ -86,7 +86,7 @@ def list_gears(scene: Scene) -> list[str]:
 def identify_numbers(
     nominal: Scene,
     record: MeasuredRun,
-    request: Asked,
+    request: FitRequest,
     stage: Callable[[str], None],
 ) -> Identified:
     """Return the numbers with which a scene explains a record.
@@ -137,7 +137,7 @@ def _is_of_gears(gears: Sequence[str], pattern: str) -> bool:
 FAR = 3.0  # prior deviations, beyond which a number is doubted
 
 
-def list_doubts(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
+def list_warnings(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> list[str]:
     """Return objections to the numbers found, as text."""
     names, warnings = scene.joint_names, list[str]()
     for of, body in zip(scene.chain.links, scene.bare, strict=True):

@@ -27,11 +27,11 @@ from arm_emulator_identification.torque_fit import IDENTIFIED
 
 SETTLED = 0.9  # of the twist's range, after whose passage the gear's history is known
 COARSE, GRID = 81, 31  # shapes in the first turn, and in each further one
-TURNS = 4  # of the grid, each where the last one had weight
+REFINEMENTS = 4  # of the grid, each where the last one had weight
 AROUND = 4.0  # deviations of its prior: range of the first grid
-LEAST = 0.2  # of the scene's number: its least
+MIN_SHARE = 0.2  # of the scene's number: its least
 LIGHT = 1e-4  # of the largest weight: left out of the next grid
-KNOWN = 1e-9  # relative deviation of a number that is held
+FIXED = 1e-9  # relative deviation of a number that is held
 SMALL = 1e-2  # of the largest: errors of the load that are left out
 DRAWS = 3  # of noise of the encoders
 BLOCKS = 8  # of time, in which errors are taken for independent
@@ -85,7 +85,7 @@ def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoad
         elif run.q_link is None or np.isnan(run.q_link[:, j]).any():
             left = "left as it was: its loop needs an encoder at the link"
         else:
-            widths = before * [trust if is_requested(name) else KNOWN for name in numbers]
+            widths = before * [trust if is_requested(name) else FIXED for name in numbers]
             values, off = _Loop(j, joint, run, motion).fit(loads, before, widths)
         loop_kind = next(
             part.numbers()[key].shown for part, key in numbers.values() if part.loop_keys
@@ -153,8 +153,8 @@ class _Loop:
         errors = _reduce(loads.errors[:, self.rows, self.j])
         twist, noise = self.settle(self.twist), float(np.std(load))
         low, high = before[2] - AROUND * widths[2], before[2] + AROUND * widths[2]
-        shapes = np.geomspace(max(low, LEAST * before[2]), high, COARSE)
-        for turn in range(TURNS):
+        shapes = np.geomspace(max(low, MIN_SHARE * before[2]), high, COARSE)
+        for turn in range(REFINEMENTS):
             points = [
                 _Point(
                     shape, np.vstack([twist, self.bend(shape)[0], -errors]), load, before, widths
@@ -165,7 +165,7 @@ class _Loop:
             weights = np.array([point.weigh(noise) for point in points])
             weights = np.exp(weights - weights.max())
             heavy = np.flatnonzero(weights > LIGHT)
-            if turn == TURNS - 1 or (turn > 0 and len(heavy) > GRID // 2):
+            if turn == REFINEMENTS - 1 or (turn > 0 and len(heavy) > GRID // 2):
                 break
             ends = max(heavy[0] - 1, 0), min(heavy[-1] + 1, len(shapes) - 1)
             shapes = np.linspace(float(shapes[ends[0]]), float(shapes[ends[1]]), GRID)

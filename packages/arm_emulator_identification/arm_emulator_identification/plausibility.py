@@ -25,8 +25,8 @@ A_SLIP = 25.0, 0.15
 CLOSE = 0.15  # of its saving: slips within this share are named, too
 DOUBTFUL = 1.5  # times: a smaller error of a torque's scale is a doubt, not a slip
 NEAREST = 12  # slips compared again, by the least unexplained torque
-LEAST_WAY = 1.0e-3  # rad or m: smaller motions do not count
-LEAST_TORQUE = 1e-9  # N m or N, at the motor's shaft: smaller changes do not count
+MIN_TRAVEL = 1.0e-3  # rad or m: smaller motions do not count
+MIN_TORQUE = 1e-9  # N m or N, at the motor's shaft: smaller changes do not count
 SPEEDS_AGREE = 0.7  # correlation, and within a factor of 1.5
 POOR = 50.0  # %: of an unusable fit
 SLOWEST_SAMPLES, FASTEST_SAMPLES = 0.1, 1e-6  # s
@@ -51,7 +51,7 @@ def filter_record(scene: Scene, run: MeasuredRun, low_pass: float, *,
     check_movement(run, motion)
     check_speeds(scene, run, motion)
     if not as_is:
-        warnings += check_slips(scene, run, motion)
+        warnings += check_mistakes(scene, run, motion)
     return run, motion, warnings
 
 
@@ -78,12 +78,12 @@ def check_movement(run: MeasuredRun, data: Filtered) -> None:
         Refusal: names the joint, and how much it moves.
     """
     for j, joint in enumerate(run.joints):
-        if not np.ptp(run.tau[:, j]) > LEAST_TORQUE:
+        if not np.ptp(run.tau[:, j]) > MIN_TORQUE:
             rule = "change while the joint moves; a joint that nothing drives shows nothing"
             raise Refusal(run.where, f"torque of {joint}", rule, f"{run.tau[0, j]:g} throughout")
         travel = float(np.ptp(run.q_motor[:, j]))
         rule = "move, so that its friction and inertia show"
-        if travel < LEAST_WAY:
+        if travel < MIN_TRAVEL:
             raise Refusal(run.where, joint, rule, f"a way of {travel:.3g} rad or m in all")
         v = data.v[data.moving[:, j], j]
         if len(v) < 10:
@@ -136,7 +136,7 @@ def check_speeds(scene: Scene, run: MeasuredRun, data: Filtered) -> None:
     raise Refusal(run.where, f"v_mot of {run.joints[j]}", rule, actual)
 
 
-def check_slips(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
+def check_mistakes(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
     """Refuse a record that fits this machine once a slip is undone; return doubts, as text.
 
     Raises:
@@ -186,9 +186,9 @@ NEIGHBOURS = 7  # samples, of which the middle one is judged
 AROUND = 101  # samples, whose usual distance from their neighbours is the reference
 TIMES = 12.0  # the usual distance
 # Outliers below this share of the signal's spread are harmless: torque may jump at reversals.
-LEAST = {"tau": 0.6, "q_motor": 2e-5}
+MIN_OUTLIER = {"tau": 0.6, "q_motor": 2e-5}
 ROUNDS = 3  # since neighbours hide each other
-MOST = 0.05  # of the samples: with more it is no measurement
+MAX_OUTLIERS = 0.05  # of the samples: with more it is no measurement
 
 
 def replace_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
@@ -203,14 +203,14 @@ def replace_outliers(run: MeasuredRun) -> tuple[MeasuredRun, list[str]]:
         for j, joint in enumerate(run.joints):
             out = np.zeros(len(rows), bool)
             for _ in range(ROUNDS):
-                new = _find_outliers(rows[:, j], LEAST[name]) & ~out
+                new = _find_outliers(rows[:, j], MIN_OUTLIER[name]) & ~out
                 if not new.any():
                     break
                 out |= new
                 rows[out, j] = np.interp(run.t[out], run.t[~out], rows[~out, j])
             count = int(out.sum())
-            if count > MOST * len(out):
-                rule = f"have outliers in at most {100 * MOST:g} % of the samples"
+            if count > MAX_OUTLIERS * len(out):
+                rule = f"have outliers in at most {100 * MAX_OUTLIERS:g} % of the samples"
                 share = f"{100.0 * count / len(out):.1f} %"
                 raise Refusal(run.where, f"{signal} of {joint}", rule, share)
             if count:

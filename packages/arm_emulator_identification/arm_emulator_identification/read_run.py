@@ -143,8 +143,8 @@ def _read_table(path: Path, scene: Scene) -> dict[str, Array]:
 # an array's header states beyond that is never written to. Nothing in the file is executed: pickled
 # objects are refused.
 
-MOST_BYTES = 2**29  # of the file, and of all that is unpacked from it
-MOST_ENTRIES = 1000
+MAX_BYTES = 2**29  # of the file, and of all that is unpacked from it
+MAX_ENTRIES = 1000
 _END = struct.Struct("<4sHHHHIIH")  # of an archive: entries are the fifth number
 _END_SIGNATURE, _ZIP64_SIGNATURE = b"PK\x05\x06", b"PK\x06\x07"
 _ZIP64_SIZE, _LONGEST_COMMENT = 20, 2**16
@@ -175,8 +175,8 @@ def read_arrays(file: Path, names: Collection[str]) -> dict[str, Array]:
 def _check_entries(stream: IO[bytes], where: str) -> None:
     """Refuse an archive whose table of contents is large, before the archive is read."""
     size = stream.seek(0, io.SEEK_END)
-    if size > MOST_BYTES:
-        raise Refusal(where, "file", f"have at most {MOST_BYTES // 2**20} MiB", "more")
+    if size > MAX_BYTES:
+        raise Refusal(where, "file", f"have at most {MAX_BYTES // 2**20} MiB", "more")
     start = max(0, size - _END.size - _LONGEST_COMMENT - _ZIP64_SIZE)
     stream.seek(start)
     tail = stream.read()
@@ -187,14 +187,14 @@ def _check_entries(stream: IO[bytes], where: str) -> None:
         raise Refusal(where, "file", "be an archive of NumPy arrays", "no end of an archive")
     _, _, _, _, entries, table, *_ = _END.unpack_from(tail, at)
     large = tail[max(0, at - _ZIP64_SIZE) :][:4] == _ZIP64_SIGNATURE
-    if large or entries > MOST_ENTRIES or table > MOST_ENTRIES * 1000:
-        rule = f"hold at most {MOST_ENTRIES} arrays"
+    if large or entries > MAX_ENTRIES or table > MAX_ENTRIES * 1000:
+        rule = f"hold at most {MAX_ENTRIES} arrays"
         raise Refusal(where, "archive", rule, "more" if large else entries)
 
 
 def _read_arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -> dict[str, Array]:
     arrays: dict[str, Array] = {}
-    left = MOST_BYTES
+    left = MAX_BYTES
     for entry in archive.infolist():
         name = entry.filename.removesuffix(".npy")
         if name not in names:
@@ -204,7 +204,7 @@ def _read_arrays(archive: zipfile.ZipFile, names: Collection[str], where: str) -
         if entry.compress_type not in _METHODS:
             raise Refusal(where, name, "be stored or deflated", "another method")
         if entry.file_size > left:
-            rule = f"unpack to at most {MOST_BYTES // 2**20} MiB"
+            rule = f"unpack to at most {MAX_BYTES // 2**20} MiB"
             raise Refusal(where, "archive", rule, f"{entry.file_size} bytes of {name}")
         # NumPy warns of archives by Python 2, and of numbers of more than 64 bits.
         quiet = warnings.catch_warnings(action="ignore"), np.errstate(over="ignore")

@@ -16,7 +16,7 @@ import numpy as np
 from arm_emulator.extension.base import Array
 from arm_emulator_identification.filtered import Filtered, Mask
 
-MOST_EFFECTS = 12  # added one after the other
+MAX_EFFECTS = 12  # added one after the other
 ENOUGH = 14.0  # of twice the logarithm of a likelihood, beyond a share for each column
 SHARE = 0.04  # of a joint's residual: required of an effect
 MATERIAL = 0.005  # of a joint's torque: smaller effects widen the deviations, but are not named
@@ -25,12 +25,12 @@ CLOSELY = 8  # candidates examined closely in each round
 SLOW = (0.01, 0.03, 0.08, 0.2)  # of the top speed: where Stribeck's friction has fallen
 SHORT = (0.003, 0.01, 0.03, 0.1)  # of the way: after which hysteresis is over
 WAVES = 3  # largest ones tried
-WHOLE = 1.2  # waves required over the path
+MIN_WAVES = 1.2  # waves required over the path
 
 FALLS = "friction is higher near reversals and falls with speed (Stribeck?)"
 RISES = "friction is lower near reversals and rises with speed (not Coulomb's alone)"
 BENDS = "friction is not linear in speed"
-WAY = "torque depends on the way since the last reversal (hysteresis, bristles, play?)"
+TRAVEL = "torque depends on the way since the last reversal (hysteresis, bristles, play?)"
 LOAD = "friction depends on the load of the gear (load friction?)"
 ZERO = "torque has an offset, or friction differs between the two ways"
 WARMS = "friction drifts over the record (temperature?)"
@@ -127,7 +127,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
         (effect, {j: C[masks[j]] * per[j][:, None] for j, C in effect.of.items()})
         for effect in _catalogue(data, load, error, masks)
     ]
-    for _ in range(MOST_EFFECTS):
+    for _ in range(MAX_EFFECTS):
         best = _best(normal, candidates, masks)
         if best is None:
             break
@@ -145,7 +145,9 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
             effects.append(
                 Effect(" or ".join(names), tuple(columns), share, abs(size), candidate.unit)
             )
-    independent = np.array([_lasting(r, m) for r, m in zip(normal.left, masks, strict=True)])
+    independent = np.array(
+        [_find_correlation_time(r, m) for r, m in zip(normal.left, masks, strict=True)]
+    )
     covariance = _sandwich(normal, masks, independent)[:U, :U]
     scaled = covariance * widths[:, None] * widths[None, :]
     return ResidualEffects(tuple(effects), shift * widths, scaled)
@@ -153,10 +155,10 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
 
 def estimate_correlation(error: Array, rows: Mask) -> float:
     """Return the correlation length of an error (K,) in some rows [samples]."""
-    return _lasting(error[rows], rows)
+    return _find_correlation_time(error[rows], rows)
 
 
-def _lasting(left: Array, rows: Mask) -> float:
+def _find_correlation_time(left: Array, rows: Mask) -> float:
     """Return 1 + 2 sum of the residual's correlations in some rows, while positive."""
     some = np.zeros(len(rows))
     some[rows] = left
@@ -193,7 +195,7 @@ def _best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
             left = normal.left[j] - normal.rows[j] @ dx - C @ b
             was, now = float(normal.left[j] @ normal.left[j]), float(left @ left)
             before, after = before + was, after + now
-            n = len(left) / _lasting(left, masks[j])
+            n = len(left) / _find_correlation_time(left, masks[j])
             count += n
             likelihood += n * np.log(max(was, 1e-300) / max(now, 1e-300))
         share = 1.0 - after / max(before, 1e-300)
@@ -295,34 +297,34 @@ def _catalogue(data: Filtered, load: Array, error: Array,
         travel = max(float(np.ptp(q)), 1e-12)
         here = data.direction[:, j]
 
-        def one(name: str, *columns: Array, opposite: str = "", joint: int = j) -> Columns:
+        def propose(name: str, *columns: Array, opposite: str = "", joint: int = j) -> Columns:
             return Columns(name, {joint: np.column_stack(columns)}, opposite)
 
         for share in SLOW:
             fallen = sign * np.exp(-np.minimum((v / (share * top)) ** 2, 700.0))
-            yield one(FALLS, settle(fallen), opposite=RISES)
-        yield one(BENDS, settle(v * np.abs(v)))
-        yield one(BENDS, settle(sign * np.sqrt(np.abs(v))))
-        after = _way_since_reversal(q, sign)
+            yield propose(FALLS, settle(fallen), opposite=RISES)
+        yield propose(BENDS, settle(v * np.abs(v)))
+        yield propose(BENDS, settle(sign * np.sqrt(np.abs(v))))
+        after = _measure_travel(q, sign)
         for share in SHORT:
-            yield one(WAY, settle(sign * np.exp(-after / (share * travel))))
-        yield one(LOAD, here * np.abs(load[:, j]))
-        yield one(ZERO, np.ones(len(data.t)))
-        yield one(WARMS, settle(sign * since))
-        yield one(WARMS, settle(v * since))
-        yield one(WEAKENS, computed[:, j] * ((data.t - data.t[0]) / T - 0.5))
-        yield one(DRIFTS, (data.t - data.t[0]) / T - 0.5)
+            yield propose(TRAVEL, settle(sign * np.exp(-after / (share * travel))))
+        yield propose(LOAD, here * np.abs(load[:, j]))
+        yield propose(ZERO, np.ones(len(data.t)))
+        yield propose(WARMS, settle(sign * since))
+        yield propose(WARMS, settle(v * since))
+        yield propose(WEAKENS, computed[:, j] * ((data.t - data.t[0]) / T - 0.5))
+        yield propose(DRIFTS, (data.t - data.t[0]) / T - 0.5)
         every[j] = rate[:, j : j + 1]
         yield Columns(EARLY, {j: every[j]}, LATE, 1e3, "ms")
         for order in _orders(data, error[:, j], masks[j], j):
             wave = settle(np.column_stack([np.sin(order * q), np.cos(order * q)]))
-            yield one(RIPPLE, wave)
-            yield one(RIPPLE, wave * computed[:, j : j + 1])
+            yield propose(RIPPLE, wave)
+            yield propose(RIPPLE, wave * computed[:, j : j + 1])
     if N > 1:
         yield Columns(EARLY, every, LATE, 1e3, "ms")
 
 
-def _way_since_reversal(q: Array, sign: Array) -> Array:
+def _measure_travel(q: Array, sign: Array) -> Array:
     """Return the distance of a joint from its last reversal (K,)."""
     distance = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
     reversals = np.concatenate([[0], np.flatnonzero(np.diff(sign) != 0.0) + 1])
@@ -339,7 +341,7 @@ def _orders(data: Filtered, error: Array, rows: Mask, j: int) -> list[float]:
         return []
     slow = max(float(np.quantile(v, 0.2)), 1e-9)
     highest = min(2.0 * np.pi * data.fine.frequency / slow, 2000.0 * np.pi / travel)
-    orders = np.arange(WHOLE * 2.0 * np.pi / travel, highest, np.pi / travel)
+    orders = np.arange(MIN_WAVES * 2.0 * np.pi / travel, highest, np.pi / travel)
     if not len(orders):
         return []
     # Waves faster than the low-pass are removed.

@@ -22,7 +22,7 @@ from arm_emulator_identification.residual_effects import (
 )
 from arm_emulator_identification.torque_model import MotionTorques, TorqueModel, Unknown
 
-TURNS = 5  # of fit, weights and loads in alternation
+ITERATIONS = 5  # of fit, weights and loads in alternation
 BEGIN = 0.3  # of each torque: initial assumption of noise
 INSIDE = 0.03  # of their widths: initial distance from bounds
 IDENTIFIED = 0.7  # of the prior width: a number that stays as uncertain is not identifiable
@@ -92,7 +92,7 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     # Effects that the model lacks shift the numbers: the confidence includes the shift.
     shift = structure.shift
     covariance[np.ix_(fitted, fitted)] = structure.covariance + np.outer(shift, shift)
-    noise = [_spread(error[r, j]) for j, r in enumerate(data.moving.T)]
+    noise = [_find_deviation(error[r, j]) for j, r in enumerate(data.moving.T)]
     rows = data.moving
     per_noise = (slopes / np.array(noise)[:, None])[rows] * widths
     far_out = np.array([int(((weights[:, j] < STANDS_OUT / FAR_OUT) & r).sum())
@@ -111,35 +111,35 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
     high = np.array([unknown.most for unknown in model.unknowns])[fitted]
     inner = np.minimum(INSIDE * widths, 0.1 * (high - low))
     rows = data.moving
-    deviation = np.array([_spread(y[r] - y[r].mean() if r.any() else y[r])
+    deviation = np.array([_find_deviation(y[r] - y[r].mean() if r.any() else y[r])
                        for y, r in zip(data.tau.T, rows.T, strict=True)])  # fmt: skip
     noise, weights = BEGIN * deviation, np.ones_like(data.tau)
     values = start.copy()
     # Well inside the bounds, near which steps become short.
     values[fitted] = np.clip(values[fitted], low + inner, high - inner)
 
-    def whole(some: Array) -> Array:
+    def fill(some: Array) -> Array:
         every = start.copy()
         every[fitted] = some
         return every
 
-    for _ in range(TURNS):
+    for _ in range(ITERATIONS):
         per = (np.sqrt(weights) / noise)[rows]
 
         def residuals(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
-            every = whole(some)
+            every = fill(some)
             error = (at.torques(every) - data.tau)[rows] * per
             return np.concatenate([error, (every - start)[fitted] / widths])
 
         def slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
-            scaled = at.slopes(whole(some))[:, :, fitted][rows] * per[:, None]
+            scaled = at.slopes(fill(some))[:, :, fitted][rows] * per[:, None]
             return np.concatenate([scaled, np.diag(1.0 / widths)])
 
         inside = np.clip(values[fitted], low + 1e-4 * inner, high - 1e-4 * inner)
         solution = least_squares(
             residuals, inside, slopes, bounds=(low, high), x_scale=widths, max_nfev=60
         )
-        values = whole(solution.x)
+        values = fill(solution.x)
         motion = motion.under(values)
         error = motion.torques(values) - data.tau
         samples = used = 0.0
@@ -149,7 +149,7 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
                 1.0, STANDS_OUT * typical / np.maximum(np.abs(error[:, j]), 1e-300)
             )
             last = estimate_correlation(error[:, j], r)
-            noise[j] = _spread(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
+            noise[j] = _find_deviation(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
             samples += r.sum() / last
         used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
         # The residual lacks the part absorbed by the fit.
@@ -175,7 +175,7 @@ def _directions(per_width: Array) -> int:
     return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
 
 
-def _spread(values: Array) -> float:
+def _find_deviation(values: Array) -> float:
     if not len(values):
         return 1.0
     return max(float(np.sqrt(np.mean(values**2))), 1e-12)

@@ -123,7 +123,7 @@ class TorqueModel:
 
     def _add(self, j: int, joint: Joint, typical: tuple[float, float], trust: float) -> None:
         place = f"joints.{joint.name}"
-        fitted_keys = _sought(joint)
+        fitted_keys = _choose_keys(joint)
         for part in joint.parts:
             piece = Piece(j, part, len(self.unknowns), tuple(fitted_keys.get(part.section, ())))
             per = abs(joint.gear.ratio) if part.shaft == "rotor" else 1.0
@@ -205,7 +205,7 @@ def _check_stated(scene: Scene) -> None:
                 raise Refusal(scene.where, place, rule, type(part).__name__, valid)
 
 
-def _sought(joint: Joint) -> dict[str, list[str]]:
+def _choose_keys(joint: Joint) -> dict[str, list[str]]:
     """Return the sought keys of each part of a joint, by its section.
 
     If several parts have the same number, such as friction of link and of rotor, only one is

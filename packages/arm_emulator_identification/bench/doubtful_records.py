@@ -27,11 +27,11 @@ from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.varied import vary_child
 from arm_emulator_identification import inertia
-from arm_emulator_identification.found import list_found
+from arm_emulator_identification.found import list_numbers
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
 from arm_emulator_identification.plausibility import check_fit, filter_record
 from arm_emulator_identification.read_run import read_run
-from arm_emulator_identification.residual_effects import FALLS, RIPPLE, RISES, WARMS, WAY
+from arm_emulator_identification.residual_effects import FALLS, RIPPLE, RISES, TRAVEL, WARMS
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
 from bench.identification import ANGLE_NOISE, LOW_PASS, SECONDS, SIGMAS, model_of
@@ -181,7 +181,7 @@ def as_it_is(scene: Scene, rng: np.random.Generator) -> Scene:
 # Change of a scene that adds an effect, and the accepted names of the effect.
 EFFECTS: dict[str, tuple[Callable[[Scene, np.random.Generator], Scene], tuple[str, ...]]] = {
     "stribeck": (stribeck, (FALLS,)),
-    "hysteresis": (bristles, (WAY, RISES)),
+    "hysteresis": (bristles, (TRAVEL, RISES)),
     "ripple": (ripple, (RIPPLE,)),
     "temperature": (as_it_is, (WARMS,)),
 }
@@ -223,7 +223,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
     fit = fit_torques(model, motion, model.choose(["*"], "bench"))
     inside = [
         abs(number.value - values[number.name]) < SIGMAS * number.deviation
-        for number in list_found(scene, fit) if number.name in values and number.deviation > 0.0
+        for number in list_numbers(scene, fit) if number.name in values and number.deviation > 0.0
     ]  # fmt: skip
     return float(np.mean(inside)), [fitted_effect.name for fitted_effect in fit.effects], fit
 

@@ -9,8 +9,8 @@ import numpy as np
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.varied import vary_child
 from arm_emulator_identification.filtered import Filtered, filter_run
-from arm_emulator_identification.found import list_found
-from arm_emulator_identification.identified import Asked, identify_numbers
+from arm_emulator_identification.found import list_numbers
+from arm_emulator_identification.identified import FitRequest, identify_numbers
 from arm_emulator_identification.loop_fit import list_gear_numbers, list_loops
 from arm_emulator_identification.read_run import read_run
 from arm_emulator_identification.torque_fit import explained, fit_torques
@@ -109,7 +109,7 @@ def off_loops(seed: int) -> np.ndarray:
     """Return by how many of the published deviations each number of a gear found is off."""
     scene, nominal = draw_hysteretic(seed)
     record = make_record(scene, seed, 2.0 * SECONDS, LOOP_NOISE, 0.02, link_noise=LOOP_NOISE)
-    request = Asked(["*"], [], LOW_PASS, 0.5, as_is=True)
+    request = FitRequest(["*"], [], LOW_PASS, 0.5, as_is=True)
     identified = identify_numbers(nominal, record, request, lambda _: None)
     loops = list_loops(
         nominal, identified.run, identified.motion, identified.loads, lambda _: True, request.trust
@@ -144,7 +144,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     start = model.start + model.widths * rng.standard_normal(len(model.start))
     low = np.array([unknown.least for unknown in model.unknowns])
     model.start = np.where(fitted & (start > low), start, model.start)
-    numbers = list_found(scene, fit_torques(model, data, fitted))
+    numbers = list_numbers(scene, fit_torques(model, data, fitted))
     return np.array(
         [
             (number.value - true[number.name]) / number.deviation
@@ -154,15 +154,15 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     )
 
 
-LAWS: dict[str, dict[str, float]] = {  # friction of rotors beside viscous and Coulomb's
+FRICTIONS: dict[str, dict[str, float]] = {  # friction of rotors beside viscous and Coulomb's
     "none": {},
     "load": {"load": 0.05},
     "directed": {"load": 0.05, "back_load": 0.05, "motor_load": 0.05},
 }
-LITTLE_KNOWN = 0.2  # width of their priors
+WIDE_PRIOR = 0.2  # width of their priors
 
 
-def predict_held_out(law: dict[str, float]) -> np.ndarray:
+def predict_second_run(law: dict[str, float]) -> np.ndarray:
     """Return how much of a second run's torques the numbers of the first explain, by axis [%].
 
     The runs are those measured of a KUKA KR300 (config/validation/kuka_kr300).
@@ -177,7 +177,7 @@ def predict_held_out(law: dict[str, float]) -> np.ndarray:
     first, second = (filter_run(part, scene.gear_ratios, LOW_PASS) for part in runs)
     model = model_of(scene, first)
     loads = np.array([unknown.name.endswith("load") for unknown in model.unknowns])
-    model.widths = np.where(loads, LITTLE_KNOWN, model.widths)
+    model.widths = np.where(loads, WIDE_PRIOR, model.widths)
     fit = fit_torques(model, first, model.choose(["*"], "bench"))
     motion = model.of(second)
     for _ in range(LOADED):
@@ -200,7 +200,7 @@ def run(quick: bool) -> dict[str, Any]:
             done(f"machine {seed}, rigid gears")
             loops.append(off_loops(seed))
             done(f"machine {seed}, loops of gears")
-    shares = {name: float(predict_held_out(law).mean()) for name, law in LAWS.items()}
+    shares = {name: float(predict_second_run(law).mean()) for name, law in FRICTIONS.items()}
     beside = {"machines": machines, "loaded": _judge(loaded), "rigid": _judge(rigid)}
     beside |= {"held_out": shares, "loops": _judge(loops)}
     return {"seeds": seeds} | _judge(every) | beside

@@ -19,7 +19,7 @@ from arm_emulator_identification.calibration.accuracy import AccuracyTest as Ask
 from arm_emulator_identification.calibration.accuracy import measure_accuracy
 from arm_emulator_identification.calibration.drawn_deviations import draw_deviations
 from arm_emulator_identification.calibration.iso_9283 import (
-    compute_direction_spread,
+    compute_direction_deviation,
     judge_pose,
     place_poses,
 )
@@ -198,7 +198,7 @@ def test_characteristics_have_the_closed_form() -> None:
     line = np.array([[0.0, 0, 0], [0.0, 0, 0], [3e-3, 0, 0]])  # distances 1, 1, 2 mm
     line_result = judge_pose((np.eye(3), np.zeros(3)), line, np.tile(np.eye(3), (3, 1, 1)))
     assert line_result.RP == pytest.approx((4.0 / 3.0 + 3.0 * np.sqrt(1.0 / 3.0)) * 1e-3)
-    assert compute_direction_spread(
+    assert compute_direction_deviation(
         [corners, corners + np.array([0.0, 3e-3, 0.0])]
     ) == pytest.approx(3e-3)
 
@@ -216,7 +216,7 @@ def test_poses_lie_on_a_diagonal_plane_of_the_cube() -> None:
 
 
 @pytest.fixture
-def asked() -> Asked:
+def request() -> Asked:
     return Asked(cycles=3, centre=CENTRE, edge=0.16, dwell=0.3, directions=False, poses=25, held=8,
                  tracker=15e-6, tracker_angle=np.inf, seed=1)  # fmt: skip
 

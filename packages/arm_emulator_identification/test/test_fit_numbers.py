@@ -12,7 +12,7 @@ from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator_identification.fit_numbers import Sought, fit_numbers
 
 TRUTH = {"magnets": 0.93, "belts": 0.8}
-SOUGHT = {name: Sought(1.0, 0.2, 0.3, 2.0) for name in TRUTH}
+UNKNOWNS = {name: Sought(1.0, 0.2, 0.3, 2.0) for name in TRUTH}
 JOINTS = "waist", "shoulder", "elbow"
 TICKS = 300
 
@@ -47,7 +47,7 @@ def record(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def test_shares_of_many_numbers_are_found(scene: Scene) -> None:
     rows, angles = record(scene)
     fitted = fit_numbers(
-        scene, rows, {"theta_m": angles}, SOUGHT, lambda values: modified(scene, values)
+        scene, rows, {"theta_m": angles}, UNKNOWNS, lambda values: modified(scene, values)
     )
     for name, true in TRUTH.items():
         error = fitted.values[name] - true
@@ -88,7 +88,11 @@ def test_without_a_modifier_the_unknowns_are_numbers_of_the_scene(scene: Scene) 
     ],
 )  # fmt: skip
 def test_bad_arguments_are_refused(scene: Scene, change: dict[str, object], rule: str) -> None:
-    arguments = {"commands": np.zeros((5, 3)), "signals": {"q": np.zeros((5, 3))}, "sought": SOUGHT}
+    arguments = {
+        "commands": np.zeros((5, 3)),
+        "signals": {"q": np.zeros((5, 3))},
+        "sought": UNKNOWNS,
+    }
     with pytest.raises(Refusal, match=rule):
         fit_numbers(scene, **(arguments | change))
 

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import some
-from machines import one_link_urdf, write_scene
+from machines import make_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator_identification import inertia
 from arm_emulator_identification.commands.identify import identify
 from arm_emulator_identification.filtered import filter_run
-from arm_emulator_identification.found import list_found
+from arm_emulator_identification.found import list_numbers
 from arm_emulator_identification.identified import add_followers, write_fitted
 from arm_emulator_identification.measured_run import MeasuredRun, check_samples
 from arm_emulator_identification.plausibility import filter_record
@@ -26,18 +26,18 @@ from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIP
 from bench.identification import off, truth
 from oracles.synthetic_record import make_record
 
-GIVEN = load_scene(DATA / "given.yaml")
-RATIO = GIVEN.gear_ratios
-RUN_A = read_run(SHIPPED[0], GIVEN, angles="deg").shift_back(DELAYS)
+START = load_scene(DATA / "given.yaml")
+RATIO = START.gear_ratios
+RUN_A = read_run(SHIPPED[0], START, angles="deg").shift_back(DELAYS)
 
 
 def look_over(run: MeasuredRun) -> list[str]:
     """All that `identify` asks of a record before it fits; its doubts."""
     check_samples(run)
-    return filter_record(GIVEN, run, 10.0)[2]
+    return filter_record(START, run, 10.0)[2]
 
 
-def other(**changes: object) -> MeasuredRun:
+def change(**changes: object) -> MeasuredRun:
     return dataclasses.replace(RUN_A, **{"v_motor": None, **changes})
 
 
@@ -47,23 +47,23 @@ def swapped(rows: np.ndarray, i: int, j: int) -> np.ndarray:
     return rows[:, order]
 
 
-def slips() -> dict[str, MeasuredRun]:
+def make_mistakes() -> dict[str, MeasuredRun]:
     """Every sign, every pair of axes, and units, in an order drawn at random."""
     q, tau = RUN_A.q_motor, RUN_A.tau
     mistakes = {
-        "degrees reported as radians": other(q_motor=np.degrees(q)),
-        "radians reported as degrees": other(q_motor=np.radians(q)),
-        "torques at the links": other(tau=tau / RATIO),
-        "torques in N mm": other(tau=1e3 * tau),
+        "degrees reported as radians": change(q_motor=np.degrees(q)),
+        "radians reported as degrees": change(q_motor=np.radians(q)),
+        "torques at the links": change(tau=tau / RATIO),
+        "torques in N mm": change(tau=1e3 * tau),
     }
     for j in range(6):
         flip = np.where(np.arange(6) == j, -1.0, 1.0)
-        mistakes[f"torque {j} turned round"] = other(tau=flip * tau)
-        mistakes[f"angle {j} turned round"] = other(q_motor=flip * q)
+        mistakes[f"torque {j} turned round"] = change(tau=flip * tau)
+        mistakes[f"angle {j} turned round"] = change(q_motor=flip * q)
         for i in range(j):
-            mistakes[f"torques {i} {j} swapped"] = other(tau=swapped(tau, i, j))
-            mistakes[f"angles {i} {j} swapped"] = other(q_motor=swapped(q, i, j))
-            both = other(tau=swapped(tau, i, j), q_motor=swapped(q, i, j))
+            mistakes[f"torques {i} {j} swapped"] = change(tau=swapped(tau, i, j))
+            mistakes[f"angles {i} {j} swapped"] = change(q_motor=swapped(q, i, j))
+            both = change(tau=swapped(tau, i, j), q_motor=swapped(q, i, j))
             mistakes[f"columns {i} {j} swapped"] = both
     names = np.random.default_rng(3).permutation(sorted(mistakes))
     return {str(name): mistakes[str(name)] for name in names}
@@ -73,13 +73,13 @@ def test_the_record_as_it_is_passes() -> None:
     assert look_over(RUN_A) == []
 
 
-SLIPS = slips()
+MISTAKES = make_mistakes()
 
 
-@pytest.mark.parametrize("slip", some(SLIPS, 3))
+@pytest.mark.parametrize("slip", some(MISTAKES, 3))
 def test_a_record_with_a_slip_is_refused_by_its_name(slip: str) -> None:
     with pytest.raises(Refusal) as refusal:
-        look_over(SLIPS[slip])
+        look_over(MISTAKES[slip])
     answer = str(refusal.value)
     quantities = {"degrees": "angles", "radians": "angles", "torques": "torques", "torque": "axis"}
     assert quantities.get(slip.split(maxsplit=1)[0], "axis") in answer, f"{slip}: {answer}"
@@ -104,17 +104,17 @@ def broken(rng: np.random.Generator) -> dict[str, tuple[MeasuredRun, str]]:
     back[at] = back[at - 1]
     name = f"axis_{j + 1}"
     return {
-        "NaN": (other(tau=nan), f"tau of {name} must be finite"),
-        "huge": (other(tau=huge), f"tau of {name} must be numbers within"),
+        "NaN": (change(tau=nan), f"tau of {name} must be finite"),
+        "huge": (change(tau=huge), f"tau of {name} must be numbers within"),
         "nothing drives": (
-            other(tau=np.where(np.arange(6) == j, 0.0, RUN_A.tau)),
+            change(tau=np.where(np.arange(6) == j, 0.0, RUN_A.tau)),
             f"torque of {name} must change",
         ),
-        "clock": (other(t=RUN_A.t * 10.0 ** rng.choice([-9, 3, 6])), "t must be in s"),
-        "gap": (other(**cut), "without gaps"),
-        "frozen": (other(q_motor=frozen), f"q_motor of {name} must change"),
-        "at rest": (other(q_motor=still), f"{name} must move"),
-        "time": (other(t=back), "t must increase"),
+        "clock": (change(t=RUN_A.t * 10.0 ** rng.choice([-9, 3, 6])), "t must be in s"),
+        "gap": (change(**cut), "without gaps"),
+        "frozen": (change(q_motor=frozen), f"q_motor of {name} must change"),
+        "at rest": (change(q_motor=still), f"{name} must move"),
+        "time": (change(t=back), "t must increase"),
         "speeds": (dataclasses.replace(RUN_A, v_motor=speeds), f"v_mot of {name} must be the rate"),
         "units": (dataclasses.replace(RUN_A, v_motor=57.3 * RUN_A.v_motor), "are units the same"),
     }
@@ -139,19 +139,19 @@ def test_files_that_are_no_records_are_refused_in_a_line(tmp_path: Path) -> None
     for name in ("no_torque.npz", "five.npz", "objects.npz", "cut.npz", "text.csv", "what.mat",
                  "bag", "absent.npz"):  # fmt: skip
         with pytest.raises(Refusal) as refusal:
-            read_run(tmp_path / name, GIVEN)
+            read_run(tmp_path / name, START)
         assert len(str(refusal.value).splitlines()) == 1, refusal.value
 
 
 def test_a_table_reads_as_the_archive(tmp_path: Path) -> None:
     columns = {"t": RUN_A.t}
-    for j, joint in enumerate(GIVEN.joint_names):
+    for j, joint in enumerate(START.joint_names):
         columns[f"tau.{joint}"] = RUN_A.tau[:, j]
         columns[f"q_mot.{joint}"] = np.degrees(RUN_A.q_motor[:, j] / RATIO[j])
     rows = np.column_stack(list(columns.values())).tolist()
     text = "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows)])
     (tmp_path / "run.csv").write_text(text)
-    run = read_run(tmp_path / "run.csv", GIVEN, angles="deg", side="motor")
+    run = read_run(tmp_path / "run.csv", START, angles="deg", side="motor")
     np.testing.assert_allclose(run.q_motor, RUN_A.q_motor, atol=1e-12, err_msg="motor to link")
     np.testing.assert_array_equal(run.tau, RUN_A.tau)
 
@@ -237,7 +237,7 @@ def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path)
     for name, inertia_m in (("true", 1e-6), ("known", 1e-3)):
         (tmp_path / name).mkdir()
         files[name] = write_scene(
-            tmp_path / name, one_link_urdf(2.0), {"joint": {
+            tmp_path / name, make_link_urdf(2.0), {"joint": {
                 "motor": motor | {"rotor_inertia": inertia_m}, "gear": {"ratio": 0.05},
             }}, gravity=[0.0, 0.0, -9.81], servo_period=4e-3,
             integrator={"scheme": "rosenbrock", "dt": 1e-3},
@@ -247,7 +247,7 @@ def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path)
     data = filter_run(record, np.array([0.05]), 10.0)
     model = TorqueModel(nominal, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), 0.5)
     fit = fit_torques(model, data, model.choose(["motor"], "test"))
-    numbers = {number.name: number for number in list_found(nominal, fit)}
+    numbers = {number.name: number for number in list_numbers(nominal, fit)}
     number = numbers["joints.joint.motor.rotor_inertia"]
     assert number.value == 1e-3
     assert "left as it was: this record drives it to 5e-05" in number.line

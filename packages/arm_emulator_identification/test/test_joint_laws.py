@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import one_link_urdf, write_scene
+from machines import make_link_urdf, write_scene
 
 from arm_emulator import load_scene
 from arm_emulator.extension.commands import output
@@ -32,7 +32,7 @@ def write_arm(folder: Path, friction: dict[str, Any], **gear: Any) -> Path:
     motor = {"kind": "torque", "rotor_inertia": 2e-4, "friction": friction}
     joint = {"motor": motor, "gear": {"ratio": RATIO} | gear, "friction": {"load": 0.05}}
     return write_scene(
-        folder, one_link_urdf(2.0), {"joint": joint}, gravity=[0.0, 0.0, -9.81],
+        folder, make_link_urdf(2.0), {"joint": joint}, gravity=[0.0, 0.0, -9.81],
         servo_period=4e-3, integrator={"scheme": "rosenbrock", "dt": 1e-3},
     )  # fmt: skip
 

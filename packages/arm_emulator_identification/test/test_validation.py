@@ -17,13 +17,13 @@ from arm_emulator_identification.validation.figure import Figure
 from arm_emulator_identification.validation.kuka_kr300 import (
     SHIPPED,
     compare,
-    known,
     load,
+    predict,
     torque_figures,
     torques_of,
     wind_up_figures,
 )
-from arm_emulator_identification.validation.manutec_r3 import MOST, SHOWN, manutec_failures
+from arm_emulator_identification.validation.manutec_r3 import LIMITS, PICTURED, manutec_failures
 from arm_emulator_identification.wind_up import compute_wind_up
 
 
@@ -105,29 +105,29 @@ def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:
     """826 waves per turn of the link: it comes again in both runs."""
     scene = load_scene("kuka_kr300")
     of_b = compute_wind_up(load(SHIPPED[1], scene), scene)
-    assert of_b.order[1] == pytest.approx(known().wave_order[1], abs=2.0)
-    assert of_b.ripple[1] == pytest.approx(known().wave[1], rel=0.2)
+    assert of_b.order[1] == pytest.approx(predict().wave_order[1], abs=2.0)
+    assert of_b.ripple[1] == pytest.approx(predict().wave[1], rel=0.2)
 
 
 def test_the_verdict_on_the_manutec_takes_order_speed_and_every_figure() -> None:
     axes = np.ones(6)
 
     def like(period: float, **more: Any) -> tuple[manutec_r3.Comparison, float]:
-        size = (period / SHOWN) ** 2
-        errors = {name: 0.5 * limit * size * axes for name, limit in MOST.items()}
+        size = (period / PICTURED) ** 2
+        errors = {name: 0.5 * limit * size * axes for name, limit in LIMITS.items()}
         comparison = manutec_r3.Comparison(**errors, other_modes=20, rows=4688)
         speed = more.pop("speed", 100.0)
         return dataclasses.replace(comparison, **more), speed
 
-    periods = (2e-4, SHOWN, 2e-5, 1e-5, 5e-6)
+    periods = (2e-4, PICTURED, 2e-5, 1e-5, 5e-6)
     good = {period: like(period) for period in periods}
     assert not list(manutec_failures(good))
-    for name in MOST:
-        bad = {**good, SHOWN: like(SHOWN, **{name: 2.0 * MOST[name] * axes})}
+    for name in LIMITS:
+        bad = {**good, PICTURED: like(PICTURED, **{name: 2.0 * LIMITS[name] * axes})}
         assert any(name in line for line in manutec_failures(bad)), name
-    assert list(manutec_failures({**good, SHOWN: like(SHOWN, speed=0.5)}))
+    assert list(manutec_failures({**good, PICTURED: like(PICTURED, speed=0.5)}))
     assert list(manutec_failures({**good, 2e-4: like(2e-4, other_modes=100)}))
-    first = {period: like(period, q=1e-6 * period / SHOWN * axes) for period in periods}
+    first = {period: like(period, q=1e-6 * period / PICTURED * axes) for period in periods}
     assert any("order" in line for line in manutec_failures(first))
 
 

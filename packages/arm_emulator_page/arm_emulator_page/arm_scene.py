@@ -13,8 +13,8 @@ from arm_emulator.extension.machine import Scene
 from arm_emulator.extension.page import list_package_folders, scale_to_metres
 
 GREY = (0.75, 0.76, 0.78)
-WAY = (31, 119, 180)
-OVER, OVER_WAY = (1.0, 0.5, 0.05), (255, 127, 14)  # of an arm that is laid over another
+PATH = (31, 119, 180)
+OVER, OVER_PATH = (1.0, 0.5, 0.05), (255, 127, 14)  # of an arm that is laid over another
 OPACITY = 0.35  # of its shapes
 
 
@@ -113,7 +113,7 @@ class ArmScene:
         pieces = np.stack([path[:-1], path[1:]], axis=1)
         moving = pieces[np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) > 1e-6]
         if len(moving):
-            color = OVER_WAY if self._over else WAY
+            color = OVER_PATH if self._over else PATH
             self._way = self._server.scene.add_line_segments(
                 f"{self._name}/way", moving, color, thickness=2.0, thickness_units="screen"
             )

@@ -273,7 +273,7 @@ class LivePage:
 
 
 NEWEST = 8000  # rows that are kept one by one
-MOST = 4000  # rows of the whole run
+MAX_ROWS = 4000  # rows of the whole run
 
 
 class LiveHistory:
@@ -305,7 +305,7 @@ class LiveHistory:
         picked = rows[-self.count % self._every :: self._every]
         self.count += len(rows)
         self._whole = np.concatenate([self._whole, picked])
-        while len(self._whole) > MOST:
+        while len(self._whole) > MAX_ROWS:
             self._whole, self._every = self._whole[::2].copy(), 2 * self._every
         self._newest = np.concatenate([self._newest, rows])[-NEWEST:].copy()
 

@@ -48,7 +48,7 @@ def _format_cell(value: Any) -> str:
     return f"{float(value) + 0.0:.{DECIMALS}f}" if fits else f"{float(value):.1e}"
 
 
-MOST = 40  # buttons: the newest events
+MAX_BUTTONS = 40  # buttons: the newest events
 Event = tuple[int, str]  # tick and text
 
 
@@ -70,7 +70,7 @@ class EventList:
     def show(self, events: Sequence[Event]) -> None:
         """Show other events: those that are listed already stay, and newer ones come above them."""
         listed = [event for event, _ in self._shown]
-        newest = list(events[-MOST:])
+        newest = list(events[-MAX_BUTTONS:])
         removed = range(len(listed) + 1)  # of those that are listed, the oldest
         self._drop(next(k for k in removed if listed[k:] == newest[: len(listed) - k]))
         for event in newest[len(self._shown) :]:

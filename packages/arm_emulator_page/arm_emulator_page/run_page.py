@@ -19,7 +19,7 @@ from arm_emulator_page.signal_plot import FIRST, HEIGHT, SCALES, read_choice, st
 
 FRAME = 1.0 / 30.0  # s, wall time between two pictures while it plays
 RATES = ("0.01", "0.1", "0.25", "1", "4")
-THIS, OTHER, DIFFERENCE = "this run", "the other run", "difference"
+THIS, SECOND, DIFFERENCE = "this run", "the other run", "difference"
 
 
 class RunPage:
@@ -148,7 +148,7 @@ class RunPage:
             there = self._over.history
             groups = tuple(group for group in groups if here.paths(group) == there.paths(group))
         self.put(self._group, groups, now if now in groups else None)
-        plots = (THIS,) if self._over is None else (THIS, OTHER, DIFFERENCE)
+        plots = (THIS,) if self._over is None else (THIS, SECOND, DIFFERENCE)
         self.put(self._of, plots, self._of.value if self._of.value in plots else None)
 
     def put(self, control: Any, options: tuple[str, ...], value: str | None) -> None:
@@ -315,7 +315,7 @@ class RunPage:
     def _series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         history = self._subject.history
         ticks, values = history.ticks, history.values(group)
-        if self._over is not None and self._of.value == OTHER:
+        if self._over is not None and self._of.value == SECOND:
             ticks, values = self._over.history.ticks, self._over.history.values(group)
         elif self._over is not None and self._of.value == DIFFERENCE:
             ticks, values = history.minus(self._over.history, group)

@@ -46,7 +46,7 @@ class RunView:
         return cls(line, last, history, event_rows)
 
 
-MOST = 2000  # samples of a plot
+MAX_SAMPLES = 2000  # samples of a plot
 
 
 class SignalHistory:
@@ -62,7 +62,7 @@ class SignalHistory:
     """
 
     def __init__(self, line: Timeline[Any], last: int) -> None:
-        every = max(1, -(-last // MOST))
+        every = max(1, -(-last // MAX_SAMPLES))
         row = RecordRow(line.run.session.plant)
         rows, ticks = [row.take()], [line.tick]
         while line.tick < last:

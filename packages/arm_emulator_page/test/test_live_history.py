@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator_page.live_page import MOST, NEWEST, LiveHistory
+from arm_emulator_page.live_page import MAX_ROWS, NEWEST, LiveHistory
 
 KIND = np.dtype([("t", "f8"), ("tick", "i8"), ("q", "f8", (2,))])
 
@@ -30,7 +30,7 @@ def test_the_newest_rows_stand_one_by_one_and_the_run_is_thinned_evenly(seed: in
         history.add(rows(begin, end))
     assert history.newest["tick"].tolist() == [last - 1] and history.count == last
     stored = history._whole["tick"]
-    assert len(stored) <= MOST and stored[0] == 0 and len(history._newest) == min(last, NEWEST)
+    assert len(stored) <= MAX_ROWS and stored[0] == 0 and len(history._newest) == min(last, NEWEST)
     assert len(set(np.diff(stored))) <= 1, "evenly"
     for tick in (0, last // 2, last - 1):
         every = stored[1] - stored[0] if len(stored) > 1 else 1

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from draws import some
-from portable_bits import KEPT
+from portable_bits import STORED
 from test_compilers import compilers
 
 from arm_emulator.toolchain.unit import PORTABLE_TARGETS
@@ -51,5 +51,5 @@ def test_builds_compute_the_same_bits(
         | {"FULL": os.environ.get("WHOLE", "")},
     )
     assert done.returncode == 0, done.stderr
-    digests, stored = json.loads(done.stdout), json.loads(KEPT.read_text())
+    digests, stored = json.loads(done.stdout), json.loads(STORED.read_text())
     assert digests == {name: stored[name] for name in digests}, f"{compiler} {target} {level}"

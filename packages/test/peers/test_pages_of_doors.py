@@ -25,7 +25,7 @@ PATIENCE = 180.0  # s, wall
 
 ROOT = Path(__file__).resolve().parents[3]
 LINE = f"page{os.getpid() % 10000}a", f"page{os.getpid() % 10000}b"
-WATCHED = "This machine can only be watched."
+READ_ONLY = "This machine can only be watched."
 
 
 def pressed(page: Any) -> None:
@@ -43,7 +43,7 @@ def pressed(page: Any) -> None:
 def looked_at(page: Any) -> None:
     """A run of a campaign: at its end, and without controls."""
     page.get_by_role("tab", name="Machine").click()
-    shows(page, WATCHED)
+    shows(page, READ_ONLY)
     page.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
 
 

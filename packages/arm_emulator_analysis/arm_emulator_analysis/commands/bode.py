@@ -25,7 +25,7 @@ from arm_emulator.extension.runs import check_servo, load_gains
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
 PER_DECADE = 2000  # frequencies
-KEPT = slice(None, None, 20)  # of them in tables
+ROWS = slice(None, None, 20)  # of them in tables
 MODES = 8  # that are listed
 SHAPED = 2  # of them, for the shaper
 
@@ -86,7 +86,7 @@ def bode(
             output.line(str(file))
     units = {joint.name: joint.unit for joint in machine.joints}
     output.facts({
-        "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[KEPT],
+        "scene": machine.name, "pose": linear.x0[linear.q], "frequency": frequency[ROWS],
         "joints": {name: _list_facts(of, units[name]) for name, of in responses.items()},
     })  # fmt: skip
     if closed:
@@ -133,7 +133,7 @@ def _list_facts(of: FrequencyResponse, unit: str) -> dict[str, object]:
     return {
         "unit": unit, "resonances": of.resonances, "antiresonances": of.antiresonances,
         **{
-            name: {"gain": np.abs(response[KEPT]), "phase": np.unwrap(np.angle(response))[KEPT]}
+            name: {"gain": np.abs(response[ROWS]), "phase": np.unwrap(np.angle(response))[ROWS]}
             for name, response in (("motor", of.motor), ("link", of.link))
         },
     }  # fmt: skip
@@ -145,7 +145,7 @@ def _write(scene: Scene, responses: dict[str, FrequencyResponse], file: Path) ->
         for of, values in (("motor", response.motor), ("link", response.link)):
             columns[f"{name}.{of}.gain"] = np.abs(values)
             columns[f"{name}.{of}.phase"] = np.unwrap(np.angle(values))
-    rows = np.column_stack(list(columns.values()))[KEPT]
+    rows = np.column_stack(list(columns.values()))[ROWS]
     np.savetxt(file, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
 
 

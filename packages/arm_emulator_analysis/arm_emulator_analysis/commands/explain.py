@@ -88,7 +88,7 @@ def explain(
     if at is None and when is None:
         raise Refusal("explain", "--at or --when", "be given", "neither")
     machine.advance(_find_tick(machine, 0.0 if at is None else at))
-    if when is not None and not _is_found(machine, Condition(when, machine.scene, "explain")):
+    if when is not None and not _is_satisfied(machine, Condition(when, machine.scene, "explain")):
         last = machine.last * machine.scene.servo_period
         output.line(f"it never holds, up to {last:g} s: {when}")
         output.facts({"scene": machine.scene.name, "tick": None})
@@ -157,7 +157,7 @@ def _compare(names: tuple[str, str], first: RecordedMachine, second: RecordedMac
     return 1
 
 
-def _is_found(machine: RecordedMachine, condition: Condition) -> bool:
+def _is_satisfied(machine: RecordedMachine, condition: Condition) -> bool:
     """Advance to the first tick at which a condition holds."""
     if machine.tick == 0 and condition.holds(machine.session):
         return True

@@ -34,7 +34,11 @@ from arm_emulator.extension.runs import (
 from arm_emulator_campaign.definition.fault import Fault, list_faults
 from arm_emulator_campaign.definition.scenario import Scenario, read_scenario
 from arm_emulator_campaign.definition.servo_gains import change_gain, change_gains
-from arm_emulator_campaign.definition.varying_numbers import DRAWN, read_correlations, read_varying
+from arm_emulator_campaign.definition.varying_numbers import (
+    VARYING_SECTIONS,
+    read_correlations,
+    read_varying,
+)
 from arm_emulator_campaign.sampling.intervals import bound_share
 from arm_emulator_campaign.sampling.variation import SAMPLINGS, Variation, make_correlation
 from arm_emulator_campaign.search import read_method
@@ -120,7 +124,9 @@ class Campaign:
     @property
     def has_drawn_sections(self) -> bool:
         """Whether numbers of the file itself, or of the controller, vary."""
-        return any(number.name.split(".")[0] in DRAWN for number in self.variation.numbers)
+        return any(
+            number.name.split(".")[0] in VARYING_SECTIONS for number in self.variation.numbers
+        )
 
     @cached_property
     def nominal(self) -> tuple[Scenario, Mapping[str, Fault], ServoConfig]:
@@ -138,7 +144,9 @@ class Campaign:
         servo, varied_sections = self.servo, {name.split(".")[0] for name in values}
         nominal = self.nominal if values else None  # what does not vary is not read anew
         changed = {
-            key for key in DRAWN if key in self.data and (nominal is None or key in varied_sections)
+            key
+            for key in VARYING_SECTIONS
+            if key in self.data and (nominal is None or key in varied_sections)
         }
         set_by_number = self._bind_numbers(values) if nominal and "faults" in changed else None
         if set_by_number is not None:
@@ -208,7 +216,7 @@ def load_campaign(file: Path) -> Campaign:
     servo, motion = load_servo_config(files["servo"]), load_motion_config(files["motion"])
     servo = change_gains(servo, controller, file.name)
     patterns = _read_patterns(root)
-    of_scene = [pattern for pattern in patterns if pattern.split(".")[0] not in DRAWN]
+    of_scene = [pattern for pattern in patterns if pattern.split(".")[0] not in VARYING_SECTIONS]
     scene, overrides = _load_varied_scene(root, scene_file, of_scene)
     check_fit(scene, servo, motion)
     count = root.integer(replace(COUNT, default=0))
@@ -239,7 +247,7 @@ def load_campaign(file: Path) -> Campaign:
         search=read_method(root, variation),
         key=key,
     )
-    for section in (*DRAWN, "requirements", "measures"):
+    for section in (*VARYING_SECTIONS, "requirements", "measures"):
         root.has(section)
     controller.finish()
     if stop is not None:
@@ -377,7 +385,7 @@ def _load_varied_scene(
         rule = "name a number that can vary"
         if no.got in of_faults:
             raise of_faults[no.got].refusal("name", rule, no.got, no.valid) from None
-        valid = f"{no.valid}, or numbers of {', '.join(f'{group}.' for group in DRAWN)}"
+        valid = f"{no.valid}, or numbers of {', '.join(f'{group}.' for group in VARYING_SECTIONS)}"
         raise Refusal(root.where, f"vary.{no.got}", rule, no.got, valid) from None
 
 

@@ -17,8 +17,8 @@ from arm_emulator.extension.runs import TargetTable, check_targets, load_target_
 
 SECONDS = Number("seconds", "s", above=0.0, at_most=1e6, text="how long a run lasts")
 AT = Number("at", "s", at_least=0.0, at_most=1e6, text="when it holds from")
-WAYS = ("by", "to", "along")
-MOST_POINTS = 1000
+TARGET_KEYS = ("by", "to", "along")
+MAX_POINTS = 1000
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ def _read_moves(section: Section, entries: list[object]) -> tuple[Move, ...]:
     for place, entry in enumerate(entries):
         entry_section = _read_entry(section, "moves", place, entry)
         at = entry_section.number(AT)
-        chosen = [key for key in WAYS if entry_section.has(key)]
+        chosen = [key for key in TARGET_KEYS if entry_section.has(key)]
         if len(chosen) != 1:
             raise entry_section.refusal(
-                "by", f"be one of {', '.join(WAYS)}", ", ".join(chosen) or "none"
+                "by", f"be one of {', '.join(TARGET_KEYS)}", ", ".join(chosen) or "none"
             )
         moves.append(Move(at, chosen[0], _read_points(entry_section, chosen[0])))
     if any(later.at <= move.at for move, later in itertools.pairwise(moves)):
@@ -154,12 +154,12 @@ def _read_points(section: Section, key: str) -> Array:
     if key != "along":
         return np.array([section.vector(bound)])
     points = section.entries(key)
-    fits = 1 <= len(points) <= MOST_POINTS and all(
+    fits = 1 <= len(points) <= MAX_POINTS and all(
         isinstance(point, list) and len(point) == 3 and all(map(bound.holds, point))
         for point in points
     )
     if not fits:
-        rule = f"be 1 to {MOST_POINTS} points of 3 {bound.range}"
+        rule = f"be 1 to {MAX_POINTS} points of 3 {bound.range}"
         raise section.refusal(key, rule, repr(points))
     return np.array(points, np.float64)
 

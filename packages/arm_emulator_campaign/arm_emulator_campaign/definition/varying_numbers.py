@@ -13,7 +13,7 @@ from arm_emulator_campaign.definition.fault import list_faults
 from arm_emulator_campaign.sampling.distributions import parse_distribution
 from arm_emulator_campaign.sampling.variation import Varying
 
-DRAWN = ("scenario", "faults", "controller")  # sections whose numbers can vary
+VARYING_SECTIONS = ("scenario", "faults", "controller")  # sections whose numbers can vary
 CORRELATION = Number("by", at_least=-1.0, at_most=1.0, text="correlation of each with each")
 
 

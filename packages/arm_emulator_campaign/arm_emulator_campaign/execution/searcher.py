@@ -21,14 +21,14 @@ from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, Wo
 from arm_emulator_campaign.results.parts import INDEX, MEASURE, ROBUSTNESS, Results, divide_ranges
 from arm_emulator_campaign.search.method import Finding
 
-FOUND = "search.json"
-LEAST = "any requirement"
+FINDINGS = "search.json"
+ANY = "any requirement"
 
 
 def write_findings(results: Results, findings: Sequence[Finding]) -> None:
     """Write what a search has found beside the results."""
     write_atomically(
-        results.folder / FOUND, json.dumps([asdict(finding) for finding in findings], indent=1)
+        results.folder / FINDINGS, json.dumps([asdict(finding) for finding in findings], indent=1)
     )
 
 
@@ -66,7 +66,7 @@ class Searcher:
             KeyboardInterrupt: after what was done has been written.
         """
         requirements, seed = self._campaign.requirements, int.from_bytes(self._campaign.key[16:24])
-        names = self._outputs if self._method.every else [self._method.of or LEAST]
+        names = self._outputs if self._method.every else [self._method.of or ANY]
         names = [name.removeprefix(ROBUSTNESS) for name in names]
         sampler = self._method.sampler(self._varying, names, seed)
         try:

@@ -25,7 +25,7 @@ from arm_emulator_campaign.results.parts import write_part
 from arm_emulator_campaign.simulator import Simulator
 
 _PR_SET_PDEATHSIG = 1
-_asked = {"end": False, "busy": False}
+_requests = {"end": False, "busy": False}
 _own = threading.local()  # `device` of this thread
 Result = TypeVar("Result")
 
@@ -111,10 +111,10 @@ def simulate_chunk(
     campaign, simulator = get_simulator(file, key)
     outcomes: list[Outcomes] = []
     began = time.process_time()
-    _asked["busy"] = True
+    _requests["busy"] = True
     try:
         for start in range(first, end, simulator.width):
-            if _asked["end"]:
+            if _requests["end"]:
                 break
             some = range(start, min(start + simulator.width, end))
             for run in simulator.runs([_make_case(campaign, k, first, points) for k in some]):
@@ -123,8 +123,8 @@ def simulate_chunk(
         done = Outcomes.join(outcomes) if outcomes else None
         if done is not None:
             write_part(Path(folder), campaign, done)
-        _asked["busy"] = False
-    if _asked["end"]:
+        _requests["busy"] = False
+    if _requests["end"]:
         os._exit(0)
     failures: tuple[int, ...] = (0,) * (len(campaign.requirements) + 1)
     runs, points_values = 0, None
@@ -168,6 +168,6 @@ def follow_parent(parent: int) -> None:
 
 
 def _end(signal_number: int, frame: object) -> None:
-    _asked["end"] = True
-    if not _asked["busy"]:
+    _requests["end"] = True
+    if not _requests["busy"]:
         os._exit(0)

@@ -17,10 +17,10 @@ from arm_emulator.extension.base import Refusal, require_package
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.worker import Done, begin_worker, call_on
 
-ASKED_EVERY = 2.0  # s between questions for the workers of a cluster
+POLL_PERIOD = 2.0  # s between questions for the workers of a cluster
 CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
 LARGEST_CHUNK = 100_000  # runs
-MOST_BREAKS = 3  # of pools that end without a finished chunk
+MAX_BREAKS = 3  # of pools that end without a finished chunk
 Left = TypeVar("Left")
 
 
@@ -99,7 +99,7 @@ class DaskPool:
         """Number given, or of the cluster's threads, asked now and then; at least 1."""
         if self._given is not None:
             return self._given
-        if time.monotonic() - self._asked >= ASKED_EVERY:
+        if time.monotonic() - self._asked >= POLL_PERIOD:
             threads: dict[str, int] = self._client.nthreads()
             self._asked, self._threads = time.monotonic(), max(1, sum(threads.values()))
         return self._threads
@@ -216,7 +216,7 @@ class Work:
                 killed += 1
                 breaks = breaks + 1 if self._progress.done == before else 0
                 self.end()
-            if breaks >= MOST_BREAKS:
+            if breaks >= MAX_BREAKS:
                 where, ended = self._campaign.where, f"ended {breaks} times"
                 raise Refusal(where, "workers", "not end by themselves", ended)
 

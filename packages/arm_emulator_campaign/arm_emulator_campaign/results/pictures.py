@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Columns = Mapping[str, Array]
 HOLDS, FAILS, INK = "#4878a8", "#d1495b", "#22313f"
-MOST_LINES, MOST_POINTS, MOST_AXES = 150, 4000, 10  # lines: of each kind
+MAX_LINES, MAX_POINTS, MAX_AXES = 150, 4000, 10  # lines: of each kind
 WIDTH = 10.2  # inches
 _STYLE = {
     "font.size": 9.5,
@@ -139,7 +139,7 @@ def draw_influences(
     count = len(requirements)
     figure, axes = _make_figure(WIDTH, 2.7 * count, count, 3)
     rng = np.random.default_rng(0)
-    some = np.sort(rng.permutation(len(next(iter(columns.values()))))[:MOST_POINTS])
+    some = np.sort(rng.permutation(len(next(iter(columns.values()))))[:MAX_POINTS])
     for row, (name, title) in enumerate(requirements.items()):
         bars, *scatters = axes[3 * row : 3 * row + 3]
         strongest = compute_influence(columns, varying, name)
@@ -211,18 +211,18 @@ def draw_coordinates(
 
     Args:
         columns: of the results.
-        varying: numbers that vary; the first `MOST_AXES` are drawn.
+        varying: numbers that vary; the first `MAX_AXES` are drawn.
         failed: whether each run failed (K,).
         ranks: its place among the worst, by which lines are chosen (K,).
     """
     from matplotlib.collections import LineCollection
 
-    names = [*varying[:MOST_AXES]]
+    names = [*varying[:MAX_AXES]]
     figure, (axis,) = _make_figure(WIDTH, 3.6, 1, 1)
     order = np.argsort(-ranks, kind="stable")
-    bad = order[failed[order]][-MOST_LINES:]
+    bad = order[failed[order]][-MAX_LINES:]
     good = order[~failed[order]]
-    good = good[np.linspace(0, len(good) - 1, min(len(good), MOST_LINES)).astype(int)]
+    good = good[np.linspace(0, len(good) - 1, min(len(good), MAX_LINES)).astype(int)]
     heights = np.array([_scale_values(columns[name]) for name in names])
     runs = np.random.default_rng(0).permutation(np.concatenate([bad, good]))
     lines = [np.column_stack([np.arange(len(names)), heights[:, run]]) for run in runs]

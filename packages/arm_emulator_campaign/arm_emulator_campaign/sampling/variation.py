@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scipy.stats import qmc
 
 SAMPLINGS = ("random", "sobol", "latin")
-MOST_SOBOL = 21_201  # dimensions that SciPy has directions for
+MAX_SOBOL = 21_201  # dimensions that SciPy has directions for
 LARGEST_LATIN = 5 * 10**7  # numbers of a Latin hypercube, which every worker holds
 _FIRST, _LAST = 2.0**-54, 1.0 - 2.0**-53
 
@@ -63,8 +63,8 @@ class Variation:
         self._grids = grids
         self._free = [place for place in range(len(self.numbers)) if place not in grids]
         D = len(self._free)
-        if self.sampling == "sobol" and D > MOST_SOBOL:
-            rule = f"be random or latin with more than {MOST_SOBOL} numbers"
+        if self.sampling == "sobol" and D > MAX_SOBOL:
+            rule = f"be random or latin with more than {MAX_SOBOL} numbers"
             raise Refusal(self.where, "sampling", rule, "sobol")
         if self.sampling == "latin" and D * self.count > LARGEST_LATIN:
             rule = f"be random or sobol with more than {LARGEST_LATIN:g} numbers in all"

@@ -10,7 +10,7 @@ import numpy as np
 
 from arm_emulator.extension.base import Array, Section, number
 from arm_emulator_campaign.sampling.variation import Variation
-from arm_emulator_campaign.search.method import Course, Finding, Method
+from arm_emulator_campaign.search.method import Finding, Method, Sampler
 
 WORST = -1e9  # margin of a run that diverged
 
@@ -32,18 +32,18 @@ class Falsification(Method):
         """Return how many runs it takes at most."""
         return int(self.most)
 
-    def _ask(self, minimum: _Least, points: Array) -> Any:
+    def _ask(self, minimum: _LowestMargin, points: Array) -> Any:
         """Yield points to run, as many as are left; return their margins."""
         points = points[: self.runs(0) - minimum.runs]
         margins = (yield points)[:, 0]
         minimum.take(margins)
         return np.maximum(np.nan_to_num(margins, nan=WORST), WORST)
 
-    def _ends(self, minimum: _Least) -> bool:
+    def _ends(self, minimum: _LowestMargin) -> bool:
         return minimum.runs >= self.most or minimum.margin < self.below
 
 
-class _Least:
+class _LowestMargin:
     """The least margin so far."""
 
     def __init__(self) -> None:
@@ -79,11 +79,11 @@ class CmaEs(Falsification):
             rule = "have at least two numbers that vary"
             raise section.refusal("method", rule, len(variation.numbers), "bayes")
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         from cma import CMAEvolutionStrategy
 
-        minimum, rng, D = _Least(), np.random.default_rng(seed), len(names)
+        minimum, rng, D = _LowestMargin(), np.random.default_rng(seed), len(names)
         size, begin = 4 + int(3.0 * np.log(D)), np.zeros(D)
         while not self._ends(minimum):
             evolution = CMAEvolutionStrategy(begin, 0.3 * self.within, {
@@ -111,7 +111,7 @@ class Bayes(Falsification):
         text="runs between two looks at their margins; they can be simulated side by side"
     )  # fmt: skip
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         import optuna
 
@@ -121,7 +121,7 @@ class Bayes(Falsification):
         )
         study = optuna.create_study(sampler=sampler)
         each = optuna.distributions.FloatDistribution(-self.within, self.within)
-        minimum = _Least()
+        minimum = _LowestMargin()
         while not self._ends(minimum):
             trials = [study.ask(dict.fromkeys(names, each)) for _ in range(int(self.at_once))]
             points = np.array([[proposal.params[name] for name in names] for proposal in trials])

@@ -47,7 +47,7 @@ class Finding:
         return rows
 
 
-Course = Generator[Array, Array, list[Finding]]
+Sampler = Generator[Array, Array, list[Finding]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,7 @@ class Method:
         """Return how many runs it takes at most."""
         raise NotImplementedError
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course.
 
         Args:

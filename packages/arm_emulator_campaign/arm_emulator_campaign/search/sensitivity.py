@@ -11,7 +11,7 @@ from scipy import special
 
 from arm_emulator.extension.base import Array, Section, number
 from arm_emulator_campaign.sampling.variation import Variation
-from arm_emulator_campaign.search.method import Course, Finding, Method
+from arm_emulator_campaign.search.method import Finding, Method, Sampler
 
 CONFIDENCE = 0.95
 TAIL = 0.01  # on either side of the quantiles that Morris' steps keep within
@@ -75,7 +75,7 @@ class Sobol(Sensitivity):
         """Return how many runs it takes."""
         return int(self.base) * (D + 2)
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         from SALib.analyze import sobol as analysis
         from SALib.sample import sobol as sampling
@@ -127,7 +127,7 @@ class Morris(Sensitivity):
         """Part of the range between the outer quantiles that a step spans, as Morris chose it."""
         return 0.5 * self.levels / (self.levels - 1.0)
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         from SALib.analyze import morris as analysis
         from SALib.sample import morris as sampling

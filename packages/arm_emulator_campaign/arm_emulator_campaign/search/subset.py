@@ -24,7 +24,7 @@ import numpy as np
 from arm_emulator.extension.base import Array, Section, number
 from arm_emulator_campaign.sampling.variation import Variation
 from arm_emulator_campaign.search.by_levels import ByLevels, choose_places
-from arm_emulator_campaign.search.method import Course, Finding
+from arm_emulator_campaign.search.method import Finding, Sampler
 
 ACCEPTED = 0.44  # share of candidates at which chains forget soonest
 
@@ -54,7 +54,7 @@ class Subset(ByLevels):
         """Return how many runs it takes at most."""
         return int((self.repetitions + 2) * self.per_level) * (self._levels + 1)
 
-    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Course:
+    def sampler(self, names: Sequence[str], outputs: Sequence[str], seed: int) -> Sampler:
         """Return its course."""
         rng, D, N = np.random.default_rng(seed), len(names), int(self.per_level)
         chains = round(self.share * N)

@@ -10,7 +10,15 @@ import pytest
 import yaml
 from draws import some
 
-from bench.campaign_kills import CAMPAIGN, WORKERS, Cluster, begun, digest_alone, one_moment, works
+from bench.campaign_kills import (
+    CAMPAIGN,
+    WORKERS,
+    Cluster,
+    begun,
+    digest_alone,
+    simulate_kill,
+    works,
+)
 
 pytest.importorskip("distributed", reason="Dask: pip install distributed")
 
@@ -34,7 +42,7 @@ def test_a_kill_of_any_process_leaves_the_digest_the_same(tmp_path, file, cluste
     # The time counts from the first part: a client that has no scheduler yet waits less for one.
     rng = np.random.default_rng(7)
     after = rng.uniform(0.0, 0.5)
-    trial = one_moment(file, tmp_path / "r", cluster, victim, after, rng, parts=1)
+    trial = simulate_kill(file, tmp_path / "r", cluster, victim, after, rng, parts=1)
     assert trial.digest == digest_alone(file, tmp_path / "alone"), trial
 
 

@@ -6,14 +6,14 @@ import re
 
 import pytest
 from draws import some
-from test_requirements import NAMES, PERIOD, drawn_case, fed
+from test_requirements import NAMES, PERIOD, draw_case, fed
 
 rtamt = pytest.importorskip("rtamt", reason="see requirements-peers.txt")
 
 
 def test_rtamt_agrees():
     for k in some(range(10_000), 100):
-        text, _, rows, cuts = drawn_case([99, k])
+        text, _, rows, cuts = draw_case([99, k])
         count = len(rows["a"])
         if count < 2:  # which rtamt does not take
             continue

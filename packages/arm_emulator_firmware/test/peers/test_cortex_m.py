@@ -188,7 +188,7 @@ class Debugger:
         self._socket.close()
 
 
-def course(
+def record_states(
     chip: Microcontroller, scene: Scene, table: TargetTable | None, ticks: int
 ) -> list[tuple[bytes, int, int, int]]:
     """Go on tick by tick; return the machine's state and what the processor has done at each."""
@@ -229,7 +229,7 @@ def debugged(
         worker.start()
         chip.debug(listening)
     try:
-        return course(chip, scene, table, ticks)
+        return record_states(chip, scene, table, ticks)
     finally:
         worker.join()
         assert not failed, failed
@@ -245,7 +245,7 @@ def test_halting_in_gdb_changes_no_bit(
     rng = np.random.default_rng(4)
     ticks = 30 if kind == "asleep" else 6
     table = random_table(rng, ur5, 20)
-    free = course(chip_of(ur5, elf), ur5, table, ticks)
+    free = record_states(chip_of(ur5, elf), ur5, table, ticks)
     lines = ["set pagination off", "break control_step", "continue", "print *encoder", "backtrace"]
     for _ in range(6):
         action = rng.choice(["stepi", "next", "continue", "middle"])
@@ -284,7 +284,7 @@ def test_gdb_halts_where_a_condition_on_the_machine_begins_to_hold(
     """Firmware and machine stand together; the run goes on to the same bits."""
     elf, ticks = built("asleep.elf"), 40
     table = random_table(np.random.default_rng(6), ur5, 8)
-    free = course(chip_of(ur5, elf), ur5, table, ticks)
+    free = record_states(chip_of(ur5, elf), ur5, table, ticks)
     chip = chip_of(ur5, elf)
     run, tick_states, stops_at = TableRun(ur5, table, chip), [], []
     stops = Breakpoint(run.session.plant, "tick >= 17")
@@ -320,7 +320,7 @@ def test_every_step_and_any_packet_of_a_debugger_change_no_bit(
     elf = built("asleep.elf")
     rng = np.random.default_rng(5)
     table = random_table(rng, ur5, 8)
-    free = course(chip_of(ur5, elf), ur5, table, 300)
+    free = record_states(chip_of(ur5, elf), ur5, table, 300)
     handler = address_of(elf, "ADC_Handler")
 
     def work(port: int) -> None:

@@ -64,7 +64,7 @@ def judge_pose(
     )
 
 
-def compute_direction_spread(positions: list[Array]) -> float:
+def compute_direction_deviation(positions: list[Array]) -> float:
     """Return vAP [m]: the largest distance of barycentres of a pose that differ by the approach.
 
     Args:

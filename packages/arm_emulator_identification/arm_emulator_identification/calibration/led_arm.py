@@ -157,7 +157,7 @@ def visit_from_directions(arm: LedArm, poses: tuple[Pose, ...], edge: float, cyc
                 _require(arm.lead(before))
                 reached.append(_require(arm.lead(pose)).p)
             rows.append(np.array(reached))
-        largest = max(largest, iso_9283.compute_direction_spread(rows))
+        largest = max(largest, iso_9283.compute_direction_deviation(rows))
     return largest
 
 

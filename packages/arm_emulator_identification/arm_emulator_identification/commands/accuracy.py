@@ -28,7 +28,7 @@ CENTRE = Number.within("--centre", "m", 1e3)
 EDGE = Number("--edge", "m", above=0.0, at_most=10.0)
 DWELL = Number("--dwell", "s", above=0.0, at_most=100.0)
 POSES = Number("--fit", at_least=0, at_most=100_000, whole=True)
-HELD = Number("--held", at_least=0, at_most=100_000, whole=True)
+CHECK = Number("--held", at_least=0, at_most=100_000, whole=True)
 TRACKER = Number("--tracker", "m", above=0.0, at_most=0.1)
 TRACKER_ANGLE = Number("--tracker-angle", "rad", above=0.0, at_most=0.1)
 SEED = Number("seed", at_least=0, at_most=2**53, whole=True)
@@ -77,7 +77,7 @@ def accuracy(
         seed: of random poses and of the tracker's noise.
         out: the calibration that is found.
     """
-    for number, value in ((CYCLES, cycles), (DWELL, dwell), (POSES, fit), (HELD, held),
+    for number, value in ((CYCLES, cycles), (DWELL, dwell), (POSES, fit), (CHECK, held),
                           (TRACKER, tracker), (TRACKER_ANGLE, tracker_angle),
                           (SEED.named("--seed"), seed)):  # fmt: skip
         number.take("accuracy", value)

@@ -14,15 +14,15 @@ from arm_emulator.extension.base import Refusal, find_scene
 from arm_emulator.extension.base import given_warnings as given
 from arm_emulator.extension.commands import SceneName, command, output, plain
 from arm_emulator.extension.machine import Scene, compute_count_angle, load_scene
-from arm_emulator_identification.found import Found, list_bodies, list_found, list_kept
+from arm_emulator_identification.found import Found, list_bodies, list_numbers, list_unfitted
 from arm_emulator_identification.identified import (
-    Asked,
+    FitRequest,
     Identified,
     add_followers,
     draw_torques,
     identify_numbers,
-    list_doubts,
     list_gears,
+    list_warnings,
     write_fitted,
 )
 from arm_emulator_identification.loop_fit import list_loops
@@ -88,27 +88,27 @@ def identify(
     with show_stages() as stage:
         stage("read")
         record = _record(data, nominal, angles, side).shift_back(late)
-        request = Asked(patterns, hold_patterns, low_pass, trust, as_is)
+        request = FitRequest(patterns, hold_patterns, low_pass, trust, as_is)
         identified = identify_numbers(nominal, record, request, stage)
         stage("write")
-        numbers = list_found(nominal, identified.fit)
-        warnings = identified.doubts + list_doubts(nominal, identified.fit, numbers)
+        numbers = list_numbers(nominal, identified.fit)
+        warnings = identified.doubts + list_warnings(nominal, identified.fit, numbers)
         _write(out, file, nominal, identified.fit, numbers, warnings, data.name)
         # Gears wind up under the load of the fitted links.
         springs = [gear for gear in list_gears(nominal) if has_match(gear, patterns)]
         numbers += list_stiffness(load_scene(out), identified.run, springs, hold_patterns)
 
-        def is_sought(name: str) -> bool:
+        def is_fitted(name: str) -> bool:
             return has_match(name, patterns) and not has_match(name, hold_patterns)
 
         numbers += list_loops(
-            nominal, identified.run, identified.motion, identified.loads, is_sought, trust
+            nominal, identified.run, identified.motion, identified.loads, is_fitted, trust
         )
         fitted_names = {number.name for number in numbers}
-        numbers += list_kept(
+        numbers += list_unfitted(
             nominal,
             identified.fit.unknowns,
-            lambda name: is_sought(name) and name not in fitted_names,
+            lambda name: is_fitted(name) and name not in fitted_names,
         )
         _write(out, file, nominal, identified.fit, numbers, warnings, data.name)
         picture = out.with_suffix(".png")

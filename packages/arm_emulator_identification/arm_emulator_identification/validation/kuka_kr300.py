@@ -41,13 +41,13 @@ JUDGED = (1, 2)  # axes whose wind-up is judged: axis 1 carries too little to be
 
 # Limits of the identified machine on any run. The shares of null models give a figure its meaning:
 # with gears ten times too stiff 0.91 of a wind-up remains, with ours 0.30 to 0.68.
-LEAST_EXPLAINED, LEAST_OF_AXIS = 87.0, 80.0  # %, in motion
-LEAST_OF_ALL = 65.0  # %, mean over all samples: at rest stiction takes any torque
-LEAST_CAUSAL = 83.0  # %, mean, in motion, low-passed one way
-MOST_DRIFT = {0.6: (8.0, 15.0), 2.0: (40.0, 60.0)}  # %, mean and each axis, after seconds
-MOST_OF_NULL = 0.6  # free runs: their mean, of that of the best null model
-MOST_OF_RIGID = 0.85  # wind-up: of that of rigid gears, each axis
-MOST_BESIDE_WAVE = 0.7  # the same beside the encoder's wave
+MIN_EXPLAINED, MIN_OF_AXIS = 87.0, 80.0  # %, in motion
+MIN_OF_ALL = 65.0  # %, mean over all samples: at rest stiction takes any torque
+MIN_CAUSAL = 83.0  # %, mean, in motion, low-passed one way
+MAX_DRIFT = {0.6: (8.0, 15.0), 2.0: (40.0, 60.0)}  # %, mean and each axis, after seconds
+MAX_OF_NULL = 0.6  # free runs: their mean, of that of the best null model
+MAX_OF_RIGID = 0.85  # wind-up: of that of rigid gears, each axis
+MAX_BESIDE_WAVE = 0.7  # the same beside the encoder's wave
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Known:
+class Prediction:
     """Results of run A beside the machine's numbers."""
 
     per_axis: PerAxis
@@ -83,13 +83,13 @@ class Known:
 
 
 @cache
-def known() -> Known:
+def predict() -> Prediction:
     """Return the null models and the encoder's wave, identified on run A."""
     scene = load_scene("kuka_kr300")
     run = load(SHIPPED[0], scene)
     data = _filtered(run, scene)
     of_gears = compute_wind_up(run, scene)
-    return Known(PerAxis.fitted(data), of_gears.order, of_gears.ripple)
+    return Prediction(PerAxis.fitted(data), of_gears.order, of_gears.ripple)
 
 
 def load(path: Path, scene: Scene) -> MeasuredRun:
@@ -137,21 +137,21 @@ def torque_figures(
 ) -> Iterator[Figure]:
     """Yield the share of the measured torque that a machine explains, see `torques_of`."""
     every = np.ones_like(data.moving)
-    null = known().per_axis.torques(data)
+    null = predict().per_axis.torques(data)
     alone = explained(data.tau, null - data.tau, data.moving)
     yield Figure("torque explained in motion, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = explained(data.tau, torques - data.tau, data.moving)
-    limit = max(LEAST_EXPLAINED, float(alone.mean()))
+    limit = max(MIN_EXPLAINED, float(alone.mean()))
     yield Figure(
-        "torque explained in motion, %", shares, ".1f", least=LEAST_OF_AXIS, least_mean=limit
+        "torque explained in motion, %", shares, ".1f", least=MIN_OF_AXIS, least_mean=limit
     )
     causal = _filtered(run, scene, causal=True)
     shares = explained(causal.tau, _torques(scene, causal) - causal.tau, causal.moving)
-    yield Figure("  low-passed one way, %", shares, ".1f", least_mean=LEAST_CAUSAL)
+    yield Figure("  low-passed one way, %", shares, ".1f", least_mean=MIN_CAUSAL)
     alone = explained(data.tau, null - data.tau, every)
     yield Figure("  all samples, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = explained(data.tau, torques - data.tau, every)
-    limit = max(LEAST_OF_ALL, float(alone.mean()))
+    limit = max(MIN_OF_ALL, float(alone.mean()))
     yield Figure("  all samples, %", shares, ".1f", least_mean=limit)
 
 
@@ -167,7 +167,7 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
         nulls = {
             "constant speed": constant_speed(run, begin, seconds),
             "constant acceleration": constant_acceleration(run, begin, seconds, LOW_PASS),
-            "each axis by itself": known().per_axis.free_run(
+            "each axis by itself": predict().per_axis.free_run(
                 run, begin, seconds, scene.gear_ratios
             ),
         }
@@ -177,12 +177,12 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
             best = min(best, null, key=np.mean)
             figures.append(Figure(f"{title}: {name}", null, ".1f", yardstick=True))
         off = 100.0 * compute_drift(run, begin, len(looks), angles[-1]).share
-        mean, each = MOST_DRIFT[seconds]
+        mean, each = MAX_DRIFT[seconds]
         figures.append(Figure(title, off, ".1f", most=each, most_mean=mean))
         share = float(off.mean() / best.mean())
         figures.append(
             Figure(
-                "  of the best of these", off / best, ".2f", most_mean=MOST_OF_NULL, overall=share
+                "  of the best of these", off / best, ".2f", most_mean=MAX_OF_NULL, overall=share
             )
         )
     return paths, begins, figures
@@ -193,15 +193,15 @@ def wind_up_figures(run: MeasuredRun, of_gears: WindUp) -> Iterator[Figure]:
     rigid = np.degrees(of_gears.unexplained)
     yield Figure("wind-up, deg rms: rigid gears", rigid, ".4f", yardstick=True)
     share = of_gears.residual / of_gears.unexplained
-    yield _of_rigid("  not computed, of that", share, MOST_OF_RIGID)
+    yield _of_rigid("  not computed, of that", share, MAX_OF_RIGID)
     # Only the phase of the encoder's wave is specific to the run, as its zero is.
-    wave, q = known(), run.q_motor[np.searchsorted(run.t, of_gears.t)]
+    wave, q = predict(), run.q_motor[np.searchsorted(run.t, of_gears.t)]
     left, all_runs = (
         _without_wave(error, q, wave.wave_order, wave.wave)
         for error in (of_gears.measured - of_gears.computed, of_gears.measured)
     )
     yield _of_rigid(
-        "  the same beside the encoder's wave of run A", left / all_runs, MOST_BESIDE_WAVE
+        "  the same beside the encoder's wave of run A", left / all_runs, MAX_BESIDE_WAVE
     )
 
 
@@ -336,7 +336,7 @@ def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[
     return {"good": all(comparison.good for comparison in comparisons), "runs": compared}
 
 
-DRAWN = 5  # free runs: one of this many is drawn
+PICTURED = 5  # free runs: one of this many is drawn
 
 
 def draw(comparison: Comparison, names: tuple[str, ...], file: Path) -> None:
@@ -356,7 +356,7 @@ def draw(comparison: Comparison, names: tuple[str, ...], file: Path) -> None:
         torque.plot(data.t, (data.tau - comparison.torques)[:, j] * moving, "C3", lw=0.7)
         torque.set_ylabel(name)
         free.plot(run.t, np.degrees(run.q_motor[:, j]), color="0.6", lw=1.2)
-        for k in range(0, len(comparison.begins), DRAWN):
+        for k in range(0, len(comparison.begins), PICTURED):
             at = comparison.begins[k]
             t = run.t[at + 1 : at + 1 + len(comparison.paths)]
             free.plot(t, np.degrees(comparison.paths[:, k, j]), "C0", lw=1.0)

@@ -53,7 +53,7 @@ class Motion:
 
 
 @cache
-def turns_of_motors() -> Array:
+def get_gear_ratios() -> Array:
     """Return the motor angles per unit link angles."""
     return 1.0 / load_scene("manutec_r3").gear_ratios
 
@@ -66,7 +66,7 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     with Dymola's published one to 4.7e-9 rad.
     """
     data = np.load(find_config_folder() / "validation" / "manutec_r3" / "solution.npz")
-    ratios = turns_of_motors()
+    ratios = get_gear_ratios()
     theta_m, omega_m = data["q"] * ratios, data["v"] * ratios
     theta_m[:, ELASTIC], omega_m[:, ELASTIC] = data["motor_angle"], data["motor_speed"]
     motion = Motion(data["t"], data["current"], theta_m, omega_m, data["q"], data["v"])
@@ -99,7 +99,7 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
     travel = Q_END - Q_BEGIN
     axes = header.rows("manutec_axis", AXES)
     for name, values in {
-        "n": turns_of_motors(), "w": REGULATOR_W, "D": REGULATOR_D, "begin": Q_BEGIN, "way": travel,
+        "n": get_gear_ratios(), "w": REGULATOR_W, "D": REGULATOR_D, "begin": Q_BEGIN, "way": travel,
         "x": x, "C": C,
     }.items():  # fmt: skip
         axes[name] = values
@@ -150,7 +150,7 @@ def compare(motion: Motion) -> Comparison:
         maximum: Array = np.abs(differences).max(axis=0)
         return maximum
 
-    ratios = turns_of_motors()
+    ratios = get_gear_ratios()
     wind_up = (ratios * q - others["theta_m"])[:, ELASTIC]
     expected_wind_up = (ratios * truth.q - truth.theta_m)[inside][:, ELASTIC]
     now = np.searchsorted(motion.t, t + 1e-9, side="right") - 1
@@ -167,14 +167,14 @@ def compare(motion: Motion) -> Comparison:
 
 WIDTH = 110  # characters of the table
 PERIODS = (2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6)  # s, servo period and step
-SHOWN = 5e-5  # s, of which angles and currents are drawn
+PICTURED = 5e-5  # s, of which angles and currents are drawn
 
 
 # Limits at the drawn period; the solution itself is accurate to 5e-9 rad.
-MOST = {"q": 1e-6, "v": 1e-3, "current": 5e-3, "wind_up": 5e-5}
-MOST_OTHER_MODES = 0.01  # of the rows: the solution has two at each instant of change
+LIMITS = {"q": 1e-6, "v": 1e-3, "current": 5e-3, "wind_up": 5e-5}
+MAX_FURTHER_MODES = 0.01  # of the rows: the solution has two at each instant of change
 ORDER = (1.8, 2.2)  # of the angles' error, over the periods from 50 to 5 us
-LEAST_SPEED = 1.0  # times real time
+MIN_SPEED = 1.0  # times real time
 
 
 def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
@@ -190,7 +190,7 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
         motion = min((simulate(period) for _ in range(3)), key=lambda run: run.seconds)
         comparison, speed = compare(motion), END / motion.seconds
         comparisons[period] = comparison, speed
-        if period == SHOWN:
+        if period == PICTURED:
             longest_motion = motion
         table.add_row(
             f"{1e6 * period:g}", f"{comparison.q.max():.2g}", f"{comparison.v.max():.2g}",
@@ -214,7 +214,7 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
     rows = [
         {
             "period": period,
-            **{name: float(getattr(comparison, name).max()) for name in MOST},
+            **{name: float(getattr(comparison, name).max()) for name in LIMITS},
             "other_modes": comparison.other_modes,
             "rows": comparison.rows,
             "speed": speed,
@@ -232,7 +232,7 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
 
 def order_of(by_period: Mapping[float, tuple[Comparison, float]]) -> float:
     """Return the slope of the angles' error over the period, both as logarithms."""
-    periods = [period for period in by_period if 5e-6 <= period <= SHOWN]
+    periods = [period for period in by_period if 5e-6 <= period <= PICTURED]
     errors = [by_period[period][0].q.max() for period in periods]
     return float(np.polyfit(np.log(periods), np.log(errors), 1)[0])
 
@@ -240,20 +240,20 @@ def order_of(by_period: Mapping[float, tuple[Comparison, float]]) -> float:
 def manutec_failures(
     by_period: Mapping[float, tuple[Comparison, float]],
 ) -> Iterator[str]:
-    """Yield each exceeded limit, as a line: figures at `SHOWN`, order, and modes."""
-    at, speed = by_period[SHOWN]
-    where = f"at {1e6 * SHOWN:g} us"
-    for name, limit in MOST.items():
+    """Yield each exceeded limit, as a line: figures at `PICTURED`, order, and modes."""
+    at, speed = by_period[PICTURED]
+    where = f"at {1e6 * PICTURED:g} us"
+    for name, limit in LIMITS.items():
         value = float(getattr(at, name).max())
         if not value <= limit:
             yield f"{where}: {name} must be within {limit:g}, got {value:.3g}"
-    if not speed >= LEAST_SPEED:
-        yield f"{where}: speed must be >= {LEAST_SPEED:g} times real time, got {speed:.3g}"
+    if not speed >= MIN_SPEED:
+        yield f"{where}: speed must be >= {MIN_SPEED:g} times real time, got {speed:.3g}"
     for period, (comparison, _) in by_period.items():
-        if not comparison.other_modes <= MOST_OTHER_MODES * comparison.rows:
+        if not comparison.other_modes <= MAX_FURTHER_MODES * comparison.rows:
             yield (
                 f"at {1e6 * period:g} us: rows in other friction modes must be <= "
-                f"{MOST_OTHER_MODES:.0%}, got {comparison.other_modes} of {comparison.rows}"
+                f"{MAX_FURTHER_MODES:.0%}, got {comparison.other_modes} of {comparison.rows}"
             )
     order = order_of(by_period)
     if not ORDER[0] <= order <= ORDER[1]:

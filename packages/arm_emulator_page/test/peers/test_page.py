@@ -51,7 +51,7 @@ viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
 LAST = 400
 
 
-class Shown:
+class Served:
     """A page of a recorded run."""
 
     def __init__(self, folder: Path) -> None:
@@ -70,8 +70,8 @@ class Shown:
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
-    served_page = Shown(tmp_path_factory.mktemp("page"))
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    served_page = Served(tmp_path_factory.mktemp("page"))
     yield served_page
     served_page.page.close()
 
@@ -84,7 +84,7 @@ def answer(url: str, **headers: str) -> tuple[int, dict[str, str]]:
         return error.code, dict(error.headers)
 
 
-def test_nothing_is_served_without_the_token(shown: Shown) -> None:
+def test_nothing_is_served_without_the_token(shown: Served) -> None:
     token = shown.url.split("/")[3]
     plain = without_token(shown.url)
     for below in ("", "?look=dark", "index.html"):
@@ -113,7 +113,7 @@ MALFORMED = (
 
 
 @pytest.mark.parametrize("head", MALFORMED, ids=range(len(MALFORMED)))
-def test_a_malformed_request_is_the_fault_of_the_client(shown: Shown, head: str) -> None:
+def test_a_malformed_request_is_the_fault_of_the_client(shown: Served, head: str) -> None:
     token, host = shown.url.split("/")[3], shown.url.split("/")[2]
     with socket.create_connection((host.split(":")[0], int(host.split(":")[1])), 10.0) as client:
         words = head.format(token) + f"\r\nHost: {host}\r\n\r\n"
@@ -128,7 +128,7 @@ def test_a_malformed_request_is_the_fault_of_the_client(shown: Shown, head: str)
     assert answer(shown.url)[0] == 200, "the page goes on"
 
 
-def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Shown) -> None:
+def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Served) -> None:
     """127.0.0.2 stands for them: an address of this machine that the page is not served at."""
     port = shown.url.split(":")[2].partition("/")[0]
     with pytest.raises(urllib.error.URLError, match="refused"):
@@ -148,7 +148,7 @@ def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Shown)
         every.stop()
 
 
-def test_no_other_page_gets_a_connection(shown: Shown) -> None:
+def test_no_other_page_gets_a_connection(shown: Served) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
@@ -163,13 +163,13 @@ def test_no_other_page_gets_a_connection(shown: Shown) -> None:
         assert refused.value.response.status_code == 403
 
 
-def test_a_port_that_is_taken_is_refused(shown: Shown) -> None:
+def test_a_port_that_is_taken_is_refused(shown: Served) -> None:
     port = int(shown.url.split(":")[2].partition("/")[0])
     with pytest.raises(Refusal, match="port must be free"):
         RunPage(RunView.of(shown.line, LAST), lambda: (TermsNow({}, {}), []), port)
 
 
-def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
+def test_every_control_does_what_it_names(shown: Served, browser: Any) -> None:
     page, scene = opened(browser, shown.url), shown.machine.scene
     assert page.title() == "arm_emulator"
     for button, tick in (("to end", LAST), ("-1", LAST - 1), ("to start", 0), ("+1", 1)):
@@ -223,7 +223,7 @@ def test_every_control_does_what_it_names(shown: Shown, browser: Any) -> None:
     page.close()
 
 
-def test_a_second_browser_and_a_lost_connection(shown: Shown, browser: Any) -> None:
+def test_a_second_browser_and_a_lost_connection(shown: Served, browser: Any) -> None:
     first, two = opened(browser, shown.url), opened(browser, shown.url)
     press(first, "to end")
     shows(two, f"tick {LAST},")
@@ -401,7 +401,7 @@ def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
         run_page.close()
 
 
-def test_runs_of_other_joints_are_not_laid_over_each_other(shown: Shown) -> None:
+def test_runs_of_other_joints_are_not_laid_over_each_other(shown: Served) -> None:
     timeline = Timeline(load_offline_run("panda"))
     timeline.advance(1)
     with pytest.raises(Refusal, match="joints of the other run must be"):

@@ -30,7 +30,7 @@ COLORS = """() => {
 
 
 @pytest.fixture(scope="module")
-def shown() -> Iterator[RunPage]:
+def narrow_page() -> Iterator[RunPage]:
     line = Timeline(load_offline_run("ur5"), every=100)
     line.advance(100)
     page = RunPage(RunView.of(line, 100), lambda: (TermsNow({}, {}), []))
