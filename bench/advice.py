@@ -38,10 +38,10 @@ from arm_emulator_analysis.judged_motions import (
     KINDS,
     SECONDS,
     ExcitationMotions,
-    Motion,
+    JudgedMotion,
     judged_motions,
 )
-from arm_emulator_analysis.true_motion import Method
+from arm_emulator_analysis.true_motion import IntegrationMethod
 from oracles import mixtures
 from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
@@ -104,7 +104,7 @@ def draw_scene(folder: Path, seed: int) -> tuple[str, Scene]:
     return kind, load_scene(file)
 
 
-def draw_unseen_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[Motion]:
+def draw_unseen_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> list[JudgedMotion]:
     """Return motions that `advise` has not seen."""
     rng, excitation = np.random.default_rng([seed, 32]), ExcitationMotions(scene, seconds)
     kinds = [str(kind) for kind in rng.choice(list(KINDS), OTHERS)]
@@ -112,7 +112,7 @@ def draw_unseen_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> li
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AdviceVerdict:
     """Result of one scene for one error."""
 
     seed: int
@@ -130,14 +130,14 @@ class Verdict:
     none: str = ""  # why no setting was advised
 
     @property
-    def true(self) -> bool:
+    def is_true(self) -> bool:
         """Whether errors are at most those stated."""
         return bool(self.none) or (
             self.own <= self.stated <= self.wanted and self.others <= self.stated_of_others
         )
 
     @property
-    def cheap(self) -> bool:
+    def is_cheap(self) -> bool:
         """Whether hardly anything is cheaper."""
         return self.cost <= DEARER
 
@@ -148,15 +148,15 @@ class Verdict:
             {}
             if self.none
             else {
-                "errors are at most those stated": self.true,
-                f"at most {DEARER} times as dear as the cheapest": self.cheap,
+                "errors are at most those stated": self.is_true,
+                f"at most {DEARER} times as dear as the cheapest": self.is_cheap,
             }
         )
 
 
 def judge_scene(
     seed: int, seconds: float = SECONDS, errors: Sequence[float] = ERRORS
-) -> list[Verdict]:
+) -> list[AdviceVerdict]:
     """Draw a scene and hold the claims against it, for every error."""
     with tempfile.TemporaryDirectory() as folder:
         kind, scene = draw_scene(Path(folder), seed)
@@ -169,7 +169,7 @@ def judge_scene(
         )
         why = own.know_truths(fine) or others.know_truths(fine)
         return [
-            Verdict(seed, kind, limit, none=advice.why_none or why)
+            AdviceVerdict(seed, kind, limit, none=advice.why_none or why)
             if advice.why_none or why
             else _verdict(seed, kind, limit, advice, own, others)
             for limit, advice in advices.items()
@@ -178,10 +178,10 @@ def judge_scene(
 
 def _verdict(
     seed: int, kind: str, error: float, advice: Advice, own: Judge, others: Judge
-) -> Verdict:
+) -> AdviceVerdict:
     best = advice.settings[0]
     steps = round(own.scene.servo_period / best.dt)
-    tried, cheaper = 0, list[tuple[Method, int]]()
+    tried, cheaper = 0, list[tuple[IntegrationMethod, int]]()
     for method in own.methods:
         for fewer in step_counts(1, steps * MANY):
             if own.runs.least_cost(method, fewer) > best.cost:
@@ -196,7 +196,7 @@ def _verdict(
     costs = own.cost([(best.method, steps), *cheaper])
     k = int(np.argmin(costs))
     method, fewer = [(best.method, steps), *cheaper][k]
-    return Verdict(
+    return AdviceVerdict(
         seed,
         kind,
         error,

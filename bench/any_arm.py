@@ -18,17 +18,17 @@ import numpy as np
 
 from bench.measure import side_by_side
 from bench.tables import table
-from oracles.any_arm import DISTANCES_NAMED, Move, Outcome, arms, examine
+from oracles.any_arm import DISTANCES_NAMED, ArmOutcome, ToolMove, arms, examine
 
 MOVES = 30  # of each distance
 PARTS = (50.0, 90.0, 99.0, 99.5, 100.0)  # % of all moves
 FARTHEST = 3e-3  # m past its rest, in any move
 # Claims about all moves: text of a violation, its test, and the largest share of violations.
-CLAIMS: tuple[tuple[str, Callable[[Move], bool], float], ...] = (
+CLAIMS: tuple[tuple[str, Callable[[ToolMove], bool], float], ...] = (
     ("did not arrive", lambda move: bool(move.words), 0.01),
-    ("past their rest by more than 1 mm and 0.5 %", lambda move: move.overshot, 0.005),
+    ("past their rest by more than 1 mm and 0.5 %", lambda move: move.has_overshot, 0.005),
     ("past their rest by more than 3 mm", lambda move: move.past > FARTHEST, 0.0),
-    ("off a line by more than 1 mm and 1 %", lambda move: move.off_line, 0.01),
+    ("off a line by more than 1 mm and 1 %", lambda move: move.is_off_line, 0.01),
     ("faster than a limit", lambda move: move.peak_speed > 1.0, 0.0),
     ("accelerated beyond a limit", lambda move: move.peak_acceleration > 1.0, 0.0),
     ("torques beyond a limit", lambda move: move.peak_torque > 1.0, 0.0),
@@ -68,28 +68,28 @@ def chosen(robots: Sequence[str]) -> dict[str, Path | str]:
     return chosen_robots
 
 
-def examined(robots: dict[str, Path | str], moves: int) -> list[Outcome]:
+def examined(robots: dict[str, Path | str], moves: int) -> list[ArmOutcome]:
     """Return the outcome of every arm."""
     return side_by_side("arms", _examine, [(name, robots[name], moves) for name in sorted(robots)])
 
 
-def _examine(which: tuple[str, Path | str, int]) -> Outcome:
+def _examine(which: tuple[str, Path | str, int]) -> ArmOutcome:
     return examine(*which)
 
 
-def run(quick: bool) -> list[Outcome]:
+def run(quick: bool) -> list[ArmOutcome]:
     """Examine all arms that are there."""
     return examined(arms(), 5 if quick else MOVES)
 
 
-def report(outcomes: list[Outcome]) -> str:
+def report(outcomes: list[ArmOutcome]) -> str:
     """Return a row per arm, and parts of all moves, as Markdown."""
     moves = [move for outcome in outcomes for move in outcome.moves]
     if not moves:
         return "no arm moved"
     heads = ("arm", "joints", *DISTANCES_NAMED, "median, s", "worst, s", "past, mm", "off line, mm",
              "speed", "acceleration", "torque")  # fmt: skip
-    straight = [move for move in moves if move.straight]
+    straight = [move for move in moves if move.is_straight]
     rows: list[tuple[str, list[float]]] = [
         ("past its rest, mm", [1e3 * max(0.0, move.past) for move in moves]),
         ("past its rest, %",
@@ -112,7 +112,7 @@ def report(outcomes: list[Outcome]) -> str:
     ])  # fmt: skip
 
 
-def failures(outcomes: list[Outcome]) -> str:
+def failures(outcomes: list[ArmOutcome]) -> str:
     """Return how often each claim was broken, by which arms, and what was refused."""
     moves = [move for outcome in outcomes for move in outcome.moves]
     lines = [""]
@@ -128,7 +128,7 @@ def failures(outcomes: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def _row(outcome: Outcome) -> list[str]:
+def _row(outcome: ArmOutcome) -> list[str]:
     times = [m.seconds for m in outcome.arrived] or [float("nan")]
     return [
         outcome.name.removeprefix("own: "),
@@ -140,7 +140,7 @@ def _row(outcome: Outcome) -> list[str]:
         f"{np.median(times):.2f}",
         f"{max(times):.2f}",
         f"{1e3 * max(m.past for m in outcome.moves):.2f}",
-        f"{1e3 * max((m.aside for m in outcome.moves if m.straight), default=np.nan):.2f}",
+        f"{1e3 * max((m.aside for m in outcome.moves if m.is_straight), default=np.nan):.2f}",
         f"{max(m.peak_speed for m in outcome.moves):.2f}",
         f"{max(m.peak_acceleration for m in outcome.moves):.2f}",
         f"{max(m.peak_torque for m in outcome.moves):.2f}",

@@ -20,7 +20,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from bench.measure import progress
-from bench.origins import Origin, origins
+from bench.origins import NumberOrigin, origins
 from bench.tables import table
 
 TITLE = "What is assumed of the arms"
@@ -31,7 +31,7 @@ Values = dict[str, float]  # of varied numbers, by name
 
 
 @dataclass(frozen=True)
-class Assumed:
+class AssumedFigure:
     """A figure that is assumed, and how to give it to the joints that share it."""
 
     label: str
@@ -56,7 +56,7 @@ class Assumed:
         return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
 
 
-def assumed_of(file: Path) -> list[Assumed]:
+def assumed_of(file: Path) -> list[AssumedFigure]:
     """Return what a scene assumes, in the order of the file.
 
     The torque constant is the constant of the back EMF, too. A gear's ratio is no number of a
@@ -66,7 +66,7 @@ def assumed_of(file: Path) -> list[Assumed]:
     origin_list = [origin for origin in origins(file) if origin.assumed is not None]
     nominal = {name: origin.value for origin in origin_list for name in origin.names()}
 
-    def of(origin: Origin) -> Assumed:
+    def of(origin: NumberOrigin) -> AssumedFigure:
         key = f"{origin.section}.{origin.key}"
         powers = {
             "motor.torque_constant": {"torque_constant": 1.0, "back_emf_constant": 1.0},
@@ -79,7 +79,9 @@ def assumed_of(file: Path) -> list[Assumed]:
             names = [(name, power) for joint in origin.joints for of_motor, power in powers.items()
                      if (name := f"joints.{joint}.motor.{of_motor}") in nominal]  # fmt: skip
         assert origin.assumed is not None
-        return Assumed(key, origin.joints, origin.value, *origin.assumed, tuple(names), nominal)
+        return AssumedFigure(
+            key, origin.joints, origin.value, *origin.assumed, tuple(names), nominal
+        )
 
     return [of(origin) for origin in origin_list if origin.key != "back_emf_constant"]
 
@@ -128,7 +130,7 @@ def make_demo(run: OfflineRun, file: Path, instructions: int | None) -> Array:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ResidualOutcome:
     """Result of the demo of one arm."""
 
     residual: float  # mm, that remains at the end
@@ -136,12 +138,14 @@ class Outcome:
     settled: int | None  # instructions until it was within 2 % of the way; None: never
 
 
-def outcome(deviations: Array, nominal: Array) -> Outcome:
+def outcome(deviations: Array, nominal: Array) -> ResidualOutcome:
     """Return it, of the deviations (K + 1, 3) [m]."""
     distance = np.linalg.norm(deviations, axis=1)
     below = np.flatnonzero(distance < 0.02 * np.linalg.norm(nominal[0]))
     away = float(np.linalg.norm(deviations - nominal, axis=1).max())
-    return Outcome(1e3 * float(distance[-1]), 1e3 * away, int(below[0]) if len(below) else None)
+    return ResidualOutcome(
+        1e3 * float(distance[-1]), 1e3 * away, int(below[0]) if len(below) else None
+    )
 
 
 def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:

@@ -45,7 +45,7 @@ Run = tuple[Array, float]  # link positions on the way, and how long it took [s]
 
 
 @dataclass(frozen=True)
-class Program:
+class PeerProgram:
     """A job that both do, with all arms or with `FEW`.
 
     Attributes:
@@ -109,7 +109,7 @@ def _timed(work: Callable[[], Array]) -> Run:
     return q, time.perf_counter() - begin
 
 
-def _computed_torque() -> Program:
+def _computed_torque() -> PeerProgram:
     ours, theirs = _both("computed_torque")
 
     def own(dt: float | None, few: bool) -> Run:
@@ -120,10 +120,10 @@ def _computed_torque() -> Program:
         model = _model("three_axis_torque", integrator, dt)
         return _timed(lambda: theirs["follow"](model)[1])
 
-    return Program("computed_torque", "computed torque, 2 s", own, peer)
+    return PeerProgram("computed_torque", "computed torque, 2 s", own, peer)
 
 
-def _sweep() -> Program:
+def _sweep() -> PeerProgram:
     ours, theirs = _both("sweep")
 
     def arms(few: bool) -> list[Array]:
@@ -137,10 +137,10 @@ def _sweep() -> Program:
         model = _model("three_axis", integrator, dt)
         return _timed(lambda: theirs["sweep"](model, *arms(few)))
 
-    return Program("sweep", "sweep of 200 arms, 1 s each", own, peer)
+    return PeerProgram("sweep", "sweep of 200 arms, 1 s each", own, peer)
 
 
-def _environment() -> Program:
+def _environment() -> PeerProgram:
     ours, theirs = _both("vector_env")
 
     def drive(env: Any, q: Callable[[], Array]) -> Run:
@@ -165,10 +165,10 @@ def _environment() -> Program:
         env = theirs["ReachEnv"](_model("three_axis", integrator, dt), FEW if few else 64)
         return drive(env, lambda: env.state[:, 4:7])
 
-    return Program("vector_env", f"64 arms in gymnasium's API, {TICKS} steps", own, peer)
+    return PeerProgram("vector_env", f"64 arms in gymnasium's API, {TICKS} steps", own, peer)
 
 
-def _observer(folder: Path) -> Program:
+def _observer(folder: Path) -> PeerProgram:
     """Return the servo in C; both are compiled into the folder."""
     table = ROOT / "arm_emulator/servo/c/template/targets.csv"
     source, library, twin = EXAMPLES / "my_observer.c", folder / "libobserver.so", folder / "twin"
@@ -208,7 +208,7 @@ def _observer(folder: Path) -> Program:
             q.append(last)
         return np.array(q, float), TIMES[-1] / float(factor)
 
-    return Program("my_observer", "servo with an observer in C, 3 s", own, peer)
+    return PeerProgram("my_observer", "servo with an observer in C, 3 s", own, peer)
 
 
 def _file(folder: Path, dt: float | None) -> str:
@@ -230,7 +230,7 @@ def _compile(words: str) -> None:
 
 
 @dataclass(frozen=True)
-class Choice:
+class StepChoice:
     """An integrator of MuJoCo and a step, with the error and the time of few arms there."""
 
     integrator: str
@@ -239,16 +239,16 @@ class Choice:
     seconds: float
 
 
-def _choose(program: Program, solution: Array) -> Choice:
+def _choose(program: PeerProgram, solution: Array) -> StepChoice:
     """Return the quickest way of MuJoCo to `TARGET`; the most exact one if none gets there."""
     from bench.mujoco_peer import INTEGRATORS
 
-    tried: list[Choice] = []
+    tried: list[StepChoice] = []
     for integrator in INTEGRATORS:
         for dt in STEPS:
             q, seconds = program.theirs(integrator, dt, True)
             off = float(np.nan_to_num(np.abs(q - solution), nan=np.inf).max())
-            tried.append(Choice(integrator, dt, off, seconds))
+            tried.append(StepChoice(integrator, dt, off, seconds))
             if off <= TARGET:
                 break
     good = [trial for trial in tried if trial.error <= TARGET]

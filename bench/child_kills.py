@@ -52,7 +52,7 @@ except (Refusal, KeyboardInterrupt) as end:
 """
 
 
-class Case:
+class KillCase:
     """A run with one child, which gets a signal.
 
     Attributes:
@@ -119,11 +119,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    rng, cases = np.random.default_rng(options.seed), list[Case]()
+    rng, cases = np.random.default_rng(options.seed), list[KillCase]()
     for k in range(options.count):
         child, how = CHILDREN[k % 3], list(HOW)[k // 3 % 3]
         with tempfile.TemporaryDirectory() as folder:
-            case = Case(child, HOW[how], float(rng.uniform(0.0, 0.5)), Path(folder))
+            case = KillCase(child, HOW[how], float(rng.uniform(0.0, 0.5)), Path(folder))
         cases.append(case)
         print(f"{k:4d} {child:<9} {how:<10} wait {case.wait:.2f} s, end {case.end:.2f} s, "
               f"left {len(case.left)}", flush=True)  # fmt: skip

@@ -125,7 +125,7 @@ def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
     }
 
 
-def punctual(figures: dict[str, Any]) -> bool:
+def is_punctual(figures: dict[str, Any]) -> bool:
     """Whether a run in real time kept its limits."""
     late = abs(figures["real_time_factor"] - 1.0) >= FACTOR_ERROR
     return not late and bool(figures["old_commands_share"] < OLD_SHARE)

@@ -17,7 +17,7 @@ from arm_emulator.design.new_scene import write_new
 from bench.measure import progress
 from bench.pictures import new_figure, save
 from bench.tables import table
-from oracles.followed_line import AssumedNumbers, Line, follow
+from oracles.followed_line import AssumedNumbers, ToolLine, follow
 
 TITLE = "Feed-forward on a fast line"
 
@@ -89,7 +89,7 @@ def _make_scene(robot: Path, folder: Path) -> Path:
 
 def report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
-    line = Line()
+    line = ToolLine()
     lines = [
         f"A line of {line.length * 1e3:g} mm along y at {line.speed:g} m/s, {line.acceleration:g} "
         f"m/s² and {line.jerk:g} m/s³, orientation held: the largest distance of the true tool "

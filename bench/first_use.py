@@ -11,7 +11,7 @@ import time
 from dataclasses import asdict
 from typing import Any
 
-from bench.measure import Timing, progress, timing
+from bench.measure import WallTime, progress, timing
 from bench.tables import table
 
 TITLE = "First use"
@@ -84,7 +84,7 @@ def report(figures: dict[str, Any]) -> str:
     ]
     rows = []
     for name, figure in figures.items():
-        times = [Timing(**figure[part]) for part in PARTS]
+        times = [WallTime(**figure[part]) for part in PARTS]
         cells = (f"{one.median * 1e3:.1f} ms ± {100 * one.spread:.0f} %" for one in times)
         ros = ", ".join(figure["ros"]) or "none"
         rows.append((name, f"{figure['first']['ready']:.2f} s", *cells, ros))

@@ -194,7 +194,7 @@ def _at_error(quick: bool) -> dict[str, Any]:
     rows = np.stack([inputs[arm % INPUTS] for arm in range(COUNT)], axis=1)
     part = np.ascontiguousarray(rows[: len(rows) // PART])
 
-    def exact(machine: Plant | MujocoArm, steps: int) -> bool:
+    def is_exact(machine: Plant | MujocoArm, steps: int) -> bool:
         errors = []
         for voltages, truth in zip(inputs, truths, strict=True):
             machine.reset()
@@ -208,14 +208,14 @@ def _at_error(quick: bool) -> dict[str, Any]:
         for scheme in SCHEMES:
             for dt in steps_of(COARSEST, FINEST):
                 steps, own = round(SERVO_PERIOD / dt), make_bare_scene(PEER, scheme, dt)
-                if exact(Plant(own), steps):
+                if is_exact(Plant(own), steps):
                     tasks[scheme] = _task(Fleet(own, COUNT, workers=1), rows, steps)
                     break
             done(scheme)
         for integrator in integrators:
             for dt in steps_of(COARSEST, FINEST_THEIRS):
                 steps = round(SERVO_PERIOD / dt)
-                if exact(MujocoArm(scene, integrator, dt), steps):
+                if is_exact(MujocoArm(scene, integrator, dt), steps):
                     peer = Rollout(scene, integrator, dt, COUNT, threads=1)
                     tasks[f"MuJoCo {integrator}"] = _task(peer, part, steps)
                     break

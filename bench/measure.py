@@ -67,7 +67,7 @@ def stepping(machine: Steps, voltages: ArrayLike, steps: int, about: float = ENO
 
 
 @dataclass(frozen=True)
-class Timing:
+class WallTime:
     """Wall time of a task [s]: median and quartiles of the repetitions."""
 
     median: float
@@ -75,9 +75,9 @@ class Timing:
     high: float
     repetitions: int
 
-    def per(self, count: float) -> Timing:
+    def per(self, count: float) -> WallTime:
         """Return the time of one of `count` equal parts."""
-        return Timing(self.median / count, self.low / count, self.high / count, self.repetitions)
+        return WallTime(self.median / count, self.low / count, self.high / count, self.repetitions)
 
     @property
     def spread(self) -> float:
@@ -87,7 +87,7 @@ class Timing:
 
 def interleaved(
     tasks: Mapping[str, Task], repetitions: int, done: Callable[[str], None] | None = None
-) -> dict[str, Timing]:
+) -> dict[str, WallTime]:
     """Time every task `repetitions` times, all of them in turn, after one turn of warm-up.
 
     In turn, so that a slow spell of the machine hits all tasks alike and not one of them. `done` is
@@ -111,11 +111,11 @@ def interleaved(
     return {name: timing(values) for name, values in walls.items()}
 
 
-def timing(walls: Iterable[float]) -> Timing:
+def timing(walls: Iterable[float]) -> WallTime:
     """Return median and quartiles of some wall times [s]."""
     values = np.array(list(walls))
     low, median, high = np.quantile(values, (0.25, 0.5, 0.75))
-    return Timing(float(median), float(low), float(high), len(values))
+    return WallTime(float(median), float(low), float(high), len(values))
 
 
 @contextlib.contextmanager

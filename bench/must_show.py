@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from bench import fleet
-from bench.clocks import FACTOR_ERROR, OLD_SHARE, punctual
+from bench.clocks import FACTOR_ERROR, OLD_SHARE, is_punctual
 from bench.ns_per_step import fastest_mujoco
-from bench.stability_map import everywhere_bounded
+from bench.stability_map import is_bounded_everywhere
 from bench.threads import PAPER_RATIO, TITLES, TWO
 
 # what, wanted, reached, whether it is; None: nothing to hold it against, or not measured
@@ -122,7 +122,7 @@ def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
 
 def _stability(figures: dict[str, Any]) -> Iterator[Row]:
     for scheme in ("rosenbrock", "extrapolated", "implicit"):
-        holds = everywhere_bounded(figures, scheme)
+        holds = is_bounded_everywhere(figures, scheme)
         reached = "everywhere" if holds else "not everywhere"
         yield f"{scheme} bounded on the stability map", "everywhere", reached, holds
 
@@ -145,7 +145,7 @@ def _clocks(figures: dict[str, Any]) -> Iterator[Row]:
         f"real time, three nodes, {row['seconds']:.0f} s: factor; old commands",
         f"1 within {FACTOR_ERROR:.1%}; below {OLD_SHARE:.0%}",
         f"{factor:.5f}; {old:.2%}",
-        punctual(row),
+        is_punctual(row),
     )
     reached = {
         "lockstep": figures["lockstep"]["three_axis"]["real_time_factor"],

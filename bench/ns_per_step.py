@@ -13,7 +13,7 @@ from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
 from bench.chains import chain
-from bench.measure import Task, Timing, compile_all, interleaved, progress, stepping
+from bench.measure import Task, WallTime, compile_all, interleaved, progress, stepping
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
 from bench.pictures import COLOURS, PEERS, new_figure, save
 from bench.tables import table
@@ -73,7 +73,7 @@ def _tasks(schemes: dict[str, Scene]) -> dict[str, Task]:
     return tasks
 
 
-def _per_step(task: str, measured: Timing) -> Timing:
+def _per_step(task: str, measured: WallTime) -> WallTime:
     if task in STEPS:
         return measured.per(STEPS[task])
     return measured.per(MUJOCO_STEPS)
@@ -143,7 +143,7 @@ def report(figures: dict[str, Any]) -> str:
     ]
     rows = []
     for name in names:
-        times = [Timing(**arm["times"][name]) for arm in arms.values()]
+        times = [WallTime(**arm["times"][name]) for arm in arms.values()]
         cells = (f"{timing.median * 1e9:.4g} ± {100 * timing.spread:.0f} %" for timing in times)
         rows.append((name, *cells))
     for scheme in STEPS:

@@ -23,7 +23,7 @@ _SOURCE = re.compile(r"\[(\d+)\]")
 
 
 @dataclass(frozen=True)
-class Origin:
+class NumberOrigin:
     """Origin of one figure of a scene, which several joints may share."""
 
     section: str  # such as motor, or motor.friction
@@ -39,7 +39,7 @@ class Origin:
         return [f"joints.{joint}.{self.section}.{self.key}" for joint in self.joints]
 
 
-def origins(file: Path) -> list[Origin]:
+def origins(file: Path) -> list[NumberOrigin]:
     """Return the origin of each number of motors, gears and friction, in the order of the file.
 
     Raises:
@@ -68,7 +68,7 @@ def origins(file: Path) -> list[Origin]:
 def _origin(
     file: Path, text: str, line: int, named: dict[str, str], section: str, key: str, value: float,
     joints: tuple[str, ...],
-) -> Origin:  # fmt: skip
+) -> NumberOrigin:  # fmt: skip
     where, comment = f"{file.name}, line {line}", text.partition("#")[2]
     assumed, source = _ASSUMED.search(comment), _SOURCE.search(comment)
     at = f"{section}.{key}"
@@ -76,11 +76,11 @@ def _origin(
         low, high = (float(Fraction(group)) for group in assumed.groups())
         if not low <= value <= high:
             raise Refusal(where, at, f"be within what is assumed, {low:g} to {high:g}", value)
-        return Origin(section, key, value, joints, line, (low, high))
+        return NumberOrigin(section, key, value, joints, line, (low, high))
     if source is None or source[1] not in named:
         rule = "have a source, such as [1], that the head of the file names, or be assumed"
         raise Refusal(where, at, rule, comment.strip() or "nothing", "assumed LOW to HIGH")
-    return Origin(section, key, value, joints, line, None, named[source[1]])
+    return NumberOrigin(section, key, value, joints, line, None, named[source[1]])
 
 
 def _entries(node: yaml.Node | None) -> dict[str, yaml.Node]:

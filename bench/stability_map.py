@@ -167,7 +167,7 @@ def _cells(runs: list[Array | None], truth: Array) -> tuple[list[int], list[floa
     return cells, errors
 
 
-def everywhere_bounded(figures: dict[str, Any], scheme: str) -> bool:
+def is_bounded_everywhere(figures: dict[str, Any], scheme: str) -> bool:
     """Whether a scheme is accurate or bounded in every cell of every map."""
     return all(
         cell in (ACCURATE_CELL, BOUNDED_CELL)
@@ -268,7 +268,7 @@ def report(figures: dict[str, Any]) -> str:
             cells = [cell for column in axis["cells"][name] for cell in column]
             counts.append(" / ".join(str(cells.count(kind)) for kind in range(len(MEANING))))
         rows.append((name, *counts))
-    holding = [name for name in names if everywhere_bounded(figures, name)]
+    holding = [name for name in names if is_bounded_everywhere(figures, name)]
     lines += [
         table(("", *(axis["label"] for axis in axes.values())), rows),
         "",

@@ -53,7 +53,7 @@ class Bar:
 
 
 @dataclass(frozen=True)
-class Run:
+class PeerRun:
     """Places (K,) every SAMPLE [rad or m], and the time of a step [ns], None if not measured."""
 
     q: Array
@@ -61,16 +61,16 @@ class Run:
 
 
 # From a bar, a time [s] and the angle at which it begins.
-Peer = Callable[[Bar, float, float], Run]
+Peer = Callable[[Bar, float, float], PeerRun]
 
 
-def timed(advance: Callable[[], float], duration: float, dt: float) -> Run:
+def timed(advance: Callable[[], float], duration: float, dt: float) -> PeerRun:
     """Return a run of which `advance` gives the place after each sample."""
     q = np.empty(round(duration / SAMPLE))
     began = time.perf_counter()
     for k in range(len(q)):
         q[k] = advance()
-    return Run(q, 1e9 * (time.perf_counter() - began) / (duration / dt))
+    return PeerRun(q, 1e9 * (time.perf_counter() - began) / (duration / dt))
 
 
 def urdf(bar: Bar) -> str:
@@ -85,7 +85,7 @@ def urdf(bar: Bar) -> str:
 def emulator(dt: float, events: str) -> Peer:
     """Return the emulator with a step and a way to treat events."""
 
-    def run(bar: Bar, duration: float, start: float) -> Run:
+    def run(bar: Bar, duration: float, start: float) -> PeerRun:
         joint: dict[str, Any] = {
             "friction": {"coulomb": bar.friction, "breakaway": bar.breakaway * bar.friction}
         }
@@ -111,7 +111,7 @@ def emulator(dt: float, events: str) -> Peer:
         rows = np.zeros((round(duration / SAMPLE), 1))
         began = time.perf_counter()
         q = plant.run(rows, round(SAMPLE / dt))[:, 0]
-        return Run(q, 1e9 * (time.perf_counter() - began) / (duration / dt))
+        return PeerRun(q, 1e9 * (time.perf_counter() - began) / (duration / dt))
 
     return run
 
@@ -119,7 +119,7 @@ def emulator(dt: float, events: str) -> Peer:
 def mujoco_bar(dt: float, joint: str = "", option: str = "") -> Peer:
     """Return MuJoCo's `frictionloss`, with further attributes of the joint and of the options."""
 
-    def run(bar: Bar, duration: float, start: float) -> Run:
+    def run(bar: Bar, duration: float, start: float) -> PeerRun:
         model = mujoco().MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
 <option timestep="{dt!r}" gravity="0 0 {-G}" {option}/><worldbody><body>
 <inertial pos="{bar.reach!r} 0 0" mass="{bar.mass!r}"
@@ -145,7 +145,7 @@ def pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
     Python's, so its time is not that of Pinocchio.
     """
 
-    def run(bar: Bar, duration: float, start: float) -> Run:
+    def run(bar: Bar, duration: float, start: float) -> PeerRun:
         model = pin.buildModelFromXML(urdf(bar))
         model.gravity.linear = np.array([0.0, 0.0, 0.0 if bar.pull else -G])
         data, every = model.createData(), round(SAMPLE / dt)
@@ -164,7 +164,7 @@ def pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
                 q, t = q + dt * v, t + dt
             return float(q[0])
 
-        return Run(timed(advance, duration, dt).q)
+        return PeerRun(timed(advance, duration, dt).q)
 
     return run
 
@@ -176,7 +176,7 @@ def drake_block(dt: float, approximation: str, stiction: float | None = None) ->
     those down the slope, from the block at rest.
     """
 
-    def run(bar: Bar, duration: float, start: float) -> Run:
+    def run(bar: Bar, duration: float, start: float) -> PeerRun:
         plants = importlib.import_module("pydrake.multibody.plant")
         tree = importlib.import_module("pydrake.multibody.tree")
         shapes = importlib.import_module("pydrake.geometry")

@@ -33,7 +33,7 @@ LONGEST = 20.0  # s
 
 
 @dataclass
-class Run:
+class PathRun:
     """One path through the machine: samples of the true tool and of the joints."""
 
     t: Array
@@ -62,7 +62,7 @@ def poses(kind: str, home: Pose) -> list[Array]:
 
 def drive(
     scene_name: str, kind: str, speed: float, comes_from: tuple[float, ...] | None = None
-) -> Run:
+) -> PathRun:
     """Send the tool along a path, to whose first pose it comes from beside it [m] or rests."""
     file = find_scene(scene_name)
     scene, gains = load_scene(file), load_gains(file)
@@ -101,7 +101,7 @@ def drive(
         after += end in ("REACHED", "REFUSED", "ABORTED", "UNREACHABLE")
     line = np.array(targets)
     off = np.array([measure_distances(p[None], line[:-1], line[1:]).min() for p in np.array(tool)])
-    return Run(np.array(t) - t[0], np.array(tool), off, np.array(joints), end, reason)
+    return PathRun(np.array(t) - t[0], np.array(tool), off, np.array(joints), end, reason)
 
 
 def run(quick: bool) -> dict[str, Any]:

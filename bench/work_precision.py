@@ -43,7 +43,7 @@ GUESS_MUJOCO_OTHERS = 0.65e-6
 
 
 @dataclass(frozen=True)
-class Case:
+class MotionCase:
     """A machine and how it is driven."""
 
     title: str
@@ -57,13 +57,15 @@ class Case:
 
 
 CASES = {
-    "three_axis": Case("three_axis", "three_axis", ours=1e-7, longest=2.5, rtol=(1e-3, 1e-5, 1e-7)),
-    "ur5": Case("ur5, gravity", "ur5", rtol=(1e-3, 1e-5, 1e-7)),
-    "panda": Case("panda, gravity", "panda", rtol=(1e-3, 1e-5, 1e-7)),
-    "three_axis_10ms": Case(
+    "three_axis": MotionCase(
+        "three_axis", "three_axis", ours=1e-7, longest=2.5, rtol=(1e-3, 1e-5, 1e-7)
+    ),
+    "ur5": MotionCase("ur5, gravity", "ur5", rtol=(1e-3, 1e-5, 1e-7)),
+    "panda": MotionCase("panda, gravity", "panda", rtol=(1e-3, 1e-5, 1e-7)),
+    "three_axis_10ms": MotionCase(
         "three_axis, voltages held for 10 ms", "three_axis", period=1e-2, ours=1e-6, theirs=1e-5
     ),
-    "three_axis_no_inductance": Case(
+    "three_axis_no_inductance": MotionCase(
         "three_axis without inductance",
         "three_axis",
         {"joints.*.motor.inductance": None},
@@ -103,7 +105,7 @@ def _truth(motion: tuple[str, int]) -> Array:
     return end
 
 
-def _scene(case: Case, scheme: str, dt: float) -> Scene:
+def _scene(case: MotionCase, scheme: str, dt: float) -> Scene:
     own = {"servo_period": case.period, "integrator.scheme": scheme, "integrator.dt": dt}
     return load_scene(case.scene, {**BARE, **case.overrides, **own})
 
@@ -144,7 +146,7 @@ class _Series:
 
 
 def _measure(
-    case: Case, scenes: Mapping[str, Scene], truths: list[Array], quick: bool
+    case: MotionCase, scenes: Mapping[str, Scene], truths: list[Array], quick: bool
 ) -> dict[str, Any]:
     scene = scenes["rosenbrock"]
     N = len(scene.joints)
@@ -197,7 +199,7 @@ def _measure(
     }
 
 
-def _agreement(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+def _agreement(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
     """Check that MuJoCo's machine and ours are one: both against the reference after 1 s.
 
     With inductance MuJoCo's error is of first order in the step, so twice the result at h less the
@@ -215,7 +217,7 @@ def _agreement(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[
     return {"mujoco": mujoco, "ours": ours, "agree": max(mujoco, ours) < AGREEMENT}
 
 
-def _scipy(case: Case, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+def _scipy(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
     """Time Pinocchio's dynamics in SciPy's integrators, once each: they take seconds."""
     points: dict[str, list[dict[str, Any]]] = {}
     runs = [(method, rtol) for method in SCIPY_METHODS for rtol in case.rtol]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bench.measure import Timing
+from bench.measure import WallTime
 from bench.pictures import COLOURS, PEERS, new_figure, save
 from bench.tables import table
 
@@ -170,6 +170,6 @@ def _point(point: dict[str, Any] | None) -> str:
         return ""
     if point["error"] is None:
         return "diverged"
-    time = Timing(**point["time"])
+    time = WallTime(**point["time"])
     percent = f" ± {100 * time.spread:.0f} %" if time.repetitions > 1 else ""
     return f"{point['error']:.1e}, {_milliseconds(time.median)}{percent}"

@@ -37,7 +37,7 @@ from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run
 from oracles.part_samples import draw_part, draw_scaled
 from oracles.random_chain import moving_joints, random_chain_urdf
-from oracles.smoothed_reference import Row, SmoothedMachine, Smoothing
+from oracles.smoothed_reference import InputRow, SmoothedMachine, Smoothing
 
 ROWS = 14  # commands, each for a period
 # Steps in a row where events are taken at their ends, in which they lie well or badly: the coarse
@@ -138,13 +138,13 @@ def truth_of(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
                 and not any(not on and round(t / dt) <= begin for t, on in changes.get(j, []))
                 for j in range(len(scene.joints))
             )
-            pieces.append(Row(row, closed, (end - begin) * dt))
+            pieces.append(InputRow(row, closed, (end - begin) * dt))
         ends.append(len(pieces) - 1)
     return SmoothedMachine(scene, smoothing).positions(pieces)[ends]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AloneVerdict:
     """Result of one mixture."""
 
     seed: int
@@ -153,27 +153,27 @@ class Verdict:
     way: float = 0.0  # rad or m
     off: float = 0.0  # rad or m, between the finest located run and the truth
     truth: float = 0.0  # rad or m, by how much that changes with sharper jumps, where it was asked
-    located: mixtures.Verdict | None = None
+    located: mixtures.MixtureVerdict | None = None
     errors: tuple[float, float] = (0.0, 0.0)  # rad or m, at the ends of steps: coarse and fine
     left: tuple[float, float] = (0.0, 0.0)  # of the energy exchanged, there
     lanes: float = 0.0  # rad or m, by which lanes differ from machines alone
     note: str = ""
 
     @property
-    def true(self) -> bool:
+    def is_true(self) -> bool:
         """Whether the motion is that of the reference."""
         own = self.located.differences[1] if self.located else 0.0
         return self.off < RESOLVED + 2.0 * (self.truth + own)
 
     @property
-    def of_first_order(self) -> bool:
+    def is_of_first_order(self) -> bool:
         """Whether the error falls as the step where events are not located."""
         # The located run that they are compared with has an error of its own.
         own = self.located.differences[1] if self.located else 0.0
         return self.errors[1] < max(self.errors[0] / FALLS, ROUNDED + own)
 
     @property
-    def balanced(self) -> bool:
+    def is_balanced(self) -> bool:
         """Whether what is left of energy falls as the step there."""
         return self.left[1] < max(self.left[0] / FALLS, mixtures.BALANCED)
 
@@ -181,17 +181,17 @@ class Verdict:
     def claims(self) -> dict[str, bool]:
         """Return all claims by name."""
         return {
-            "true": self.true,
-            "located: order 2": self.located is None or self.located.in_order,
-            "located: balance": self.located is None or self.located.balanced,
-            "step: order 1": self.of_first_order,
-            "step: balance": self.balanced,
+            "true": self.is_true,
+            "located: order 2": self.located is None or self.located.is_in_order,
+            "located: balance": self.located is None or self.located.is_balanced,
+            "step: order 1": self.is_of_first_order,
+            "step: balance": self.is_balanced,
             "lanes": self.lanes == 0.0,
             "held": self.note == "",
         }
 
 
-def judge(seed: int) -> Verdict:
+def judge(seed: int) -> AloneVerdict:
     """Draw a mixture and hold the claims against it."""
     schemes = LOCATING_SCHEMES[seed % 2], SCHEMES[seed // 2 % len(SCHEMES)]
     with tempfile.TemporaryDirectory() as folder:
@@ -224,8 +224,8 @@ def judge(seed: int) -> Verdict:
             if seed % 4 == 0:
                 lanes = mixtures.lanes_apart(scene(COARSE[1], "step"), seed, rows)
         except Diverged as fault:
-            return Verdict(seed, parts, schemes, note=str(fault))
-    return Verdict(
+            return AloneVerdict(seed, parts, schemes, note=str(fault))
+    return AloneVerdict(
         seed, parts, schemes,
         way=float(np.abs(truth - first.start).max()), off=float(np.abs(q - truth).max()),
         truth=sharper, located=located, errors=(coarse[0], error), left=(coarse[1], left),

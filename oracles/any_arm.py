@@ -53,7 +53,7 @@ NO_ARMS = (
 
 
 @dataclass
-class Move:
+class ToolMove:
     """Outcome of one move, judged over its whole length."""
 
     distance: str
@@ -78,36 +78,36 @@ class Move:
     """Reason of its way, as published by the motion controller."""
 
     @property
-    def straight(self) -> bool:
+    def is_straight(self) -> bool:
         """Whether the motion controller announced a straight line."""
         return "tool's line" in self.way
 
     @property
-    def off_line(self) -> bool:
+    def is_off_line(self) -> bool:
         """Whether it left a line that was announced by more than 1 mm and 1 % of its length."""
-        return self.straight and self.aside > max(1e-3, 1e-2 * self.length)
+        return self.is_straight and self.aside > max(1e-3, 1e-2 * self.length)
 
     @property
-    def overshot(self) -> bool:
+    def has_overshot(self) -> bool:
         """Whether it went past its rest by more than 1 mm and 0.5 % of its length."""
         return self.past > max(1e-3, 5e-3 * self.length)
 
 
 @dataclass
-class Outcome:
+class ArmOutcome:
     """Result of one arm."""
 
     name: str
     joints: int = 0
-    moves: list[Move] = field(default_factory=list)
+    moves: list[ToolMove] = field(default_factory=list)
     refused: str = ""
 
-    def of(self, distance: str) -> list[Move]:
+    def of(self, distance: str) -> list[ToolMove]:
         """Return the moves of one distance."""
         return [tool_move for tool_move in self.moves if tool_move.distance == distance]
 
     @property
-    def arrived(self) -> list[Move]:
+    def arrived(self) -> list[ToolMove]:
         """The moves that arrived."""
         return [tool_move for tool_move in self.moves if not tool_move.words]
 
@@ -122,9 +122,9 @@ def arms() -> dict[str, Path | str]:
     return robots
 
 
-def examine(name: str, robot: Path | str, count: int) -> Outcome:
+def examine(name: str, robot: Path | str, count: int) -> ArmOutcome:
     """Make a scene of an arm and send it on moves."""
-    outcome = Outcome(name)
+    outcome = ArmOutcome(name)
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(robot, str):
             file = Path(folder) / f"{robot}.urdf"
@@ -188,7 +188,7 @@ def reachable(
     return None
 
 
-def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Move:
+def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> ToolMove:
     """Send the arm from one pose to another, and watch it all the way.
 
     The poses are drawn without regard to the arm's own parts, so it may run into itself.
@@ -234,7 +234,7 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> Mo
     except (Diverged, Refusal) as fault:
         words = str(fault).splitlines()[0]
     reasons = [r.reason for r in run.instructor.reports.waiting if r.state is State.MOVING]
-    tool_move = Move(distance, 0.0, words, seconds, way="; ".join(reasons))
+    tool_move = ToolMove(distance, 0.0, words, seconds, way="; ".join(reasons))
     tool_move.peak_speed = _find_largest(np.array(speeds), kinematics.velocity_limit)
     accelerations = np.diff(speeds, axis=0) / sample
     tool_move.peak_acceleration = _find_largest(accelerations, kinematics.acceleration_limit)

@@ -78,7 +78,7 @@ PLACES = ("link", "rotor")
 
 
 @dataclass(frozen=True)
-class Case:
+class RestCase:
     """A scene with one law alone, and how it is solved."""
 
     scene: str
@@ -89,7 +89,7 @@ class Case:
     weightless: bool = False
 
 
-class Equations:
+class RestEquations:
     """Equilibrium of a scene at rest: Pinocchio's M and nle, and the magnitudes of friction."""
 
     def __init__(self, scene: Scene, payload: Mapping[str, Any] | None) -> None:
@@ -117,7 +117,7 @@ class Equations:
         """Return the torques that hold the links."""
         return np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
 
-    def residual(self, case: Case, q: Array, v: Array) -> float:
+    def residual(self, case: RestCase, q: Array, v: Array) -> float:
         """Return by how much torques at q do not add up, of a weight, where v came from rest."""
         weight = self.weight(q) * (not case.weightless)
         left = -weight - self.mass(q) @ v / (PARTS * INSTANT)  # that friction takes
@@ -127,7 +127,7 @@ class Equations:
         )
         return float(off.max() / (self.dry.max() / SHARE))
 
-    def _friction(self, case: Case) -> tuple[Array, Array]:
+    def _friction(self, case: RestCase) -> tuple[Array, Array]:
         """Return what friction takes of joints that begin to move, and what it holds at most."""
         # Nothing loads the gears yet, and what a rotor behind an elastic one does is not felt yet.
         felt = self.dry * (1.0 if case.place == "link" else self.carried > 0.0)
@@ -140,13 +140,13 @@ class Equations:
         return slides * felt, holds * felt
 
 
-def equations_of(name: str) -> Equations:
+def equations_of(name: str) -> RestEquations:
     """Return those of a shipped scene."""
     payload = read_yaml(find_config(name, ".yaml")).get("payload")
-    return Equations(load_scene(name, ALONE), payload)
+    return RestEquations(load_scene(name, ALONE), payload)
 
 
-def scene_of(case: Case, equations: Equations, dt: float | None = None) -> Scene:
+def scene_of(case: RestCase, equations: RestEquations, dt: float | None = None) -> Scene:
     """Return the scene of a case, friction sized to what its joints carry; dt: of its steps."""
     at_rotor = case.place == "rotor"
     ratio = equations.ratio if at_rotor else np.ones_like(equations.ratio)
@@ -167,7 +167,7 @@ def scene_of(case: Case, equations: Equations, dt: float | None = None) -> Scene
     return load_scene(case.scene, {**overrides, "varied": [f"joints.*.{key}.*"]})
 
 
-def judge(case: Case, poses: int, equations: Equations) -> list[str]:
+def judge(case: RestCase, poses: int, equations: RestEquations) -> list[str]:
     """Return in a line each what is wrong in so many random poses."""
     rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
     plant = Plant(scene_of(case, equations))
@@ -189,10 +189,10 @@ def judge(case: Case, poses: int, equations: Equations) -> list[str]:
     return wrong
 
 
-def cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[Case]:
+def cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[RestCase]:
     """Return all cases; schemes that locate events do so and do not."""
     return [
-        Case(scene, place, law, scheme, events, weightless)
+        RestCase(scene, place, law, scheme, events, weightless)
         for scene in scenes
         for weightless in (False, True)
         for place in PLACES

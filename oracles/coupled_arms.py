@@ -12,34 +12,34 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from oracles.own_robots import Part, serial
+from oracles.own_robots import RobotPart, serial
 
 GRAVITY = (0.4, -1.1, -9.7)
 Shares = dict[str, dict[str, float]]
 
-TURN = Part("0 0 1", (0.1, 0.0, 0.4), 6.0)
+TURN = RobotPart("0 0 1", (0.1, 0.0, 0.4), 6.0)
 BOOM = [
     TURN,
-    Part("0 1 0", (0.8, 0.1, 0.0), 5.0, limits=(-1.2, 0.8)),
-    Part("1 0 0", (0.3, 0.0, 0.1), 3.0, "prismatic", (0.0, 0.6)),
-    Part("1 0 0", (0.2, 0.1, 0.0), 2.0, "prismatic", (0.0, 0.4)),
-    Part("1 0 0", (0.1, 0.0, 0.1), 1.0, "prismatic", (0.0, 0.3)),
+    RobotPart("0 1 0", (0.8, 0.1, 0.0), 5.0, limits=(-1.2, 0.8)),
+    RobotPart("1 0 0", (0.3, 0.0, 0.1), 3.0, "prismatic", (0.0, 0.6)),
+    RobotPart("1 0 0", (0.2, 0.1, 0.0), 2.0, "prismatic", (0.0, 0.4)),
+    RobotPart("1 0 0", (0.1, 0.0, 0.1), 1.0, "prismatic", (0.0, 0.3)),
 ]
 PALLETIZER = [
     TURN,
-    Part("0 1 0", (0.0, 0.05, 0.8), 5.0, limits=(-0.7, 1.2)),
-    Part("0 1 0", (0.7, 0.0, 0.1), 4.0, limits=(-1.5, 1.0)),
-    Part("0 1 0", (0.1, 0.1, 0.0), 1.0, limits=(-1.5, 1.5)),
-    Part("0 0 -1", (0.1, 0.0, -0.1), 0.5),
+    RobotPart("0 1 0", (0.0, 0.05, 0.8), 5.0, limits=(-0.7, 1.2)),
+    RobotPart("0 1 0", (0.7, 0.0, 0.1), 4.0, limits=(-1.5, 1.0)),
+    RobotPart("0 1 0", (0.1, 0.1, 0.0), 1.0, limits=(-1.5, 1.5)),
+    RobotPart("0 0 -1", (0.1, 0.0, -0.1), 0.5),
 ]
 WRIST = [
     TURN,
-    Part("0 1 0", (0.5, 0.0, 0.0), 4.0),
-    Part("1 0 0", (0.1, 0.05, 0.0), 1.5),
-    Part("0 1 0", (0.1, 0.0, 0.05), 1.0, limits=(-2.0, 2.0)),
-    Part("1 0 0", (0.1, 0.05, 0.0), 0.7),
+    RobotPart("0 1 0", (0.5, 0.0, 0.0), 4.0),
+    RobotPart("1 0 0", (0.1, 0.05, 0.0), 1.5),
+    RobotPart("0 1 0", (0.1, 0.0, 0.05), 1.0, limits=(-2.0, 2.0)),
+    RobotPart("1 0 0", (0.1, 0.05, 0.0), 0.7),
 ]
-ARMS: dict[str, tuple[list[Part], Shares]] = {
+ARMS: dict[str, tuple[list[RobotPart], Shares]] = {
     # One drive, three slides.
     "telescope": (BOOM, {"j4": {"j3": 0.7}, "j5": {"j3": -0.4}}),
     # The forearm's motor stands on the base, and rods keep the flange level.
@@ -50,7 +50,7 @@ ARMS: dict[str, tuple[list[Part], Shares]] = {
 }
 
 
-def shafts_of(parts: list[Part], shares: Shares) -> list[str]:
+def shafts_of(parts: list[RobotPart], shares: Shares) -> list[str]:
     """Return the joints by whose names shafts go."""
     names = [f"j{k + 1}" for k in range(len(parts))]
     used = {shaft for row in shares.values() for shaft in row}
@@ -91,7 +91,7 @@ class Lagrange:
         return np.linalg.solve(system, np.concatenate([-nle, -T, np.zeros(L)]))[L : L + N]
 
 
-def matrix(parts: list[Part], shares: Shares) -> Array:
+def matrix(parts: list[RobotPart], shares: Shares) -> Array:
     """Return C, a row per joint, a column per shaft."""
     shafts = shafts_of(parts, shares)
     rows = [shares.get(name, {name: 1.0}) for name in (f"j{k + 1}" for k in range(len(parts)))]

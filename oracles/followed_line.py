@@ -43,7 +43,7 @@ class AssumedNumbers:
 
 
 @dataclass(frozen=True)
-class Line:
+class ToolLine:
     """Line of the tool."""
 
     length: float = 0.3  # m
@@ -94,7 +94,11 @@ class Followed:
 
 
 def follow(
-    scene_name: str, assumed: AssumedNumbers, line: Line | None = None, *, practised: bool = False
+    scene_name: str,
+    assumed: AssumedNumbers,
+    line: ToolLine | None = None,
+    *,
+    practised: bool = False,
 ) -> Followed:
     """Send a scene's tool along a line; where the scene starts the line begins.
 
@@ -104,7 +108,7 @@ def follow(
         line: of the tool.
         practised: whether the tool goes there and back first, from which the servo learns.
     """
-    line = line or Line()
+    line = line or ToolLine()
     file = find_scene(scene_name)
     scene, gains = load_scene(file), load_gains(file)
     motion = dataclasses.replace(
@@ -146,7 +150,7 @@ def follow(
     latest, rests = round(PATIENCE / motion.period), round(REST / motion.period)
     frame = np.linalg.qr(np.column_stack([along, np.eye(3)]))[0]
     frame[:, 0] = along
-    while len(times) < latest and (rests := rests - _at_end(places, line)) >= 0:
+    while len(times) < latest and (rests := rests - _is_at_end(places, line)) >= 0:
         tool = kinematics.forward(run.session.state.q)[1]
         times.append(run.session.logical_ns * 1e-9)
         run.advance(run.motion_ticks)
@@ -163,7 +167,7 @@ def follow(
     return Followed(np.array(times), np.array(places), np.array(deviations), np.array(astray))
 
 
-def _at_end(places: list[float], line: Line) -> bool:
+def _is_at_end(places: list[float], line: ToolLine) -> bool:
     """Return whether the reference has come to the end of the line."""
     return bool(places) and places[-1] > line.length - 1e-6
 

@@ -79,7 +79,7 @@ def draw_motor(rng: Rng, kind: type[Motor]) -> Numbers:
     for decorator in DECORATORS:
         if (
             decorator.inputs
-            and fits(decorator, motor | {"rotor_inertia": 1e-4})
+            and is_suitable(decorator, motor | {"rotor_inertia": 1e-4})
             and rng.random() < 0.5
         ):
             motor[key_of(decorator)] = draw_part(decorator, rng)
@@ -118,14 +118,14 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
         if motor is None:
             continue
         for kind in DECORATORS[::-1]:
-            if fits(kind, motor) and rng.random() < 0.3:
+            if is_suitable(kind, motor) and rng.random() < 0.3:
                 motor[key_of(kind)] = draw_part(kind, rng)
         if rng.random() < 0.2:
             joint[Brake.section] = draw_part(Brake, rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
 
 
-def fits(kind: type[DriveStage], motor: Numbers) -> bool:
+def is_suitable(kind: type[DriveStage], motor: Numbers) -> bool:
     """Return whether a decorator goes around a motor."""
     joint = Section({"motor": motor}, "mixture")
     section = draw_part(kind, np.random.default_rng(0))
@@ -192,7 +192,7 @@ def write_scene(folder: Path, urdf: str, joints: Numbers, **more: Any) -> Path:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class MixtureVerdict:
     """Result of one mixture."""
 
     seed: int
@@ -205,25 +205,29 @@ class Verdict:
     note: str = ""
 
     @property
-    def in_order(self) -> bool:
+    def is_in_order(self) -> bool:
         """Whether the positions converge as claimed."""
         return self.note != "" or self.order >= ORDER or self.differences[1] < RESOLVED
 
     @property
-    def balanced(self) -> bool:
+    def is_balanced(self) -> bool:
         """Whether the energy balance closes as claimed."""
         falls = self.left[-1] < self.left[0] / 2 ** (2 * ORDER) if self.left else False
         return self.note != "" or falls or self.left[-1] < BALANCED
 
     @property
-    def alike(self) -> bool:
+    def has_equal_lanes(self) -> bool:
         """Whether lanes go as machines alone."""
         return self.note != "" or self.lanes == 0.0
 
     @property
     def claims(self) -> dict[str, bool]:
         """Return all claims by name."""
-        return {"order": self.in_order, "balance": self.balanced, "lanes": self.alike}
+        return {
+            "order": self.is_in_order,
+            "balance": self.is_balanced,
+            "lanes": self.has_equal_lanes,
+        }
 
 
 def commands(scene: Scene, seed: int) -> np.ndarray:
@@ -256,7 +260,7 @@ def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarr
     return np.array(q), abs(plant.energy - began - supplied) / exchanged
 
 
-def judge(seed: int) -> Verdict:
+def judge(seed: int) -> MixtureVerdict:
     """Draw a mixture and hold the claims against it."""
     with tempfile.TemporaryDirectory() as folder:
         file = write_mixture(Path(folder), seed)
@@ -274,13 +278,15 @@ def judge(seed: int) -> Verdict:
             if seed % 3 == 0:
                 verdict = replace(verdict, lanes=lanes_apart(scene(STEPS[1], "step"), seed, rows))
         except Diverged as fault:
-            return Verdict(seed, parts, 0.0, (0.0, 0.0), (), (), 0.0, f"Diverged: {fault.joint}")
+            return MixtureVerdict(
+                seed, parts, 0.0, (0.0, 0.0), (), (), 0.0, f"Diverged: {fault.joint}"
+            )
     return verdict
 
 
 def converge(
     seed: int, parts: list[str], run_in: Callable[[int], tuple[np.ndarray, float]]
-) -> tuple[Verdict, np.ndarray]:
+) -> tuple[MixtureVerdict, np.ndarray]:
     """Run in smaller and smaller steps until order shows; return that and the finest positions.
 
     Args:
@@ -290,7 +296,7 @@ def converge(
     """
     steps, runs = STEPS[-1], [run_in(steps) for steps in STEPS]
     verdict = _verdict(seed, parts, runs, STEPS)
-    while not (verdict.in_order and verdict.balanced) and 2 * steps <= FINEST:
+    while not (verdict.is_in_order and verdict.is_balanced) and 2 * steps <= FINEST:
         steps *= 2
         runs = [*runs[1:], run_in(steps)]
         verdict = _verdict(seed, parts, runs, (steps // 4, steps // 2, steps))
@@ -299,10 +305,12 @@ def converge(
 
 def _verdict(
     seed: int, parts: list[str], runs: list[tuple[np.ndarray, float]], steps: tuple[int, ...]
-) -> Verdict:
+) -> MixtureVerdict:
     d = [float(np.abs(a - b).max()) for (a, _), (b, _) in pairwise(runs)]
     order = float(np.log2(d[0] / d[1])) if d[1] > 0.0 < d[0] else 2.0
-    return Verdict(seed, parts, order, (d[0], d[1]), tuple(left for _, left in runs), steps, 0.0)
+    return MixtureVerdict(
+        seed, parts, order, (d[0], d[1]), tuple(left for _, left in runs), steps, 0.0
+    )
 
 
 def lanes_apart(scene: Scene, seed: int, rows: np.ndarray) -> float:

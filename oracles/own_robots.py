@@ -10,7 +10,7 @@ TURN = math.pi
 
 
 @dataclass(frozen=True)
-class Part:
+class RobotPart:
     """A joint and the rod that it moves; the next joint sits at the rod's end."""
 
     axis: str
@@ -32,7 +32,7 @@ class Robot:
     name: str
     elements: list[str] = field(default_factory=list)
 
-    def link(self, name: str, part: Part | None = None) -> None:
+    def link(self, name: str, part: RobotPart | None = None) -> None:
         """Add a link, with the inertia of a part."""
         inertial = _inertial(part) if part is not None and part.mass > 0.0 else ""
         self.elements.append(f'<link name="{name}">{inertial}</link>')
@@ -55,7 +55,7 @@ class Robot:
         )
 
 
-def serial(name: str, parts: list[Part], base_rpy: str = "0 0 0", tool: str = "tool0") -> str:
+def serial(name: str, parts: list[RobotPart], base_rpy: str = "0 0 0", tool: str = "tool0") -> str:
     """Return the URDF of a serial arm with joints j1, j2, ... and a massless tool frame."""
     robot = Robot(name)
     robot.link("world")
@@ -71,7 +71,7 @@ def serial(name: str, parts: list[Part], base_rpy: str = "0 0 0", tool: str = "t
     return robot.text()
 
 
-def _rest(part: Part) -> str:
+def _rest(part: RobotPart) -> str:
     words = f'<axis xyz="{part.axis}"/>'
     limits = {"effort": part.effort, "velocity": part.velocity}
     if part.limits is not None:
@@ -87,7 +87,7 @@ def _words(p: tuple[float, float, float]) -> str:
     return " ".join(map(repr, p))
 
 
-def _inertial(part: Part) -> str:
+def _inertial(part: RobotPart) -> str:
     """Return the inertia of a solid cylinder along the rod, upright where the rod has no length."""
     x, y, z = part.rod
     length = math.hypot(x, y, z)
@@ -110,35 +110,41 @@ def _inertial(part: Part) -> str:
     )
 
 
-def _wrist(mass: float = 0.8) -> list[Part]:
+def _wrist(mass: float = 0.8) -> list[RobotPart]:
     """Return three joints whose axes meet in a point."""
     return [
-        Part("1 0 0", (0.0, 0.0, 0.0), mass),
-        Part("0 1 0", (0.0, 0.0, 0.0), mass, limits=(-2.0, 2.0)),
-        Part("1 0 0", (0.1, 0.0, 0.0), mass),
+        RobotPart("1 0 0", (0.0, 0.0, 0.0), mass),
+        RobotPart("0 1 0", (0.0, 0.0, 0.0), mass, limits=(-2.0, 2.0)),
+        RobotPart("1 0 0", (0.1, 0.0, 0.0), mass),
     ]
 
 
 def pendulum() -> str:
     """Return one joint."""
-    return serial("pendulum", [Part("0 1 0", (0.5, 0.0, 0.0), 2.0)])
+    return serial("pendulum", [RobotPart("0 1 0", (0.5, 0.0, 0.0), 2.0)])
 
 
 def planar() -> str:
     """Return two joints in a vertical plane."""
-    return serial("planar", [Part("0 1 0", (0.4, 0.0, 0.0), 3.0), Part("0 1 0", (0.3, 0.0, 0.0))])
+    return serial(
+        "planar", [RobotPart("0 1 0", (0.4, 0.0, 0.0), 3.0), RobotPart("0 1 0", (0.3, 0.0, 0.0))]
+    )
 
 
 def scara() -> str:
     """Return a SCARA: two turns, a slide, a turn."""
-    slide = Part("0 0 1", (0.0, 0.0, -0.2), 1.0, "prismatic", (-0.2, 0.0), 200.0, 1.0)
+    slide = RobotPart("0 0 1", (0.0, 0.0, -0.2), 1.0, "prismatic", (-0.2, 0.0), 200.0, 1.0)
     return serial(
         "scara",
         [
-            Part("0 0 1", (0.325, 0.0, 0.0), 8.0, limits=(-2.5, 2.5), effort=120.0, velocity=6.0),
-            Part("0 0 1", (0.225, 0.0, 0.0), 5.0, limits=(-2.6, 2.6), effort=60.0, velocity=9.0),
+            RobotPart(
+                "0 0 1", (0.325, 0.0, 0.0), 8.0, limits=(-2.5, 2.5), effort=120.0, velocity=6.0
+            ),
+            RobotPart(
+                "0 0 1", (0.225, 0.0, 0.0), 5.0, limits=(-2.6, 2.6), effort=60.0, velocity=9.0
+            ),
             slide,
-            Part("0 0 1", (0.0, 0.0, -0.05), 0.5, velocity=20.0),
+            RobotPart("0 0 1", (0.0, 0.0, -0.05), 0.5, velocity=20.0),
         ],
     )
 
@@ -146,8 +152,8 @@ def scara() -> str:
 def gantry() -> str:
     """Return three slides."""
 
-    def axis(direction: str, reach: float, mass: float) -> Part:
-        return Part(direction, (0.0, 0.0, 0.0), mass, "prismatic", (0.0, reach), None, 1.0)
+    def axis(direction: str, reach: float, mass: float) -> RobotPart:
+        return RobotPart(direction, (0.0, 0.0, 0.0), mass, "prismatic", (0.0, reach), None, 1.0)
 
     return serial(
         "gantry",
@@ -158,8 +164,8 @@ def gantry() -> str:
 def gantry_with_turn() -> str:
     """Return three slides without rates, and a turn without limits."""
 
-    def axis(direction: str, reach: float, mass: float) -> Part:
-        return Part(direction, (0.0, 0.0, 0.1), mass, "prismatic", (-reach, reach), None, None)
+    def axis(direction: str, reach: float, mass: float) -> RobotPart:
+        return RobotPart(direction, (0.0, 0.0, 0.1), mass, "prismatic", (-reach, reach), None, None)
 
     return serial(
         "gantry_with_turn",
@@ -167,7 +173,7 @@ def gantry_with_turn() -> str:
             axis("1 0 0", 0.6, 20.0),
             axis("0 1 0", 0.4, 10.0),
             axis("0 0 -1", 0.3, 5.0),
-            Part("0 0 1", (0.1, 0.0, 0.0), 1.0, "continuous", None),
+            RobotPart("0 0 1", (0.1, 0.0, 0.0), 1.0, "continuous", None),
         ],
     )
 
@@ -177,10 +183,10 @@ def telescopic() -> str:
     return serial(
         "telescopic",
         [
-            Part("0 0 1", (0.0, 0.0, 0.4), 20.0),
-            Part("0 1 0", (0.8, 0.0, 0.0), 15.0, limits=(-1.2, 0.8)),
-            Part("1 0 0", (0.3, 0.0, 0.0), 6.0, "prismatic", (0.0, 0.6)),
-            Part("1 0 0", (0.2, 0.0, 0.0), 4.0, "prismatic", (0.0, 0.4)),
+            RobotPart("0 0 1", (0.0, 0.0, 0.4), 20.0),
+            RobotPart("0 1 0", (0.8, 0.0, 0.0), 15.0, limits=(-1.2, 0.8)),
+            RobotPart("1 0 0", (0.3, 0.0, 0.0), 6.0, "prismatic", (0.0, 0.6)),
+            RobotPart("1 0 0", (0.2, 0.0, 0.0), 4.0, "prismatic", (0.0, 0.4)),
         ],
     )
 
@@ -190,11 +196,11 @@ def five_joints() -> str:
     return serial(
         "five_joints",
         [
-            Part("0 0 1", (0.0, 0.0, 0.15), 1.0, effort=6.0, velocity=4.0),
-            Part("0 1 0", (0.0, 0.0, 0.2), 0.4, effort=6.0, velocity=4.0),
-            Part("0 1 0", (0.2, 0.0, 0.0), 0.3, effort=6.0, velocity=4.0),
-            Part("0 1 0", (0.05, 0.0, 0.0), 0.1, effort=2.0, velocity=4.0),
-            Part("1 0 0", (0.05, 0.0, 0.0), 0.1, effort=2.0, velocity=4.0),
+            RobotPart("0 0 1", (0.0, 0.0, 0.15), 1.0, effort=6.0, velocity=4.0),
+            RobotPart("0 1 0", (0.0, 0.0, 0.2), 0.4, effort=6.0, velocity=4.0),
+            RobotPart("0 1 0", (0.2, 0.0, 0.0), 0.3, effort=6.0, velocity=4.0),
+            RobotPart("0 1 0", (0.05, 0.0, 0.0), 0.1, effort=2.0, velocity=4.0),
+            RobotPart("1 0 0", (0.05, 0.0, 0.0), 0.1, effort=2.0, velocity=4.0),
         ],
     )
 
@@ -204,9 +210,13 @@ def spherical_wrist() -> str:
     return serial(
         "spherical_wrist",
         [
-            Part("0 0 1", (0.15, 0.0, 0.4), 60.0, effort=1500.0, velocity=2.2, radius=0.12),
-            Part("0 1 0", (0.0, 0.0, 0.7), 40.0, limits=(-1.5, 2.3), effort=1500.0, velocity=2.0),
-            Part("0 1 0", (0.7, 0.0, 0.0), 25.0, limits=(-2.9, 1.2), effort=800.0, velocity=2.2),
+            RobotPart("0 0 1", (0.15, 0.0, 0.4), 60.0, effort=1500.0, velocity=2.2, radius=0.12),
+            RobotPart(
+                "0 1 0", (0.0, 0.0, 0.7), 40.0, limits=(-1.5, 2.3), effort=1500.0, velocity=2.0
+            ),
+            RobotPart(
+                "0 1 0", (0.7, 0.0, 0.0), 25.0, limits=(-2.9, 1.2), effort=800.0, velocity=2.2
+            ),
             *_wrist(6.0),
         ],
     )
@@ -217,9 +227,9 @@ def tilted() -> str:
     return serial(
         "tilted",
         [
-            Part("0 0 1", (0.0, 0.0, 0.2), 5.0),
-            Part("0 1 0", (0.0, 0.0, 0.4), 4.0),
-            Part("0 1 0", (0.35, 0.0, 0.0), 3.0),
+            RobotPart("0 0 1", (0.0, 0.0, 0.2), 5.0),
+            RobotPart("0 1 0", (0.0, 0.0, 0.4), 4.0),
+            RobotPart("0 1 0", (0.35, 0.0, 0.0), 3.0),
             *_wrist(),
         ],
         base_rpy="2.6 0.3 0.5",
@@ -231,10 +241,10 @@ def seven_joints() -> str:
     return serial(
         "seven_joints",
         [
-            Part("0 0 1", (0.0, 0.0, 0.3), 4.0),
-            Part("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
-            Part("0 0 1", (0.05, 0.0, 0.2), 3.0),
-            Part("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
+            RobotPart("0 0 1", (0.0, 0.0, 0.3), 4.0),
+            RobotPart("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
+            RobotPart("0 0 1", (0.05, 0.0, 0.2), 3.0),
+            RobotPart("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
             *_wrist(),
         ],
     )
@@ -245,11 +255,11 @@ def on_a_rail() -> str:
     return serial(
         "on_a_rail",
         [
-            Part("0 1 0", (0.0, 0.0, 0.2), 50.0, "prismatic", (-2.0, 2.0), None, 1.5),
-            Part("0 0 1", (0.0, 0.0, 0.3), 4.0),
-            Part("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
-            Part("0 0 1", (0.05, 0.0, 0.2), 3.0),
-            Part("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
+            RobotPart("0 1 0", (0.0, 0.0, 0.2), 50.0, "prismatic", (-2.0, 2.0), None, 1.5),
+            RobotPart("0 0 1", (0.0, 0.0, 0.3), 4.0),
+            RobotPart("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
+            RobotPart("0 0 1", (0.05, 0.0, 0.2), 3.0),
+            RobotPart("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
             *_wrist(),
         ],
     )
@@ -260,7 +270,7 @@ def nine_joints() -> str:
     axes = ["0 0 1", "0 1 0", "1 0 0"] * 3
     return serial(
         "nine_joints",
-        [Part(axis, (0.05, 0.0, 0.15), 1.0, "continuous", None) for axis in axes],
+        [RobotPart(axis, (0.05, 0.0, 0.15), 1.0, "continuous", None) for axis in axes],
     )
 
 

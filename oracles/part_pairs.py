@@ -45,7 +45,16 @@ from arm_emulator.machine.parts.known import (
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
-from oracles.mixtures import LARGEST, ORDER, RESOLVED, any_of, fits, key_of, place_of, write_scene
+from oracles.mixtures import (
+    LARGEST,
+    ORDER,
+    RESOLVED,
+    any_of,
+    is_suitable,
+    key_of,
+    place_of,
+    write_scene,
+)
 from oracles.part_samples import draw_part
 from oracles.random_chain import moving_joints, random_chain_urdf
 
@@ -105,7 +114,7 @@ def draw_random_joint(rng: Rng) -> RandomJoint:
     joint.section["motor"] = {"kind": motor.kind, "rotor_inertia": float(rng.uniform(5e-5, 3e-4))}
     joint.put(motor, rng)
     for decorator in DECORATORS:
-        if rng.random() < 0.5 and fits(decorator, joint.section["motor"]):
+        if rng.random() < 0.5 and is_suitable(decorator, joint.section["motor"]):
             joint.put(decorator, rng)
     always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
     for kinds in always:
@@ -204,7 +213,7 @@ def draw(scene: Scene, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Dr
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PairVerdict:
     """Result of one draw of one machine."""
 
     machine: int
@@ -237,7 +246,7 @@ def moved(file: Path, sample: Draw, steps: int, scheme: str, events: str) -> np.
 
 def judge(
     file: Path, joints: tuple[RandomJoint, RandomJoint], machine: int, seed: int, scheme: str
-) -> Verdict:
+) -> PairVerdict:
     """Judge a draw with a scheme, whose events are located if it can."""
     located = scheme in LOCATING_SCHEMES
     sample = draw(load_scene(file), joints, 1000 * machine + seed)
@@ -252,12 +261,12 @@ def judge(
 
     def verdict(
         differences: tuple[float, ...], steps: int, halvings: int, order_needed: float
-    ) -> Verdict:
+    ) -> PairVerdict:
         first, last = differences[0], differences[-1]
         order = math.log2(first / last) / halvings if 0.0 < last <= first < math.inf else 0.0
         in_order = last < RESOLVED or order >= order_needed
-        return Verdict(machine, seed, scheme, located, parts, sample.off, differences, steps, order,
-                       in_order)  # fmt: skip
+        return PairVerdict(machine, seed, scheme, located, parts, sample.off, differences, steps,
+                           order, in_order)  # fmt: skip
 
     if not located:
         finest = COARSE[-1] * FINER

@@ -45,7 +45,7 @@ ROUNDED = 1e-12  # of the energy exchanged: what sums of 1e5 parts lose to round
 
 
 @dataclass(frozen=True)
-class Verdict:
+class MachineVerdict:
     """Result of one machine with one scheme."""
 
     seed: int
@@ -59,19 +59,19 @@ class Verdict:
     note: str = ""
 
     @property
-    def in_order(self) -> bool:
+    def is_in_order(self) -> bool:
         """Whether the fine error is that of the scheme's order."""
         falls = FALLS[KNOWN[self.scheme].order]
         return self.note != "" or self.errors[1] < max(RESOLVED, self.errors[0] / falls)
 
     @property
-    def balance_in_order(self) -> bool:
+    def is_balance_in_order(self) -> bool:
         """Whether what is left of energy is that of the scheme's order."""
         falls = FALLS[KNOWN[self.scheme].order]
         return self.note != "" or self.left[1] < max(ROUNDED, self.left[0] / falls)
 
     @property
-    def balanced(self) -> bool:
+    def is_balanced(self) -> bool:
         """Whether energy balances at 1 us."""
         return self.note != "" or self.left[2] < BALANCED * max(1.0, self.rate / SLOW) ** 2
 
@@ -79,9 +79,9 @@ class Verdict:
     def claims(self) -> dict[str, bool]:
         """Return all claims by name."""
         return {
-            f"{self.scheme}: error in order": self.in_order,
-            f"{self.scheme}: balance in order": self.balance_in_order,
-            f"{self.scheme}: balanced at 1 us": self.balanced,
+            f"{self.scheme}: error in order": self.is_in_order,
+            f"{self.scheme}: balance in order": self.is_balance_in_order,
+            f"{self.scheme}: balanced at 1 us": self.is_balanced,
         }
 
 
@@ -155,7 +155,7 @@ def _stiffen(rng: np.random.Generator, gear: dict[str, float]) -> None:
         gear["cubic_stiffness"] = share * gear["stiffness"] ** 3 / 20.0**2
 
 
-def judge(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[Verdict]:
+def judge(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[MachineVerdict]:
     """Hold one machine against the claims."""
     with tempfile.TemporaryDirectory() as folder:
         file, voltages = machine(Path(folder), seed)
@@ -169,7 +169,7 @@ def judge(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[Verdic
             about = (seed, scheme, len(scene.joints), events, rate)
             verdict = _judge(file, scheme, voltages, truth, about, steps)
             # Where the coarse error is small by chance, as its parts cancel, the next decides.
-            if not (verdict.in_order and verdict.balance_in_order):
+            if not (verdict.is_in_order and verdict.is_balance_in_order):
                 verdict = _judge(file, scheme, voltages, truth, about, 10 * steps)
             verdicts.append(verdict)
         return verdicts
@@ -182,19 +182,19 @@ def _judge(
     truth: Array,
     about: tuple[int, str, int, int, float],
     steps: int,
-) -> Verdict:
+) -> MachineVerdict:
     try:
         runs = [
             run(_with(file, scheme, PERIOD / n), voltages, n)
             for n in (steps, 10 * steps, round(PERIOD / MICROSECOND))
         ]
     except Diverged as fault:
-        return Verdict(
+        return MachineVerdict(
             *about, steps, (math.nan, math.nan), (math.nan, math.nan, math.nan), str(fault)
         )
     (q, left), (q_fine, left_fine), (_, left_there) = runs
     errors = float(np.abs(q - truth).max()), float(np.abs(q_fine - truth).max())
-    return Verdict(*about, steps, errors, (left, left_fine, left_there))
+    return MachineVerdict(*about, steps, errors, (left, left_fine, left_there))
 
 
 def _with(file: Path, scheme: str, dt: float) -> Scene:

@@ -217,7 +217,7 @@ class SmoothJoint:
 
 
 @dataclass(frozen=True)
-class Row:
+class InputRow:
     """A command (N,) and which brakes are closed (N,), for some time [s]."""
 
     command: Array
@@ -236,7 +236,7 @@ class SmoothedMachine:
         self.data = self.model.createData()
         self.start = [float(q) for q in scene.start]
 
-    def rates(self, y: Array, row: Row) -> list[float]:
+    def rates(self, y: Array, row: InputRow) -> list[float]:
         """Return dy/dt; y has all joints' states, then q, then v."""
         values = y.tolist()
         N = len(self.joints)
@@ -252,7 +252,7 @@ class SmoothedMachine:
         a = pin.aba(self.model, self.data, y[-2 * N : -N], y[-N:], torque)
         return [*out, *v, *map(float, a)]
 
-    def positions(self, rows: list[Row]) -> Array:
+    def positions(self, rows: list[InputRow]) -> Array:
         """Return the links' positions from rest at the scene's start, after each row (K, N)."""
         N = len(self.joints)
         y = np.array(

@@ -12,7 +12,7 @@ from draws import some
 from machines import ROTOR, write_scene
 
 from arm_emulator import Plant, load_scene
-from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, Case, equations_of, judge
+from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, RestCase, equations_of, judge
 from oracles.random_chain import moving_joints, random_chain_urdf
 from oracles.reference import links_model
 
@@ -37,7 +37,9 @@ def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     wrong = [
         line
         for law in frictions
-        for line in judge(Case("three_axis", place, law, scheme, events, weightless), 60, equations)
+        for line in judge(
+            RestCase("three_axis", place, law, scheme, events, weightless), 60, equations
+        )
     ]
     assert not wrong, wrong
 

@@ -22,7 +22,7 @@ from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.page import page_process
 from arm_emulator.runs import recorder, row_process
 from arm_emulator.runs.row_process import RowProcess, dismiss_all
-from bench.child_kills import HOW, Case
+from bench.child_kills import HOW, KillCase
 
 CASES = [(child, how) for how in HOW for child in ("recorder", "viewer")]
 LONGEST = 5.0  # s, wall
@@ -54,7 +54,7 @@ end.leave("never read")
 
 @pytest.mark.parametrize(("child", "how"), some(CASES[::-1], 3))
 def test_a_run_goes_on_and_nothing_stays(child: str, how: str, tmp_path: Path) -> None:
-    case = Case(child, HOW[how], 0.2, tmp_path)
+    case = KillCase(child, HOW[how], 0.2, tmp_path)
     assert case.wait < LONGEST and case.end < LONGEST and not case.left
 
 

@@ -46,7 +46,7 @@ from oracles.coupled_arms import (
     mimicking,
     shafts_of,
 )
-from oracles.own_robots import Part, serial
+from oracles.own_robots import RobotPart, serial
 
 
 def drive(ratio: float) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def drive(ratio: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def machine(folder: Path, parts: list[Part], shares: Shares, **more: Any) -> Scene:
+def machine(folder: Path, parts: list[RobotPart], shares: Shares, **more: Any) -> Scene:
     (folder / "arm.urdf").write_text(serial("arm", parts))
     shafts = shafts_of(parts, shares)
     draw = np.random.default_rng(5)
@@ -80,12 +80,12 @@ def machine(folder: Path, parts: list[Part], shares: Shares, **more: Any) -> Sce
     return load_scene(file)
 
 
-def any_arm(seed: int) -> tuple[list[Part], Shares]:
+def any_arm(seed: int) -> tuple[list[RobotPart], Shares]:
     """A chain of any joints whose shafts move them by any matrix of full rank."""
     draw = np.random.default_rng(seed)
     L = int(draw.integers(2, 7))
     parts = [
-        Part(
+        RobotPart(
             " ".join(map(repr, draw.normal(size=3).tolist())),
             tuple(draw.uniform(-0.4, 0.4, 3).tolist()),
             float(draw.uniform(0.5, 4.0)),
@@ -99,7 +99,7 @@ def any_arm(seed: int) -> tuple[list[Part], Shares]:
     return parts, {name: {shaft: float(draw.normal()) for shaft in shafts} for name in names}
 
 
-CASES: dict[str, Callable[[], tuple[list[Part], Shares]]] = {
+CASES: dict[str, Callable[[], tuple[list[RobotPart], Shares]]] = {
     **{name: (lambda arm=arm: arm) for name, arm in ARMS.items()},
     **{f"any {seed}": (lambda seed=seed: any_arm(seed)) for seed in range(20)},
 }
@@ -339,7 +339,7 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     pair = reachable(kinematics, 0.2, np.random.default_rng(1))
     assert pair is not None
     outcome = move(scene, gains, "50 mm", *pair)
-    assert not outcome.words and outcome.peak_speed <= 1.0 and not outcome.overshot, outcome
+    assert not outcome.words and outcome.peak_speed <= 1.0 and not outcome.has_overshot, outcome
 
 
 @pytest.mark.skipif(not FULL, reason="compiles a machine and its lanes: make test-in-full")
@@ -371,7 +371,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     pair = reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
     value = move(scene, gains, "50 mm", *pair)
-    assert not value.words and value.peak_speed <= 1.0 and not value.overshot, value
+    assert not value.words and value.peak_speed <= 1.0 and not value.has_overshot, value
 
 
 @pytest.mark.skipif(not FULL, reason="fleets are compiled once more for it: make test-in-full")

@@ -15,16 +15,16 @@ from arm_emulator import Kinematics, Plant, load_gains, load_scene
 from arm_emulator.analysis.holding import overloads
 from arm_emulator.design.new_scene import write_new
 from oracles.any_arm import move, reachable
-from oracles.own_robots import Part, serial
+from oracles.own_robots import RobotPart, serial
 
 __all__ = ["untuned"]  # a fixture
 
 DOWN = np.array([0.0, 0.0, -9.81])
 MOUNTS = {"slope": (0.4, -0.3, 0.8), "wall": (0.0, np.pi / 2, 0.0), "ceiling": (np.pi, 0.0, 0.0)}
 PARTS = [
-    Part("0 0 1", (0.0, 0.0, 0.2), 2.0, effort=40.0, velocity=3.0),
-    Part("0 1 0", (0.3, 0.0, 0.0), 1.5, effort=40.0, velocity=3.0),
-    Part("0 1 0", (0.2, 0.05, 0.0), 0.8, effort=15.0, velocity=3.0),
+    RobotPart("0 0 1", (0.0, 0.0, 0.2), 2.0, effort=40.0, velocity=3.0),
+    RobotPart("0 1 0", (0.3, 0.0, 0.0), 1.5, effort=40.0, velocity=3.0),
+    RobotPart("0 1 0", (0.2, 0.05, 0.0), 0.8, effort=15.0, velocity=3.0),
 ]
 
 
@@ -61,7 +61,7 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     assert pair is not None
     done = move(upright, gains, "100 mm", *pair)
     assert not done.words and done.peak_speed <= 1.0 and done.seconds < 6.0, done
-    assert not done.overshot, done
+    assert not done.has_overshot, done
 
 
 @pytest.mark.usefixtures("untuned")

@@ -23,7 +23,7 @@ from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.gains import check_fit
 from oracles.any_arm import move, reachable
-from oracles.own_robots import OWN, Part, Robot, serial
+from oracles.own_robots import OWN, Robot, RobotPart, serial
 
 __all__ = ["untuned"]  # a fixture
 
@@ -52,7 +52,7 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
     robot.link("base")
     at = "base"
     for k in range(arm):
-        part = Part("0 1 0", (0.2, 0.0, 0.0))
+        part = RobotPart("0 1 0", (0.2, 0.0, 0.0))
         if draw.random() < 0.4:  # frames between the joints
             robot.link(f"frame{k}")
             robot.joint(f"fixed{k}", "fixed", (at, f"frame{k}"), "0 0 0", "0 0 0|")
@@ -66,7 +66,7 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
         below = at
         for k in range(long):
             name = f"f{f}{k}"
-            robot.link(name, Part("0 1 0", (0.02, 0.0, 0.0), 0.01))
+            robot.link(name, RobotPart("0 1 0", (0.02, 0.0, 0.0), 0.01))
             mimic = '<mimic joint="f00"/>' if f and draw.random() < 0.5 else ""
             robot.joint(name, "revolute", (below, name), "0 0 0", f"0 0 0|{mimic}")
             fingers.append(name)
@@ -107,7 +107,7 @@ def test_a_tree_has_arm_and_fingers(seed: int) -> None:
 @pytest.mark.parametrize("joints", [5, 6, 7])
 def test_rods_of_a_palletizer_beside_its_wrist_are_no_gripper(joints: int) -> None:
     """As in descriptions of large arms: they follow the elbow, from the upper arm and forearm."""
-    parts = [Part("0 1 0", (0.5, 0.0, 0.0))] * joints
+    parts = [RobotPart("0 1 0", (0.5, 0.0, 0.0))] * joints
     rods = "".join(
         f'<link name="rod{k}"/><joint name="r{k}" type="continuous"><parent link="l{k}"/>'
         f'<child link="rod{k}"/><mimic joint="j3" multiplier="{multiplier}"/></joint>'
@@ -151,7 +151,7 @@ def test_odd_names_survive_the_files(seed: int, tmp_path: Path) -> None:
     robot.link("base of it")
     at = "base of it"
     for k, name in enumerate(names):
-        robot.link(f"link {name}".replace('"', "&quot;"), Part("0 1 0", (0.2, 0.0, 0.0)))
+        robot.link(f"link {name}".replace('"', "&quot;"), RobotPart("0 1 0", (0.2, 0.0, 0.0)))
         ends = (at, f"link {name}".replace('"', "&quot;"))
         axis = f'0 0 0|<axis xyz="0 {k % 2} {1 - k % 2}"/>'
         robot.joint(name.replace('"', "&quot;"), "continuous", ends, "0.2 0 0", axis)

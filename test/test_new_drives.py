@@ -29,7 +29,7 @@ from arm_emulator.design.survey import survey
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.kinematics import Kinematics
-from oracles.own_robots import OWN, Part, serial
+from oracles.own_robots import OWN, RobotPart, serial
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def arm(efforts: list[float | None], first_axis: str = "0 1 0") -> str:
     """An arm of three joints, 17 kg, 0.9 m, whose weight takes 55, 14 and 0.25 N m."""
     axes, lengths, masses = (first_axis, "0 1 0", "0 1 0"), (0.4, 0.4, 0.1), (8.0, 6.0, 0.5)
     parts = [
-        Part(axis, (length, 0.0, 0.0), mass, effort=effort, velocity=2.0)
+        RobotPart(axis, (length, 0.0, 0.0), mass, effort=effort, velocity=2.0)
         for axis, length, mass, effort in zip(axes, lengths, masses, efforts, strict=True)
     ]
     return serial("arm", parts)
@@ -190,7 +190,7 @@ def test_loads_that_the_arm_cannot_hold_are_reported(
 @pytest.mark.usefixtures("untuned")
 def test_published_figures_come_before_rules(tmp_path: Path) -> None:
     """A servo's motor is that of its data sheet: stall torque and no-load speed at its supply."""
-    five = [Part("0 1 0", (0.08, 0.0, 0.0), 0.1, effort=35.0, velocity=1.0)] * 5
+    five = [RobotPart("0 1 0", (0.08, 0.0, 0.0), 0.1, effort=35.0, velocity=1.0)] * 5
     written, how = make_new(tmp_path / "hobby", serial("so101_new_calib", five))
     assert how == ["published"] * 5
     scene = load_scene(written.file)
@@ -239,7 +239,7 @@ def test_the_survey_bounds_what_poses_ask_for(tmp_path: Path) -> None:
     """A rod on a hinge: its inertia and weight are known in closed form."""
     length, mass = 0.5, 2.0
     file = tmp_path / "rod.urdf"
-    file.write_text(serial("rod", [Part("0 1 0", (length, 0.0, 0.0), mass, radius=0.0)]))
+    file.write_text(serial("rod", [RobotPart("0 1 0", (length, 0.0, 0.0), mass, radius=0.0)]))
     scene = load_scene(write_new(file, tmp_path / "new").file)
     result = survey(scene, Kinematics(scene.urdf, scene.joint_names, scene.tool))
     np.testing.assert_allclose(result.inertia, mass * length**2 / 3.0, rtol=1e-12)

@@ -15,7 +15,7 @@ from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
-from oracles.own_robots import Part, serial
+from oracles.own_robots import RobotPart, serial
 
 
 @pytest.fixture(autouse=True)
@@ -29,7 +29,9 @@ def with_balls(rng: np.random.Generator) -> str:
     joints = int(rng.integers(5, 8))
     axes = ["0 0 1", *rng.choice(["0 1 0", "1 0 0"], joints - 1)]
     rods = rng.uniform(0.15, 0.3, joints)
-    parts = [Part(axis, (float(rod), 0.0, 0.05), 1.0) for axis, rod in zip(axes, rods, strict=True)]
+    parts = [
+        RobotPart(axis, (float(rod), 0.0, 0.05), 1.0) for axis, rod in zip(axes, rods, strict=True)
+    ]
     text = serial("balls", parts)
     for k, rod in enumerate(rods, start=1):
         ball = (

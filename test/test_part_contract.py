@@ -59,7 +59,7 @@ def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_pa
     for k, part in enumerate(parts):
         verdict, q = converge(0, [], lambda steps, k=k: (moved(steps)[0][:, k], moved(steps)[1]))
         assert np.ptp(q) > 1e-3, f"a motion of {part.__name__} [m]"
-        assert verdict.in_order and verdict.balanced, f"{part.__name__}: {verdict}"
+        assert verdict.is_in_order and verdict.is_balanced, f"{part.__name__}: {verdict}"
 
 
 @pytest.mark.parametrize("parts", BESIDE, ids=names)

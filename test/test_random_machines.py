@@ -17,9 +17,9 @@ pytestmark = pytest.mark.slow
 def test_error_and_energy_follow_the_order(seed: int) -> None:
     """At a step and its tenth; `python -m bench.claims random_machines` has hundreds."""
     (verdict,) = judge(seed, (LOCATING_SCHEMES[seed % 2],))
-    assert verdict.in_order, f"the error does not fall as h squared: {verdict}"
-    assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"
-    assert verdict.balanced, f"more of the energy is left in steps of 1 us: {verdict}"
+    assert verdict.is_in_order, f"the error does not fall as h squared: {verdict}"
+    assert verdict.is_balance_in_order, f"what is left of energy does not fall so: {verdict}"
+    assert verdict.is_balanced, f"more of the energy is left in steps of 1 us: {verdict}"
 
 
 @pytest.mark.parametrize(
@@ -28,5 +28,5 @@ def test_error_and_energy_follow_the_order(seed: int) -> None:
 def test_first_order_remains_without_location(seed: int, scheme: str) -> None:
     assert KNOWN[scheme].order == 1
     (verdict,) = judge(seed, (scheme,))
-    assert verdict.in_order, f"the error does not fall as h: {verdict}"
-    assert verdict.balance_in_order, f"what is left of energy does not fall so: {verdict}"
+    assert verdict.is_in_order, f"the error does not fall as h: {verdict}"
+    assert verdict.is_balance_in_order, f"what is left of energy does not fall so: {verdict}"

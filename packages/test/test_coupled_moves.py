@@ -36,17 +36,17 @@ from arm_emulator.runs.gains import Gains
 from arm_emulator.toolchain.c_header import Library
 from arm_emulator.view.rerun_batches import QUANTITIES
 from arm_emulator.view.rerun_stream import RerunStream
-from arm_emulator_fieldbus.canopen_node import Frame
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_node import CanFrame
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fmu.export import export
 from arm_emulator_identification.link_regressor import compute_link_torques
 from oracles.coupled_arms import ARMS, GRAVITY, Lagrange, described, matrix, mimicking
-from oracles.own_robots import Part, serial
+from oracles.own_robots import RobotPart, serial
 
 NS = 1_000_000_000
-SWING = [Part("0 1 0", (0.5, 0.0, 0.0)), Part("0 1 0", (0.5, 0.0, 0.0))]
+SWING = [RobotPart("0 1 0", (0.5, 0.0, 0.0)), RobotPart("0 1 0", (0.5, 0.0, 0.0))]
 NAMES = some(["palletizer", "telescope", "bevel wrist", "differential"], 1)
 
 
@@ -214,7 +214,7 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
     """
     scene, rng = machine.scene, np.random.default_rng(4)
     drives = Drives(Plant(scene), machine.gains.servo, CANOPEN)
-    segment = Segment(drives, 1)
+    segment = CanSegment(drives, 1)
     segment.boot()
     canopen_master.enable(segment, CSP)
     N = len(scene.joints)
@@ -228,7 +228,7 @@ def test_a_master_leads_all_shafts_at_once_by_frames(machine: Machine) -> None:
         part = min(k / 600.0, 1.0)
         goal = begun + np.rint(travel * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)).astype(int)
         for j, target in enumerate(goal.tolist()):
-            segment.receive(Frame(0x301 + j, struct.pack("<Hi", 15, target)))
+            segment.receive(CanFrame(0x301 + j, struct.pack("<Hi", 15, target)))
         frames = segment.receive(canopen_master.SYNC)
         (rows,) = zip(*(canopen_master.sent(frames, 0x281 + j) for j in range(N)), strict=True)
         status, actual = np.array([struct.unpack("<Hi", row) for row in rows]).T

@@ -29,7 +29,7 @@ from arm_emulator.doors.udp import Datagrams
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.toolchain.compiler_command import find_compiler
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fieldbus.eds import make_eds
@@ -162,7 +162,7 @@ def test_pages_and_descriptions_of_units_keep_their_marks() -> None:
 
 def test_data_sheets_keep_their_sections() -> None:
     drives = Drives(Plant(SCENE), load_gains(CONFIG / "three_axis.yaml").servo, CANOPEN)
-    node = Segment(drives, 1, lockstep=True).nodes[0]
+    node = CanSegment(drives, 1, lockstep=True).nodes[0]
     plain = sections(make_eds(node, "a.eds", "x"))
     for name in some(NAMES, 40):
         eds = sections(make_eds(node, name, name))

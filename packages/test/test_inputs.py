@@ -24,7 +24,7 @@ from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_un
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.toolchain.c_header import text
-from arm_emulator_fieldbus.converter import COMMANDED, Converter, list_blocks
+from arm_emulator_fieldbus.converter import COMMANDED, RegisterConverter, list_blocks
 from arm_emulator_fleet import Fleet
 from arm_emulator_fmu.variables import list_variables
 from arm_emulator_msgs.msg import MotorCommand, MotorState
@@ -263,7 +263,7 @@ def test_a_plant_refuses_alike(scene: Scene) -> None:
 
 def test_registers_have_them_behind_the_commands(scene: Scene) -> None:
     session = Session(scene, "lockstep", "first_answer")
-    converter, N = Converter(session, 0), len(scene.joints)
+    converter, N = RegisterConverter(session, 0), len(scene.joints)
     rows = {block.name: block for block in list_blocks(scene) if block.writable}
     assert (rows["command_d"].address, rows["command_d"].count) == (COMMANDED + 1 + N, N)
     words = [8192, -4096, 16384, -8192, 0, 0]

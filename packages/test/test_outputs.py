@@ -37,7 +37,7 @@ from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.toolchain.c_header import NULL, text
-from arm_emulator_fieldbus.converter import Converter, list_blocks
+from arm_emulator_fieldbus.converter import RegisterConverter, list_blocks
 from arm_emulator_fieldbus.declared import find_index, find_places
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
@@ -237,7 +237,7 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
 
 def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) -> None:
     session = Session(scene, "realtime", "first_answer")
-    converter = Converter(session, 0)
+    converter = RegisterConverter(session, 0)
     for _ in range(20):
         session.advance_under(np.array([30.0, -20.0]))
     rows = [

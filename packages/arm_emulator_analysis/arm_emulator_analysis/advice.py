@@ -25,11 +25,11 @@ from arm_emulator.extension.machine import (
     Scene,
     format_mismatch,
 )
-from arm_emulator_analysis.judged_motions import Motion
+from arm_emulator_analysis.judged_motions import JudgedMotion
 from arm_emulator_analysis.true_motion import (
     FINEST,
     OTHERWISE,
-    Method,
+    IntegrationMethod,
     Runs,
     Truth,
     find_truth,
@@ -50,7 +50,7 @@ ENOUGH = 12  # motions, for an estimate of others
 class Setting:
     """A method at a step, its cost and its distance from the truth."""
 
-    method: Method
+    method: IntegrationMethod
     dt: float  # s
     error: float  # rad or m, largest of a link on the way: a bound for the motions judged
     others: float  # rad or m, the same for other motions of these kinds: an estimate; inf: unknown
@@ -80,17 +80,17 @@ class Judge:
         motions: all test motions.
     """
 
-    def __init__(self, scene: Scene, motions: Sequence[Motion]) -> None:
+    def __init__(self, scene: Scene, motions: Sequence[JudgedMotion]) -> None:
         self.scene = scene
         self.motions = tuple(motions)
         self.runs = Runs(scene)
         self._truths: dict[int, Truth] = {}
         self._confirmed: dict[int, float] = {}  # the error for which each was
-        self._errors: dict[tuple[Method, int, int], float] = {}
+        self._errors: dict[tuple[IntegrationMethod, int, int], float] = {}
         self._hardest = list(range(len(self.motions)))
 
     @property
-    def methods(self) -> list[Method]:
+    def methods(self) -> list[IntegrationMethod]:
         """All methods that the scene may use: with two threads if it has two now.
 
         Motions without an event need no event location.
@@ -100,16 +100,16 @@ class Judge:
             kinds = reversed(INTEGRATOR_EVENTS) if self._has_events else INTEGRATOR_EVENTS[:1]
             for events in kinds:
                 for scheme in SCHEMES:
-                    method = Method(scheme, events, threads)
+                    method = IntegrationMethod(scheme, events, threads)
                     if format_mismatch(method.integrator(self.scene, 1), threads) is None:
                         methods.append(method)
         return methods
 
     @property
-    def now(self) -> tuple[Method, int]:
+    def now(self) -> tuple[IntegrationMethod, int]:
         """The scene's own method, and its steps per servo period."""
         scene = self.scene
-        own = Method(scene.integrator.scheme, scene.integrator.events, scene.threads)
+        own = IntegrationMethod(scene.integrator.scheme, scene.integrator.events, scene.threads)
         return own, scene.steps_per_period
 
     @cached_property
@@ -118,7 +118,7 @@ class Judge:
         pairs = ((self.runs.q(method, LOOK, row) for method in (FINEST, OTHERWISE)) for row in rows)
         return not all(np.array_equal(positions, second) for positions, second in pairs)  # type: ignore[arg-type]
 
-    def error(self, method: Method, steps: int, limit: float = math.inf) -> float:
+    def error(self, method: IntegrationMethod, steps: int, limit: float = math.inf) -> float:
         """Return the largest error on the motions, inf where one diverges.
 
         Beyond `limit` the error of the first motion beyond it is enough.
@@ -134,7 +134,7 @@ class Judge:
                 break
         return worst
 
-    def _compute_error_on(self, method: Method, steps: int, m: int) -> float:
+    def _compute_error_on(self, method: IntegrationMethod, steps: int, m: int) -> float:
         key = method, steps, m
         if key not in self._errors:
             q, truth = self.runs.q(method, steps, self.motions[m].commands), self._truths[m]
@@ -142,7 +142,7 @@ class Judge:
             self._errors[key] = off + truth.error
         return self._errors[key]
 
-    def errors(self, method: Method, steps: int) -> Array:
+    def errors(self, method: IntegrationMethod, steps: int) -> Array:
         """Return the error on each motion (M,)."""
         return np.array(
             [self._compute_error_on(method, steps, m) for m in range(len(self.motions))]
@@ -170,7 +170,7 @@ class Judge:
                 self._confirmed[m] = error
         return ""
 
-    def cheapest(self, method: Method, error: float, max_cost: float) -> int | None:
+    def cheapest(self, method: IntegrationMethod, error: float, max_cost: float) -> int | None:
         """Return the fewest steps per servo period that keep the error; None: none found.
 
         Args:
@@ -192,7 +192,7 @@ class Judge:
                 return fewer
         return steps
 
-    def cost(self, chosen: Sequence[tuple[Method, int]]) -> list[float]:
+    def cost(self, chosen: Sequence[tuple[IntegrationMethod, int]]) -> list[float]:
         """Return wall times per simulated second [s]: of each motion the least of some rounds.
 
         All take turns on each motion, so that a changing speed of the machine affects all alike.
@@ -206,7 +206,7 @@ class Judge:
         seconds = self.scene.servo_period * sum(len(motion.commands) for motion in self.motions)
         return [float(time_sum) / seconds for time_sum in min_times.sum(axis=1)]
 
-    def settings(self, chosen: Sequence[tuple[Method, int]]) -> list[Setting]:
+    def settings(self, chosen: Sequence[tuple[IntegrationMethod, int]]) -> list[Setting]:
         """Return error and cost of methods with this number of steps per servo period."""
         costs = self.cost(chosen)
         settings = []
@@ -237,7 +237,7 @@ def advise(judge: Judge, error: float) -> Advice:
     why = judge.know_truths(error)
     if why:
         return Advice([], why)
-    cheapest, best = list[tuple[Method, int]](), math.inf
+    cheapest, best = list[tuple[IntegrationMethod, int]](), math.inf
     for method in judge.methods:
         steps = judge.cheapest(method, error, DEARER * best)
         if steps is not None:
@@ -262,7 +262,7 @@ def reserve(errors: Array) -> float:
     return max(MIN_RESERVE, largest / second if second > 0.0 else 0.0)
 
 
-def _measure_time(plant: Plant, steps: int, motion: Motion) -> float:
+def _measure_time(plant: Plant, steps: int, motion: JudgedMotion) -> float:
     """Return the wall time of a motion [s]; inf if it diverges."""
     plant.reset()
     began = time.perf_counter()

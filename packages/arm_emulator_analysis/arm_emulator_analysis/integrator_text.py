@@ -23,12 +23,12 @@ from arm_emulator.extension.machine import (
     load_scene,
     write_scene_unit,
 )
-from arm_emulator_analysis.true_motion import Method
+from arm_emulator_analysis.true_motion import IntegrationMethod
 
 SECTION = "integrator"
 
 
-def write_integrator(file: Path, method: Method, dt: float) -> None:
+def write_integrator(file: Path, method: IntegrationMethod, dt: float) -> None:
     """Put a method and its step into a scene file, where everything else stays as it is written.
 
     Raises:

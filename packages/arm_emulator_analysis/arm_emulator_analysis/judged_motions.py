@@ -28,7 +28,7 @@ Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Motion:
+class JudgedMotion:
     """Commands (K, N) [V, N m, A], each row held over a servo period, from rest at the start."""
 
     name: str
@@ -59,7 +59,7 @@ class ExcitationMotions:
         )
         self._plant = self._make_plant(FINE)
 
-    def drawn(self, kind: str, rng: Rng) -> Motion:
+    def drawn(self, kind: str, rng: Rng) -> JudgedMotion:
         """Return a motion of one of the `KINDS`.
 
         Raises:
@@ -67,7 +67,7 @@ class ExcitationMotions:
         """
         shape = np.column_stack([KINDS[kind](self.t, rng) for _ in self.scene.joints])
         if kind == "limits":
-            return Motion(kind, shape * self.pushed)
+            return JudgedMotion(kind, shape * self.pushed)
         q_ref = self.scene.start + (shape - shape[0]) * self._size
         try:
             commands = self._along(q_ref, self._plant)
@@ -75,7 +75,7 @@ class ExcitationMotions:
             commands = self._along(q_ref, self._make_plant(20 * FINE))
         if kind == "stop":
             commands[self.rows // 2 :] = 0.0
-        return Motion(kind, commands)
+        return JudgedMotion(kind, commands)
 
     @property
     def pushed(self) -> Array:
@@ -118,7 +118,7 @@ class ExcitationMotions:
         return Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
 
 
-def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[Motion]:
+def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[JudgedMotion]:
     """Return the default test motions of a scene, always the same."""
     excitation = ExcitationMotions(scene, seconds)
     kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # often of the largest errors

@@ -36,7 +36,7 @@ PLANTS = 24  # that are kept
 
 
 @dataclass(frozen=True)
-class Method:
+class IntegrationMethod:
     """Integration of a machine, except for its step."""
 
     scheme: str
@@ -57,8 +57,8 @@ class Method:
         return f"{self.scheme}{located}{', 2 threads' if self.threads == 2 else ''}"
 
 
-FINEST = Method(SCHEMES[0], "located")
-OTHERWISE = Method(SCHEMES[0], "step")
+FINEST = IntegrationMethod(SCHEMES[0], "located")
+OTHERWISE = IntegrationMethod(SCHEMES[0], "step")
 
 
 class Runs:
@@ -70,10 +70,12 @@ class Runs:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._plants: dict[tuple[Method, int], Plant] = {}
-        self._times: dict[tuple[Method, int], list[float]] = {}  # wall, and simulated [s]
+        self._plants: dict[tuple[IntegrationMethod, int], Plant] = {}
+        self._times: dict[
+            tuple[IntegrationMethod, int], list[float]
+        ] = {}  # wall, and simulated [s]
 
-    def plant(self, method: Method, steps: int) -> Plant:
+    def plant(self, method: IntegrationMethod, steps: int) -> Plant:
         """Return the machine with `steps` steps per servo period."""
         key = method, steps
         if key not in self._plants:
@@ -94,7 +96,7 @@ class Runs:
         except np.linalg.LinAlgError:  # numbers so far apart that something overflows
             return np.inf
 
-    def q(self, method: Method, steps: int, commands: Array) -> Array | None:
+    def q(self, method: IntegrationMethod, steps: int, commands: Array) -> Array | None:
         """Return link positions after each row (K, N) [rad or m]; None if it diverges."""
         plant = self.plant(method, steps)
         plant.reset()
@@ -108,12 +110,12 @@ class Runs:
         times[1] += self.scene.servo_period * len(commands)
         return q
 
-    def cost(self, method: Method, steps: int) -> float:
+    def cost(self, method: IntegrationMethod, steps: int) -> float:
         """Return the wall time per simulated second [s] of all runs with this setting."""
         wall, simulated = self._times[method, steps]
         return wall / simulated
 
-    def least_cost(self, method: Method, steps: int) -> float:
+    def least_cost(self, method: IntegrationMethod, steps: int) -> float:
         """Return a lower bound of that time, from the cheapest step of this method; 0: unknown."""
         costs = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
         return steps * min(costs, default=0.0)

@@ -23,8 +23,19 @@ from arm_emulator.cli.command_line import main
 from arm_emulator_analysis.advice import Judge, advise, reserve, step_counts
 from arm_emulator_analysis.commands.advise import advise as advise_scene
 from arm_emulator_analysis.commands.advise import demo_commands, read_commands
-from arm_emulator_analysis.judged_motions import KINDS, ExcitationMotions, Motion, judged_motions
-from arm_emulator_analysis.true_motion import Method, Runs, find_truth, is_confirmed, remainder
+from arm_emulator_analysis.judged_motions import (
+    KINDS,
+    ExcitationMotions,
+    JudgedMotion,
+    judged_motions,
+)
+from arm_emulator_analysis.true_motion import (
+    IntegrationMethod,
+    Runs,
+    find_truth,
+    is_confirmed,
+    remainder,
+)
 from bench.advice import CLASSES, judge_scene
 from oracles.event_reference import reference_with_events
 from oracles.random_machines import machine
@@ -40,7 +51,7 @@ def demo() -> tuple[Judge, Array]:
     scene = load_scene("three_axis")
     commands = demo_commands(scene, CONFIG / "three_axis.yaml")
     assert commands is not None, "a demo"
-    judge = Judge(scene, [Motion("demo", commands[:400])])
+    judge = Judge(scene, [JudgedMotion("demo", commands[:400])])
     truth = reference(scene, commands[:400], scene.servo_period)
     assert np.ptp(truth, axis=0).max() > 1e-2, "10 mm of the tool at 0.6 m [rad]"
     return judge, truth
@@ -52,7 +63,7 @@ def try_only(monkeypatch: pytest.MonkeyPatch, *schemes: str) -> None:
         monkeypatch.setattr("arm_emulator_analysis.advice.SCHEMES", schemes)
 
 
-def true_error(method: Method, steps: int) -> float:
+def true_error(method: IntegrationMethod, steps: int) -> float:
     judge, truth = demo()
     q = judge.runs.q(method, steps, judge.motions[0].commands)
     assert q is not None, f"{method} diverges with {steps} steps"
@@ -132,7 +143,7 @@ def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
     verdicts = judge_scene(seed, seconds=0.2 if FULL else 0.1, errors=some([1e-5, 1e-6], 1))
     for verdict in verdicts:
         assert not verdict.none, verdict
-        assert verdict.true, f"beyond what was reported: {verdict}"
+        assert verdict.is_true, f"beyond what was reported: {verdict}"
         # 1.3 is what is claimed where nobody disturbs the clock.
         assert verdict.cost < 2.0, f"dear: {verdict}"
 
@@ -160,9 +171,9 @@ def test_divergence_is_an_infinite_error(monkeypatch: pytest.MonkeyPatch) -> Non
     gear = {"joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
     # With the libraries of other machines that differ in numbers only.
     scene = load_scene("three_axis", overrides={**gear, "varied": ["joints.*"]})
-    judge = Judge(scene, [Motion("push", np.full((20, 3), 5.0))])
+    judge = Judge(scene, [JudgedMotion("push", np.full((20, 3), 5.0))])
     assert judge.know_truths(1e-3) == "", "a truth"
-    assert judge.error(Method("paper", STEP), 1) == np.inf, "an error of what diverges"
+    assert judge.error(IntegrationMethod("paper", STEP), 1) == np.inf, "an error of what diverges"
     settings = {str(setting.method): setting for setting in advise(judge, 1e-3).settings}
     assert "paper" not in settings or settings["paper"].dt < 1e-5, settings
     assert "rosenbrock" in settings, settings

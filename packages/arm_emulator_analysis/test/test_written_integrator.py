@@ -18,7 +18,7 @@ from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
 from arm_emulator_analysis.commands.advise import advise as advise_scene
 from arm_emulator_analysis.integrator_text import write_integrator
-from arm_emulator_analysis.true_motion import Method
+from arm_emulator_analysis.true_motion import IntegrationMethod
 from arm_emulator_identification.identified import write_fitted
 
 
@@ -42,7 +42,7 @@ def add_demo(file: Path) -> None:
 def test_writing_changes_two_values_and_nothing_else(tmp_path: Path) -> None:
     file = scene_copy(tmp_path)
     before = file.read_text().splitlines()
-    write_integrator(file, Method("implicit", "step"), 2.5e-5)
+    write_integrator(file, IntegrationMethod("implicit", "step"), 2.5e-5)
     after = file.read_text().splitlines()
     changed = [(old, new) for old, new in zip(before, after, strict=True) if old != new]
     assert [new.split("#")[0].split() for _, new in changed] == [
@@ -55,7 +55,7 @@ def test_writing_changes_two_values_and_nothing_else(tmp_path: Path) -> None:
     files = sorted(path.name for path in tmp_path.iterdir())
     assert files == ["three_axis.yaml", "urdf"], "files that are left"
     shipped = load_scene(CONFIG / "three_axis.yaml").integrator
-    write_integrator(file, Method(shipped.scheme, shipped.events), shipped.dt)
+    write_integrator(file, IntegrationMethod(shipped.scheme, shipped.events), shipped.dt)
     assert file.read_text().splitlines() == before, "written back"
 
 
@@ -76,7 +76,7 @@ def test_sections_as_people_write_them(tmp_path: Path, kind: str) -> None:
     head = text[: text.index("integrator:")]
     tail = "\nservo_period: 1.0e-3\nthreads: 1\n"
     file.write_bytes(f"{head}integrator: {old}{tail}".encode())
-    write_integrator(file, Method("implicit", "step"), 5e-5)
+    write_integrator(file, IntegrationMethod("implicit", "step"), 5e-5)
     assert file.read_bytes().decode() == f"{head}integrator: {new}{tail}", "the file"
 
 
@@ -87,7 +87,7 @@ def test_writing_that_would_change_more_is_refused(tmp_path: Path) -> None:
     text = text[: text.index("integrator:")] + "integrator: {dt: &dt 1e-3}\nservo_period: *dt\n"
     file.write_text(text)
     with pytest.raises(Refusal, match=r"three_axis.yaml: |advised.yaml: "):
-        write_integrator(file, Method("implicit", "step"), 5e-4)
+        write_integrator(file, IntegrationMethod("implicit", "step"), 5e-4)
     assert file.read_text() == text, "a refused change has changed the file"
     files = sorted(path.name for path in tmp_path.iterdir())
     assert files == ["three_axis.yaml", "urdf"], "files that are left"
@@ -106,12 +106,12 @@ def test_located_events_and_a_thread_less_are_written(tmp_path: Path) -> None:
     file = scene_copy(tmp_path, **{"threads: 1": "threads: 2"})
     text = file.read_text().replace("scheme: rosenbrock", "scheme: extrapolated")
     file.write_text(text)
-    write_integrator(file, Method("rosenbrock", "located"), 1e-3 / 3.0)
+    write_integrator(file, IntegrationMethod("rosenbrock", "located"), 1e-3 / 3.0)
     scene = load_scene(file)
     integrator = scene.integrator
     written = integrator.scheme, integrator.events, integrator.dt, scene.threads
     assert written == ("rosenbrock", "located", 1e-3 / 3.0, 1), file.read_text()
-    write_integrator(file, Method("implicit", "step", 2), 5e-4)
+    write_integrator(file, IntegrationMethod("implicit", "step", 2), 5e-4)
     scene = load_scene(file)
     integrator = scene.integrator
     written = integrator.scheme, integrator.events, integrator.dt, scene.threads
@@ -130,7 +130,7 @@ def test_shipped_files_are_never_written_into(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
     for path in paths:
         with pytest.raises(Refusal, match="must be one of yours, to be written into"):
-            write_integrator(path, Method("implicit", "step"), 5e-4)
+            write_integrator(path, IntegrationMethod("implicit", "step"), 5e-4)
         with pytest.raises(Refusal, match=r"identify: file .* must be one of yours"):
             write_fitted(path, CONFIG / "three_axis.yaml", scene, {}, [], "")
     with pytest.raises(Refusal, match=r"tune: file .* must be one of yours"):

@@ -69,7 +69,7 @@ class Measure:
         return of_all
 
 
-class Checked:
+class PythonRequirement:
     """A Python function that judges a whole trace and returns its robustness.
 
     Args:
@@ -177,7 +177,7 @@ class Evaluators:
         section = Section({"requirements": dict(campaign.requirements)}, where)
         requirement_section = section.required_section("requirements")
         formulas: dict[str, Formula] = {}
-        self._checked: dict[str, Checked | VibrationRequirement] = {}
+        self._checked: dict[str, PythonRequirement | VibrationRequirement] = {}
         for name, text in campaign.requirements.items():
             if isinstance(text, str):
                 quantity = f"requirements.{name}"
@@ -188,7 +188,7 @@ class Evaluators:
                 self._checked[name] = (
                     VibrationRequirement(below, scene)
                     if KEY in text
-                    else Checked(below, signal_names, campaign.file.parent)
+                    else PythonRequirement(below, signal_names, campaign.file.parent)
                 )
         self._measures = [
             Measure(text, signal_names, where, f"measures.{name}")

@@ -25,7 +25,7 @@ COLOURS = {
 
 
 @dataclass(frozen=True)
-class Row:
+class FaultRow:
     """Outcome of one fault at the magnitude that shows it well.
 
     Attributes:
@@ -51,7 +51,7 @@ class _Trace:
     apart: float  # of the encoders of a joint, at most [rad or m]
 
 
-def try_faults(scene_name: str) -> list[Row]:
+def try_faults(scene_name: str) -> list[FaultRow]:
     """Return a row per fault that the scene can have.
 
     Raises:
@@ -126,7 +126,7 @@ def _compare_encoders(run: OfflineRun) -> float:
     return float(max(apart))
 
 
-def _make_row(run: OfflineRun, fault: SceneFault, sound: _Trace, trace: _Trace) -> Row:
+def _make_row(run: OfflineRun, fault: SceneFault, sound: _Trace, trace: _Trace) -> FaultRow:
     number, period = fault.varied.number, run.motion_ticks * run.session.scene.servo_period
     begins = math.ceil(BEGINS / period)
     end = len(trace.tool) if trace.by == UNDETECTED else min(len(trace.tool), begins + trace.at)
@@ -134,27 +134,27 @@ def _make_row(run: OfflineRun, fault: SceneFault, sound: _Trace, trace: _Trace) 
     travel = max((float(np.linalg.norm(a - b)) for a, b in pairs), default=0.0)
     after = math.nan if trace.by == UNDETECTED else trace.at * period
     magnitude = float(number.default)
-    return Row(fault.name, fault.kind.name, magnitude, number.unit, trace.by, after, travel)
+    return FaultRow(fault.name, fault.kind.name, magnitude, number.unit, trace.by, after, travel)
 
 
-def find_worst(rows: Iterable[Row]) -> list[Row]:
+def find_worst(rows: Iterable[FaultRow]) -> list[FaultRow]:
     """Return of each kind the row with the largest travel, the largest first."""
-    worst: dict[str, Row] = {}
+    worst: dict[str, FaultRow] = {}
     for row in rows:
         if row.kind not in worst or row.travel > worst[row.kind].travel:
             worst[row.kind] = row
     return sorted(worst.values(), key=lambda row: -row.travel)
 
 
-def write_csv(rows: Sequence[Row], file: Path) -> None:
+def write_csv(rows: Sequence[FaultRow], file: Path) -> None:
     """Write all rows."""
     with file.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.DictWriter(out, [field.name for field in fields(Row)])
+        writer = csv.DictWriter(out, [field.name for field in fields(FaultRow)])
         writer.writeheader()
         writer.writerows(map(asdict, rows))
 
 
-def draw_matrix(rows: Sequence[Row], title: str, file: Path) -> None:
+def draw_matrix(rows: Sequence[FaultRow], title: str, file: Path) -> None:
     """Write a picture: of each kind the largest travel, in the colour of who detects it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -15,7 +15,7 @@ from arm_emulator_campaign.case import Case, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.program import Program, Rows
-from arm_emulator_campaign.search.splitting import Origin, Splitting
+from arm_emulator_campaign.search.splitting import ForkOrigin, Splitting
 from arm_emulator_campaign.signals import Sampler, list_signal_units
 from arm_emulator_campaign.simulator import ROOM, Simulator
 
@@ -170,7 +170,7 @@ class ForkingRun(Simulator):
         return min(super()._longest, self._at_most)
 
 
-def make_forked_case(campaign: Campaign, origin: Origin) -> Case:
+def make_forked_case(campaign: Campaign, origin: ForkOrigin) -> Case:
     """Return a run that was forked as one that needs no fork: its noise changes on the way."""
     case = draw_case(campaign.variation, origin.index)
     first, *later = ((tick, _fold_seed(seed)) for tick, seed in origin.seeds)

@@ -63,10 +63,10 @@ def shrink(campaign: Campaign, case: Case) -> Shrunk:
         raise Refusal(where, "the run", "fail", "all requirements hold", valid)
     changes = tries.changes()
 
-    def fails(some: Sequence[str]) -> bool:
+    def has_failure(some: Sequence[str]) -> bool:
         return not tries.margins(tries.keep_only(some))[requirement] >= 0.0
 
-    changes = [] if fails([]) else find_fewest(changes, fails)
+    changes = [] if has_failure([]) else find_fewest(changes, has_failure)
     shortened = tries.keep_only(changes)
     if changes:
         shortened = tries.find_shortest(shortened, requirement)

@@ -61,7 +61,7 @@ class Place(Protocol):
         """End what this has begun."""
 
 
-def waited_for(condition: Callable[[], bool], patience: float = LONGEST) -> bool:
+def has_come_true(condition: Callable[[], bool], patience: float = LONGEST) -> bool:
     """Wait until something is so; return whether it is, at the latest after so many seconds."""
     until = time.monotonic() + patience
     while not condition():
@@ -71,7 +71,7 @@ def waited_for(condition: Callable[[], bool], patience: float = LONGEST) -> bool
     return True
 
 
-def listens(port: int) -> bool:
+def is_open(port: int) -> bool:
     """Return whether somebody listens at a port of this machine."""
     with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
         return True
@@ -124,7 +124,7 @@ class Cluster:
         self._words += [worker] * WORKERS
         self._processes = [self._begun(words) for words in self._words]
         # Its imports take long on a busy machine.
-        if not waited_for(lambda: listens(port)):
+        if not has_come_true(lambda: is_open(port)):
             self.end()
             raise TimeoutError(f"the scheduler does not listen after {LONGEST:g} s")
 
@@ -200,9 +200,9 @@ def begun(file: Path, into: Path, place: Place) -> Process:
     )  # fmt: skip
 
 
-def works(client: Process, into: Path) -> bool:
+def has_begun(client: Process, into: Path) -> bool:
     """Wait until a campaign has begun to work; return whether it has not ended before."""
-    waited_for(lambda: into.exists() or client.poll() is not None)
+    has_come_true(lambda: into.exists() or client.poll() is not None)
     return client.poll() is None
 
 
@@ -238,17 +238,17 @@ def simulate_kill(
         parts: see `after`.
     """
     client = begun(file, into, place)
-    works(client, into)
+    has_begun(client, into)
     before = set[Path]()
     try:
-        waited_for(lambda: len(parts_in(into)) >= parts or client.poll() is not None)
+        has_come_true(lambda: len(parts_in(into)) >= parts or client.poll() is not None)
         with contextlib.suppress(subprocess.TimeoutExpired):
             client.wait(after)
         processes, before = [client.pid, *list_descendants(client.pid)], parts_in(into)
         place.kill(victim, client, rng)
         if victim in ("client", "ctrl-c"):
             client.communicate(timeout=LONGEST)
-            if not waited_for(lambda: not any(map(is_running, processes)), ENDING):
+            if not has_come_true(lambda: not any(map(is_running, processes)), ENDING):
                 return Moment("", (len(before), 0), "somebody stays behind")
             client = begun(file, into, place)
         out, wrong = client.communicate(timeout=LONGEST)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator_campaign import fault_matrix as matrix
-from arm_emulator_campaign.fault_matrix import UNDETECTED, Row, find_worst, try_faults
+from arm_emulator_campaign.fault_matrix import UNDETECTED, FaultRow, find_worst, try_faults
 from bench.tables import table
 
 
-def run(quick: bool) -> list[Row]:
+def run(quick: bool) -> list[FaultRow]:
     """Try all faults."""
     return try_faults("three_axis")
 
 
-def report(rows_of: list[Row]) -> str:
+def report(rows_of: list[FaultRow]) -> str:
     """Return the table of the worst joint of each kind."""
     rows = []
     for row in find_worst(rows_of):
@@ -23,7 +23,7 @@ def report(rows_of: list[Row]) -> str:
     return table(("fault", "detected by", "after", "tool off its way"), rows)
 
 
-def draw(rows: list[Row], folder: Path) -> Path:
+def draw(rows: list[FaultRow], folder: Path) -> Path:
     """Draw the tool's travel until a fault is detected; return the picture's file."""
     picture = folder / "faults.png"
     matrix.draw_matrix(rows, "Faults of three_axis in a move of 71 mm and back", picture)

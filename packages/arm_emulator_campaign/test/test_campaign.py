@@ -28,7 +28,7 @@ from arm_emulator_campaign.batch_simulator import make_simulator
 from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.commands.campaign import campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
-from arm_emulator_campaign.evaluators import Checked
+from arm_emulator_campaign.evaluators import PythonRequirement
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, compute_digest, make_schema, write_part
 from arm_emulator_campaign.simulator import Simulator
@@ -167,7 +167,7 @@ def test_a_function_that_returns_no_margin_is_named(tmp_path):
     def judged(name):
         data = {"p": {"python": f"checks.py:{name}", "signals": ["q.elbow"]}}
         section = Section(data, "c.yaml").required_section("p")
-        return Checked(section, ["q.elbow"], tmp_path).judge(trace)
+        return PythonRequirement(section, ["q.elbow"], tmp_path).judge(trace)
 
     assert judged("right") == 1.0
     for k, text in enumerate(wrong):
@@ -185,7 +185,7 @@ def test_a_run_that_diverges_fails_everything(tmp_path):
     for run in runs:
         stiff = run.values["joints.elbow.gear.stiffness"] > 1e5
         assert math.isfinite(run.diverged) == stiff, run
-        assert (run.robustness["near"] == -math.inf) == stiff and run.failed
+        assert (run.robustness["near"] == -math.inf) == stiff and run.has_failed
     assert {math.isfinite(run.diverged) for run in runs} == {True, False}
 
 

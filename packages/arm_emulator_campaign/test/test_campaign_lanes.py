@@ -143,7 +143,7 @@ def test_a_run_that_diverges_does_not_disturb_the_others(tmp_path: Path) -> None
     alone = Simulator(campaign)
     for index, diverged in enumerate(outcomes.diverged):
         outcome = alone.run(index)
-        assert outcome.failed == outcomes.failed[index]
+        assert outcome.has_failed == outcomes.failed[index]
         assert np.array_equal(outcome.diverged, diverged, equal_nan=True)
         rest = [*outcome.robustness.values()]
         np.testing.assert_array_equal(outcomes.robustness[index], rest)

@@ -9,12 +9,18 @@ from pathlib import Path
 import pytest
 from draws import FULL
 
-from arm_emulator_campaign.fault_matrix import Row, draw_matrix, find_worst, try_faults, write_csv
+from arm_emulator_campaign.fault_matrix import (
+    FaultRow,
+    draw_matrix,
+    find_worst,
+    try_faults,
+    write_csv,
+)
 
 ROWS = [
-    Row("a.x", "x", 1.0, "1", "nobody", math.nan, 0.01),
-    Row("b.x", "x", 1.0, "1", "drive", 0.1, 0.02),
-    Row("a.y", "y", 1.0, "1", "servo", 0.2, 0.03),
+    FaultRow("a.x", "x", 1.0, "1", "nobody", math.nan, 0.01),
+    FaultRow("b.x", "x", 1.0, "1", "drive", 0.1, 0.02),
+    FaultRow("a.y", "y", 1.0, "1", "servo", 0.2, 0.03),
 ]
 
 

@@ -20,7 +20,7 @@ from arm_emulator_campaign.forking import ForkingRun, make_forked_case
 from arm_emulator_campaign.results.parts import Results
 from arm_emulator_campaign.results.report import write_report
 from arm_emulator_campaign.results.summary import summarize
-from arm_emulator_campaign.search.splitting import Origin, Splitting
+from arm_emulator_campaign.search.splitting import ForkOrigin, Splitting
 from arm_emulator_campaign.shrinking import shrink, write_shrunk
 from arm_emulator_campaign.simulator import Simulator
 
@@ -173,11 +173,11 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, ch
     campaign = read(tmp_path, DRIFTS | change | {"vary": own})
     forks, seeds = ForkingRun(campaign), (5, 7, 2**31 + 9)
     forks.begin(3, seeds[0])
-    origin = Origin(3, ((0, seeds[0]),))
+    origin = ForkOrigin(3, ((0, seeds[0]),))
     for level, seed in zip((0.003, 0.002), seeds[1:], strict=True):
         assert forks.reach(level)[0]
         forks.go_on(forks.fork(), seed)
-        origin = Origin(3, (*origin.seeds, (forks.now, seed)))
+        origin = ForkOrigin(3, (*origin.seeds, (forks.now, seed)))
     assert forks.reach(0.0)[0] and 0 < origin.seeds[1][0] < origin.seeds[2][0] < forks.now
     alone, case = Simulator(campaign), make_forked_case(campaign, origin)
     for done in alone.drive(case, 1):

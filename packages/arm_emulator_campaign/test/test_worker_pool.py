@@ -12,7 +12,12 @@ import pytest
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.batch_simulator import WIDTH
 from arm_emulator_campaign.execution.executor import size_chunk
-from arm_emulator_campaign.execution.worker_pool import MAX_BREAKS, Progress, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import (
+    MAX_BREAKS,
+    CampaignProgress,
+    Work,
+    WorkerPool,
+)
 
 
 class Killed(Exception):
@@ -36,7 +41,7 @@ def work_of(kills, done_before_each):
         pools.append(APool())
         return pools[-1]
 
-    progress = Progress(12, 0)
+    progress = CampaignProgress(12, 0)
     worker_pool = WorkerPool(make_pool, 1.0, lambda progress: None)
 
     def work(pool, missing, killed):

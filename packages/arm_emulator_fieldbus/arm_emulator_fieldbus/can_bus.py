@@ -11,8 +11,8 @@ from typing import Any
 
 from arm_emulator.extension.base import Refusal
 from arm_emulator_fieldbus.can_server import CanServer
-from arm_emulator_fieldbus.canopen_node import Frame
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_node import CanFrame
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 
 LOOK = 0.1  # s, after which a silent bus is checked
 REPORT_SILENCE = 5.0  # s
@@ -59,7 +59,7 @@ class PythonCanBus:
         self._bus = bus
         self.ignored = 0
 
-    def receive(self, timeout: float) -> Frame | None:
+    def receive(self, timeout: float) -> CanFrame | None:
         """Return the next frame, None if none comes in time [s].
 
         Raises:
@@ -72,7 +72,7 @@ class PythonCanBus:
             if not (message.is_extended_id or message.is_error_frame or message.is_fd):
                 number, data = int(message.arbitration_id), bytes(message.data or b"")
                 if 0 <= number < 1 << 11 and len(data) <= 8:
-                    return Frame(number, data, bool(message.is_remote_frame))
+                    return CanFrame(number, data, bool(message.is_remote_frame))
         # python-can may raise any exception on the data of others.
         except Exception as error:
             if _is_system_error(error):
@@ -80,7 +80,7 @@ class PythonCanBus:
         self.ignored += 1
         return None
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame."""
         import can
 
@@ -114,7 +114,7 @@ class BusService:
         period: servo period [ns]; None: in lock-step.
     """
 
-    def __init__(self, bus: Bus, segment: Segment, period: int | None) -> None:
+    def __init__(self, bus: Bus, segment: CanSegment, period: int | None) -> None:
         self._bus, self._segment, self._period = bus, segment, period
         self._reported = False
         self.lost_periods = 0  # in real time: lateness of logical time
@@ -131,7 +131,7 @@ class BusService:
         silent, since, tick = False, time.monotonic(), -1
         while goes_on():
             beat = self._segment.beat
-            self._take(min(beat / 2e9, LOOK) if beat else LOOK)
+            self._has_received(min(beat / 2e9, LOOK) if beat else LOOK)
             if self._segment.tick != tick:
                 tick, since, silent = self._segment.tick, time.monotonic(), False
             elif not silent and time.monotonic() - since > REPORT_SILENCE:
@@ -143,7 +143,7 @@ class BusService:
         while goes_on():
             late = time.monotonic_ns() - due
             if late < 0:
-                self._take(-late / 1e9)
+                self._has_received(-late / 1e9)
                 continue
             if late > LATEST:
                 lost = late // period
@@ -154,10 +154,10 @@ class BusService:
             self._send(self._segment.pass_period())
             self._report_fault()
             for _ in range(MAX_FRAMES):
-                if not self._take(0.0):
+                if not self._has_received(0.0):
                     break
 
-    def _take(self, timeout: float) -> bool:
+    def _has_received(self, timeout: float) -> bool:
         """Wait for a frame, and answer it; send heartbeats that are due. Return whether one came.
 
         Raises:
@@ -172,7 +172,7 @@ class BusService:
         self._send(self._segment.heartbeats(time.monotonic_ns()))
         return frame is not None
 
-    def _send(self, frames: list[Frame]) -> None:
+    def _send(self, frames: list[CanFrame]) -> None:
         for frame in frames:
             self._bus.send(frame)
 

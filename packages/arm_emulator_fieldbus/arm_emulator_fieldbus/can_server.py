@@ -14,7 +14,7 @@ import time
 from collections import deque
 
 from arm_emulator.extension.base import refuse_taken_address
-from arm_emulator_fieldbus.canopen_node import Frame
+from arm_emulator_fieldbus.canopen_node import CanFrame
 
 PORT = 29536  # of socketcand
 MAX_CLIENTS = 64
@@ -54,7 +54,7 @@ class CanServer:
         self._listening.setblocking(False)
         self.address: tuple[str, int] = self._listening.getsockname()
         self.ignored = 0
-        self._came: deque[Frame] = deque()
+        self._came: deque[CanFrame] = deque()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listening, selectors.EVENT_READ)
         self._members: dict[int, _Member] = {}
@@ -66,7 +66,7 @@ class CanServer:
         self._selector.close()
         self._listening.close()
 
-    def receive(self, timeout: float) -> Frame | None:
+    def receive(self, timeout: float) -> CanFrame | None:
         """Return the next frame, None if none comes in time [s]."""
         until = time.monotonic() + timeout
         while not self._came:
@@ -76,7 +76,7 @@ class CanServer:
                 break
         return self._came.popleft() if self._came else None
 
-    def send(self, frame: Frame) -> None:
+    def send(self, frame: CanFrame) -> None:
         """Send a frame to all members."""
         self._spread(_format_frame(frame.id, frame.data), None)
 
@@ -178,7 +178,7 @@ class CanServer:
             self._ignore(member)
             return
         if short:
-            self._came.append(Frame(number, bytes_))
+            self._came.append(CanFrame(number, bytes_))
         self._spread(_format_frame(number, bytes_, 3 if short else 8), member)
 
     def _hang_up(self, member: _Member) -> None:

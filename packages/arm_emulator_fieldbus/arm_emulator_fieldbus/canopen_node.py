@@ -27,7 +27,7 @@ SYNC_TOLERANCE = 1.5  # periods of SYNC after which a node misses it
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class CanFrame:
     """A CAN frame with an identifier of 11 bits."""
 
     id: int
@@ -35,7 +35,7 @@ class Frame:
     remote: bool = False
 
 
-class State(enum.IntEnum):
+class NmtState(enum.IntEnum):
     """NMT state of the node, as heartbeats report it."""
 
     BOOT = 0
@@ -94,7 +94,7 @@ class Node:
         self.number = number
         self._drives, self._drive = drives, drive
         self._lockstep, self._first_sync_period = lockstep, sync_period
-        self.state = State.BOOT
+        self.state = NmtState.BOOT
         self._toggle = 0  # of node guarding
         self._beat_at: int | None = None  # when the last heartbeat was sent
         self._heard_at: int | None = None  # when that of the watched node came
@@ -116,14 +116,14 @@ class Node:
         self._configure()
 
     @property
-    def state(self) -> State:
+    def state(self) -> NmtState:
         """NMT state; PDOs in use in operational keep their mapping."""
         return self._state
 
     @state.setter
-    def state(self, state: State) -> None:
+    def state(self, state: NmtState) -> None:
         self._state = state
-        self._drives.lock_mapping(state is State.OPERATIONAL, self._drive)
+        self._drives.lock_mapping(state is NmtState.OPERATIONAL, self._drive)
 
     # ------------------------------------------------------------------------- the dictionary
 
@@ -191,15 +191,15 @@ class Node:
 
     # ---------------------------------------------------------------------------------- frames
 
-    def boot(self) -> list[Frame]:
+    def boot(self) -> list[CanFrame]:
         """Start up: send the boot message and enter pre-operational."""
-        self.state = State.PRE_OPERATIONAL
+        self.state = NmtState.PRE_OPERATIONAL
         self._toggle = 0
         self._beat_at = self._heard_at = self._guarded_at = None
         self._drives.begin_sdo(self._drive)
-        return [Frame(0x700 + self.number, bytes((State.BOOT,)))]
+        return [CanFrame(0x700 + self.number, bytes((NmtState.BOOT,)))]
 
-    def receive(self, frame: Frame, now: int) -> list[Frame]:
+    def receive(self, frame: CanFrame, now: int) -> list[CanFrame]:
         """Take a frame other than SYNC, and return what the node sends.
 
         Args:
@@ -212,22 +212,22 @@ class Node:
         if id_ == 0:
             return self._command(frame.data, now)
         if id_ == 0x600 + self.number:
-            if self.state is State.STOPPED or self.state is State.BOOT:
+            if self.state is NmtState.STOPPED or self.state is NmtState.BOOT:
                 return []
             return self._serve(frame.data)
         if id_ == 0x700 + self._watched[0] and self._watched[1]:
             self._heard_at = now
-        if self.state is State.OPERATIONAL:
+        if self.state is NmtState.OPERATIONAL:
             return self._receive_data(frame, now)
         return []
 
-    def takes_sync(self, frame: Frame) -> bool:
+    def is_sync(self, frame: CanFrame) -> bool:
         """Return whether a frame is SYNC to this node."""
         return frame.id == self._sync_id and not frame.remote and len(frame.data) <= 1
 
-    def sync(self, now: int) -> list[Frame]:
+    def sync(self, now: int) -> list[CanFrame]:
         """Take a SYNC: received data takes effect, and present data is sent."""
-        if self.state is not State.OPERATIONAL:
+        if self.state is not NmtState.OPERATIONAL:
             return []
         self._synced_at = now
         frames = []
@@ -246,45 +246,45 @@ class Node:
                 frames.append(self._send(pdo, data, now))
         return frames
 
-    def after_period(self, now: int) -> list[Frame]:
+    def after_period(self, now: int) -> list[CanFrame]:
         """Return what the node sends on its own after a servo period."""
         frames = self._watch(now)
         code = self._number(0x603F, 0)
         if code != self._error:
             self._error = code
             frames += self._report_emergency(code)
-        if self.state is State.OPERATIONAL:
+        if self.state is NmtState.OPERATIONAL:
             frames += self._events(now)
         return frames
 
-    def heartbeat(self, now: int) -> list[Frame]:
+    def heartbeat(self, now: int) -> list[CanFrame]:
         """Return the heartbeat if it is due at a time [ns] of the bus's clock."""
-        if not self.beat or self.state is State.BOOT:
+        if not self.beat or self.state is NmtState.BOOT:
             return []
         if self._beat_at is not None and now - self._beat_at < self.beat:
             return []
         late = self._beat_at is not None and now - self._beat_at < 2 * self.beat
         self._beat_at = (self._beat_at or 0) + self.beat if late else now
-        return [Frame(0x700 + self.number, bytes((self.state,)))]
+        return [CanFrame(0x700 + self.number, bytes((self.state,)))]
 
     # --------------------------------------------------------------------------------- details
 
-    def _serve(self, request: bytes) -> list[Frame]:
+    def _serve(self, request: bytes) -> list[CanFrame]:
         """SDO."""
         if len(request) != 8:
             return []
         replies = self._drives.sdo(self._drive, request)
         if self._drives.communication(self._drive) != self._configured:
             self._configure()
-        return [Frame(0x580 + self.number, reply) for reply in replies]
+        return [CanFrame(0x580 + self.number, reply) for reply in replies]
 
-    def _command(self, data: bytes, now: int) -> list[Frame]:
+    def _command(self, data: bytes, now: int) -> list[CanFrame]:
         """NMT."""
         if len(data) != 2 or data[1] not in (0, self.number):
             return []
         match data[0]:
-            case 1 if self.state is not State.OPERATIONAL:
-                self.state = State.OPERATIONAL
+            case 1 if self.state is not NmtState.OPERATIONAL:
+                self.state = NmtState.OPERATIONAL
                 self._synced_at = None
                 for pdo in (*self._receives, *self._sends):
                     pdo.waiting = pdo.sent = pdo.received_at = None
@@ -293,7 +293,7 @@ class Node:
             case 2:
                 self._stop()
             case 128:
-                self.state = State.PRE_OPERATIONAL
+                self.state = NmtState.PRE_OPERATIONAL
             case 129:
                 self._drives.restart(self._drive)
                 self._set_defaults()
@@ -304,37 +304,37 @@ class Node:
                 return self._begin_anew()
         return []
 
-    def _begin_anew(self) -> list[Frame]:
+    def _begin_anew(self) -> list[CanFrame]:
         self._configure()
         self._error, self._bad_pdo = 0, False
         return self.boot()
 
     def _stop(self) -> None:
-        if self.state is State.OPERATIONAL:
+        if self.state is NmtState.OPERATIONAL:
             self._drives.lost(self._drive, STOPPED_BY_MASTER)
-        self.state = State.STOPPED
+        self.state = NmtState.STOPPED
         self._drives.begin_sdo(self._drive)
 
     def _restore_communication(self) -> None:
         for (index, sub), value in self._defaults.items():
             self._drives.set(self._drive, index, value, sub)
 
-    def _answer_request(self, id_: int, now: int) -> list[Frame]:
+    def _answer_request(self, id_: int, now: int) -> list[CanFrame]:
         """Remote frames: node guarding, and PDOs."""
-        if id_ == 0x700 + self.number and not self.beat and self.state is not State.BOOT:
+        if id_ == 0x700 + self.number and not self.beat and self.state is not NmtState.BOOT:
             self._guarded_at = now
             reported = self._toggle | self.state
             self._toggle ^= 0x80
-            return [Frame(id_, bytes((reported,)))]
-        if self.state is not State.OPERATIONAL:
+            return [CanFrame(id_, bytes((reported,)))]
+        if self.state is not NmtState.OPERATIONAL:
             return []
         for pdo in self._sends:
             if pdo.id == id_ and pdo.remote:
                 data = pdo.sent if pdo.type == 252 else self._pack(pdo)
-                return [Frame(id_, data)] if data is not None else []
+                return [CanFrame(id_, data)] if data is not None else []
         return []
 
-    def _receive_data(self, frame: Frame, now: int) -> list[Frame]:
+    def _receive_data(self, frame: CanFrame, now: int) -> list[CanFrame]:
         frames = []
         for pdo in self._receives:
             if pdo.id != frame.id or (pdo.type not in ASYNCHRONOUS and self._is_late(now)):
@@ -349,7 +349,7 @@ class Node:
                 pdo.waiting = frame.data
         return frames
 
-    def _unpack(self, pdo: _Pdo, data: bytes) -> list[Frame]:
+    def _unpack(self, pdo: _Pdo, data: bytes) -> list[CanFrame]:
         at, bad = 0, False
         for index, sub, size in pdo.places:
             if index >= 8:
@@ -369,11 +369,11 @@ class Node:
             for index, sub, size in pdo.places
         )
 
-    def _send(self, pdo: _Pdo, data: bytes, now: int) -> Frame:
+    def _send(self, pdo: _Pdo, data: bytes, now: int) -> CanFrame:
         pdo.sent, pdo.sent_at, pdo.count = data, now, 0
-        return Frame(pdo.id, data)
+        return CanFrame(pdo.id, data)
 
-    def _events(self, now: int) -> list[Frame]:
+    def _events(self, now: int) -> list[CanFrame]:
         frames = []
         for pdo in self._sends:
             if pdo.id < 0 or pdo.type not in ASYNCHRONOUS:
@@ -390,16 +390,16 @@ class Node:
         """Return whether the window for synchronous data after SYNC (0x1007) has passed."""
         return not self._lockstep and _has_expired(self._synced_at, self._window, now)
 
-    def _watch(self, now: int) -> list[Frame]:
+    def _watch(self, now: int) -> list[CanFrame]:
         """Check what comes periodically; each loss is reported once, until the next message."""
-        frames: list[Frame] = []
+        frames: list[CanFrame] = []
         if _has_expired(self._heard_at, self._watched[1], now):
             self._heard_at = None
             frames += self._lose_master()
         if _has_expired(self._guarded_at, self._life, now):
             self._guarded_at = None
             frames += self._lose_master()
-        if self.state is not State.OPERATIONAL:
+        if self.state is not NmtState.OPERATIONAL:
             return frames
         if _has_expired(self._synced_at, int(SYNC_TOLERANCE * self.sync_period), now):
             self._synced_at = None
@@ -410,30 +410,30 @@ class Node:
                 frames += self._lose(NO_DATA)
         return frames
 
-    def _lose_master(self) -> list[Frame]:
+    def _lose_master(self) -> list[CanFrame]:
         """Take the loss of heartbeats or guarding, after which 0x1029 selects the state."""
         frames = self._lose(LOST)
-        if self.state is State.OPERATIONAL:
+        if self.state is NmtState.OPERATIONAL:
             match self._number(0x1029, 1):
                 case 0:
-                    self.state = State.PRE_OPERATIONAL
+                    self.state = NmtState.PRE_OPERATIONAL
                 case 2:
-                    self.state = State.STOPPED
+                    self.state = NmtState.STOPPED
                     self._drives.begin_sdo(self._drive)
         return frames
 
-    def _lose(self, code: int) -> list[Frame]:
+    def _lose(self, code: int) -> list[CanFrame]:
         """Report a loss to the drive, which reacts as 0x6007 selects, and by EMCY."""
         self._drives.lost(self._drive, code)
         reported = self._report_emergency(code)
         self._error = self._number(0x603F, 0)
         return reported
 
-    def _report_emergency(self, code: int) -> list[Frame]:
-        if self._emergency_id is None or self.state in (State.STOPPED, State.BOOT):
+    def _report_emergency(self, code: int) -> list[CanFrame]:
+        if self._emergency_id is None or self.state in (NmtState.STOPPED, NmtState.BOOT):
             return []
         register = self._number(0x1001, 0)
-        return [Frame(self._emergency_id, struct.pack("<HB5x", code, register))]
+        return [CanFrame(self._emergency_id, struct.pack("<HB5x", code, register))]
 
 
 def _has_expired(since: int | None, time: int, now: int) -> bool:

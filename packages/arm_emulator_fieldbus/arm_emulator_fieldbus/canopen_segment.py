@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.machine import Diverged
-from arm_emulator_fieldbus.canopen_node import LARGEST_NODE, Frame, Node
+from arm_emulator_fieldbus.canopen_node import LARGEST_NODE, CanFrame, Node
 from arm_emulator_fieldbus.drives import Drives
 
 # Objects in a request of SDO: time between SYNCs, interpolation time.
@@ -12,7 +12,7 @@ _TIMES = (bytes([0x06, 0x10]), bytes([0xC2, 0x60]))
 LONGEST_SYNC_PERIOD = (1 << 32) - 1  # us
 
 
-class Segment:
+class CanSegment:
     """Nodes of all joints, base to tool, with node-IDs in a row.
 
     In lock-step each SYNC stands for the time between SYNCs (0x1006), the shortest of those that
@@ -70,15 +70,15 @@ class Segment:
         """Logical time [ns]."""
         return self.tick * self._period
 
-    def boot(self) -> list[Frame]:
+    def boot(self) -> list[CanFrame]:
         """Start up, and return the frames sent."""
         return [frame for node in self.nodes for frame in node.boot()]
 
-    def receive(self, frame: Frame) -> list[Frame]:
+    def receive(self, frame: CanFrame) -> list[CanFrame]:
         """Take a frame from the bus, and return the frames sent."""
         now, frames, synced = self.now, [], False
         for node in self.nodes:
-            if node.takes_sync(frame):
+            if node.is_sync(frame):
                 synced = True
                 frames += node.sync(now)
             else:
@@ -116,7 +116,7 @@ class Segment:
             self._noticed[node.number] = notice
         self._written.clear()
 
-    def pass_period(self) -> list[Frame]:
+    def pass_period(self) -> list[CanFrame]:
         """Advance by a servo period, and return the frames sent after it.
 
         A diverged machine keeps its state, its drives in Fault.
@@ -129,7 +129,7 @@ class Segment:
         now = self.now
         return [frame for node in self.nodes for frame in node.after_period(now)]
 
-    def heartbeats(self, now: int) -> list[Frame]:
+    def heartbeats(self, now: int) -> list[CanFrame]:
         """Return the heartbeats that are due at a time of the bus's clock [ns]."""
         return [frame for node in self.nodes for frame in node.heartbeat(now)]
 

@@ -155,7 +155,7 @@ def list_blocks(scene: Scene) -> tuple[Block, ...]:
     return tuple(rows)
 
 
-class Converter:
+class RegisterConverter:
     """Registers of a machine, and the watchdog over its master.
 
     Its owner advances time by `pass_period`, or the session's loop does in real time.
@@ -361,7 +361,7 @@ class Converter:
         session = self.session
         if session.fault is None:
             session.advance_under(self._held, session.tick)
-        self.watch()
+        self.has_tripped()
         self._held = self.wanted
 
     def answer_tick(self) -> None:
@@ -379,7 +379,7 @@ class Converter:
         except DuplicateCommand:
             pass  # the same as before, in the same period
 
-    def watch(self) -> bool:
+    def has_tripped(self) -> bool:
         """Switch the drives off if the master has been silent for too long; return whether."""
         session = self.session
         if not self._watchdog or self._written_tick is None or self._tripped:

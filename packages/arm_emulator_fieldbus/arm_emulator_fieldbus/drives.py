@@ -23,7 +23,7 @@ from arm_emulator_fieldbus.object_dictionary import (
     REALS,
     SIGNED,
     Aborted,
-    Entry,
+    ObjectEntry,
     modes,
     read_entries,
 )
@@ -115,7 +115,7 @@ class Drives:
             self.calls.drives_delete(pointer)
 
     @property
-    def entries(self) -> tuple[Entry, ...]:
+    def entries(self) -> tuple[ObjectEntry, ...]:
         """All entries of the dictionary, in ascending order."""
         return tuple(self._entries.values())
 

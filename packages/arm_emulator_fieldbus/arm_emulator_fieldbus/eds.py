@@ -8,7 +8,7 @@ from itertools import groupby
 from arm_emulator.extension.base import escape_to_line
 from arm_emulator_fieldbus.canopen_node import Node
 from arm_emulator_fieldbus.drives_unit import CANOPEN
-from arm_emulator_fieldbus.object_dictionary import REALS, TYPES, Entry, list_entries
+from arm_emulator_fieldbus.object_dictionary import REALS, TYPES, ObjectEntry, list_entries
 
 _CODES = {name: code for code, name in TYPES.items()}
 _MANDATORY = (0x1000, 0x1001, 0x1018)
@@ -87,7 +87,7 @@ def _write_list(name: str, indices: Sequence[int]) -> Iterable[str]:
     yield ""
 
 
-def _write_variable(node: Node, section: str, entry: Entry, name: str) -> Iterable[str]:
+def _write_variable(node: Node, section: str, entry: ObjectEntry, name: str) -> Iterable[str]:
     yield f"[{section}]"
     yield f"ParameterName={name}"
     yield "ObjectType=0x7"
@@ -113,7 +113,7 @@ def _format_number(value: int, signed: bool) -> str:
     return str(value) if signed else f"0x{value:X}"
 
 
-def _find_default(node: Node, entry: Entry) -> str | None:
+def _find_default(node: Node, entry: ObjectEntry) -> str | None:
     """Return the text of an entry's value, or None if tools of masters read no common one."""
     raw = node.upload(entry.index, entry.sub)
     if not entry.bits:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
-from arm_emulator_fieldbus.object_dictionary import REALS, Entry
+from arm_emulator_fieldbus.object_dictionary import REALS, ObjectEntry
 
 # As in core/ethercat/sii.hpp.
 MAILBOX = 256
@@ -68,7 +68,7 @@ def make_esi(drives: Drives) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
 
 
-Objects = dict[int, list[Entry]]
+Objects = dict[int, list[ObjectEntry]]
 
 
 def _group_entries(drives: Drives) -> Objects:
@@ -102,7 +102,11 @@ def _add_profile(device: ET.Element, drives: Drives, objects: Objects) -> None:
 
 
 def _add_record(
-    types: ET.Element, drives: Drives, index: int, entries: Iterable[Entry], plain: dict[str, int]
+    types: ET.Element,
+    drives: Drives,
+    index: int,
+    entries: Iterable[ObjectEntry],
+    plain: dict[str, int],
 ) -> int:
     """Add the data type of an object with subs; return its bits, sub 0 padded to 16."""
     data_type = _add_element(types, "DataType")
@@ -122,7 +126,7 @@ def _add_record(
     return at
 
 
-def _add_info(row: ET.Element, entries: list[Entry]) -> None:
+def _add_info(row: ET.Element, entries: list[ObjectEntry]) -> None:
     info = _add_element(row, "Info")
     for entry in entries:
         if entry.bits == 0:
@@ -137,7 +141,7 @@ def _add_info(row: ET.Element, entries: list[Entry]) -> None:
         _add_element(where, "DefaultValue", str(entry.standard))
 
 
-def _add_flags(row: ET.Element, entry: Entry) -> None:
+def _add_flags(row: ET.Element, entry: ObjectEntry) -> None:
     flags = _add_element(row, "Flags")
     _add_element(flags, "Access", {"const": "ro"}.get(entry.access, entry.access))
     mapping = ("R" if entry.rx else "") + ("T" if entry.tx else "")
@@ -145,7 +149,7 @@ def _add_flags(row: ET.Element, entry: Entry) -> None:
         _add_element(flags, "PdoMapping", mapping)
 
 
-def _find_type(drives: Drives, entry: Entry) -> tuple[str, int]:
+def _find_type(drives: Drives, entry: ObjectEntry) -> tuple[str, int]:
     if entry.bits == 0:
         size = len(drives.upload(0, entry.index, entry.sub))
         return f"STRING({size})", 8 * size

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from arm_emulator_fieldbus.converter import Converter
-from arm_emulator_fieldbus.modbus_rtu import Receiver, Station
+from arm_emulator_fieldbus.converter import RegisterConverter
+from arm_emulator_fieldbus.modbus_rtu import FrameReceiver, ModbusStation
 from arm_emulator_fieldbus.serial_line import BITS_PER_BYTE, LineErrors, compute_silence
 
 
@@ -27,10 +27,10 @@ class ModbusLine:
     """
 
     def __init__(
-        self, converter: Converter, number: int, clock: str, baud: int, errors: LineErrors
+        self, converter: RegisterConverter, number: int, clock: str, baud: int, errors: LineErrors
     ) -> None:
-        self.receiver = Receiver()
-        self.station = Station(number, converter, lambda: self.receiver.damaged)
+        self.receiver = FrameReceiver()
+        self.station = ModbusStation(number, converter, lambda: self.receiver.damaged)
         self._converter = converter
         self._errors = errors
         self._baud = baud
@@ -52,7 +52,7 @@ class ModbusLine:
 
     def silence(self) -> bytes:
         """Take note that the master has sent nothing for a while; return what comes back."""
-        return self._answer(self.receiver.silence()) if self.receiver.waiting else b""
+        return self._answer(self.receiver.silence()) if self.receiver.has_partial else b""
 
     def _answer(self, requests: list[bytes]) -> bytes:
         replies = b""

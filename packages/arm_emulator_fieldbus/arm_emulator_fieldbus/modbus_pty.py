@@ -12,9 +12,9 @@ import tty
 from pathlib import Path
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator_fieldbus.converter import Converter
+from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
-from arm_emulator_fieldbus.modbus_rtu import Receiver, Station
+from arm_emulator_fieldbus.modbus_rtu import FrameReceiver, ModbusStation
 from arm_emulator_fieldbus.serial_line import LineErrors, compute_bytes_time, compute_silence
 
 # Bytes from another process arrive later than on a line. Only an incomplete
@@ -104,12 +104,12 @@ class SerialPort:
         return False
 
 
-def serve_port(port: SerialPort, line: ModbusLine, converter: Converter, baud: int) -> None:
+def serve_port(port: SerialPort, line: ModbusLine, converter: RegisterConverter, baud: int) -> None:
     """Serve masters in logical time, indefinitely."""
     gap = max(compute_silence(baud), LONGEST_GAP) / 1e9
     silent = False
     while True:
-        waiting = line.receiver.waiting
+        waiting = line.receiver.has_partial
         data = port.take(gap if waiting else REPORT_SILENCE)
         if data:
             silent = False
@@ -135,12 +135,17 @@ class RealTimeService:
     """
 
     def __init__(
-        self, port: SerialPort, converter: Converter, number: int, baud: int, errors: LineErrors
+        self,
+        port: SerialPort,
+        converter: RegisterConverter,
+        number: int,
+        baud: int,
+        errors: LineErrors,
     ) -> None:
         self._session = converter.session
         self._port, self._converter, self._baud, self._errors = port, converter, baud, errors
-        self._receiver = Receiver()
-        self._station = Station(number, converter, lambda: self._receiver.damaged)
+        self._receiver = FrameReceiver()
+        self._station = ModbusStation(number, converter, lambda: self._receiver.damaged)
         converter.on_commands = converter.offer
 
     def serve(self) -> None:
@@ -154,12 +159,12 @@ class RealTimeService:
             if data:
                 last = now
                 # The first of its bytes is there now; on a line the last one would come later.
-                if not self._receiver.waiting:
+                if not self._receiver.has_partial:
                     began = now
                     count = 0
                 count += len(data)
                 requests = self._receiver.feed(self._errors.damage(data))
-            elif self._receiver.waiting and now - last > gap:
+            elif self._receiver.has_partial and now - last > gap:
                 requests = self._receiver.silence()
             else:
                 continue
@@ -182,7 +187,7 @@ class RealTimeService:
         """Take what the loop in real time has reached."""
         while self._session.take():
             pass
-        if self._converter.watch():
+        if self._converter.has_tripped():
             self._converter.offer()
 
 

@@ -113,7 +113,7 @@ def measure_request(data: bytes | bytearray) -> int | None:
     return _LENGTHS.get(function)
 
 
-class Receiver:
+class FrameReceiver:
     """Finds requests in the bytes of a line.
 
     A request ends where a silence of 3.5 characters begins. Where the receiver need not wait for
@@ -130,7 +130,7 @@ class Receiver:
         self.damaged = 0
 
     @property
-    def waiting(self) -> bool:
+    def has_partial(self) -> bool:
         """Whether there are bytes that wait for more, or for silence."""
         return bool(self._bytes)
 
@@ -172,7 +172,7 @@ class Counters:
         self.unanswered = 0
 
 
-class Station:
+class ModbusStation:
     """A station on the line.
 
     Attributes:

@@ -29,7 +29,7 @@ SIGNED = ("INTEGER8", "INTEGER16", "INTEGER32")
 
 
 @dataclass(frozen=True)
-class Entry:
+class ObjectEntry:
     """One entry of the object dictionary, see core/object_dictionary.hpp."""
 
     index: int
@@ -72,16 +72,16 @@ class Aborted(Exception):
 
 
 @cache
-def list_entries() -> tuple[Entry, ...]:
+def list_entries() -> tuple[ObjectEntry, ...]:
     """Return all entries, in ascending order."""
     return tuple(read_entries(drives_library()))
 
 
-def read_entries(calls: Library) -> Iterator[Entry]:
+def read_entries(calls: Library) -> Iterator[ObjectEntry]:
     """Yield the entries that a library with drives has, in ascending order."""
     entry, slot = DRIVES.new("drives_entry"), 0
     while calls.drives_list(slot, entry):
-        yield Entry(
+        yield ObjectEntry(
             entry.index,
             entry.sub,
             c_text(entry.object),

@@ -9,13 +9,13 @@ import pytest
 
 from arm_emulator import Plant, Scene, load_gains
 from arm_emulator.base.config_files import find_scene
-from arm_emulator_fieldbus.canopen_node import Frame
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_node import CanFrame
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fieldbus.object_dictionary import list_entries
 
-SYNC = Frame(0x80)
+SYNC = CanFrame(0x80)
 ENTRIES = [entry for entry in list_entries() if entry.buses & CANOPEN]
 
 
@@ -23,15 +23,15 @@ def drives_of(scene: Scene) -> Drives:
     return Drives(Plant(scene), load_gains(find_scene(scene.name)).servo, CANOPEN)
 
 
-def segment_of(scene: Scene, first: int = 1, *, operational: bool = False) -> Segment:
-    segment = Segment(drives_of(scene), first)
+def segment_of(scene: Scene, first: int = 1, *, operational: bool = False) -> CanSegment:
+    segment = CanSegment(drives_of(scene), first)
     segment.boot()
     if operational:
-        segment.receive(Frame(0, bytes((1, 0))))
+        segment.receive(CanFrame(0, bytes((1, 0))))
     return segment
 
 
-def uploaded(segment: Segment, number: int, index: int, sub: int) -> bytes:
+def uploaded(segment: CanSegment, number: int, index: int, sub: int) -> bytes:
     """A client of SDO, written from the standard; raises the abort code as a LookupError."""
     reply = sdo(segment, number, struct.pack("<BHB4x", 0x40, index, sub))
     if reply[0] & 2:
@@ -50,7 +50,13 @@ def uploaded(segment: Segment, number: int, index: int, sub: int) -> bytes:
 
 
 def download(
-    segment: Segment, number: int, index: int, sub: int, value: bytes, *, by_segments: bool = False
+    segment: CanSegment,
+    number: int,
+    index: int,
+    sub: int,
+    value: bytes,
+    *,
+    by_segments: bool = False,
 ) -> None:
     size = len(value)
     if size <= 4 and not by_segments:
@@ -71,39 +77,39 @@ def download(
             return
 
 
-def sdo(segment: Segment, number: int, request: bytes) -> bytes:
-    (reply,) = segment.receive(Frame(0x600 + number, request))
+def sdo(segment: CanSegment, number: int, request: bytes) -> bytes:
+    (reply,) = segment.receive(CanFrame(0x600 + number, request))
     assert reply.id == 0x580 + number and len(reply.data) == 8
     if reply.data[0] == 0x80:
         raise LookupError(struct.unpack("<I", reply.data[4:])[0])
     return reply.data
 
 
-def put(segment: Segment, number: int, index: int, sub: int, value: int, size: int) -> None:
+def put(segment: CanSegment, number: int, index: int, sub: int, value: int, size: int) -> None:
     download(segment, number, index, sub, value.to_bytes(size, "little"))
 
 
-def refused(segment: Segment, number: int, index: int, sub: int, value: int, size: int) -> int:
+def refused(segment: CanSegment, number: int, index: int, sub: int, value: int, size: int) -> int:
     with pytest.raises(LookupError) as no:
         put(segment, number, index, sub, value, size)
     return int(no.value.args[0])
 
 
-def sent(frames: Sequence[Frame], id_: int) -> list[bytes]:
+def sent(frames: Sequence[CanFrame], id_: int) -> list[bytes]:
     return [frame.data for frame in frames if frame.id == id_]
 
 
-def dumped(segment: Segment, number: int) -> list[bytes]:
+def dumped(segment: CanSegment, number: int) -> list[bytes]:
     node = next(node for node in segment.nodes if node.number == number)
     return [node.upload(entry.index, entry.sub) for entry in ENTRIES]
 
 
-def enable(segment: Segment, mode: int) -> None:
+def enable(segment: CanSegment, mode: int) -> None:
     """Bring all drives to Operation enabled by process data, one SYNC per step."""
-    segment.receive(Frame(0, b"\1\0"))
+    segment.receive(CanFrame(0, b"\1\0"))
     for word in (6, 7, 15):
         for node in segment.nodes:
-            segment.receive(Frame(0x200 + node.number, struct.pack("<Hb", word, mode)))
+            segment.receive(CanFrame(0x200 + node.number, struct.pack("<Hb", word, mode)))
         segment.receive(SYNC)
     for node in segment.nodes:
         assert uploaded(segment, node.number, 0x6041, 0)[0] & 0x6F == 0x27, "Operation enabled"

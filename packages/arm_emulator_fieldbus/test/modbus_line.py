@@ -6,7 +6,7 @@ import struct
 from collections.abc import Sequence
 
 from arm_emulator import Scene, Session
-from arm_emulator_fieldbus.converter import Converter
+from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
 from arm_emulator_fieldbus.modbus_rtu import compute_crc, is_sound
 from arm_emulator_fieldbus.serial_line import LineErrors
@@ -58,8 +58,8 @@ def line_of(
     baud: int = 115_200,
     watchdog: int = 100,
     errors: LineErrors = NO_ERRORS,
-) -> tuple[ModbusLine, Converter]:
-    converter = Converter(Session(scene, "lockstep", "first_answer"), watchdog)
+) -> tuple[ModbusLine, RegisterConverter]:
+    converter = RegisterConverter(Session(scene, "lockstep", "first_answer"), watchdog)
     return ModbusLine(converter, 1, clock, baud, errors), converter
 
 

@@ -18,7 +18,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator_fieldbus import can_server
 from arm_emulator_fieldbus.can_bus import BusService, PythonCanBus
 from arm_emulator_fieldbus.can_server import LONGEST_LINE, MAX_CLIENTS, CanServer
-from arm_emulator_fieldbus.canopen_node import Frame
+from arm_emulator_fieldbus.canopen_node import CanFrame
 from arm_emulator_fieldbus.commands.canopen import load_segment, open_requested_bus
 
 DEVICE_TYPE = 0x00020192
@@ -217,7 +217,7 @@ def bus_of(comes: Callable[[], object]) -> PythonCanBus:
 
 
 def test_messages_that_are_no_frames_are_counted() -> None:
-    assert bus_of(message).receive(0.0) == Frame(0x123, b"\1")
+    assert bus_of(message).receive(0.0) == CanFrame(0x123, b"\1")
     assert bus_of(lambda: None).receive(0.0) is None
     for fields in ({"arbitration_id": 1 << 11}, {"arbitration_id": -1}, {"arbitration_id": "x"},
                  {"data": bytes(9)}, {"data": "text"}, {"is_fd": True}):  # fmt: skip
@@ -264,7 +264,7 @@ def test_stray_datagrams_on_a_bus_by_udp_are_counted() -> None:
                     assert 0 <= frame.id < 1 << 11 and len(frame.data) <= 8
                     sent -= 1
             stranger.sendto(msgpack.packb(sound), ("127.0.0.1", port))
-            assert bus.receive(5.0) == Frame(0x123, b"\1"), "a sound one is still taken"
+            assert bus.receive(5.0) == CanFrame(0x123, b"\1"), "a sound one is still taken"
     finally:
         line.shutdown()
     assert bus.ignored == sent, "every other one is counted"

@@ -27,8 +27,8 @@ from draws import FULL
 
 from arm_emulator import Diverged, Refusal, Scene, load_scene
 from arm_emulator_fieldbus.can_bus import open_bus
-from arm_emulator_fieldbus.canopen_node import Frame, State
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_node import CanFrame, NmtState
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.commands.canopen import write_eds
 
 FRAMES = 1_000_000 if FULL else 12_000
@@ -42,15 +42,15 @@ def scene() -> Scene:
 
 def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
     """Any commands in any order, against the table of CiA 301."""
-    segment = Segment(drives_of(scene), 10)
-    assert segment.boot() == [Frame(0x700 + number, b"\0") for number in (10, 11, 12)]
+    segment = CanSegment(drives_of(scene), 10)
+    assert segment.boot() == [CanFrame(0x700 + number, b"\0") for number in (10, 11, 12)]
     draw, model = random.Random(1), {number: 127 for number in (10, 11, 12)}
     toggle = {number: 0 for number in model}
     table = {1: 5, 2: 4, 128: 127, 129: 127, 130: 127}
     for _ in range(300):
         command = draw.choice([1, 2, 128, 129, 130, 0, 77])
         to = draw.choice([0, 9, 10, 11, 12, 13])
-        frames = segment.receive(Frame(0, bytes((command, to))))
+        frames = segment.receive(CanFrame(0, bytes((command, to))))
         reached = [number for number in model if to in (0, number)]
         for number in reached:
             model[number] = table.get(command, model[number])
@@ -62,14 +62,14 @@ def test_nodes_boot_and_follow_network_management(scene: Scene) -> None:
             toggle[number] = 0
         for node_id in reached:
             toggle[node_id] = 0 if command in (129, 130) else toggle[node_id]
-        guarded = segment.receive(Frame(0x700 + number, remote=True))
-        assert guarded == [Frame(0x700 + number, bytes((model[number] | toggle[number],)))]
+        guarded = segment.receive(CanFrame(0x700 + number, remote=True))
+        assert guarded == [CanFrame(0x700 + number, bytes((model[number] | toggle[number],)))]
         toggle[number] ^= 0x80
-        ask = segment.receive(Frame(0x600 + number, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
+        ask = segment.receive(CanFrame(0x600 + number, struct.pack("<BHB4x", 0x40, 0x1000, 0)))
         assert bool(ask) == (model[number] != 4), "no SDO while stopped"
     for data in (b"", b"\1", b"\1\0\0"):
         before = [node.state for node in segment.nodes]
-        segment.receive(Frame(0, data))
+        segment.receive(CanFrame(0, data))
         assert [node.state for node in segment.nodes] == before
 
 
@@ -77,21 +77,21 @@ def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
     segment = segment_of(scene)
     put(segment, 2, 0x1402, 2, 255, 1)
     position = struct.pack("<Hi", 0, 4711)
-    segment.receive(Frame(0x302, position))
+    segment.receive(CanFrame(0x302, position))
     assert uploaded(segment, 2, 0x607A, 0) != position[2:], "pre-operational: no PDOs"
-    segment.receive(Frame(0, b"\1\0"))
+    segment.receive(CanFrame(0, b"\1\0"))
     before = uploaded(segment, 2, 0x607A, 0)
-    segment.receive(Frame(0x302, position))
+    segment.receive(CanFrame(0x302, position))
     assert uploaded(segment, 2, 0x607A, 0) == before, "waits for SYNC"
     segment.receive(SYNC)
     assert uploaded(segment, 2, 0x607A, 0) == position[2:]
-    segment.receive(Frame(0x402, struct.pack("<Hi", 0, -5)))
+    segment.receive(CanFrame(0x402, struct.pack("<Hi", 0, -5)))
     assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5), "at once"
     assert uploaded(segment, 1, 0x60FF, 0) == bytes(4), "the other node's stays"
-    (reported,) = segment.receive(Frame(0x402, b"\1\2\3"))
-    assert reported == Frame(0x82, struct.pack("<HB5x", 0x8210, 0)), "too short, and reported"
+    (reported,) = segment.receive(CanFrame(0x402, b"\1\2\3"))
+    assert reported == CanFrame(0x82, struct.pack("<HB5x", 0x8210, 0)), "too short, and reported"
     assert uploaded(segment, 2, 0x60FF, 0) == struct.pack("<i", -5)
-    segment.receive(Frame(0x302, struct.pack("<Hi", 0, 1)))
+    segment.receive(CanFrame(0x302, struct.pack("<Hi", 0, 1)))
     put(segment, 2, 0x1017, 0, 0, 2)  # another setting
     segment.receive(SYNC)
     assert uploaded(segment, 2, 0x607A, 0) == struct.pack("<i", 1), "what waited was kept"
@@ -101,7 +101,7 @@ def test_receive_pdos_hold_from_the_next_sync_or_at_once(scene: Scene) -> None:
 def test_transmit_pdos_come_with_every_nth_sync(scene: Scene, every: int) -> None:
     segment = segment_of(scene)
     put(segment, 1, 0x1801, 2, every, 1)
-    segment.receive(Frame(0, b"\1\0"))
+    segment.receive(CanFrame(0, b"\1\0"))
     for k in range(1, 500):
         reported = uploaded(segment, 1, 0x6064, 0)
         (*data,) = sent(segment.receive(SYNC), 0x281)
@@ -115,14 +115,14 @@ def test_transmit_pdos_on_event_on_request_and_by_timer(scene: Scene) -> None:
     put(segment, 1, 0x1800, 5, 3, 2)  # at the latest after 3 ms
     put(segment, 1, 0x1801, 2, 252, 1)
     put(segment, 1, 0x1802, 2, 253, 1)
-    frames = segment.receive(Frame(0, b"\1\0"))
+    frames = segment.receive(CanFrame(0, b"\1\0"))
     assert len(sent(frames, 0x181)) == 1, "on entering operational"
     counts = [len(sent(segment.receive(SYNC), 0x181)) for _ in range(9)]
     assert counts == [0, 0, 1] * 3, "the statusword stands still: by the timer"
-    assert sent(segment.receive(Frame(0x281, remote=True)), 0x281), "sampled by SYNC"
-    assert sent(segment.receive(Frame(0x381, remote=True)), 0x381), "sampled when asked for"
+    assert sent(segment.receive(CanFrame(0x281, remote=True)), 0x281), "sampled by SYNC"
+    assert sent(segment.receive(CanFrame(0x381, remote=True)), 0x381), "sampled when asked for"
     put(segment, 1, 0x1802, 1, 0x80000381, 4)
-    assert not segment.receive(Frame(0x381, remote=True)), "switched off"
+    assert not segment.receive(CanFrame(0x381, remote=True)), "switched off"
 
 
 def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
@@ -143,8 +143,8 @@ def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
     reported = uploaded(segment, 1, 0x6064, 0) + uploaded(segment, 1, 0x606C, 0)
     assert sent(segment.receive(SYNC), 0x323) == [reported]
     fresh = dumped(segment_of(scene), 1)
-    segment.receive(Frame(0, bytes((128, 1))))
-    segment.receive(Frame(0, bytes((130, 1))))
+    segment.receive(CanFrame(0, bytes((128, 1))))
+    segment.receive(CanFrame(0, bytes((130, 1))))
     assert dumped(segment, 1) == fresh, "a reset of the communication restores it"
 
 
@@ -154,18 +154,18 @@ def test_heartbeats_are_sent_and_watched(scene: Scene) -> None:
     ms = 1_000_000
     beats = [t for t in range(0, 100) if segment.heartbeats(5 * ms + t * ms)]
     assert beats == list(range(0, 100, 10))
-    assert segment.heartbeats(200 * ms) == [Frame(0x701, b"\5")]
-    assert segment.receive(Frame(0x701, remote=True)) == [], "no guarding beside it"
+    assert segment.heartbeats(200 * ms) == [CanFrame(0x701, b"\5")]
+    assert segment.receive(CanFrame(0x701, remote=True)) == [], "no guarding beside it"
     put(segment, 2, 0x1016, 1, 0x7F << 16 | 5, 4)
     for _ in range(20):
         assert not sent(segment.receive(SYNC), 0x82), "not heard yet: not watched"
     for _ in range(3):
-        segment.receive(Frame(0x77F, b"\5"))
+        segment.receive(CanFrame(0x77F, b"\5"))
         for _ in range(5):
             assert not sent(segment.receive(SYNC), 0x82)
     lost = sent(segment.receive(SYNC), 0x82)
     assert [data[:2] for data in lost] == [b"\x30\x81"], "life guard error"
-    assert [node.state for node in segment.nodes] == [5, State.PRE_OPERATIONAL, 5]
+    assert [node.state for node in segment.nodes] == [5, NmtState.PRE_OPERATIONAL, 5]
     for _ in range(10):
         assert not sent(segment.receive(SYNC), 0x82), "reported once"
 
@@ -203,7 +203,7 @@ def test_a_motion_by_frames_is_that_of_the_drives(
         }[mode]
         targets = np.rint(positions).astype(int).tolist()
         for k, position in enumerate(targets):
-            segment.receive(Frame(rx + 3 + k, struct.pack(layout, 15, position)))
+            segment.receive(CanFrame(rx + 3 + k, struct.pack(layout, 15, position)))
         frames = segment.receive(SYNC)
         for k, position in enumerate(targets):
             reported = struct.unpack(layout, sent(frames, tx + 3 + k)[0])
@@ -245,17 +245,17 @@ def test_a_stopped_node_and_a_lost_master_take_the_drives_off(scene: Scene) -> N
         segment = segment_of(scene)
         enable(segment, CSP)
         if command:
-            segment.receive(Frame(0, command))
+            segment.receive(CanFrame(0, command))
         else:
             put(segment, 1, 0x1016, 1, 0x7F << 16 | 3, 4)
-            segment.receive(Frame(0x77F, b"\5"))
+            segment.receive(CanFrame(0x77F, b"\5"))
         for _ in range(100):
             segment.receive(SYNC)
         node = segment.nodes[0]
         assert node.upload(0x6041, 0)[0] & 0x4F == 0x08, "Fault, as 0x6007 states"
         assert node.upload(0x603F, 0) == code
         assert segment.nodes[1].upload(0x6041, 0)[0] & 0x6F == 0x27, "the others go on"
-        segment.receive(Frame(0, b"\x81\1"))
+        segment.receive(CanFrame(0, b"\x81\1"))
         assert not sent(segment.receive(SYNC), 0x81), "a reset node has nothing to report"
         assert node.upload(0x6041, 0)[0] & 0x4F == 0x40, "Switch on disabled"
 
@@ -283,7 +283,7 @@ def test_data_sheets_that_cannot_be_written_are_refused() -> None:
         write_eds("three_axis", Path(__file__))
 
 
-def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:
+def noise(draw: random.Random, numbers: Sequence[int]) -> CanFrame:
     """A frame of some kind that a node might take, sound or spoiled."""
     number = draw.choice(numbers)
     entry = draw.choice(ENTRIES)
@@ -292,21 +292,23 @@ def noise(draw: random.Random, numbers: Sequence[int]) -> Frame:
             head = draw.choice([0x40, 0x2F, 0x2B, 0x23, 0x21, 0xA4, 0xC6, draw.randrange(256)])
             raw = struct.pack("<BHB", head, entry.index, entry.sub)
             value = draw.choice([draw.randbytes(4), bytes(4), struct.pack("<I", draw.randrange(9))])
-            return Frame(0x600 + number, raw + value)
+            return CanFrame(0x600 + number, raw + value)
         case 3:  # segments, and anything else
             head = draw.choice(
                 [0x00, 0x10, 0x01, 0x60, 0xA3, 0xA2, 0x81, 0xC1, draw.randrange(256)]
             )
-            return Frame(0x600 + number, bytes((head,)) + draw.randbytes(draw.choice([7, 7, 7, 3])))
+            return CanFrame(
+                0x600 + number, bytes((head,)) + draw.randbytes(draw.choice([7, 7, 7, 3]))
+            )
         case 4:
             commands = [1, 1, 1, 128, 2, 129, 130, draw.randrange(256)]
-            return Frame(0, bytes((draw.choice(commands), draw.choice([0, number, 99]))))
+            return CanFrame(0, bytes((draw.choice(commands), draw.choice([0, number, 99]))))
         case 5:
             data = draw.randbytes(draw.randrange(9))
-            return Frame(draw.choice([0x200, 0x300, 0x400, 0x500]) + number, data)
+            return CanFrame(draw.choice([0x200, 0x300, 0x400, 0x500]) + number, data)
         case 6:
-            return draw.choice([SYNC, Frame(0x80, b"\1"), Frame(0x77F, b"\5")])
-    return Frame(draw.randrange(0x800), draw.randbytes(draw.randrange(9)), draw.random() < 0.3)
+            return draw.choice([SYNC, CanFrame(0x80, b"\1"), CanFrame(0x77F, b"\5")])
+    return CanFrame(draw.randrange(0x800), draw.randbytes(draw.randrange(9)), draw.random() < 0.3)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -329,12 +331,12 @@ def test_random_frames_leave_sound_nodes(scene: Scene, seed: int) -> None:
             looked += 1
     assert looked > FRAMES // 4 // 50 // 8
     assert np.isfinite(segment.drives.plant.state.q).all()
-    segment.receive(Frame(0, b"\x81\0"))
+    segment.receive(CanFrame(0, b"\x81\0"))
     for number in numbers:
         assert uploaded(segment, number, 0x1000, 0) == b"\x92\x01\x02\0", "it still answers"
 
 
-def ids_of(segment: Segment) -> set[int]:
+def ids_of(segment: CanSegment) -> set[int]:
     """Identifiers that PDOs, SYNC and heartbeats have after whatever was set."""
     ids = set()
     for node in segment.nodes:
@@ -344,7 +346,7 @@ def ids_of(segment: Segment) -> set[int]:
     return ids
 
 
-def list_everything(segment: Segment) -> tuple[object, ...]:
+def list_everything(segment: CanSegment) -> tuple[object, ...]:
     dumps = [dumped(segment, node.number) for node in segment.nodes]
     return dumps, [node.state for node in segment.nodes], segment.drives.plant.save()
 
@@ -372,4 +374,4 @@ def test_a_bus_that_cannot_be_opened_is_refused(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.parametrize("first", [0, 126, -1])
 def test_unknown_nodes_are_refused(scene: Scene, first: int) -> None:
     with pytest.raises(Refusal, match=f"first node-ID must be 1 to 125, got {first}"):
-        Segment(drives_of(scene), first)
+        CanSegment(drives_of(scene), first)

@@ -11,7 +11,7 @@ import pytest
 from canopen_master import ENTRIES, dumped, put, refused, sdo, segment_of, sent, uploaded
 
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from arm_emulator_fieldbus.canopen_node import Frame
+from arm_emulator_fieldbus.canopen_node import CanFrame
 from arm_emulator_fieldbus.eds import make_eds
 from arm_emulator_fieldbus.object_dictionary import REALS
 
@@ -59,7 +59,7 @@ def test_aborts_change_nothing(
 def test_a_segment_without_a_transfer_names_no_object(scene: Scene, head: int) -> None:
     segment = segment_of(scene)
     uploaded(segment, 1, 0x6041, 0)  # expedited: it is over with its reply
-    (reply,) = segment.receive(Frame(0x601, bytes((head,)) + bytes(7)))
+    (reply,) = segment.receive(CanFrame(0x601, bytes((head,)) + bytes(7)))
     assert struct.unpack("<BHBI", reply.data) == (0x80, 0, 0, 0x05040001)
 
 
@@ -71,8 +71,8 @@ def test_uploads_in_segments_that_go_wrong_are_aborted(scene: Scene) -> None:
         with pytest.raises(LookupError) as no:
             sdo(segment, 1, bytes((head,)) + bytes(7))
         assert no.value.args[0] == code
-    assert segment.receive(Frame(0x601, b"\x80" + bytes(7))) == [], "the client's abort"
-    assert segment.receive(Frame(0x601, ask[:7])) == [], "seven bytes"
+    assert segment.receive(CanFrame(0x601, b"\x80" + bytes(7))) == [], "the client's abort"
+    assert segment.receive(CanFrame(0x601, ask[:7])) == [], "seven bytes"
     assert uploaded(segment, 1, 0x1008, 0) == scene.name.encode()
 
 
@@ -92,7 +92,7 @@ def test_block_uploads_bring_every_entry_whatever_is_lost(scene: Scene, seed: in
     segment, draw = segment_of(scene), random.Random(seed)
 
     def ask(request: bytes) -> list[bytes]:
-        return sent(segment.receive(Frame(0x601, request)), 0x581)
+        return sent(segment.receive(CanFrame(0x601, request)), 0x581)
 
     for sampled in [entry for entry in ENTRIES if not entry.bits] + draw.sample(ENTRIES, 40):
         size = draw.randint(1, 127)
@@ -122,7 +122,7 @@ def test_block_downloads_take_the_value_only_as_a_whole(scene: Scene, seed: int)
     segment, draw = segment_of(scene), random.Random(seed)
 
     def ask(request: bytes) -> list[bytes]:
-        return sent(segment.receive(Frame(0x601, request)), 0x581)
+        return sent(segment.receive(CanFrame(0x601, request)), 0x581)
 
     for _ in range(40):
         before = uploaded(segment, 1, 0x607A, 0)
@@ -161,7 +161,7 @@ def test_block_transfers_that_go_wrong_are_aborted(scene: Scene) -> None:
 
     def code(*requests: bytes) -> int:
         for request in requests:
-            replies = sent(segment.receive(Frame(0x601, request)), 0x581)
+            replies = sent(segment.receive(CanFrame(0x601, request)), 0x581)
         (reply,) = replies
         assert reply[:4] == struct.pack("<BHB", 0x80, 0x1008, 0)
         return int(struct.unpack("<I", reply[4:])[0])

@@ -19,8 +19,8 @@ from cia402 import (
 )
 
 from arm_emulator import Plant, Refusal
-from arm_emulator_fieldbus.canopen_node import Frame
-from arm_emulator_fieldbus.canopen_segment import Segment as CanSegment
+from arm_emulator_fieldbus.canopen_node import CanFrame
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 
@@ -36,24 +36,24 @@ EVERYTHING = ("SYNC", "RPDO", "guarding")
 
 def turning(segment: CanSegment) -> None:
     """Node 1 in cyclic velocity, with SYNC, RPDO 3 and guarding in each servo period."""
-    segment.receive(Frame(0, b"\1\0"))
+    segment.receive(CanFrame(0, b"\1\0"))
     for k in range(330):
         word = (6, 7, 15)[min(k // 10, 2)]
-        segment.receive(Frame(0x201, struct.pack("<Hb", word, CSV)))
+        segment.receive(CanFrame(0x201, struct.pack("<Hb", word, CSV)))
         cycle(segment, EVERYTHING, word)
     assert uploaded(segment, 1, STATUS, 0)[0] & 0x6F == 0x27
     assert speed(segment) > 5000
 
 
-def cycle(segment: CanSegment, messages: Sequence[str], word: int = 15) -> list[Frame]:
+def cycle(segment: CanSegment, messages: Sequence[str], word: int = 15) -> list[CanFrame]:
     """A servo period with some of the messages; guarding is answered and left out."""
-    frames: list[Frame] = []
+    frames: list[CanFrame] = []
     if "RPDO" in messages:
-        frames += segment.receive(Frame(0x401, struct.pack("<Hi", word, 9000)))
+        frames += segment.receive(CanFrame(0x401, struct.pack("<Hi", word, 9000)))
     if "SYNC" in messages:
         frames += segment.receive(SYNC)
     if "guarding" in messages:
-        segment.receive(Frame(0x701, remote=True))
+        segment.receive(CanFrame(0x701, remote=True))
     return frames + segment.pass_period()
 
 
@@ -91,7 +91,7 @@ def test_a_motor_stops_when_sync_or_targets_or_guarding_cease(messages: str) -> 
         assert uploaded(segment, 1, STATUS, 0)[0] & 0x4F == 0x08, "fault"
         assert uploaded(segment, 1, 0x603F, 0) == struct.pack("<H", code)
         assert abs(speed(segment)) < 500
-        segment.receive(Frame(0, b"\1\0"))  # operational, where it left that
+        segment.receive(CanFrame(0, b"\1\0"))  # operational, where it left that
         for word in (0, 0x80):
             cycle(segment, EVERYTHING, word)
             cycle(segment, EVERYTHING, word)
@@ -121,13 +121,13 @@ def test_synchronous_data_after_the_window_is_ignored() -> None:
     for lockstep in (False, True):
         segment = can_segment(lockstep=lockstep)
         put(segment, 1, 0x1007, 0, 2000, 4)
-        segment.receive(Frame(0, b"\1\0"))
+        segment.receive(CanFrame(0, b"\1\0"))
         for periods in (0, 1, 2, 3, 9):
             segment.receive(SYNC)
             for _ in range(periods):
                 segment.pass_period()
             target = struct.pack("<i", 1000 + periods)
-            segment.receive(Frame(0x301, struct.pack("<H", 0) + target))
+            segment.receive(CanFrame(0x301, struct.pack("<H", 0) + target))
             segment.receive(SYNC)
             taken = uploaded(segment, 1, TARGET, 0) == target
             assert taken == (lockstep or periods <= 2), f"{periods} ms after SYNC"
@@ -151,7 +151,7 @@ def test_a_sync_stands_for_its_period_and_not_for_the_interpolation_time() -> No
         enable_nodes(segment, CSP)
         before = segment.tick
         start = struct.unpack("<i", uploaded(segment, 1, ACTUAL, 0))[0]
-        segment.receive(Frame(0x301, struct.pack("<Hi", 15, start + 500)))
+        segment.receive(CanFrame(0x301, struct.pack("<Hi", 15, start + 500)))
         demands = []
         for _ in range(6):
             segment.receive(SYNC)
@@ -175,7 +175,7 @@ def test_the_interpolation_time_of_a_node_follows_the_period_of_sync() -> None:
     segment = segment_of(PLAIN)
     put(segment, 1, 0x1006, 0, 4000, 4)
     assert segment.drives.periods_per_target(0) == 4
-    segment.receive(Frame(0, b"\x81\1"))  # a reset of the node
+    segment.receive(CanFrame(0, b"\x81\1"))  # a reset of the node
     assert segment.drives.periods_per_target(0) == 1
 
 

@@ -41,7 +41,7 @@ from arm_emulator.toolchain.unit import Unit
 from arm_emulator_fieldbus.declared import COUNT, FIRST
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
-from arm_emulator_fieldbus.object_dictionary import REALS, Aborted, Entry, list_entries
+from arm_emulator_fieldbus.object_dictionary import REALS, Aborted, ObjectEntry, list_entries
 
 
 def test_every_entry_can_be_read_and_begins_within_its_range() -> None:
@@ -80,7 +80,7 @@ FIXED = {0x6075, 0x6076, 0x607B, 0x608F, 0x6091, 0x6092, 0x6402}
 
 
 def expected_abort(
-    entry: Entry | None, is_object: bool, raw: bytes, value: int, now: bytes = b""
+    entry: ObjectEntry | None, is_object: bool, raw: bytes, value: int, now: bytes = b""
 ) -> int:
     """Return the result of a write by CiA 301, where the entry has the bytes `now`."""
     if entry is None:

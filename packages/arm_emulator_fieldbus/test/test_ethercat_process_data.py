@@ -39,7 +39,7 @@ from fuzz import cores
 
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
 from arm_emulator_fieldbus.object_dictionary import Aborted as DictionaryAborted
-from arm_emulator_fieldbus.object_dictionary import Entry
+from arm_emulator_fieldbus.object_dictionary import ObjectEntry
 
 __all__ = ["master"]  # a fixture
 
@@ -68,7 +68,7 @@ def test_one_servo_period_passes_per_exchange_with_all_drives(master: Master) ->
     assert master.segment.figures.exchanges == tick(), "and all are counted"
 
 
-def random_mapping(rng: np.random.Generator, entries: list[Entry]) -> list[list[int]]:
+def random_mapping(rng: np.random.Generator, entries: list[ObjectEntry]) -> list[list[int]]:
     """Up to three objects, each with some entries and gaps between them."""
     out = []
     for _ in range(rng.integers(0, 4)):

@@ -14,9 +14,9 @@ from ethercat_master import Aborted, Master
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator_fieldbus import object_dictionary as dictionaries
-from arm_emulator_fieldbus.canopen_node import Frame
+from arm_emulator_fieldbus.canopen_node import CanFrame
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
-from arm_emulator_fieldbus.ethercat import Segment
+from arm_emulator_fieldbus.ethercat import EthercatSegment
 from arm_emulator_fieldbus.object_dictionary import list_entries
 
 SCENE = load_scene("three_axis")
@@ -39,7 +39,7 @@ class CanOpen:
         self._draw = random.Random(3)
 
     def sdo(self, request: bytes) -> bytes:
-        (reply,) = self.segment.receive(Frame(0x602, request.ljust(8, b"\0")))
+        (reply,) = self.segment.receive(CanFrame(0x602, request.ljust(8, b"\0")))
         return reply.data
 
     def upload(self, index: int, sub: int) -> bytes:
@@ -56,7 +56,7 @@ class CanOpen:
     def cycle(self, words: list[int], positions: list[int]) -> None:
         for k in DRIVES:
             data = struct.pack("<Hi", words[k], positions[k])
-            self.segment.receive(Frame(0x301 + k, data))
+            self.segment.receive(CanFrame(0x301 + k, data))
         frames = self.segment.receive(SYNC)
         for k in DRIVES:
             for data in sent(frames, 0x81 + k):
@@ -72,7 +72,7 @@ class EtherCat:
     own: ClassVar[dict[tuple[int, int], bytes]] = {}
 
     def __init__(self) -> None:
-        self.master = Master(Segment(SCENE, SERVO, lockstep=True))
+        self.master = Master(EthercatSegment(SCENE, SERVO, lockstep=True))
         self.master.bring_up()
         self.drives = self.master.segment.drives
         self.emergencies: list[tuple[int, int]] = []
@@ -232,7 +232,7 @@ def request(draw: random.Random, toggle: int, announced: int) -> bytes:
 @pytest.mark.parametrize("seed", some(range(40), 4))
 def test_both_buses_answer_alike(seed: int) -> None:
     draw = random.Random(seed)
-    by_can, master = drives_of(SCENE), Master(Segment(SCENE, SERVO, lockstep=True))
+    by_can, master = drives_of(SCENE), Master(EthercatSegment(SCENE, SERVO, lockstep=True))
     master.preop(0)
     toggle, announced, aborts, taken = 0, 0, set(), 0
     for _ in range(REQUESTS):

@@ -22,7 +22,7 @@ from cia402 import (
 from ethercat_master import OP, PERIOD, PREOP, SAFEOP, Master, master
 
 from arm_emulator import Plant, load_scene
-from arm_emulator_fieldbus.canopen_node import Frame
+from arm_emulator_fieldbus.canopen_node import CanFrame
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator_fieldbus.object_dictionary import Aborted
@@ -193,7 +193,7 @@ def test_a_target_that_rpdos_repeat_is_reached_in_the_interpolation_time() -> No
     start, demands = struct.unpack("<i", uploaded(segment, 1, ACTUAL, 0))[0], []
     for n in range(50):
         target = start + 100 * (n // 5 + 1)
-        segment.receive(Frame(0x301, struct.pack("<Hi", 15, target)))
+        segment.receive(CanFrame(0x301, struct.pack("<Hi", 15, target)))
         segment.receive(SYNC)
         demands.append(segment.drives.read(0, 0x6062) - start)
     assert demands == [20 * (n + 1) for n in range(50)]

@@ -17,7 +17,7 @@ from arm_emulator import Refusal, Scene, Session, load_scene
 from arm_emulator.machine.session.session import EndOfTime
 from arm_emulator_fieldbus import converter as registers
 from arm_emulator_fieldbus.commands.modbus import modbus
-from arm_emulator_fieldbus.converter import Converter
+from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
 from arm_emulator_fieldbus.modbus_rtu import Code
 
@@ -115,7 +115,7 @@ def test_exceptions_leave_the_state_as_it_was(scene: Scene, body: str, code: Cod
     assert state_of(line, converter) == before
 
 
-def state_of(line: ModbusLine, converter: Converter) -> tuple[object, ...]:
+def state_of(line: ModbusLine, converter: RegisterConverter) -> tuple[object, ...]:
     session = converter.session
     settings = [*converter.read(2000, 4), *converter.read(3000, 1), converter.status]
     return session.plant.save(), session.tick, settings, converter.wanted.tolist()

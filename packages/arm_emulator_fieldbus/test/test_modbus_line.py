@@ -13,10 +13,10 @@ from draws import FULL
 from modbus_line import Master, line_of, long_of, read_write, sound
 
 from arm_emulator import Scene, Session, load_scene
-from arm_emulator_fieldbus.converter import Converter
+from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_rtu import (
-    Receiver,
-    Station,
+    FrameReceiver,
+    ModbusStation,
     compute_crc,
     is_sound,
     measure_request,
@@ -71,7 +71,7 @@ def test_checksum_sees_every_damaged_byte_and_every_two_flipped_bits() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_frames_are_found_in_whatever_pieces_they_come(seed: int) -> None:
     draw = random.Random(seed)
-    receiver, sent, frames = Receiver(), [], []
+    receiver, sent, frames = FrameReceiver(), [], []
     stream = b""
     for _ in range(200):
         n = draw.randrange(1, 122)
@@ -128,7 +128,7 @@ def test_times_of_the_line() -> None:
 class Recorder:
     """Registers that report what reached them."""
 
-    def __init__(self, converter: Converter) -> None:
+    def __init__(self, converter: RegisterConverter) -> None:
         self._converter = converter
         self.wrote: list[tuple[int, tuple[int, ...]]] = []
 
@@ -150,7 +150,7 @@ def test_no_wrong_value_is_accepted_from_a_line_with_errors(scene: Scene) -> Non
     """
     line, converter = line_of(scene, watchdog=0, errors=LineErrors(0.01, 17))
     recorder = Recorder(converter)
-    line.station = Station(1, recorder)
+    line.station = ModbusStation(1, recorder)
     answer = line.station.answer
     answered: list[bytes] = []
 

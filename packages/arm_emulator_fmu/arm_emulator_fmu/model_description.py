@@ -59,7 +59,7 @@ def describe_model(scene: Scene, variables: Sequence[Variable], token: str) -> b
             ET.SubElement(element, "Dimension", start=str(size))
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [str(k) for k, variable in enumerate(variables) if variable.role == "output"]
-    begin = " ".join(str(k) for k, variable in enumerate(variables) if variable.decides_on_start)
+    begin = " ".join(str(k) for k, variable in enumerate(variables) if variable.has_effect_at_start)
     for k in outputs:
         ET.SubElement(structure, "Output", valueReference=k, dependencies="")
     for k in outputs:
@@ -94,7 +94,7 @@ def describe_model_2(scene: Scene, variables: Sequence[Variable], token: str) ->
         ET.SubElement(element, _TYPES_2[scalar.type], own)
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [k for k, variable in enumerate(variables, 1) if variable.role == "output"]
-    begin = [k for k, variable in enumerate(variables, 1) if variable.decides_on_start]
+    begin = [k for k, variable in enumerate(variables, 1) if variable.has_effect_at_start]
     for name, dependencies in (
         ("Outputs", ""),
         ("InitialUnknowns", " ".join(map(str, begin))),

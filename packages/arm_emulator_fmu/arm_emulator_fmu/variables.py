@@ -66,7 +66,7 @@ class Variable:
         return math.prod(self.shape)
 
     @property
-    def decides_on_start(self) -> bool:
+    def has_effect_at_start(self) -> bool:
         """Whether outputs at the start depend on it; other inputs decide on what comes after."""
         return self.role in ("fixed", "tunable") or self.symbol == "values.now.power"
 

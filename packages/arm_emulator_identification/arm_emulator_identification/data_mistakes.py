@@ -50,7 +50,7 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class View:
+class RecordView:
     """Rows of a record with a slip undone. Arrays are (K, N)."""
 
     t: Array  # (K,)
@@ -67,13 +67,13 @@ class View:
 
 
 @dataclass(frozen=True)
-class Slip:
+class Mistake:
     """A slip that was tried."""
 
     quantity: str
     got: str
     cost: float  # of the record once it is undone, and of the slip
-    view: View  # with the slip undone
+    view: RecordView  # with the slip undone
     alone: float  # prior cost of the slip
     scale: float = 0.0  # of torques, if it is that; 0: another slip
 
@@ -104,14 +104,14 @@ class DataMistakes:
         self._relative = np.concatenate([size, np.ones(self.N)])
         some = slice(None, None, max(1, len(data.t) // ROWS))
         self._torque = CubicSpline(data.t, data.tau)
-        self.as_is = View(
+        self.as_is = RecordView(
             data.t[some], data.q[some], data.v[some], data.a[some], data.direction[some],
             data.tau[some], data.moving[some], np.ones(self.N), 1.0,
         )  # fmt: skip
         self._known = dict[bytes, tuple[Array, Array, Array]]()
         self.noise = self.left(self.as_is)
 
-    def cost(self, view: View) -> float:
+    def cost(self, view: RecordView) -> float:
         """Return the misfit of a record."""
         wider = np.ones(len(self._phi) + self.N)
         for _ in range(ROUNDS):
@@ -127,7 +127,7 @@ class DataMistakes:
         total = float(np.sum(error[view.rows] ** 2) + moved @ moved + driven)
         return total if np.isfinite(total) else np.inf
 
-    def left(self, view: View) -> Array:
+    def left(self, view: RecordView) -> Array:
         """Return the share of each joint's torque that no such machine explains (N,), within NOISE.
 
         Correlated errors count with their correlation length.
@@ -143,7 +143,7 @@ class DataMistakes:
         ]
         return np.clip(NOISE[0] * np.array(shares), *NOISE)
 
-    def _fit(self, view: View, wider: Array,
+    def _fit(self, view: RecordView, wider: Array,
              noise: Array) -> tuple[Array, Array, Array] | None:  # fmt: skip
         """Return errors per noise (K, N), numbers in their widths, and Coulomb friction (N,)."""
         weight, moved, locked = self._links(view)
@@ -178,11 +178,11 @@ class DataMistakes:
             (widths * coefficients)[-2 * N - 1 : -N - 1],
         )
 
-    def scale_time(self, times: float) -> View:
+    def scale_time(self, times: float) -> RecordView:
         """Return the record with its seconds scaled."""
         return replace(self.as_is, time=times)
 
-    def _links(self, view: View) -> tuple[Array, Array, Array]:
+    def _links(self, view: RecordView) -> tuple[Array, Array, Array]:
         """Return the links' regressor for weight and for motion, and spring torques (K, N)."""
         key = view.q.tobytes() + view.a.tobytes()
         if key not in self._known:
@@ -194,7 +194,7 @@ class DataMistakes:
             self._known[key] = weight, moved, self._held(view)
         return self._known[key]
 
-    def _held(self, view: View) -> Array:
+    def _held(self, view: RecordView) -> Array:
         """Return the torques of parts at the links without friction (K, N)."""
         locked, none = np.zeros_like(view.q), np.zeros_like(view.t)
         for j, joint in enumerate(self.scene.joints):
@@ -204,7 +204,7 @@ class DataMistakes:
                 locked[:, j] += 0.0 if taken is None else taken
         return locked
 
-    def tried(self) -> Iterator[Slip]:
+    def tried(self) -> Iterator[Mistake]:
         """Return every slip at the size of least cost."""
         yield from self._units()
         yield from self._scales()
@@ -216,18 +216,20 @@ class DataMistakes:
             "load", "another load at the tool than the scene's payload", loaded
         )
 
-    def again(self, slip: Slip) -> Slip:
+    def again(self, slip: Mistake) -> Mistake:
         """Return a slip with its cost at the present noise."""
         return replace(slip, cost=self.cost(slip.view) + slip.alone)
 
-    def _try_plain(self, quantity: str, actual: str, view: View, scale: float = 0.0) -> Slip:
-        return Slip(quantity, actual, self.cost(view) + PLAIN, view, PLAIN, scale)
+    def _try_plain(
+        self, quantity: str, actual: str, view: RecordView, scale: float = 0.0
+    ) -> Mistake:
+        return Mistake(quantity, actual, self.cost(view) + PLAIN, view, PLAIN, scale)
 
-    def _try_searched(self, quantity: str, actual: str, view: View, scale: float = 0.0,
-                  alone: float = SEARCHED) -> Slip:  # fmt: skip
-        return Slip(quantity, actual, self.cost(view) + alone, view, alone, scale)
+    def _try_searched(self, quantity: str, actual: str, view: RecordView, scale: float = 0.0,
+                  alone: float = SEARCHED) -> Mistake:  # fmt: skip
+        return Mistake(quantity, actual, self.cost(view) + alone, view, alone, scale)
 
-    def _units(self) -> Iterator[Slip]:
+    def _units(self) -> Iterator[Mistake]:
         view = self.as_is
         yield self._try_plain("angles", "deg, given as rad", self._scale_angles(DEG))
         yield self._try_plain("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
@@ -247,14 +249,14 @@ class DataMistakes:
             actual_unit = "currents in A, given as torques"
             yield self._try_plain("torques", actual_unit, replace(view, scale=amps), 1e3)
 
-    def _scales(self) -> Iterator[Slip]:
+    def _scales(self) -> Iterator[Mistake]:
         """Torques and angles of all joints or of one, scaled."""
         view, every = self.as_is, np.arange(self.N)
         for j in (-1, *(range(self.N) if self.N > 1 else ())):
             of = "" if j < 0 else f" of {self.names[j]}"
             here = every == j if j >= 0 else np.full(self.N, True)
 
-            def torque(size: float, here: Mask = here) -> View:
+            def torque(size: float, here: Mask = here) -> RecordView:
                 return replace(view, scale=np.where(here, size, 1.0))
 
             sizes = SIZES if j >= 0 else np.concatenate([SIZES, 10.0 ** np.arange(-6.0, 7.0)])
@@ -264,7 +266,7 @@ class DataMistakes:
                 actual = f"torque{of} at the link, not at the motor's shaft"
             yield self._try_searched(f"scale of the torques{of}", actual, torque(size), size)
 
-            def angle(size: float, here: Mask = here) -> View:
+            def angle(size: float, here: Mask = here) -> RecordView:
                 return self._scale_angles(np.where(here, 1.0 / size, 1.0))
 
             size = self._search(angle, SIZES[2:-2:2], True)
@@ -278,7 +280,7 @@ class DataMistakes:
                     turned = self._scale_angles(np.where(here, factor, 1.0))
                     yield self._try_plain(f"angles{of}", actual, turned)
 
-    def _try_signs(self) -> Iterator[Slip]:
+    def _try_signs(self) -> Iterator[Mistake]:
         view, every = self.as_is, np.arange(self.N)
         opposite = "the opposite ones"
         yield self._try_plain("signs of all torques", opposite, replace(view, tau=-view.tau))
@@ -305,13 +307,13 @@ class DataMistakes:
             yield self._try_plain(f"angles of {names}", actual, moved)
             yield self._try_plain(f"columns of {names}", actual, replace(moved, tau=tau))
 
-    def _times(self) -> Iterator[Slip]:
+    def _times(self) -> Iterator[Mistake]:
         view = self.as_is
         size = self._search(self.scale_time, TIMES, True)
         actual = f"a time base in which a second is {size:.3g} s"
         yield self._try_searched("t", actual, self.scale_time(size))
 
-        def late(seconds: float, j: int = -1) -> View:
+        def late(seconds: float, j: int = -1) -> RecordView:
             tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
             here = np.arange(self.N) == j if j >= 0 else np.full(self.N, True)
             return replace(view, tau=np.where(here, tau, view.tau))
@@ -328,7 +330,7 @@ class DataMistakes:
                 f"time of the torques{of}", actual, late(seconds, j), alone=alone
             )
 
-    def _try_zeros(self) -> Iterator[Slip]:
+    def _try_zeros(self) -> Iterator[Mistake]:
         view = self.as_is
         for j, name in enumerate(self.names):
             offset = replace(view, offset=j)
@@ -337,7 +339,7 @@ class DataMistakes:
             if slides:
                 continue
 
-            def turned(zero: float, j: int = j) -> View:
+            def turned(zero: float, j: int = j) -> RecordView:
                 return replace(view, q=view.q - np.where(np.arange(self.N) == j, zero, 0.0))
 
             zeros = TURN * np.array([k for k in range(-12, 13) if k])
@@ -345,7 +347,7 @@ class DataMistakes:
             actual = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
             yield self._try_searched(f"zero of {name}'s angle", actual, turned(zero))
 
-    def _search(self, of: Callable[[float], View], sizes: Array,
+    def _search(self, of: Callable[[float], RecordView], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip
         """Return the size of a slip with the least cost."""
         places = np.log(sizes) if by_ratio else sizes
@@ -364,7 +366,7 @@ class DataMistakes:
         place = optimum.x if optimum.fun < costs[best] else places[best]
         return float(np.exp(place)) if by_ratio else float(place)
 
-    def _scale_angles(self, by: float | Array) -> View:
+    def _scale_angles(self, by: float | Array) -> RecordView:
         """Return the record with angles scaled, by a number or one per joint."""
         slides = np.array([joint.kind == "prismatic" for joint in self.scene.chain.joints])
         by = np.where(slides & (np.abs(by) != 1.0), 1.0, by)
@@ -372,7 +374,7 @@ class DataMistakes:
         return replace(view, q=view.q * by, v=view.v * by, a=view.a * by,
                        direction=view.direction * np.sign(by))  # fmt: skip
 
-    def _reorder_angles(self, order: Order) -> View:
+    def _reorder_angles(self, order: Order) -> RecordView:
         """Return the record with the angles of joints in another order."""
         view = self.as_is
         return replace(

@@ -14,7 +14,7 @@ from scipy.ndimage import median_filter
 
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator.extension.machine import Scene
-from arm_emulator_identification.data_mistakes import DataMistakes, Slip
+from arm_emulator_identification.data_mistakes import DataMistakes, Mistake
 from arm_emulator_identification.filtered import Filtered, filter_run
 from arm_emulator_identification.measured_run import MeasuredRun
 
@@ -162,7 +162,7 @@ def check_mistakes(scene: Scene, run: MeasuredRun, data: Filtered) -> list[str]:
     raise Refusal(run.where, best.quantity, "be those of the scene", actual, valid)
 
 
-def _is_doubtful(slip: Slip) -> bool:
+def _is_doubtful(slip: Mistake) -> bool:
     """Whether a slip is within the uncertainty of scenes."""
     by_scale = slip.scale and abs(np.log(slip.scale)) < np.log(DOUBTFUL)
     return bool(by_scale) or slip.quantity == "load"

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.runs.gains import load_gains
-from arm_emulator_identification.calibration.accuracy import AccuracyTest as Asked
-from arm_emulator_identification.calibration.accuracy import measure_accuracy
+from arm_emulator_identification.calibration.accuracy import AccuracyTest, measure_accuracy
 from arm_emulator_identification.calibration.drawn_deviations import draw_deviations
 from arm_emulator_identification.calibration.iso_9283 import (
     compute_direction_deviation,
@@ -216,12 +215,14 @@ def test_poses_lie_on_a_diagonal_plane_of_the_cube() -> None:
 
 
 @pytest.fixture
-def request() -> Asked:
-    return Asked(cycles=3, centre=CENTRE, edge=0.16, dwell=0.3, directions=False, poses=25, held=8,
-                 tracker=15e-6, tracker_angle=np.inf, seed=1)  # fmt: skip
+def accuracy_test() -> AccuracyTest:
+    return AccuracyTest(cycles=3, centre=CENTRE, edge=0.16, dwell=0.3, directions=False, poses=25,
+                        held=8, tracker=15e-6, tracker_angle=np.inf, seed=1)  # fmt: skip
 
 
-def test_a_controller_with_what_was_found_reaches_its_poses(tmp_path: Path, test: Asked) -> None:
+def test_a_controller_with_what_was_found_reaches_its_poses(
+    tmp_path: Path, accuracy_test: AccuracyTest
+) -> None:
     """As near as without deviations, up to the fit's accuracy; before it misses by millimetres."""
     file = own_three_axis(tmp_path, "")
     scene, gains = load_scene(file), load_gains(file)
@@ -232,11 +233,13 @@ def test_a_controller_with_what_was_found_reaches_its_poses(tmp_path: Path, test
     deviating = load_scene(file, {"calibration": {"joints": numbers}})
     out = tmp_path / "found.yaml"
     stages: list[str] = []
-    edge, before, calibrated, after = measure_accuracy(deviating, gains, test, stages.append, out)
+    edge, before, calibrated, after = measure_accuracy(
+        deviating, gains, accuracy_test, stages.append, out
+    )
     assert stages == ["cube", "before", "random poses", "after"]
-    assert edge == pytest.approx(test.edge)
+    assert edge == pytest.approx(accuracy_test.edge)
     assert calibrated is not None and after is not None
-    sound = measure_accuracy(scene, gains, replaced(test, poses=0), stages.append, out)[1]
+    sound = measure_accuracy(scene, gains, replaced(accuracy_test, poses=0), stages.append, out)[1]
     assert before.AP > 1e-3, "deviations of published size"
     # 25 poses with 15 um per axis: their mean error is a third of it in each of three axes.
     assert abs(after.AP - sound.AP) < 3e-5
@@ -245,8 +248,8 @@ def test_a_controller_with_what_was_found_reaches_its_poses(tmp_path: Path, test
     assert before.RP < 1e-4 and after.RP < 1e-4, "the class of such arms"
 
 
-def replaced(test: Asked, **values: Any) -> Asked:
-    return Asked(**{**test.__dict__, **values})
+def replaced(accuracy_test: AccuracyTest, **values: Any) -> AccuracyTest:
+    return AccuracyTest(**{**accuracy_test.__dict__, **values})
 
 
 def test_motion_control_takes_the_place_of_links_by_counts_and_wind_up(tmp_path: Path) -> None:

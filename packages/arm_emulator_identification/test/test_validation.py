@@ -88,7 +88,7 @@ def test_a_wrong_machine_is_rejected_on_every_run(kind: str, word: str, path: Pa
 @pytest.mark.parametrize("path", some(SHIPPED, 0))
 def test_free_runs_are_nearer_than_null_models(path: Path) -> None:
     comparison = compare(path)
-    assert comparison.good, comparison.failures
+    assert comparison.is_good, comparison.failures
     judged = [figure for figure in comparison.figures if not figure.yardstick]
     assert {figure.title.strip().split(",")[0] for figure in judged} >= {
         "free run of 0.6 s", "free run of 2 s",
@@ -112,10 +112,10 @@ def test_the_wave_of_the_encoder_is_that_of_run_a() -> None:
 def test_the_verdict_on_the_manutec_takes_order_speed_and_every_figure() -> None:
     axes = np.ones(6)
 
-    def like(period: float, **more: Any) -> tuple[manutec_r3.Comparison, float]:
+    def like(period: float, **more: Any) -> tuple[manutec_r3.SolutionErrors, float]:
         size = (period / PICTURED) ** 2
         errors = {name: 0.5 * limit * size * axes for name, limit in LIMITS.items()}
-        comparison = manutec_r3.Comparison(**errors, other_modes=20, rows=4688)
+        comparison = manutec_r3.SolutionErrors(**errors, other_modes=20, rows=4688)
         speed = more.pop("speed", 100.0)
         return dataclasses.replace(comparison, **more), speed
 

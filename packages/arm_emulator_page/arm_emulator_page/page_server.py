@@ -100,7 +100,7 @@ HERE = PageAddress()
 
 
 @dataclasses.dataclass(frozen=True)
-class Verdict:
+class RequestVerdict:
     """Decision on a request.
 
     Attributes:
@@ -125,7 +125,7 @@ class Guard:
     def __init__(self, token: str, address: PageAddress = HERE) -> None:
         self._token, self._address = token, address
 
-    def judge(self, path: str, headers: Any) -> Verdict:
+    def judge(self, path: str, headers: Any) -> RequestVerdict:
         """Return the decision on a request.
 
         Args:
@@ -138,20 +138,20 @@ class Guard:
             origin = headers.get("Origin")
             own = origin is None or urlsplit(origin).netloc == host
         except (ValueError, LookupError):  # no address, or a header that came twice
-            return Verdict(HTTPStatus.BAD_REQUEST, "the request is malformed")
+            return RequestVerdict(HTTPStatus.BAD_REQUEST, "the request is malformed")
         folders = path.partition("?")[0].split("/")
         if not (path[:1] == "/" and path.isascii() and path.isprintable()) or ".." in folders:
-            return Verdict(HTTPStatus.BAD_REQUEST, "the path of the request is malformed")
+            return RequestVerdict(HTTPStatus.BAD_REQUEST, "the path of the request is malformed")
         if not self._address.is_asked_by(hostname):
             reason = "the page is not asked for by its own address"
-            return Verdict(HTTPStatus.FORBIDDEN, reason)
+            return RequestVerdict(HTTPStatus.FORBIDDEN, reason)
         if not own:
-            return Verdict(HTTPStatus.FORBIDDEN, "the request comes from another page")
+            return RequestVerdict(HTTPStatus.FORBIDDEN, "the request comes from another page")
         if not hmac.compare_digest(folders[1].encode(), self._token.encode()):
             reason = "the token is missing or wrong: open the whole address that was printed"
-            return Verdict(HTTPStatus.FORBIDDEN, reason)
+            return RequestVerdict(HTTPStatus.FORBIDDEN, reason)
         below = path[1 + len(self._token) :]
-        return Verdict(HTTPStatus.OK, path=below if below[:1] == "/" else f"/{below}")
+        return RequestVerdict(HTTPStatus.OK, path=below if below[:1] == "/" else f"/{below}")
 
 
 def _put_title(response: Any) -> None:

@@ -24,7 +24,7 @@ from arm_emulator.extension.runs import (
 from arm_emulator_analysis.advice import Advice, Judge, Setting, check_error
 from arm_emulator_analysis.advice import advise as settings_for
 from arm_emulator_analysis.integrator_text import write_integrator
-from arm_emulator_analysis.judged_motions import FINE, Motion, judged_motions
+from arm_emulator_analysis.judged_motions import FINE, JudgedMotion, judged_motions
 from arm_emulator_analysis.true_motion import FINEST
 
 SECONDS = 1.0  # of motions, and of the demo after the arm has settled
@@ -85,12 +85,14 @@ def advise(
     return 0
 
 
-def _collect_motions(scene: Scene, file: Path, commands: Path | None) -> tuple[list[Motion], str]:
+def _collect_motions(
+    scene: Scene, file: Path, commands: Path | None
+) -> tuple[list[JudgedMotion], str]:
     """Return the test motions, and their description."""
     if commands is not None:
         rows = read_commands(commands, scene)
         return [
-            Motion(commands.name, rows)
+            JudgedMotion(commands.name, rows)
         ], f"{_compute_seconds(scene, rows):g} s of {commands.name}"
     try:
         motions = judged_motions(scene, SECONDS)
@@ -103,7 +105,7 @@ def _collect_motions(scene: Scene, file: Path, commands: Path | None) -> tuple[l
         return motions, f"{about} (it has no demo)"
     return [
         *motions,
-        Motion("demo", demo),
+        JudgedMotion("demo", demo),
     ], f"{about} and {_compute_seconds(scene, demo):g} s of its demo"
 
 

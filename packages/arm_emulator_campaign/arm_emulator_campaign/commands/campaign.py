@@ -38,10 +38,10 @@ from arm_emulator_campaign.execution.executor import measure_run, run_campaign
 from arm_emulator_campaign.execution.searcher import Searcher
 from arm_emulator_campaign.execution.splitter import Splitter, read_failures
 from arm_emulator_campaign.execution.worker_pool import (
+    CampaignProgress,
     DaskPool,
     LocalPool,
     Pool,
-    Progress,
     WorkerPool,
 )
 from arm_emulator_campaign.forking import make_forked_case
@@ -251,7 +251,7 @@ def _simulate(
 
 
 @contextmanager
-def _show_progress() -> Iterator[Callable[[Progress], None]]:
+def _show_progress() -> Iterator[Callable[[CampaignProgress], None]]:
     """Within, the progress is shown: a bar in a terminal, else a line now and then."""
     console = output.console()
     if not console.is_terminal:
@@ -264,17 +264,17 @@ def _show_progress() -> Iterator[Callable[[Progress], None]]:
     with Bar(BarColumn(), *map(TextColumn, columns), console=console, transient=True) as bar:
         task = bar.add_task("", facts="")
 
-        def show(now: Progress) -> None:
+        def show(now: CampaignProgress) -> None:
             done = now.before + now.done
             bar.update(task, total=now.count, completed=done, facts=_format_progress(now))
 
         yield show
 
 
-def _print_progress() -> Callable[[Progress], None]:
+def _print_progress() -> Callable[[CampaignProgress], None]:
     last = [time.monotonic()]
 
-    def show(now: Progress) -> None:
+    def show(now: CampaignProgress) -> None:
         if time.monotonic() - last[0] >= 10.0:
             last[0] = time.monotonic()
             output.line(f"{now.before + now.done} of {now.count} runs, {_format_progress(now)}")
@@ -282,7 +282,7 @@ def _print_progress() -> Callable[[Progress], None]:
     return show
 
 
-def _format_progress(now: Progress) -> str:
+def _format_progress(now: CampaignProgress) -> str:
     left = f"{_format_time(now.left)} left" if math.isfinite(now.left) else "time left unknown"
     return f"{now.rate:.0f} runs/s, {now.failures[-1]} failed, {left}"
 
@@ -316,7 +316,7 @@ def _replay(
         output.line(f"{name:<44} {value:.6g}")
     output.facts({
         "index": case.index, "values": outcome.values, "robustness": outcome.robustness,
-        "measures": outcome.measures, "failed": outcome.failed,
+        "measures": outcome.measures, "failed": outcome.has_failed,
     })  # fmt: skip
     recorded = outputs != KEEP_NOTHING or page is not None
     code = output.judge("campaign", _describe_failures(outcome))

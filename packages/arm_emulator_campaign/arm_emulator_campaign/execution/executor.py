@@ -16,7 +16,7 @@ from arm_emulator_campaign.batch_simulator import WIDTH, make_simulator
 from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
-from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import CampaignProgress, Pool, Work, WorkerPool
 from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Results, divide_ranges
 
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
@@ -31,15 +31,19 @@ def run_campaign(campaign: Campaign, results: Results, worker_pool: WorkerPool) 
     """
     columns = results.columns()
     failures = count_failures(campaign, columns, campaign.count)
-    progress = Progress(campaign.count, len(columns[INDEX]), failures=failures)
+    progress = CampaignProgress(campaign.count, len(columns[INDEX]), failures=failures)
     for count in list_stages(campaign):
         _complete_runs(campaign, results, worker_pool, progress, count)
-        if progress.late(campaign.stop.seconds) or may_stop(campaign, results, count):
+        if progress.is_late(campaign.stop.seconds) or may_stop(campaign, results, count):
             return
 
 
 def _complete_runs(
-    campaign: Campaign, results: Results, worker_pool: WorkerPool, progress: Progress, count: int
+    campaign: Campaign,
+    results: Results,
+    worker_pool: WorkerPool,
+    progress: CampaignProgress,
+    count: int,
 ) -> None:
     """Simulate what is missing among the first `count` runs."""
 
@@ -60,7 +64,7 @@ def _simulate_chunks(
     worker_pool: WorkerPool,
     pool: Pool,
     chunks: Iterable[tuple[int, int]],
-    progress: Progress,
+    progress: CampaignProgress,
 ) -> None:
     """Work on chunks, two under way for each worker, until all are done or the time is over."""
     of_all = str(campaign.file.absolute()), campaign.key, str(results.folder.absolute())
@@ -74,7 +78,7 @@ def _simulate_chunks(
         for future in done:
             progress.add(future.result())
         worker_pool.report(progress)
-        if progress.late(campaign.stop.seconds):
+        if progress.is_late(campaign.stop.seconds):
             return
 
 

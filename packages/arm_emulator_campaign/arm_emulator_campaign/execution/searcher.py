@@ -17,7 +17,7 @@ from arm_emulator_campaign.case import place_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.executor import count_failures
 from arm_emulator_campaign.execution.worker import Done, simulate_chunk
-from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import CampaignProgress, Pool, Work, WorkerPool
 from arm_emulator_campaign.results.parts import INDEX, MEASURE, ROBUSTNESS, Results, divide_ranges
 from arm_emulator_campaign.search.method import Finding
 
@@ -55,7 +55,7 @@ class Searcher:
         columns = self._read()
         failures = count_failures(campaign, columns, 2**62)
         count = self._method.runs(len(self._varying))
-        self._progress = Progress(count, len(self._known), failures=failures)
+        self._progress = CampaignProgress(count, len(self._known), failures=failures)
         self._work = Work(campaign, worker_pool, self._progress)
 
     def run(self) -> list[Finding]:

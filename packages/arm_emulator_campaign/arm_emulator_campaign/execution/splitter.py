@@ -14,11 +14,11 @@ from arm_emulator.extension.base import write_atomically
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.searcher import write_findings
 from arm_emulator_campaign.execution.worker import Done, load_same_campaign
-from arm_emulator_campaign.execution.worker_pool import Pool, Progress, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import CampaignProgress, Pool, Work, WorkerPool
 from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results.parts import Results, compute_checksum
 from arm_emulator_campaign.search.method import Finding
-from arm_emulator_campaign.search.splitting import Origin, Repetition, Splitting
+from arm_emulator_campaign.search.splitting import ForkOrigin, Splitting, SplittingRepetition
 
 FOLDER = "splitting"
 PILOT = 0
@@ -44,7 +44,7 @@ class Splitter:
         self._folder = results.folder / FOLDER
         self._folder.mkdir(exist_ok=True)
         count = self._method.runs(len(campaign.variation.numbers))
-        self._progress = Progress(count, 0, failures=[0] * (len(campaign.requirements) + 1))
+        self._progress = CampaignProgress(count, 0, failures=[0] * (len(campaign.requirements) + 1))
 
     def run(self) -> list[Finding]:
         """Search to the end; return what was found, which is written beside the results, too.
@@ -57,7 +57,7 @@ class Splitter:
         self._complete([PILOT])
         key = self._campaign.key
         pilot = _read_content(_name_file(self._folder, PILOT), key)
-        repetitions: list[Repetition] = []
+        repetitions: list[SplittingRepetition] = []
         if pilot["leads"]:
             numbers = range(1, 1 + int(self._method.repetitions))
             self._complete(list(numbers))
@@ -71,7 +71,7 @@ class Splitter:
         write_findings(self._results, findings)
         return findings
 
-    def _list_first_failures(self, failures: Sequence[Origin]) -> Finding:
+    def _list_first_failures(self, failures: Sequence[ForkOrigin]) -> Finding:
         """Return the first failures, by the numbers that the command line takes."""
         period = self._campaign.scene.servo_period
         rows = []
@@ -114,7 +114,7 @@ class Splitter:
             repetitions.complete(missing, work)
 
 
-def read_failures(results: Results) -> list[Origin]:
+def read_failures(results: Results) -> list[ForkOrigin]:
     """Return the failures of all repetitions that are done, in their order."""
     files = sorted((results.folder / FOLDER).glob("[0-9]*.json"))
     repetitions = []
@@ -126,7 +126,7 @@ def read_failures(results: Results) -> list[Origin]:
     return _list_failures(repetitions)
 
 
-def _list_failures(repetitions: Iterable[Repetition]) -> list[Origin]:
+def _list_failures(repetitions: Iterable[SplittingRepetition]) -> list[ForkOrigin]:
     return [failure for repetition in repetitions for failure in repetition.failures]
 
 
@@ -167,9 +167,11 @@ def _read_content(file: Path, key: bytes) -> dict[str, Any]:
     return content
 
 
-def _read_repetition(file: Path, key: bytes) -> Repetition:
+def _read_repetition(file: Path, key: bytes) -> SplittingRepetition:
     data = _read_content(file, key)
-    return Repetition(**data | {"failures": [Origin(**origin) for origin in data["failures"]]})
+    return SplittingRepetition(
+        **data | {"failures": [ForkOrigin(**origin) for origin in data["failures"]]}
+    )
 
 
 def _name_file(folder: Path, number: int) -> Path:

@@ -122,7 +122,7 @@ Pool = LocalPool | DaskPool
 
 
 @dataclass
-class Progress:
+class CampaignProgress:
     """Progress of a campaign.
 
     Attributes:
@@ -145,7 +145,7 @@ class Progress:
         pairs = zip(self.failures, done.failures, strict=True)
         self.failures = [before + more for before, more in pairs]
 
-    def late(self, seconds: float) -> bool:
+    def is_late(self, seconds: float) -> bool:
         """Whether so much wall time has passed."""
         return time.monotonic() - self.began >= seconds
 
@@ -173,7 +173,7 @@ class WorkerPool:
 
     make_pool: Callable[[], Pool]
     seconds: float
-    report: Callable[[Progress], None]
+    report: Callable[[CampaignProgress], None]
 
     @property
     def largest(self) -> int:
@@ -192,7 +192,9 @@ class Work:
         progress: of this work; a chunk that is done counts there.
     """
 
-    def __init__(self, campaign: Campaign, worker_pool: WorkerPool, progress: Progress) -> None:
+    def __init__(
+        self, campaign: Campaign, worker_pool: WorkerPool, progress: CampaignProgress
+    ) -> None:
         self._campaign, self._crew, self._progress = campaign, worker_pool, progress
         self._pool: Pool | None = None
 

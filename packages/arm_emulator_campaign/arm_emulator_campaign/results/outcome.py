@@ -46,7 +46,7 @@ class Outcome:
         )
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether a requirement does not hold."""
         return math.isfinite(self.diverged) or any(not r >= 0.0 for r in self.robustness.values())
 

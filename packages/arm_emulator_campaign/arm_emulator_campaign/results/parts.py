@@ -15,7 +15,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,7 @@ class Results:
         self._sound.add(part.name)
         return True
 
-    def set_aside(self, file: Path, reason: str) -> bool:
+    def set_aside(self, file: Path, reason: str) -> Literal[False]:
         """Move a file that cannot be counted into a folder of its own, and warn; return False."""
         aside = self.folder / ASIDE
         aside.mkdir(exist_ok=True)

@@ -39,7 +39,7 @@ class Falsification(Method):
         minimum.take(margins)
         return np.maximum(np.nan_to_num(margins, nan=WORST), WORST)
 
-    def _ends(self, minimum: _LowestMargin) -> bool:
+    def _is_over(self, minimum: _LowestMargin) -> bool:
         return minimum.runs >= self.most or minimum.margin < self.below
 
 
@@ -85,12 +85,12 @@ class CmaEs(Falsification):
 
         minimum, rng, D = _LowestMargin(), np.random.default_rng(seed), len(names)
         size, begin = 4 + int(3.0 * np.log(D)), np.zeros(D)
-        while not self._ends(minimum):
+        while not self._is_over(minimum):
             evolution = CMAEvolutionStrategy(begin, 0.3 * self.within, {
                 "bounds": [-self.within, self.within], "popsize": size, "verbose": -9,
                 "seed": int(rng.integers(1, 2**31)), "verb_disp": 0, "verb_log": 0,
             })  # fmt: skip
-            while not (self._ends(minimum) or evolution.stop()):
+            while not (self._is_over(minimum) or evolution.stop()):
                 points = np.array(evolution.ask())
                 margins = yield from self._ask(minimum, points)
                 if len(margins) == len(points):
@@ -122,7 +122,7 @@ class Bayes(Falsification):
         study = optuna.create_study(sampler=sampler)
         each = optuna.distributions.FloatDistribution(-self.within, self.within)
         minimum = _LowestMargin()
-        while not self._ends(minimum):
+        while not self._is_over(minimum):
             trials = [study.ask(dict.fromkeys(names, each)) for _ in range(int(self.at_once))]
             points = np.array([[proposal.params[name] for name in names] for proposal in trials])
             margins = yield from self._ask(minimum, points)

@@ -53,7 +53,7 @@ class Process(Protocol[State]):
 
 
 @dataclass(frozen=True)
-class Origin:
+class ForkOrigin:
     """From what a run follows.
 
     Attributes:
@@ -66,7 +66,7 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Repetition:
+class SplittingRepetition:
     """An estimate of the probability, and the runs and parts of runs that it took.
 
     Attributes:
@@ -80,7 +80,7 @@ class Repetition:
     probability: float
     runs: int
     shares: Sequence[float]
-    failures: Sequence[Origin]
+    failures: Sequence[ForkOrigin]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +140,7 @@ class Splitting(ByLevels):
 
     def run_repetition(
         self, process: Process[Any], levels: Sequence[float], seed: int, number: int
-    ) -> Repetition:
+    ) -> SplittingRepetition:
         """Return an estimate, a function of the seed and its number.
 
         Args:
@@ -151,7 +151,7 @@ class Splitting(ByLevels):
         """
         rng, N = np.random.default_rng([seed, number]), int(self.per_level)
         first, shares, runs, starts = number * N, list[float](), 0, list[Any]()
-        failures: list[Origin] = []
+        failures: list[ForkOrigin] = []
         for level in (*levels, 0.0):
             seeds, reached = _draw_seeds(rng, N), list[Any]()
             for k in range(N):
@@ -166,10 +166,10 @@ class Splitting(ByLevels):
                 failures = [origin for _, origin in reached]
             else:
                 starts = [reached[k] for k in choose_places(N, len(reached), rng)]
-        return Repetition(math.prod(shares), runs, shares, failures)
+        return SplittingRepetition(math.prod(shares), runs, shares, failures)
 
     def finding(
-        self, of: str, levels: Sequence[float], repetitions: Sequence[Repetition]
+        self, of: str, levels: Sequence[float], repetitions: Sequence[SplittingRepetition]
     ) -> Finding:
         """Return what repetitions have found."""
         runs = sum(repetition.runs for repetition in repetitions)
@@ -182,7 +182,9 @@ class Splitting(ByLevels):
             of, [repetition.probability for repetition in repetitions], runs, about, nothing
         )
 
-    def list_levels(self, levels: Sequence[float], repetitions: Sequence[Repetition]) -> Finding:
+    def list_levels(
+        self, levels: Sequence[float], repetitions: Sequence[SplittingRepetition]
+    ) -> Finding:
         """Return the levels, with the shares of runs that reached each from the one before."""
         rows = []
         for k, level in enumerate((*levels, 0.0)):
@@ -208,15 +210,15 @@ def _draw_seeds(rng: np.random.Generator, count: int) -> list[int]:
 
 def _set_run(
     process: Process[Any],
-    starts: Sequence[tuple[Any, Origin]],
+    starts: Sequence[tuple[Any, ForkOrigin]],
     k: int,
     seeds: Sequence[int],
     first: int = 0,
-) -> Origin:
+) -> ForkOrigin:
     """Begin a run, or continue from one of the starts; return from what it follows."""
     if not starts:
         process.begin(first + k, seeds[k])
-        return Origin(first + k, ((0, seeds[k]),))
+        return ForkOrigin(first + k, ((0, seeds[k]),))
     state, before = starts[k]
     process.go_on(state, seeds[k])
-    return Origin(before.index, (*before.seeds, (process.now, seeds[k])))
+    return ForkOrigin(before.index, (*before.seeds, (process.now, seeds[k])))

@@ -16,8 +16,8 @@ from bench.campaign_kills import (
     Cluster,
     begun,
     digest_alone,
+    has_begun,
     simulate_kill,
-    works,
 )
 
 pytest.importorskip("distributed", reason="Dask: pip install distributed")
@@ -48,7 +48,7 @@ def test_a_kill_of_any_process_leaves_the_digest_the_same(tmp_path, file, cluste
 
 def test_without_a_scheduler_the_client_ends_with_a_line(tmp_path, file, cluster):
     client = begun(file, tmp_path / "r", cluster)
-    assert works(client, tmp_path / "r")
+    assert has_begun(client, tmp_path / "r")
     cluster.stop_scheduler()
     out, _ = client.communicate(timeout=300)
     refused = json.loads(out)["refused"]

@@ -16,7 +16,7 @@ from arm_emulator.extension.machine import Plant, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
 from arm_emulator_fieldbus.can_bus import Bus, BusService, open_bus
 from arm_emulator_fieldbus.can_server import CanServer
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fieldbus.eds import make_eds as data_sheet
@@ -24,7 +24,7 @@ from arm_emulator_fieldbus.eds import make_eds as data_sheet
 
 def load_segment(
     scene_name: str, first: int = 1, *, lockstep: bool = True, sync_period: float = 0.0
-) -> Segment:
+) -> CanSegment:
     """Return the nodes of a scene, its drives with the gains that belong to it.
 
     Raises:
@@ -35,7 +35,7 @@ def load_segment(
     scene, servo = load_scene(file), load_gains(file).servo
     warn(*scene.warnings)
     drives = Drives(Plant(scene), servo, CANOPEN)
-    return Segment(drives, first, lockstep=lockstep, sync_period=sync_period)
+    return CanSegment(drives, first, lockstep=lockstep, sync_period=sync_period)
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import Scene, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
 from arm_emulator_fieldbus.esi import make_esi as description_of
-from arm_emulator_fieldbus.ethercat import Segment
+from arm_emulator_fieldbus.ethercat import EthercatSegment
 
 FIGURES = ("frames", "exchanges", "periods", "lost_cycles", "late_periods", "malformed", "foreign",
            "circulating", "unknown", "watchdogs", "diverged")  # fmt: skip
@@ -98,12 +98,12 @@ def write_esi(scene_name: str, file: Path) -> int:
     return 0
 
 
-def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
+def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, EthercatSegment]:
     path = find_scene(scene_name)
     scene = load_scene(path)
     warn(*scene.warnings)
     servo = load_gains(path).servo
-    return scene, Segment(scene, servo, lockstep)
+    return scene, EthercatSegment(scene, servo, lockstep)
 
 
 def _report_figures(figures: CData, lockstep: bool) -> None:

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from arm_emulator.extension.base import KEEP_NOTHING, Refusal
 from arm_emulator.extension.commands import Keep, PageAt, SceneName, command, output, served_session
 from arm_emulator.extension.machine import load_scene
-from arm_emulator_fieldbus.converter import Converter, list_blocks
+from arm_emulator_fieldbus.converter import RegisterConverter, list_blocks
 from arm_emulator_fieldbus.modbus_line import ModbusLine
 from arm_emulator_fieldbus.modbus_pty import RealTimeService, SerialPort, serve_port
 from arm_emulator_fieldbus.modbus_rtu import LARGEST_STATION
@@ -65,7 +65,7 @@ def modbus(
         served_session(machine, clock, kept, page) as session,
         contextlib.closing(SerialPort(baud, link)) as port,
     ):
-        converter = Converter(session, watchdog)
+        converter = RegisterConverter(session, watchdog)
         at = f"{port.path}{f' ({link})' if link else ''}"
         output.facts({
             "scene": machine.name, "port": port.path, "link": link, "station": station,

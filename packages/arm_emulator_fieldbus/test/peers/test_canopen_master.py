@@ -22,7 +22,7 @@ from draws import FULL
 from arm_emulator import Plant, load_gains
 from arm_emulator.base.config_files import find_scene
 from arm_emulator_fieldbus.can_bus import BusService, open_bus
-from arm_emulator_fieldbus.canopen_segment import Segment
+from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.commands.canopen import load_segment, write_eds
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
@@ -36,7 +36,7 @@ ENTRIES = [entry for entry in list_entries() if entry.buses & CANOPEN]
 
 
 @contextmanager
-def network_of(segment: Segment, channel: str, period: int | None = None) -> Iterator[Any]:
+def network_of(segment: CanSegment, channel: str, period: int | None = None) -> Iterator[Any]:
     """Our nodes in a thread, and a network of the master's on the same virtual bus."""
     with open_bus("virtual", channel, None) as bus:
         goes_on = threading.Event()

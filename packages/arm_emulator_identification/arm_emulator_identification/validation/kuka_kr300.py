@@ -51,7 +51,7 @@ MAX_BESIDE_WAVE = 0.7  # the same beside the encoder's wave
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RunComparison:
     """Comparison of one run with the scene."""
 
     run: MeasuredRun
@@ -68,7 +68,7 @@ class Comparison:
         return [line for figure in self.figures for line in figure.failures]
 
     @property
-    def good(self) -> bool:
+    def is_good(self) -> bool:
         """Whether all limits are kept."""
         return not self.failures
 
@@ -97,7 +97,7 @@ def load(path: Path, scene: Scene) -> MeasuredRun:
     return read_run(path, scene, angles="deg").shift_back(DELAYS)
 
 
-def compare(path: Path, scene: Scene | None = None) -> Comparison:
+def compare(path: Path, scene: Scene | None = None) -> RunComparison:
     """Compare a run with the scene.
 
     Raises:
@@ -113,7 +113,7 @@ def compare(path: Path, scene: Scene | None = None) -> Comparison:
         *drifting,
         *wind_up_figures(run, of_gears),
     )
-    return Comparison(run, data, torques, of_gears, paths, begins, figures)
+    return RunComparison(run, data, torques, of_gears, paths, begins, figures)
 
 
 def _filtered(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
@@ -318,7 +318,7 @@ def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[
         draw(comparison, scene.joint_names, picture)
         for failure in comparison.failures:
             console.print(f"[red]{failure}")
-        verdict = "good" if comparison.good else "NOT GOOD"
+        verdict = "good" if comparison.is_good else "NOT GOOD"
         console.print(f"{comparison.run.where}: {verdict}; picture: {picture}")
         figures = [
             {"title": f.title, "values": f.values, "mean": f.mean, "limits": f.limits}
@@ -327,19 +327,19 @@ def validate_kuka(runs: Sequence[Path], folder: Path, console: Console) -> dict[
         compared.append(
             {
                 "record": comparison.run.where,
-                "good": comparison.good,
+                "good": comparison.is_good,
                 "failures": comparison.failures,
                 "figures": figures,
                 "picture": picture,
             }
         )
-    return {"good": all(comparison.good for comparison in comparisons), "runs": compared}
+    return {"good": all(comparison.is_good for comparison in comparisons), "runs": compared}
 
 
 PICTURED = 5  # free runs: one of this many is drawn
 
 
-def draw(comparison: Comparison, names: tuple[str, ...], file: Path) -> None:
+def draw(comparison: RunComparison, names: tuple[str, ...], file: Path) -> None:
     """Draw torques, free runs and wind-up of each axis."""
     import matplotlib
 

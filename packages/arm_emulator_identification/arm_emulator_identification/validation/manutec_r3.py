@@ -35,7 +35,7 @@ ELASTIC = slice(0, 3)  # axes with elastic gears
 
 
 @dataclass(frozen=True)
-class Motion:
+class SimulatedMotion:
     """A motion of all axes: rows of time. Motor quantities of rigid gears are the links'."""
 
     t: Array  # s, (K,)
@@ -59,7 +59,7 @@ def get_gear_ratios() -> Array:
 
 
 @cache
-def solution() -> tuple[Motion, Array, Array, Array]:
+def solution() -> tuple[SimulatedMotion, Array, Array, Array]:
     """Return the independent solution, its friction modes, and the controllers' initial states.
 
     Runge-Kutta with located events, by a program of others; 2e-11 is the error of a step. It agrees
@@ -69,12 +69,14 @@ def solution() -> tuple[Motion, Array, Array, Array]:
     ratios = get_gear_ratios()
     theta_m, omega_m = data["q"] * ratios, data["v"] * ratios
     theta_m[:, ELASTIC], omega_m[:, ELASTIC] = data["motor_angle"], data["motor_speed"]
-    motion = Motion(data["t"], data["current"], theta_m, omega_m, data["q"], data["v"])
+    motion = SimulatedMotion(data["t"], data["current"], theta_m, omega_m, data["q"], data["v"])
     modes = data["friction_mode"].astype(float)
     return motion, modes, data["pi_state"][0], data["regulator_state"][0]
 
 
-def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "located") -> Motion:
+def simulate(
+    period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "located"
+) -> SimulatedMotion:
     """Compute the whole motion.
 
     Args:
@@ -120,11 +122,11 @@ def simulate(period: float = 5e-5, scheme: str = SCHEMES[0], events: str = "loca
         raise plant.diverged or RuntimeError("manutec_run: refused")
     i, theta_m, omega_m, q, v = np.moveaxis(out, 1, 0)
     t: Array = period * np.arange(periods + 1.0)
-    return Motion(t, i, theta_m, omega_m, q, v, seconds)
+    return SimulatedMotion(t, i, theta_m, omega_m, q, v, seconds)
 
 
 @dataclass(frozen=True)
-class Comparison:
+class SolutionErrors:
     """Largest deviations of a motion from the solution, by axis."""
 
     q: Array  # rad
@@ -135,7 +137,7 @@ class Comparison:
     rows: int
 
 
-def compare(motion: Motion) -> Comparison:
+def compare(motion: SimulatedMotion) -> SolutionErrors:
     """Compare a motion with the solution, at the solution's instants."""
     truth, modes, _, _ = solution()
     inside = truth.t <= motion.t[-1]
@@ -155,7 +157,7 @@ def compare(motion: Motion) -> Comparison:
     expected_wind_up = (ratios * truth.q - truth.theta_m)[inside][:, ELASTIC]
     now = np.searchsorted(motion.t, t + 1e-9, side="right") - 1
     same = motion.friction_mode[now] == modes[inside]
-    return Comparison(
+    return SolutionErrors(
         largest(q - truth.q[inside]),
         largest(others["v"] - truth.v[inside]),
         largest(others["current"] - truth.current[inside]),
@@ -184,7 +186,7 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
                     "wind-up at the motor, rad", "rows in other friction modes",
                     "times real time"):  # fmt: skip
         table.add_column(heading, justify="right")
-    comparisons: dict[float, tuple[Comparison, float]] = {}
+    comparisons: dict[float, tuple[SolutionErrors, float]] = {}
     longest_motion = None
     for period in track(PERIODS, "manutec_r3", console=Console(stderr=True)):
         motion = min((simulate(period) for _ in range(3)), key=lambda run: run.seconds)
@@ -230,7 +232,7 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
     }
 
 
-def order_of(by_period: Mapping[float, tuple[Comparison, float]]) -> float:
+def order_of(by_period: Mapping[float, tuple[SolutionErrors, float]]) -> float:
     """Return the slope of the angles' error over the period, both as logarithms."""
     periods = [period for period in by_period if 5e-6 <= period <= PICTURED]
     errors = [by_period[period][0].q.max() for period in periods]
@@ -238,7 +240,7 @@ def order_of(by_period: Mapping[float, tuple[Comparison, float]]) -> float:
 
 
 def manutec_failures(
-    by_period: Mapping[float, tuple[Comparison, float]],
+    by_period: Mapping[float, tuple[SolutionErrors, float]],
 ) -> Iterator[str]:
     """Yield each exceeded limit, as a line: figures at `PICTURED`, order, and modes."""
     at, speed = by_period[PICTURED]
@@ -260,7 +262,9 @@ def manutec_failures(
         yield f"order of the angles' error must be {ORDER[0]:g} to {ORDER[1]:g}, got {order:.2f}"
 
 
-def draw(motion: Motion, by_period: Sequence[tuple[float, Comparison]], file: Path) -> None:
+def draw(
+    motion: SimulatedMotion, by_period: Sequence[tuple[float, SolutionErrors]], file: Path
+) -> None:
     """Draw angles, currents, friction modes, and the error over the period."""
     import matplotlib
 

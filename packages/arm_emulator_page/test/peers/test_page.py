@@ -84,20 +84,20 @@ def answer(url: str, **headers: str) -> tuple[int, dict[str, str]]:
         return error.code, dict(error.headers)
 
 
-def test_nothing_is_served_without_the_token(shown: Served) -> None:
-    token = shown.url.split("/")[3]
-    plain = without_token(shown.url)
+def test_nothing_is_served_without_the_token(served: Served) -> None:
+    token = served.url.split("/")[3]
+    plain = without_token(served.url)
     for below in ("", "?look=dark", "index.html"):
-        status, headers = answer(shown.url + below)
+        status, headers = answer(served.url + below)
         assert status == 200 and "Set-Cookie" not in headers, "no cookie goes to other ports"
     for url, more in (
         (plain, {}), (f"{plain}?token={token}", {}), (plain + "index.html", {}),
         (f"{plain}x{token}/", {}), (plain, {"Cookie": f"arm_emulator_page={token}"}),
-        (shown.url, {"Host": "evil.example"}), (shown.url, {"Origin": "http://evil.example"}),
+        (served.url, {"Host": "evil.example"}), (served.url, {"Origin": "http://evil.example"}),
     ):  # fmt: skip
         assert answer(url, **more)[0] == 403, (url, more)
     for file in ("nothing.js", "assets", "assets/"):
-        assert answer(shown.url + file)[0] == 404, file
+        assert answer(served.url + file)[0] == 404, file
 
 
 # Requests that are no HTTP, or none for a page.
@@ -113,8 +113,8 @@ MALFORMED = (
 
 
 @pytest.mark.parametrize("head", MALFORMED, ids=range(len(MALFORMED)))
-def test_a_malformed_request_is_the_fault_of_the_client(shown: Served, head: str) -> None:
-    token, host = shown.url.split("/")[3], shown.url.split("/")[2]
+def test_a_malformed_request_is_the_fault_of_the_client(served: Served, head: str) -> None:
+    token, host = served.url.split("/")[3], served.url.split("/")[2]
     with socket.create_connection((host.split(":")[0], int(host.split(":")[1])), 10.0) as client:
         words = head.format(token) + f"\r\nHost: {host}\r\n\r\n"
         client.sendall(words.encode("latin-1"))
@@ -125,14 +125,14 @@ def test_a_malformed_request_is_the_fault_of_the_client(shown: Served, head: str
     status = int(reply.split()[1]) if reply else 0  # 0: closed without an answer
     assert status == 0 or 400 <= status < 500, reply[:200]
     assert b"root:" not in reply
-    assert answer(shown.url)[0] == 200, "the page goes on"
+    assert answer(served.url)[0] == 200, "the page goes on"
 
 
-def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Served) -> None:
+def test_other_machines_come_only_where_the_page_is_served_to_them(served: Served) -> None:
     """127.0.0.2 stands for them: an address of this machine that the page is not served at."""
-    port = shown.url.split(":")[2].partition("/")[0]
+    port = served.url.split(":")[2].partition("/")[0]
     with pytest.raises(urllib.error.URLError, match="refused"):
-        urllib.request.urlopen(shown.url.replace("127.0.0.1", "127.0.0.2"))
+        urllib.request.urlopen(served.url.replace("127.0.0.1", "127.0.0.2"))
     with pytest.raises(Refusal, match=f"port must be free, got {port}"):
         PageServer(f"127.0.0.1:{port}")
     every = PageServer("0.0.0.0:0")
@@ -148,12 +148,12 @@ def test_other_machines_come_only_where_the_page_is_served_to_them(shown: Served
         every.stop()
 
 
-def test_no_other_page_gets_a_connection(shown: Served) -> None:
+def test_no_other_page_gets_a_connection(served: Served) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
-    at = shown.url.replace("http://", "ws://")
-    token = shown.url.split("/")[3]
+    at = served.url.replace("http://", "ws://")
+    token = served.url.split("/")[3]
     for address, origin in (
         (without_token(at), None), (at[:-1] + "x/", None), (at, "http://evil.example"),
         (at.replace(f"{token}/", f"?token={token}"), None),
@@ -163,23 +163,23 @@ def test_no_other_page_gets_a_connection(shown: Served) -> None:
         assert refused.value.response.status_code == 403
 
 
-def test_a_port_that_is_taken_is_refused(shown: Served) -> None:
-    port = int(shown.url.split(":")[2].partition("/")[0])
+def test_a_port_that_is_taken_is_refused(served: Served) -> None:
+    port = int(served.url.split(":")[2].partition("/")[0])
     with pytest.raises(Refusal, match="port must be free"):
-        RunPage(RunView.of(shown.line, LAST), lambda: (TermsNow({}, {}), []), port)
+        RunPage(RunView.of(served.line, LAST), lambda: (TermsNow({}, {}), []), port)
 
 
-def test_every_control_does_what_it_names(shown: Served, browser: Any) -> None:
-    page, scene = opened(browser, shown.url), shown.machine.scene
+def test_every_control_does_what_it_names(served: Served, browser: Any) -> None:
+    page, scene = opened(browser, served.url), served.machine.scene
     assert page.title() == "arm_emulator"
     for button, tick in (("to end", LAST), ("-1", LAST - 1), ("to start", 0), ("+1", 1)):
         press(page, button)
         shows(page, f"tick {tick},")
     go_to(page, 77)
     shows(page, "tick 77,")
-    repeated = RecordedMachine.of(shown.machine.topics.bag.path, scene)
+    repeated = RecordedMachine.of(served.machine.topics.bag.path, scene)
     repeated.advance(77)
-    assert shown.machine.session.plant.save() == repeated.session.plant.save(), "to the last bit"
+    assert served.machine.session.plant.save() == repeated.session.plant.save(), "to the last bit"
     shows(page, f"{repeated.session.state.q[1]:.4f}")
     page.get_by_role("tab", name="Events").click()
     page.get_by_role("button", name="120: power").click()
@@ -216,21 +216,21 @@ def test_every_control_does_what_it_names(shown: Served, browser: Any) -> None:
     page.get_by_role("button", name="Play").wait_for()
     assert 0 < tick_of(page) < LAST, "slow enough to be stopped on the way"
     choose(page, "Signal", "current")
-    last = RecordedMachine.of(shown.machine.topics.bag.path, scene)
+    last = RecordedMachine.of(served.machine.topics.bag.path, scene)
     last.advance(LAST)
     current = last.session.state.current[0]
-    until(page, lambda: shown.page.plotted[1][-1] == current)
+    until(page, lambda: served.page.plotted[1][-1] == current)
     page.close()
 
 
-def test_a_second_browser_and_a_lost_connection(shown: Served, browser: Any) -> None:
-    first, two = opened(browser, shown.url), opened(browser, shown.url)
+def test_a_second_browser_and_a_lost_connection(served: Served, browser: Any) -> None:
+    first, two = opened(browser, served.url), opened(browser, served.url)
     press(first, "to end")
     shows(two, f"tick {LAST},")
     first.close()
     press(two, "-1")
     shows(two, f"tick {LAST - 1},")
-    again = opened(browser, shown.url)
+    again = opened(browser, served.url)
     assert tick_of(again) == LAST - 1
     again.close()
     two.close()
@@ -401,15 +401,15 @@ def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
         run_page.close()
 
 
-def test_runs_of_other_joints_are_not_laid_over_each_other(shown: Served) -> None:
+def test_runs_of_other_joints_are_not_laid_over_each_other(served: Served) -> None:
     timeline = Timeline(load_offline_run("panda"))
     timeline.advance(1)
     with pytest.raises(Refusal, match="joints of the other run must be"):
-        shown.page.lay_over(RunView.of(timeline, 1))
-    scene = SimpleNamespace(joint_names=shown.machine.scene.joint_names, servo_period=0.5)
+        served.page.lay_over(RunView.of(timeline, 1))
+    scene = SimpleNamespace(joint_names=served.machine.scene.joint_names, servo_period=0.5)
     run = SimpleNamespace(session=SimpleNamespace(scene=scene))
     slow: Any = SimpleNamespace(line=SimpleNamespace(run=run))
     with pytest.raises(
         Refusal, match=r"servo period of the other run must be 0.001 \[s\], got 0.5"
     ):
-        shown.page.lay_over(slow)
+        served.page.lay_over(slow)

@@ -46,8 +46,8 @@ def luminance(color: list[float]) -> float:
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-def test_a_phone_shows_the_arm_above_all_controls(shown: RunPage, browser: Any) -> None:
-    page = opened(browser, shown.url, viewport=PHONE, has_touch=True)
+def test_a_phone_shows_the_arm_above_all_controls(narrow_page: RunPage, browser: Any) -> None:
+    page = opened(browser, narrow_page.url, viewport=PHONE, has_touch=True)
     canvas = max(
         (canvas.bounding_box() for canvas in page.locator("canvas").all()),
         key=lambda box: box["height"],
@@ -81,9 +81,9 @@ def test_a_phone_shows_the_arm_above_all_controls(shown: RunPage, browser: Any) 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_is_dark_if_the_browser_prefers_it(
-    shown: RunPage, browser: Any, scheme: str
+    narrow_page: RunPage, browser: Any, scheme: str
 ) -> None:
-    page = opened(browser, shown.url, color_scheme=scheme)
+    page = opened(browser, narrow_page.url, color_scheme=scheme)
     text, under = map(luminance, page.evaluate(COLORS))
     assert (text > under) == (scheme == "dark")
     brighter, darker = max(text, under), min(text, under)
