@@ -203,7 +203,7 @@ PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 3 --dist loadfile --no-loadscope-re
 PACKAGES ?=
 TESTS = $(foreach name,$(PACKAGES),$(if $(filter core,$(name)),test,packages/arm_emulator_$(name)/test))
 
-# At -O1, which takes the compiler half of the time and gives the same bits; test-in-full tests -O3.
+# By quick_cxx, which takes half of the time and gives the same bits; test-in-full tests -O3.
 test: setup .venv/.robots
 	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) -m 'not slow' $(TESTS) $(ARGS)
 
