@@ -314,7 +314,7 @@ def test_calibrations_of_universal_robots_are_read(
 
 
 @needs_robots
-def test_other_files_of_universal_robots_are_refused(tmp_path: Path) -> None:
+def test_foreign_files_of_universal_robots_are_refused(tmp_path: Path) -> None:
     deltas = dict(MEASURED[0])
     calibration = {"file": "calibration.conf"}
     controller_file(tmp_path, deltas, calibration_status="1")
@@ -475,7 +475,7 @@ def test_without_deviations_nothing_changes(tmp_path: Path) -> None:
     assert plain.calibration == Calibration()
 
 
-def test_each_door_shows_what_it_is_about(tmp_path: Path) -> None:
+def test_each_door_prints_the_calibration(tmp_path: Path) -> None:
     """The description that controllers get is nominal, what shows the machine is true."""
     overrides = {"calibration": {"joints": {"elbow": {"z": 0.01}}}}
     scene = load_scene(own_three_axis(tmp_path, ""), overrides)

@@ -104,7 +104,7 @@ def past(arm: Kinematics, path: np.ndarray) -> float:
 
 
 @needs_robots
-def test_a_tool_turns_in_the_opposite_sense_before_it_is_refused() -> None:
+def test_a_tool_rotates_in_the_opposite_sense_before_it_is_refused() -> None:
     """A box where the wrist would be in the middle of its turn, and is not in the other sense."""
     scene = load_scene("ur5")
     arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)

@@ -163,7 +163,7 @@ def test_the_version_is_that_of_the_packages() -> None:
 
 
 @pytest.mark.parametrize("count", ["2.5", "1e3", "nan", "inf", "-1.5", "2.", "x"])
-def test_counts_are_whole(count: str) -> None:
+def test_counts_are_integers(count: str) -> None:
     """A count that was rounded would be another one than was asked for."""
     code, _, errors = run("accuracy", "three_axis", "--edge", "20", "--cycles", count)
     line = "--edge must be" if count == "2." else f'unable to convert "{count}" into int'

@@ -51,7 +51,7 @@ def segments(process: subprocess.Popen[str]) -> set[Path]:
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
-def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept() -> None:
+def test_shared_memory_of_killed_nodes_is_removed_and_of_running_nodes_remains() -> None:
     with own_domain():
         nodes = [
             subprocess.Popen([sys.executable, "-c", NODE], stdout=subprocess.PIPE, text=True)
@@ -80,7 +80,7 @@ def test_shared_memory_of_killed_nodes_is_removed_and_of_running_ones_kept() -> 
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
-def test_a_port_whose_maker_was_killed_while_it_made_it_hangs_nobody() -> None:
+def test_a_port_whose_maker_was_killed_while_it_created_it_hangs_no_process() -> None:
     """A node that opens it waits indefinitely: so it goes before a node is made."""
     with own_domain() as domain:
         ports = [SHARED / f"fastrtps_port{7400 + 250 * domain + 11 + 2 * k}" for k in range(2)]
@@ -137,7 +137,7 @@ def kill_between_two_messages(node: subprocess.Popen[str]) -> bool:
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
-def test_partners_of_a_killed_node_hear_the_next_one() -> None:
+def test_partners_of_a_killed_node_hear_its_successor() -> None:
     """The next one takes the dead one's ports, which the partner has open."""
     heard: list[int] = []
     nodes: list[subprocess.Popen[str]] = []
@@ -179,7 +179,7 @@ def test_partners_of_a_killed_node_hear_the_next_one() -> None:
                 node.stdout.close()
 
 
-def test_ports_that_are_whole_young_or_of_others_are_kept(tmp_path: Path) -> None:
+def test_ports_that_are_intact_young_or_foreign_remain(tmp_path: Path) -> None:
     port = tmp_path / "fastrtps_port64419"
     port.write_bytes(bytes(52400))
     assert clear_left_over(tmp_path) == 0, "its maker may be at it"
@@ -194,7 +194,7 @@ def test_ports_that_are_whole_young_or_of_others_are_kept(tmp_path: Path) -> Non
     assert clear_left_over(tmp_path) == 0, "it is whole"
 
 
-def test_young_files_of_other_users_or_other_names_are_kept(tmp_path: Path) -> None:
+def test_young_files_of_foreign_users_or_foreign_names_remain(tmp_path: Path) -> None:
     name = "fastrtps_0123456789abcdef"
     for foreign_name in ("fastrtps_port7000_el", "fastrtps_xyz_el", f"{name}_el_", "mine_el"):
         (tmp_path / foreign_name).touch()

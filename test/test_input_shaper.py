@@ -56,7 +56,7 @@ def test_impulses_leave_no_vibration_of_any_of_their_modes(seed: int) -> None:
 
 
 @pytest.mark.parametrize("off", [-0.2, -0.1, 0.05, 0.1, 0.2])
-def test_a_wrong_frequency_leaves_what_the_closed_form_states(off: float) -> None:
+def test_a_wrong_frequency_leaves_the_swing_of_the_closed_form(off: float) -> None:
     """Undamped: |cos(pi r / 2)| after ZV and its square after ZVD, r of true by assumed."""
     rng = np.random.default_rng(3)
     for frequency in 10 ** rng.uniform(0.0, 2.0, 10):
@@ -213,7 +213,7 @@ def test_the_delay_is_reported_and_tolerances_judge_the_shaped_motion() -> None:
     assert arm.executor.progress.state is State.REACHED and "aborted" not in " ".join(words)
 
 
-def test_a_motion_replaced_on_the_way_stays_smooth() -> None:
+def test_a_motion_replaced_while_moving_stays_smooth() -> None:
     """Goals and jogs that come at any time: the targets never jump, and come to rest."""
     rng = np.random.default_rng(8)
     arm = IdealArm(**SHAPED)
@@ -326,7 +326,7 @@ def test_the_file_of_parameters_gives_modes_and_shaper(tmp_path: Path) -> None:
     assert config.design_shaper().delay == pytest.approx(half, rel=1e-12)
 
 
-def test_a_shaper_without_modes_is_refused_where_the_controller_is_made() -> None:
+def test_a_shaper_without_modes_is_refused_by_the_controllers_constructor() -> None:
     file = find_scene("three_axis")
     gains = load_gains(file)
     motion = dataclasses.replace(gains.motion, method="way", shaper="zv")

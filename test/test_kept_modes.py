@@ -54,7 +54,7 @@ def draw_command(rng: np.random.Generator, largest: float) -> np.ndarray:
 @pytest.mark.parametrize("scheme", some(["extrapolated", "rosenbrock"], 1))
 @pytest.mark.parametrize("events", ["located", "step"])
 @pytest.mark.parametrize("name", some(MACHINES, 3))
-def test_a_machine_moves_as_one_that_forgets_its_modes_before_every_step(
+def test_a_machine_moves_as_a_machine_that_forgets_its_modes_before_every_step(
     name: str, events: str, scheme: str
 ) -> None:
     """A new machine has kept nothing; commands, wrenches, numbers and power change."""

@@ -30,7 +30,7 @@ def run(folder: Path, *command: str | Path) -> str:
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_each_example_is_at_most_a_page_long_and_in_the_documents(name: str) -> None:
+def test_each_example_is_no_longer_than_a_page_and_in_the_documents(name: str) -> None:
     assert len((EXAMPLES / name).read_text().splitlines()) <= OURS[name]
     page = (ROOT / "docs" / "how_to" / "programs.md").read_text()
     assert f"<!-- generated: file examples/{name} -->" in page

@@ -115,7 +115,7 @@ def test_a_run_goes_on_after_a_node_was_inactive(tmp_path: Path) -> None:
         stands("motion_controller", clients[0])
 
 
-def test_every_transition_by_label_and_by_number_and_no_other(tmp_path: Path) -> None:
+def test_every_transition_by_label_and_by_number_and_no_more(tmp_path: Path) -> None:
     """A transition that the state does not have is refused in one line, and the node goes on."""
     numbers = {
         "configure": {"unconfigured": 1},
@@ -157,7 +157,7 @@ def test_every_transition_by_label_and_by_number_and_no_other(tmp_path: Path) ->
         assert "Traceback" not in printed, printed
 
 
-def test_another_scene_by_parameter_and_a_refused_one(tmp_path: Path) -> None:
+def test_a_second_scene_by_parameter_and_a_refused_scene(tmp_path: Path) -> None:
     """A node that cannot be configured stays unconfigured, with the reason in its log."""
     only = ("emulator",)
     with running(tmp_path, only=only, start="first_answer") as (user, _, clients):
@@ -183,7 +183,7 @@ def test_another_scene_by_parameter_and_a_refused_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["servo", "motion_controller"])
-def test_a_node_is_configured_anew_in_a_run(tmp_path: Path, name: str) -> None:
+def test_a_node_is_configured_again_in_a_run(tmp_path: Path, name: str) -> None:
     """It serves the same arm again; the machine waits for it meanwhile."""
     with running(tmp_path) as (user, _, clients):
         go(user)

@@ -59,7 +59,7 @@ def plant(scene: Scene) -> Plant:
     return plant
 
 
-def test_a_scene_may_be_given_by_name() -> None:
+def test_a_scene_may_be_named() -> None:
     assert Plant("three_axis").save() == Plant(load_scene("three_axis")).save()
     assert len(Fleet("three_axis", np.int32(2))) == 2
     with pytest.raises(Refusal, match="must be a Scene, a name or a file, got 5"):
@@ -68,7 +68,7 @@ def test_a_scene_may_be_given_by_name() -> None:
         Plant("no_such_arm")
 
 
-def test_commands_may_be_given_by_names_of_joints(scene: Scene) -> None:
+def test_commands_may_be_named_by_joint(scene: Scene) -> None:
     named, indexed = Plant(scene), Plant(scene)
     for voltages in ({"elbow": 3, "waist": np.float32(5.0), "shoulder": -20.0}, np.array(ROW)):
         plant = named if isinstance(voltages, dict) else indexed
@@ -95,7 +95,7 @@ def test_commands_may_be_given_by_names_of_joints(scene: Scene) -> None:
     ],
     ids=range(7),
 )
-def test_overrides_may_be_what_a_caller_has(
+def test_overrides_may_be_any_mapping(
     overrides: dict[str, Any], expected: Callable[[Scene], bool]
 ) -> None:
     assert expected(load_scene("three_axis", overrides=overrides))
@@ -192,7 +192,7 @@ OF_FLEET = [(Fleet, *call) for call in (*calls(), *calls_of_fleet())]
     [(kind, call, wrong) for kind, _, call, wrong in OF_PLANT + OF_FLEET],
     ids=[f"{kind.__name__} {name}" for kind, name, *_ in OF_PLANT + OF_FLEET],
 )
-def test_machines_refuse_what_they_cannot_take(
+def test_machines_refuse_invalid_arguments(
     kind: type, call: Callable[[Any, Any], Any], wrong: list[Any], scene: Scene, plant: Plant
 ) -> None:
     machine = plant if kind is Plant else Fleet(scene, 4)  # of another count than its joints
@@ -212,7 +212,7 @@ def test_machines_refuse_what_they_cannot_take(
 KINDS = ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u4", "u8", "g")
 
 
-def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: Path) -> None:
+def test_users_of_machines_refuse_invalid_arguments(scene: Scene, tmp_path: Path) -> None:
     """Servos, sessions, recordings, kinematics: every argument of another kind."""
     gains, ur5 = load_gains("three_axis"), load_gains("ur5")
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
@@ -277,7 +277,7 @@ def test_users_of_machines_refuse_what_they_cannot_take(scene: Scene, tmp_path: 
 
 
 @pytest.mark.parametrize("seed", some(range(6), 2))
-def test_numbers_of_every_kind_are_taken_for_what_they_are(seed: int, scene: Scene) -> None:
+def test_numbers_of_every_kind_are_accepted_by_value(seed: int, scene: Scene) -> None:
     """Lists, tuples, arrays, views; counts and numbers as scalars of NumPy."""
     rng = random.Random(seed)
     expected = Plant(scene)

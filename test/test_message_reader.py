@@ -284,7 +284,7 @@ def test_texts_end_at_their_first_zero() -> None:
     assert read(joints.reader, none) is not None
 
 
-def test_a_reader_of_something_else_is_not_made() -> None:
+def test_a_reader_of_a_different_type_is_not_constructed() -> None:
     row = {"current": Row(np.zeros(3), BOUND)}
     for rows, singles in (
         (row, {}),

@@ -132,7 +132,7 @@ def test_refused_orders_are_reported_with_their_reason(nodes: InProcess, topic: 
     assert nodes.refused("motion_controller") == before + 1
 
 
-def test_a_reset_reports_what_it_has_forgotten(nodes: InProcess) -> None:
+def test_a_reset_reports_the_commands_that_it_forgets(nodes: InProcess) -> None:
     heard = statuses(nodes)
     pose = path(0, [Pose(np.array([0.3, 0.0, 0.5]), np.eye(3))]).poses[0]
     pose.header.stamp = to_stamp(1000 * SECOND)

@@ -22,7 +22,7 @@ from arm_emulator.runs.offline import load_offline_run
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_reference_jumps_when_one_order_replaces_another(seed: int) -> None:
+def test_no_reference_jumps_when_an_order_replaces_another(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = Ideal()
     limit = arm.controller.kinematics.velocity_limit
@@ -57,7 +57,7 @@ def test_no_reference_jumps_when_one_order_replaces_another(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_paths_that_begin_where_the_tool_rests_follow_one_another(seed: int) -> None:
+def test_paths_that_begin_where_the_tool_rests_run_in_sequence(seed: int) -> None:
     rng = np.random.default_rng([seed, 5])
     arm = Ideal()
     first = arm.pose()
@@ -108,7 +108,7 @@ def test_a_stamp_of_the_wall_clock_is_refused(kind: str, running: bool) -> None:
     assert (name, 2, "REACHED") in arm.states()
 
 
-def test_the_newest_holds_and_every_one_is_answered() -> None:
+def test_the_newest_holds_and_each_is_answered() -> None:
     arm = Ideal()
     arm.advance(0.05)
     arm.instructor.add(0, arm.pose((0.02, 0.0, 0.0)))
@@ -208,7 +208,7 @@ def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
     assert arm.states()[-1] == ("JOINT_TRAJECTORY", 1, "REACHED")
 
 
-def test_a_trajectory_that_cannot_begin_is_refused_and_the_one_before_goes_on() -> None:
+def test_a_trajectory_that_cannot_begin_is_refused_and_its_predecessor_goes_on() -> None:
     arm = Ideal()
     arm.instructor.retune(dataclasses.replace(arm.config, trajectory_limits="refuse"))
     arm.instructor.add(0, arm.pose((0.05, 0.0, 0.0)))
@@ -268,7 +268,7 @@ def test_the_goal_tolerance_is_waited_for_as_long_as_is_allowed() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_torques_given_are_those_of_gravity_at_the_links(seed: int) -> None:
+def test_the_torques_sent_are_those_of_gravity_at_the_links(seed: int) -> None:
     """Against the gradient of the potential energy, by differences."""
     import pinocchio as pin
 
@@ -289,7 +289,7 @@ def test_the_torques_given_are_those_of_gravity_at_the_links(seed: int) -> None:
         assert torques.at(q, np.zeros(6))[j] == pytest.approx((high - low) / (2 * h), abs=1e-6)
 
 
-def test_feedforward_is_given_as_it_is_configured() -> None:
+def test_feedforward_is_sent_as_it_is_configured() -> None:
     scene = load_scene("ur5")
     gravity = LinkTorques(scene.urdf, scene.joint_names, (0.0, 0.0, -9.81))
     for kind, speed, torque in (

@@ -47,6 +47,6 @@ def test_voltage_is_limited_by_the_supply(tmp_path: Path) -> None:
     assert plants[0].state.v == plants[1].state.v, "speeds at the supply's voltage and beyond"
 
 
-def test_direct_drive_is_a_rigid_gear_of_ratio_one() -> None:
+def test_direct_drive_is_a_rigid_gear_of_unit_ratio() -> None:
     scene = load_scene("three_axis", {"joints.elbow.gear": None})
     assert scene.joints[2].gear == RigidGear(ratio=1.0)

@@ -25,7 +25,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status, "NAMED_WITHIN", PATIENCE)
 
 
-def test_a_target_is_sent_and_what_becomes_of_it_is_the_exit_code(
+def test_a_target_is_sent_and_its_end_is_the_exit_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with network(tmp_path / "log", clock="realtime", start="first_answer") as (user, _):
@@ -82,7 +82,7 @@ def test_a_node_of_another_maker_is_not_missing(tmp_path: Path) -> None:
         assert code == 0 and nodes["emulator"]["level"] == "ok", out + errors
 
 
-def test_without_a_network_one_line_names_the_remedy() -> None:
+def test_without_a_network_a_line_names_the_remedy() -> None:
     with own_domain():
         started = {
             words: subprocess.Popen(
@@ -118,7 +118,7 @@ def test_malformed_targets_are_refused(
     assert code == 2 and not out and errors.count("\n") == 1 and reason in errors, errors
 
 
-def test_a_target_with_a_time_gives_the_bits_of_every_other_run(tmp_path: Path) -> None:
+def test_a_target_with_a_time_gives_the_bits_of_every_repeated_run(tmp_path: Path) -> None:
     """The truth is a run in one process with the same target at the same time."""
     offline = load_offline_run("three_axis")
     x, y, z = offline.controller.kinematics.forward(offline.session.scene.start)[1].tolist()

@@ -132,7 +132,7 @@ def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> Non
     assert (off < 2.0 * np.array([joint.count_angle for joint in servo.joints])).all(), off
 
 
-def test_gains_do_not_depend_on_the_way_round() -> None:
+def test_gains_do_not_depend_on_the_direction() -> None:
     motor = MotorData(0.5, 5e-4, 0.05, 0.05, 1e-4, 4096)
     for stiffness, damping in ((None, 0.0), (1e4, 10.0)):
         forward, backward = (
@@ -143,7 +143,7 @@ def test_gains_do_not_depend_on_the_way_round() -> None:
             assert getattr(backward, name) == pytest.approx(value, rel=1e-9), name
 
 
-def test_a_servo_of_the_other_sign_is_refused() -> None:
+def test_a_servo_of_the_opposite_sign_is_refused() -> None:
     """Its loops would be stable, and the arm go the other way."""
     scene, servo = turned_round()
     plain = load_gains(find_config("three_axis", ".yaml")).servo

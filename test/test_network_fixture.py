@@ -48,7 +48,7 @@ def test_a_failure_leaves_a_bag_that_is_driven_again_to_equal_bits(
     assert "equal to the last bit" in capfd.readouterr().out
 
 
-def test_one_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Its joint stays behind the target, and the bag is driven again with the scene written."""
     bag, fault = tmp_path / "bag", "waist.controller_restarts"
     how: dict[str, Any] = {"start": "paused", "log": tmp_path, "keep": bag, "faults": [fault]}
@@ -115,7 +115,7 @@ def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:
             context.try_shutdown()
 
 
-def test_a_node_that_was_met_gets_what_is_published_once() -> None:
+def test_a_node_that_was_met_gets_every_single_publication() -> None:
     """By a best-effort subscription, which loses what comes from a publisher not known yet."""
     with own_domain() as domain:
         contexts = [Context(), Context()]

@@ -116,7 +116,7 @@ def test_impossible_requests_are_refused_and_write_nothing(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_bag_that_cannot_be_made_again_is_refused(
+def test_a_bag_that_cannot_be_repeated_is_refused(
     scene: Path, moved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     soft = tmp_path / "own" / scene.name

@@ -196,7 +196,7 @@ def with_shapes(shapes: dict[str, str]) -> ET.Element:
         ),
     ],
 )
-def test_a_new_arm_does_not_run_into_itself(
+def test_a_new_arm_does_not_collide_with_its_own_links(
     shapes: dict[str, str], parameter: str, reason: str, tmp_path: Path
 ) -> None:
     """It does not if its shapes can be read, those of a package beside the description included."""
@@ -292,7 +292,7 @@ def test_a_robot_in_place_of_a_scene_is_refused_with_the_command_to_use(
 
 
 @pytest.mark.usefixtures("untuned")
-def test_the_description_reports_what_the_drives_can(tmp_path: Path) -> None:
+def test_the_description_reports_the_abilities_of_the_drives(tmp_path: Path) -> None:
     """The motion controller has its limits from there; meshes are still found."""
     text = OWN["gantry_with_turn"]().replace(
         '<link name="l1">',
@@ -388,7 +388,7 @@ def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
         assert outcome.seconds < 12.0 and outcome.peak_speed <= 1.0, outcome
 
 
-def test_one_command_from_a_robot_to_a_moving_arm(tmp_path: Path) -> None:
+def test_a_single_command_from_a_robot_to_a_moving_arm(tmp_path: Path) -> None:
     file = tmp_path / "scara.urdf"
     file.write_text(OWN["scara"]())
     done = subprocess.run(

@@ -39,7 +39,7 @@ def untuned(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_a_drive_holds_and_moves_what_it_was_sized_for(seed: int) -> None:
+def test_a_drive_holds_and_moves_its_rated_load(seed: int) -> None:
     """For any limits in the description, or none, and from a watch to a crane."""
     draw = np.random.default_rng(seed)
     demands = []
@@ -145,7 +145,7 @@ def make_new(folder: Path, text: str, payload: float | None = None) -> tuple[New
 
 
 @pytest.mark.usefixtures("untuned")
-def test_a_makers_torque_is_kept_and_a_placeholder_is_found_joint_by_joint(
+def test_a_makers_torque_remains_and_a_placeholder_is_replaced_joint_by_joint(
     tmp_path: Path,
 ) -> None:
     # Of 70 N m at the shoulder 55 hold it: the arm is slow, the figure stays.
@@ -235,7 +235,7 @@ def test_a_placeholder_limit_is_no_limit(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
-def test_the_survey_bounds_what_poses_ask_for(tmp_path: Path) -> None:
+def test_the_survey_bounds_the_demands_of_poses(tmp_path: Path) -> None:
     """A rod on a hinge: its inertia and weight are known in closed form."""
     length, mass = 0.5, 2.0
     file = tmp_path / "rod.urdf"
@@ -249,7 +249,7 @@ def test_the_survey_bounds_what_poses_ask_for(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("untuned")
 @pytest.mark.parametrize("share", [0.005, 0.1])
-def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
+def test_a_torque_that_hardly_moves_its_joint_is_a_placeholder(
     tmp_path: Path, share: float
 ) -> None:
     """On a vertical axis no weight refutes it."""
@@ -264,7 +264,7 @@ def test_a_torque_that_hardly_turns_its_joint_is_a_placeholder(
 
 @pytest.mark.usefixtures("untuned")
 @pytest.mark.parametrize("last", [10.0, 9.0])
-def test_a_figure_of_all_joints_that_one_cannot_have_is_a_placeholder(
+def test_a_figure_of_all_joints_that_is_impossible_for_a_joint_is_a_placeholder(
     tmp_path: Path, last: float
 ) -> None:
     """10 N m do not hold the second joint; about a vertical axis nothing refutes them."""

@@ -39,7 +39,7 @@ def test_nodes_end_with_the_user_who_is_killed() -> None:
         time.sleep(0.01)
 
 
-def test_each_end_is_reported_and_the_next_network_is_of_other_processes(tmp_path: Path) -> None:
+def test_each_end_is_reported_and_the_next_network_is_of_new_processes(tmp_path: Path) -> None:
     words = ("three_axis",)
     with own_domain():
         with Bringup(*words, log=tmp_path, forked=True) as first:

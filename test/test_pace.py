@@ -47,7 +47,7 @@ def test_ticks_pass_at_the_factor_whatever_a_tick_takes(seed: int) -> None:
     assert wall.now - begun <= tick * wall_period + BEHIND + GRAIN, "lost time was made up for"
 
 
-def test_longer_stops_are_not_made_up_for() -> None:
+def test_longer_stops_are_not_caught_up() -> None:
     wall = Wall()
     pace = Pace(PERIOD, wall)
     pace.factor = 1.0

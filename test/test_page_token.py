@@ -18,7 +18,7 @@ def test_every_run_has_a_token_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
     assert all(re.fullmatch("[A-Za-z0-9_-]{22}", token) for token in tokens), "128 bits, for a path"
 
 
-def test_the_token_of_a_launcher_serves_one_page(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_token_of_a_launcher_serves_a_single_page(monkeypatch: pytest.MonkeyPatch) -> None:
     token = new_token()
     monkeypatch.setenv(VARIABLE, token)
     assert page_token() == token

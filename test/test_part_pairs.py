@@ -42,11 +42,11 @@ def test_located_events_keep_order_two(share: int, scheme: str, tmp_path: Path) 
 
 @pytest.mark.skipif(not FULL, reason="another scheme is compiled for each: make test-in-full")
 @pytest.mark.parametrize(("share", "scheme"), list(itertools.product(SHARES, AT_STEPS)))
-def test_events_at_steps_keep_order_one(share: int, scheme: str, tmp_path: Path) -> None:
+def test_events_at_steps_have_order_1(share: int, scheme: str, tmp_path: Path) -> None:
     judge(share, scheme, tmp_path)
 
 
-def test_the_machines_have_every_part_beside_and_opposite_itself_and_others() -> None:
+def test_the_machines_have_every_part_beside_and_opposite_every_part() -> None:
     """The list of pairs is drawn: each part must be in it, with all that a joint may have."""
     pairs = set().union(*map(part_pairs.pairs_of, machines()))
     assert pairs == part_pairs.all_pairs()

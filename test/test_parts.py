@@ -89,7 +89,7 @@ def out_of_bounds(key: str, number: PartNumber, data: dict[str, float]) -> list[
 
 
 @parts
-def test_numbers_are_read_as_given_or_take_their_defaults(part: type[Part]) -> None:
+def test_numbers_are_read_from_the_file_or_take_their_defaults(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 1])
     for _ in range(20):
         data = draw_section(part, rng)
@@ -101,7 +101,7 @@ def test_numbers_are_read_as_given_or_take_their_defaults(part: type[Part]) -> N
 
 
 @parts
-def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Part]) -> None:
+def test_a_number_out_of_bounds_is_refused_by_its_key_in_a_line(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 2])
     for key, number in part.numbers().items():
         data = draw_section(part, rng)
@@ -116,7 +116,7 @@ def test_a_number_out_of_bounds_is_refused_by_its_key_in_one_line(part: type[Par
 
 
 @parts
-def test_a_missing_number_and_an_unknown_one_are_refused(part: type[Part]) -> None:
+def test_a_missing_number_and_an_unknown_number_are_refused(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 3])
     data = draw_section(part, rng)
     for key, number in part.numbers().items():

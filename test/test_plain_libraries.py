@@ -149,7 +149,7 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
     assert (session.tick, session.answered, offline.session.tick) == (0, False, 0)
 
 
-def test_rows_times_steps_beyond_what_can_be_counted_are_refused(plant: Plant) -> None:
+def test_rows_times_steps_beyond_the_counter_are_refused(plant: Plant) -> None:
     """Once, 2**61 steps under each of eight rows did nothing: their product is 0 modulo 2^64."""
     rng = np.random.default_rng(2)
     before = as_bytes(plant)

@@ -34,7 +34,7 @@ def test_reset_puts_motors_along_with_the_links(plant: Plant) -> None:
     assert state.omega_m == pytest.approx(v / 0.01, rel=1e-15)
 
 
-def test_same_bits_however_the_steps_are_asked_for(plant: Plant) -> None:
+def test_same_bits_however_the_steps_are_divided(plant: Plant) -> None:
     voltage = [3.0, -20.0, 7.0]
     plant.advance(voltage, 1000)
     at_once = as_bytes(plant)
@@ -47,7 +47,7 @@ def test_same_bits_however_the_steps_are_asked_for(plant: Plant) -> None:
 
 
 @pytest.mark.parametrize("steps", [0, 1, 3, 16, 50])
-def test_same_bits_in_rows_as_one_by_one(plant: Plant, steps: int) -> None:
+def test_same_bits_in_rows_as_in_single_calls(plant: Plant, steps: int) -> None:
     rows = np.random.default_rng(1).uniform(-60.0, 60.0, (40, 3))  # beyond the supply, too
     positions = []
     for row in rows:
@@ -85,7 +85,7 @@ def test_divergence_is_caught_at_the_last_state_within_bounds() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 3, 40])
-def test_divergence_within_rows_is_that_of_one_by_one(steps: int) -> None:
+def test_divergence_within_rows_is_that_of_single_calls(steps: int) -> None:
     overrides = {"integrator.scheme": "paper", "integrator.dt": 1e-2, "servo_period": 1e-2}
     plant = Plant(load_scene("three_axis", overrides=overrides))
     rows = np.random.default_rng(2).uniform(-20.0, 20.0, (1000, 3))

@@ -60,7 +60,7 @@ def test_without_power_commands_are_nothing(
     assert not plant.powers(V).given.any()
 
 
-def test_arms_of_a_fleet_have_power_each_for_itself() -> None:
+def test_arms_of_a_fleet_have_independent_power() -> None:
     scene, V = load_scene("three_axis", {"integrator.dt": 1e-4}), np.array([9.0, -5.0, 7.0])
     fleet = Fleet(scene, 11)
     off = [0, 3, 4, 10]

@@ -130,7 +130,7 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
         assert np.abs(end[2]).max() < size, "speeds beside the truth"
 
 
-def test_the_gear_is_wound_up_by_its_torque(tmp_path: Path) -> None:
+def test_the_gear_winds_up_by_its_torque(tmp_path: Path) -> None:
     """At rest under gravity: torque, wind-up and Kg w + Kg3 w^3 agree."""
     rng = np.random.default_rng(8)
     file = write_gear(tmp_path, "rosenbrock", 1e-4)
@@ -170,7 +170,7 @@ def test_wind_up_solves_the_cubic() -> None:
 
 
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
-def test_without_a_cube_the_gear_is_the_linear_one(tmp_path: Path, scheme: str) -> None:
+def test_without_a_cube_the_gear_is_the_linear_gear(tmp_path: Path, scheme: str) -> None:
     """A part that is absent is not compiled; one of no effect changes rounding alone."""
     rng = np.random.default_rng([SCHEMES.index(scheme), 4])
     file = write_gear(tmp_path, scheme, PERIOD / 100)

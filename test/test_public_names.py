@@ -102,7 +102,7 @@ def test_records_with_arrays_are_equal_if_their_values_are() -> None:
     assert len({first["scene"], same["scene"], different["scene"]}) == 2
 
 
-def test_no_object_shows_itself_by_its_address() -> None:
+def test_no_object_prints_its_address() -> None:
     gains, plant = load_gains("three_axis"), Plant("three_axis")
     kinematics = Kinematics(plant.scene.urdf, plant.scene.joint_names, plant.scene.tool)
     fleet = Fleet("three_axis", 2)
@@ -205,7 +205,7 @@ def test_a_recording_is_a_table(tmp_path: Path) -> None:
     assert table.schema.field("q.elbow").metadata == {b"unit": b"rad"}
 
 
-def test_a_recording_is_shown_by_rerun(tmp_path: Path) -> None:
+def test_a_recording_is_readable_by_rerun(tmp_path: Path) -> None:
     """Every row, however quickly they come."""
     from rerun.chunk import RrdReader
 

@@ -267,7 +267,7 @@ def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_pat
         assert np.abs(off).max() < 0.02, f"{off} rad, more than gears wind up: {reports[heard:]}"
 
 
-def test_the_page_outlives_what_others_publish() -> None:
+def test_the_page_survives_foreign_publications() -> None:
     """Diagnostics with a breakpoint of another form, phases that do not exist, any field."""
     rng = random.Random(f"page {SEED}")
     with own_domain() as domain:

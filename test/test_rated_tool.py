@@ -104,7 +104,7 @@ def test_without_a_payload_wrists_follow_from_the_arm(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("axis", ["1 0 0", "-1 0 0"])
 @pytest.mark.parametrize("payload", [0.5, 7.0, 200.0])
-def test_a_flange_that_rolls_holds_and_turns_a_cube_beside_its_axis(
+def test_a_flange_that_rolls_holds_and_rotates_a_cube_beside_its_axis(
     payload: float, axis: str, tmp_path: Path
 ) -> None:
     """In closed form: a cube as dense as water, half an edge off the axis and off the flange."""

@@ -44,7 +44,7 @@ def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
 
 
 @pytest.mark.parametrize("seed", some(range(8), 2))
-def test_only_commands_that_are_due_are_held(seed: int) -> None:
+def test_only_commands_that_are_due_are_in_force(seed: int) -> None:
     """By the rules of docs/concepts/time.md, whichever of C and Python takes them."""
     draw, taken_in_c = random.Random(seed), 0
     with in_process("realtime") as nodes:

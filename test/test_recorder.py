@@ -281,7 +281,7 @@ def wait_until_complete(file: Path) -> tuple[dict[str, list[Any]], dict[str, str
         3,
     ),
 )
-def test_a_run_that_is_ended_leaves_a_whole_file(
+def test_a_run_that_is_ended_leaves_a_complete_file(
     tmp_path: Path, how: signal.Signals, suffix: str
 ) -> None:
     file = tmp_path / f"run{suffix}"
@@ -320,7 +320,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_full_disk_is_reported_and_leaves_a_whole_file_or_none(
+def test_a_full_disk_is_reported_and_leaves_a_complete_file_or_none(
     small_disk: Path, suffix: str
 ) -> None:
     file, run = small_disk / f"run{suffix}", load_offline_run("three_axis")
@@ -373,7 +373,7 @@ def servers() -> list[str]:
     ]
 
 
-def test_every_run_without_a_network_can_be_kept() -> None:
+def test_every_run_without_a_network_can_be_recorded() -> None:
     assert set(recording_commands()) == {"campaign", "firmware", "run", *servers()}
 
 

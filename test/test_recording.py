@@ -267,7 +267,7 @@ def test_a_recorder_in_real_time_counts_its_losses_and_the_emulators_own_record_
     assert_every_tick(tmp_path / "own", count=3000)
 
 
-def test_ctrl_c_at_any_moment_leaves_a_whole_bag(tmp_path: Path) -> None:
+def test_ctrl_c_at_any_moment_leaves_a_complete_bag(tmp_path: Path) -> None:
     """The recorder starts in one or two seconds: some moments about there."""
     draw = random.Random(6)
     with own_domain():
@@ -371,7 +371,7 @@ def test_reports_that_no_recorder_wrote_stop_nothing() -> None:
     assert recorders.names == []
 
 
-def test_recorders_are_known_before_the_network_reports_of_them() -> None:
+def test_recorders_are_registered_before_the_network_reports_of_them() -> None:
     topics = ["cell1/motor_states", "clock"]
     with own_domain():
         with RecorderPresence(None) as every, RecorderPresence(topics) as limited:

@@ -108,7 +108,7 @@ def assert_complete(bag: Path, words: list[str]) -> None:
     assert sorted(file.name for file in bag.iterdir()) == [file.name, "metadata.yaml"]
 
 
-def test_every_whole_chunk_of_a_bag_that_was_cut_anywhere_is_kept(tmp_path: Path) -> None:
+def test_every_complete_chunk_of_a_bag_that_was_cut_anywhere_remains(tmp_path: Path) -> None:
     talk(tmp_path / "whole", 500)
     file = tmp_path / "whole" / "whole_0.mcap"
     words, data, chunks = (
@@ -150,7 +150,7 @@ def test_zeros_that_a_lost_power_leaves_are_cut_off(tmp_path: Path) -> None:
     assert_complete(tmp_path / "bag", words[: sum(messages for _, messages in chunks[:-1])])
 
 
-def test_repair_states_what_it_did(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
+def test_repair_reports_its_changes(tmp_path: Path, monkeypatch: Any, capsys: Any) -> None:
     talk(tmp_path / "bag", 50)
     (tmp_path / "bag" / "metadata.yaml").unlink()
     for expected in ("50 messages, mended", "50 messages, was whole already"):
@@ -199,7 +199,7 @@ def record_until_full(
 
 @pytest.mark.parametrize("seed", some(range(40), 6))
 @pytest.mark.parametrize("recorders", [1, 2])
-def test_recorders_on_a_disk_that_becomes_full_leave_whole_bags(
+def test_recorders_on_a_disk_that_becomes_full_leave_complete_bags(
     recorders: int, seed: int, small_disk: Path
 ) -> None:
     """There is room again by then: what would be written behind a gap is not."""
@@ -296,7 +296,7 @@ for turn in range(10_000):
 
 
 @pytest.mark.parametrize("seed", some(range(60), 4))
-def test_a_recorder_killed_at_any_moment_leaves_what_repair_makes_whole(
+def test_a_recorder_killed_at_any_moment_leaves_a_bag_that_repair_completes(
     seed: int, tmp_path: Path
 ) -> None:
     code = KILLED.format(here=str(Path(__file__).parent))
@@ -319,7 +319,7 @@ def test_a_recorder_killed_at_any_moment_leaves_what_repair_makes_whole(
         assert_complete(bag, readable)
 
 
-def test_metadata_that_count_otherwise_are_written_anew(tmp_path: Path) -> None:
+def test_metadata_that_count_wrongly_are_written_again(tmp_path: Path) -> None:
     talk(tmp_path / "bag", 50)
     file = tmp_path / "bag" / "metadata.yaml"
     words, sound = words_of(tmp_path / "bag"), file.read_text()

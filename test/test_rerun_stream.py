@@ -194,7 +194,7 @@ def test_events_are_texts_at_their_times(tmp_path):
     closed.offer_text(0, "nobody looks")
 
 
-def test_the_line_goes_on_at_a_whole_second_after_a_reset(tmp_path):
+def test_the_line_goes_on_at_an_integer_second_after_a_reset(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)
     times, rows = samples(1200)
@@ -211,7 +211,7 @@ def test_the_line_goes_on_at_a_whole_second_after_a_reset(tmp_path):
     assert sorted({*expected} - {*ends.tolist()}) == [0, 2000 * MS, 3000 * MS]
 
 
-def test_values_not_measured_or_not_finite_are_not_shown(tmp_path):
+def test_values_not_measured_or_not_finite_are_left_out(tmp_path):
     file = tmp_path / "a.rrd"
     stream = RerunStream(URDF, NAMES, tool="tool", file=file, arm_rate=1000)
     times, rows = samples(5)
@@ -248,7 +248,7 @@ def test_layout_names_and_meshes_are_in_the_stream(tmp_path):
     assert ("/odd_arm/visual_geometries/a/visual_0", "Asset3D:blob") in columns
 
 
-def test_the_viewers_command_is_one_that_a_shell_finds(monkeypatch, tmp_path):
+def test_the_viewers_command_is_executable_in_a_shell(monkeypatch, tmp_path):
     """In a shell of the project by its name, in any other one by its path."""
     from arm_emulator.runs.recorder import get_viewer_command
 
@@ -436,7 +436,7 @@ def run(code):
         assert process.returncode == 0, errors.decode()
 
 
-def test_a_machine_without_rerun_is_refused_in_one_line(
+def test_a_machine_without_rerun_is_refused_in_a_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

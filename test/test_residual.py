@@ -27,7 +27,7 @@ from arm_emulator.motion.planner.tool_controller import make_controller
 from oracles.predicted_residual import predicted_residual
 
 
-def test_predicted_residual_of_one_joint_is_one_and_a_half_counts() -> None:
+def test_predicted_residual_of_a_single_joint_is_1_5_counts() -> None:
     """Waist alone, tool 0.43 m off its axis: by hand."""
     kinematics = Kinematics(
         THREE_AXIS.replace('name="shoulder" type="continuous"', 'name="shoulder" type="fixed"')
@@ -144,7 +144,7 @@ def test_gravity_adds_the_wind_up_of_the_gears() -> None:
 )
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
 @pytest.mark.parametrize("method", ["paper", "way"])
-def test_robots_move_50_mm_with_the_orientation_held(scene: str, method: str) -> None:
+def test_robots_move_50_mm_with_constant_orientation(scene: str, method: str) -> None:
     """By either method, under gravity, through the whole machine."""
     file = find_scene(scene)
     gains = load_gains(file)

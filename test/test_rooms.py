@@ -38,7 +38,7 @@ def test_every_package_and_module_has_a_floor() -> None:
     assert {f"arm_emulator.{name}" for name in inside} | outside == FLOORS
 
 
-def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -> None:
+def test_every_package_is_registered_with_import_linter_mypy_and_the_check_of_words() -> None:
     top, linter, mypy = packages(ROOT), PROJECT["importlinter"], PROJECT["mypy"]
     assert top | set(BESIDE) == set(linter["root_packages"])
     folders = {path.relative_to(ROOT).as_posix() for path in BESIDE.values()}
@@ -49,7 +49,7 @@ def test_every_package_is_known_to_import_linter_mypy_and_the_check_of_words() -
     assert rooms - {"arm_emulator.extension"} <= set(public["forbidden_modules"])
 
 
-def test_no_list_of_packages_leaves_one_out() -> None:
+def test_no_list_of_packages_is_incomplete() -> None:
     """Tests that pytest does not find, code that mypy does not, circles that nobody looks for."""
     linter, mypy, pytest = PROJECT["importlinter"], PROJECT["mypy"], PROJECT["pytest"]
     (circles,) = (

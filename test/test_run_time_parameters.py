@@ -32,7 +32,7 @@ def three_nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedNetw
         yield shared
 
 
-def test_parameters_are_set_as_a_whole_between_two_ticks_or_refused(
+def test_parameters_are_set_atomically_between_two_ticks_or_refused(
     three_nodes: SharedNetwork,
 ) -> None:
     rng = random.Random(os.environ.get("SEED", "4"))

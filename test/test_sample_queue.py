@@ -5,7 +5,7 @@ import numpy as np
 from arm_emulator.view.rerun_batches import SampleQueue
 
 
-def test_queue_keeps_order_and_counts_what_finds_no_place() -> None:
+def test_queue_keeps_order_and_counts_messages_without_a_place() -> None:
     queue = SampleQueue(capacity=8, width=2, joints=3)
     values = np.zeros((2, 3))
     for k in range(11):

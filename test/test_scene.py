@@ -100,7 +100,7 @@ def copy_scene(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(("overrides", "words"), BAD_VALUES, ids=lambda value: str(value)[:40])
-def test_bad_values_are_refused_in_one_line(overrides: dict[str, Any], words: str) -> None:
+def test_bad_values_are_refused_in_a_line(overrides: dict[str, Any], words: str) -> None:
     with pytest.raises(Refusal, match=re.escape(words)) as refusal:
         load_scene("three_axis", overrides=overrides)
     assert "\n" not in str(refusal.value)
@@ -157,7 +157,7 @@ def test_three_axis_is_the_papers_arm() -> None:
         assert moments == pytest.approx([mass * 0.05**2 / 2, across, across], rel=1e-12)
 
 
-def test_overrides_reach_one_joint_or_all() -> None:
+def test_overrides_reach_a_single_joint_or_all() -> None:
     scene = load_scene("three_axis", overrides={"joints.elbow.start": 0.1})
     assert [joint.start for joint in scene.joints] == [0.0, 0.5, 0.1]
     # The file's joints share one motor by a YAML anchor; an override of one leaves the others.

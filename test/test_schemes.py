@@ -166,7 +166,7 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
         assert state[3:, 0] == pytest.approx(exact[3:], abs=1e-11), f"link {at}"
 
 
-def test_reference_states_what_it_cannot_solve() -> None:
+def test_reference_states_the_parts_that_it_cannot_solve() -> None:
     for overrides in (
         {"joints.*.friction.coulomb": 1.0},
         {"joints.*.motor.current_limit": 1.0},

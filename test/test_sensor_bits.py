@@ -14,7 +14,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write(tmp_path_factory.mktemp("sensed")))
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_one_others(scene: Scene) -> None:
+def test_the_same_seed_gives_the_same_bits_and_a_new_seed_new_bits(scene: Scene) -> None:
     first, second, third = (
         motion(noisy(scene, seed), np.random.default_rng(6), 100) for seed in (1.0, 1.0, 2.0)
     )

@@ -43,7 +43,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write(tmp_path_factory.mktemp("sensed")))
 
 
-def test_without_errors_sensors_report_what_is_there(scene: Scene) -> None:
+def test_without_errors_sensors_report_the_truth(scene: Scene) -> None:
     plant = Plant(scene)
     reported = motion(plant, np.random.default_rng(1), 400)
     theta, q, current = truth(reported, "theta_m"), truth(reported, "q"), truth(reported, "current")
@@ -148,7 +148,7 @@ def test_a_drift_grows_with_time_and_ends_with_a_reset(scene: Scene) -> None:
             assert off == pytest.approx(0.5 * plant.t, rel=1e-9, abs=1e-12)
 
 
-def test_readings_of_a_unit_are_lost_independently_of_each_other(scene: Scene) -> None:
+def test_readings_of_a_unit_are_lost_independently(scene: Scene) -> None:
     """Each of the six channels keeps its reading in half of the ticks."""
     plant = Plant(scene)
     names = ("accelerometer", "gyroscope")
@@ -280,7 +280,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("overrides", "words"), BAD, ids=lambda value: str(value)[:50])
-def test_bad_values_are_refused_in_one_line(
+def test_bad_values_are_refused_in_a_line(
     overrides: dict[str, Any], words: str, tmp_path: Path
 ) -> None:
     with pytest.raises(Refusal, match=re.escape(words)) as refusal:
@@ -288,7 +288,7 @@ def test_bad_values_are_refused_in_one_line(
     assert "\n" not in str(refusal.value)
 
 
-def test_every_number_that_is_given_can_be_varied_within_its_bounds(scene: Scene) -> None:
+def test_every_number_of_a_sensor_can_be_varied_within_its_bounds(scene: Scene) -> None:
     names = {number.name for number in scene.varied}
     assert {f"joints.turn.encoder.{key}" for key in ERRORS} - names == {
         "joints.turn.encoder.ripple_order"  # which is structure

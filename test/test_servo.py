@@ -81,7 +81,7 @@ def test_first_update_is_bumpless() -> None:
     )
 
 
-def test_feed_forward_of_a_known_load_leaves_no_sag() -> None:
+def test_feed_forward_of_the_rest_load_leaves_no_sag() -> None:
     """Without it the load moves the motor until the integral has taken it up."""
     sag = {}
     for name, control in {"without": {}, "with": {"tau_feedforward": [20.0]}}.items():

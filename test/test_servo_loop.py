@@ -112,7 +112,7 @@ def test_a_motor_over_a_period_is_the_matrix_exponential(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_held_is_the_matrix_exponential(seed: int) -> None:
+def test_zoh_is_the_matrix_exponential(seed: int) -> None:
     rng = np.random.default_rng([seed, 2])
     n, m = rng.integers(1, 8, size=2)
     A = rng.normal(size=(n, n)) * log_uniform(rng, 1e-3, 30.0)

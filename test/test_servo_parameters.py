@@ -87,7 +87,7 @@ def test_bad_parameters_are_refused(path: str, value: object, words: str) -> Non
     assert "\n" not in str(refusal.value)
 
 
-def test_parameters_that_are_no_mapping_or_given_twice_are_refused() -> None:
+def test_parameters_that_are_no_mapping_or_repeated_are_refused() -> None:
     with pytest.raises(Refusal, match="the parameters must be a mapping"):
         ServoConfig.from_mapping([1], "test")  # type: ignore[arg-type]
     with pytest.raises(Refusal, match=r"period\.x must be given once"):

@@ -15,7 +15,7 @@ from arm_emulator.servo.servo_arm import ServoArm, Target
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -> None:
+def test_targets_go_on_with_their_speed_for_no_longer_than_a_motion_period(seed: int) -> None:
     """Targets of the control law in every tick, against q + v (t - t_target)."""
     rng = np.random.default_rng(seed)
     motion_period = float(rng.choice([0.0, 0.01, 0.05]))
@@ -36,7 +36,7 @@ def test_targets_go_on_with_their_speed_for_a_motion_period_at_most(seed: int) -
         assert drives.command(powered=True) == expected, f"voltage of tick {tick}"
 
 
-def test_targets_that_go_on_stay_within_what_a_joint_may_be_asked_for() -> None:
+def test_targets_that_go_on_stay_within_the_limits_of_a_joint() -> None:
     """At the bound of positions, outwards: no refusal within the loop, which nobody would catch."""
     largest = POSITION.most
     drives = ServoArm(ServoConfig(PERIOD, 0.05, 0.2, 2.0, 48.0, (JOINT,)))
@@ -75,7 +75,7 @@ def test_a_smooth_motion_does_not_excite_a_gear_that_resonates_at_the_rate_of_th
     assert np.abs(beside).max() < 0.12
 
 
-def test_speeds_in_steps_are_not_asked_of_the_rotor_twice() -> None:
+def test_speeds_in_steps_are_not_applied_to_the_rotor_twice() -> None:
     """Speeds of a controller that knows no accelerations: 1 rad/s from one target to the next.
 
     The acceleration of that step, 100 rad/s2, is asked for once: at most 1.8 times for a moment,

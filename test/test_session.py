@@ -88,7 +88,7 @@ def test_an_answer_is_the_same_if_its_bits_are_whatever_the_order_of_joints() ->
     assert not isinstance(refusal.value, DuplicateCommand)
 
 
-def test_step_moves_a_paused_session_by_one_tick() -> None:
+def test_step_moves_a_paused_session_by_a_tick() -> None:
     run = session()
     assert run.step() == "not paused, pause first"
     run.paused = True
@@ -99,7 +99,7 @@ def test_step_moves_a_paused_session_by_one_tick() -> None:
     assert run.tick == 2
 
 
-def test_reset_begins_anew() -> None:
+def test_reset_restarts() -> None:
     run = session(start="paused")
     run.paused = False
     first = run.state.q.copy()
@@ -159,7 +159,7 @@ def test_the_time_of_steps_is_that_of_the_core_alone() -> None:
 
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
-def test_random_offers_are_what_their_ticks_and_bits_make_them(clock: str) -> None:
+def test_random_offers_are_classified_by_their_ticks_and_bits(clock: str) -> None:
     """Against a list of the accepted commands of the run, of which the last two are known."""
     rng, run = np.random.default_rng(7), session(clock, "first_answer")
     accepted: list[tuple[int, float]] = []

@@ -51,7 +51,7 @@ def test_its_test_motion_ends_within_a_count_of_its_encoders() -> None:
     assert run("so_arm100", displacement=(-0.0032, 0.0078, 0.0248), seconds=4.0) == 0
 
 
-def test_a_link_is_shown_where_it_is_though_a_joint_has_its_name() -> None:
+def test_a_link_appears_at_its_place_though_a_joint_has_its_name() -> None:
     """The jaw is both, in many descriptions."""
     scene = load_scene("so_arm100")
     text = (CONFIG / "urdf" / "so_arm100.urdf").read_text()

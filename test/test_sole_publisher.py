@@ -144,7 +144,7 @@ def test_messages_of_strangers_do_not_change_a_motion(mover: Mover) -> None:
         assert SPEED * 0.9 < fastest < SPEED * 1.2, "the trajectory's largest speed is 0.3 rad/s"
 
 
-def test_a_reset_by_the_emulator_begins_anew(mover: Mover) -> None:
+def test_a_reset_by_the_emulator_restarts(mover: Mover) -> None:
     user = mover.user
     number = mover.move(0.6, 600)  # longer than any delay of a busy machine
     assert user.call("emulator/reset").success

@@ -54,7 +54,7 @@ def mesh_of(scene: Path) -> Path:
 
 
 @pytest.mark.usefixtures("untuned")
-def test_packages_of_a_clone_are_found_by_their_manifests(
+def test_packages_of_a_clone_are_located_by_their_manifests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = clone(tmp_path / "a clone")
@@ -67,7 +67,7 @@ def test_packages_of_a_clone_are_found_by_their_manifests(
 
 
 @pytest.mark.usefixtures("untuned")
-def test_a_mesh_of_this_shell_is_found_from_another_one(
+def test_a_mesh_of_this_shell_is_resolved_from_another_shell(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     prefix = tmp_path / "prefix"

@@ -15,7 +15,7 @@ NEEDS = dict.fromkeys(("board", "firmware"), ("elftools", "unicorn"))  # `make t
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_spoiled_file_is_taken_or_refused_in_one_line(kind: str, tmp_path: Path) -> None:
+def test_a_spoiled_file_is_taken_or_refused_in_a_line(kind: str, tmp_path: Path) -> None:
     """A sound one is taken: what is refused is refused for what was done to it."""
     for module in NEEDS.get(kind, ()):
         pytest.importorskip(module, reason="see requirements-peers.txt")

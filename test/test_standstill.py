@@ -225,7 +225,7 @@ def test_a_resumed_motion_keeps_its_limits_and_its_end(seed: int) -> None:
     assert on.duration < planned.duration - since + 2.0
 
 
-def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -> None:
+def test_a_servo_that_reports_its_state_is_waited_for_and_a_silent_servo_is_not() -> None:
     """The kind of servo is an event of the network: no state asks the graph for it."""
     files = ["--ros-args", "--params-file", str(find_config("three_axis", ".yaml", "motion"))]
     with own_domain() as domain:
@@ -286,7 +286,7 @@ def test_a_servo_that_reports_its_state_is_waited_for_and_another_one_is_not() -
             servo.destroy_node()
 
 
-def test_speeds_from_which_no_way_to_rest_is_found_hold_the_arm() -> None:
+def test_speeds_without_a_path_to_rest_hold_the_arm() -> None:
     """A motion of hours is a result of ruckig that Python has no name for."""
     scene, gains = load_scene("three_axis"), load_gains("three_axis")
     run = OfflineRun(scene, gains.servo, gains.motion)

@@ -70,7 +70,7 @@ def test_microsteps_turn_the_rotor_and_a_weight_makes_it_lag(file: Path) -> None
     assert plant.measured.applied_b == pytest.approx(current * np.sin(phi), abs=1e-12)
 
 
-def test_a_weight_above_the_torque_of_the_currents_slips(file: Path) -> None:
+def test_a_weight_above_the_torque_of_the_currents_sinks(file: Path) -> None:
     for share, holds in ((1.05, True), (0.95, False)):
         plant = damped(file)
         turn(plant, share * LOAD / KT, -0.5 * np.pi, 3000)

@@ -116,7 +116,7 @@ class LowArm:
 
 @pytest.mark.parametrize("kind", ["path", "trajectory"])
 @pytest.mark.parametrize(("name", "drop", "blend"), [("ur5", 0.2, 0.06), ("panda", 0.1, 0.03)])
-def test_a_free_way_is_gone_however_near_an_obstacle_is(
+def test_a_free_path_is_taken_however_near_an_obstacle_is(
     name: str, drop: float, blend: float, kind: str
 ) -> None:
     """Each joint that braked by itself would touch beside the way, in some periods of it."""
@@ -131,7 +131,7 @@ ENDS = ("twist", "joints", "cancel", "target below", "target above", "stream")
 
 @pytest.mark.parametrize("end", ENDS)
 @pytest.mark.parametrize("seed", some(range(12), 1))
-def test_a_motion_that_is_ended_stops_on_its_way(seed: int, end: str) -> None:
+def test_a_motion_that_is_ended_stops_on_its_path(seed: int, end: str) -> None:
     """Anything that comes on the way, at a drawn moment: nothing touches, and the arm goes on."""
     rng = np.random.default_rng(seed)
     arm = LowArm("panda", 0.1, 0.03)
@@ -202,7 +202,7 @@ def test_derivatives_at_another_pace_are_those_of_finite_differences(then: float
 
 
 @pytest.mark.parametrize("seed", some(range(60), 6))
-def test_a_motion_slows_down_on_its_way_within_its_limits(seed: int) -> None:
+def test_a_motion_slows_down_within_its_limits(seed: int) -> None:
     """Drawn ways at drawn moments: angles of the way at each time, at a pace that falls to 0."""
     rng = np.random.default_rng(seed)
     N = int(rng.integers(1, 8))

@@ -87,7 +87,7 @@ def test_files_without_a_table_are_refused_in_a_line(text: str, tmp_path: Path) 
     assert len(str(refusal.value).splitlines()) == 1, f"one line, got {refusal.value}"
 
 
-def test_tables_that_are_spoiled_at_random_are_taken_whole_or_refused(tmp_path: Path) -> None:
+def test_tables_that_are_spoiled_at_random_are_taken_in_full_or_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(16)
     taken, file = 0, tmp_path / "table.csv"
     for _ in range(200):

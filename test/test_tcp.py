@@ -52,7 +52,7 @@ def served(session: Session) -> AbstractContextManager[TcpServer]:
     return serving(TcpServer(session, port=0), session)
 
 
-def test_clients_one_after_the_other_get_the_bits_of_the_plant() -> None:
+def test_clients_in_sequence_get_the_bits_of_the_plant() -> None:
     rng, plant, session = np.random.default_rng(1), Plant(SCENE), lockstep()
     with served(session) as server:
         for turn in range(2):
@@ -75,7 +75,7 @@ def test_clients_one_after_the_other_get_the_bits_of_the_plant() -> None:
     assert session.plant.save() == plant.save()
 
 
-def test_lines_of_every_other_kind_are_refused_and_change_no_bit() -> None:
+def test_lines_of_every_invalid_kind_are_refused_and_change_no_bit() -> None:
     server, good = TcpServer(lockstep(), port=0), {"command": [1.0, 2.0, 3.0]}
     state, before = server.answer(b"{}"), server._session.plant.save()
     wrong = [

@@ -85,7 +85,7 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
 
 
 @pytest.mark.parametrize(("exchange", "depth"), some([("predict", 2), ("lag", 2), ("lag", 4)], 1))
-def test_a_deeper_exchange_costs_what_it_states(exchange: str, depth: int) -> None:
+def test_a_deeper_exchange_costs_as_it_states(exchange: str, depth: int) -> None:
     """D steps late; or led on by D differences of v, which leaves D (D + 1) / 2 second ones."""
     exact = simulate_second(plant(1))
     once, deep = (simulate_second(plant(2, 1e-4, exchange, depth=d)) - exact for d in (1, depth))
@@ -122,7 +122,7 @@ def test_a_long_chain_agrees_too(tmp_path: Path) -> None:
     assert differences[0] == pytest.approx(differences[1], abs=1e-7), "one thread and two"
 
 
-def test_a_fault_is_caught_in_two_threads_as_in_one() -> None:
+def test_a_fault_is_caught_in_two_threads_as_in_a_single_thread() -> None:
     two = plant(2, dt=1e-3)
     before = thread_count()
     overrides = {"threads": 2, "integrator.scheme": "paper"}
@@ -157,7 +157,7 @@ def test_no_thread_is_left_and_no_core_is_busy() -> None:
     assert thread_count() == before, "the plant's thread is still there"
 
 
-def test_in_real_time_no_thread_waits_for_one_that_is_less_urgent() -> None:
+def test_in_real_time_no_thread_waits_for_a_less_urgent_thread() -> None:
     """Else the motor thread, under SCHED_FIFO, spins while other work keeps the other thread."""
 
     def urgent() -> int:

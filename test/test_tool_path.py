@@ -159,7 +159,7 @@ class Arm:
 
 
 @pytest.mark.parametrize("seed", some(range(9), 3))
-def test_a_path_keeps_limits_and_place_all_the_way(seed: int) -> None:
+def test_a_path_keeps_limits_and_place_throughout(seed: int) -> None:
     rng = np.random.default_rng([seed, 4])
     arm = Arm()
     poses = [arm.drawn(rng) for _ in range(int(rng.integers(2, 5)))]
@@ -194,7 +194,7 @@ def test_a_path_takes_a_moving_arm_over_without_a_jump(seed: int) -> None:
     arm.judge(motion, np.linspace(0.0, motion.duration, 3000))
 
 
-def test_points_on_the_way_cost_no_time() -> None:
+def test_points_within_a_path_cost_no_time() -> None:
     """However finely a line is cut, it is one line: cameras and planners give many points."""
     arm = Arm()
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]]) * 0.1

@@ -86,7 +86,7 @@ def quintic(part: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("commands", some([("position",), ("position", "velocity")], 2))
 @pytest.mark.parametrize("threshold", [DEFAULT, ALWAYS])
-def test_a_trajectory_is_followed_and_then_held(
+def test_a_trajectory_is_followed_and_then_its_end_stays(
     nodes: InProcess, commands: tuple[str, ...], threshold: float
 ) -> None:
     scene = load_scene("three_axis")

@@ -139,9 +139,7 @@ NO_TORQUES = "torques must have 4 to 256 numbers within +-1e+15 N m"
     ],
     ids=range(15),
 )  # fmt: skip
-def test_a_file_that_is_no_table_is_refused_in_one_line(
-    change: dict[str, Any], printed: str
-) -> None:
+def test_a_file_that_is_no_table_is_refused_in_a_line(change: dict[str, Any], printed: str) -> None:
     with pytest.raises(Refusal) as refusal:
         load_scene("three_axis", {"joints.elbow.torque_table": GOOD | change})
     line = str(refusal.value)

@@ -86,7 +86,7 @@ def test_terms_sum_up_to_zero(tmp_path: Path) -> None:
                     assert (np.abs(sums) <= ROUNDING * largest)[elastic].all(), scene.name
 
 
-def test_each_term_is_what_others_compute(tmp_path: Path) -> None:
+def test_each_term_is_the_independent_solution(tmp_path: Path) -> None:
     scene = many_parts(tmp_path)
     plant, records = moments(scene, 2)
     model = pin.buildModelFromXML(scene.urdf)
@@ -148,7 +148,7 @@ def test_the_external_wrench_is_a_term_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", (b"", b"x" * 552))
-def test_other_bytes_are_refused(wrong: bytes) -> None:
+def test_foreign_bytes_are_refused(wrong: bytes) -> None:
     from arm_emulator.base.refusal import Refusal
 
     with pytest.raises(Refusal, match=r"Plant.restore"):

@@ -154,7 +154,9 @@ def test_a_loop_holds_a_link_that_falls(seed: int) -> None:
         assert poles.real.max() < 0.0, (share, M, K, G)
 
 
-def test_gains_of_an_arm_exceed_what_its_links_fall_with(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """As if ur5 had a tower on its shoulder: that joint alone gets more stiffness."""
     scene, servo = load_scene("ur5"), load_servo_config(CONFIG / "servo" / "ur5.yaml")
     inertias = link_inertias([scene])

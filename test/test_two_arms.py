@@ -36,7 +36,7 @@ def two_arms(apart: float, rods: tuple[float, float, float]) -> str:
 
 
 @pytest.mark.parametrize("seed", some(range(60), 12))
-def test_a_way_is_refused_where_the_arms_would_meet(seed: int) -> None:
+def test_a_path_is_refused_where_the_arms_would_meet(seed: int) -> None:
     """Held against a look at 400 configurations of each way, with parts of both arms named."""
     rng = np.random.default_rng(seed)
     rods = tuple(rng.uniform(0.15, 0.35, 3).tolist())

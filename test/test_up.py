@@ -93,7 +93,7 @@ def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) 
 
 
 @pytest.mark.parametrize("name", some(["servo", "emulator", "motion_controller"], 1))
-def test_up_ends_all_when_one_ends(name: str) -> None:
+def test_up_ends_all_processes_when_a_process_ends(name: str) -> None:
     with up() as (launcher, children):
         next(child for child in children if node_of(child) == name).kill()
         printed, complaint = launcher.communicate(timeout=PATIENCE)

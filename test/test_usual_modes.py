@@ -56,7 +56,7 @@ void ask(int joint, int open, int count, int* usual) {
 """
 
 
-def test_drives_that_state_they_are_in_usual_modes_are(tmp_path: Path) -> None:
+def test_drives_that_state_they_are_in_regular_modes_are(tmp_path: Path) -> None:
     joints = dict(zip(GANTRY, JOINTS, strict=True))
     scene = load_scene(write_scene(tmp_path, gantry_urdf(), joints))
     header = tmp_path / "c" / "ask.h"

@@ -33,7 +33,7 @@ def scene() -> Scene:
     return load_scene("three_axis", VARIED)
 
 
-def test_one_library_serves_every_value(scene: Scene) -> None:
+def test_the_same_library_serves_every_value(scene: Scene) -> None:
     unchanged, changed = Plant(scene), Plant(scene)
     changed.set_parameter(MASS, 3.0)
     heavy = dataclasses.replace(

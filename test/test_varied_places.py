@@ -87,7 +87,7 @@ def move(plant: Plant, count: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("events", ["step", "located"])
-def test_a_machine_with_set_places_moves_as_one_compiled_with_them(
+def test_a_machine_with_set_places_moves_as_a_compiled_machine(
     tmp_path: Path, deltas: Deltas, events: str
 ) -> None:
     """Motors, gears, dry friction and a wrench; its saved state goes on to the bit."""

@@ -90,7 +90,7 @@ def run(
 
 
 @pytest.mark.parametrize("seed", some(range(8), 5))
-def test_limits_hold_whatever_is_asked(seed: int) -> None:
+def test_limits_hold_for_any_target(seed: int) -> None:
     """Targets near, far and nowhere, at any time, in mid-motion, also moving ones."""
     rng = np.random.default_rng(seed)
     arm = random_arm(rng, int(rng.integers(1, 10)))
@@ -225,7 +225,7 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
     assert free
 
 
-def test_the_same_questions_have_the_same_answers_to_the_last_bit() -> None:
+def test_the_same_requests_have_the_same_results_to_the_last_bit() -> None:
     rng = np.random.default_rng(2)
     arm = random_arm(rng, 7)
     start = draw_configuration(rng, arm)
@@ -258,7 +258,7 @@ def test_an_arm_that_is_moved_by_others_is_met_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_beyond_reach_the_nearest_point_is_reported_and_the_way_back_keeps_the_elbow(
+def test_beyond_reach_the_nearest_point_is_reported_and_the_return_keeps_the_elbow(
     seed: int,
 ) -> None:
     """The three-axis arm, whose reach is known: 0.6 m about the shoulder at 0.3 m."""
@@ -303,7 +303,7 @@ def test_a_stretched_arm_gets_away(seed: int) -> None:
 
 
 @needs_robots
-def test_a_line_through_the_wrists_singular_pose_is_gone() -> None:
+def test_a_line_through_the_wrists_singular_pose_is_completed() -> None:
     loaded = load_scene("ur5")
     arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
     rng, lines = np.random.default_rng(7), 0
@@ -331,7 +331,7 @@ def test_a_line_through_the_wrists_singular_pose_is_gone() -> None:
 
 @needs_robots
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
-def test_half_turns_are_made(scene: str) -> None:
+def test_half_rotations_are_executed(scene: str) -> None:
     """About any axis, by exactly pi, where the logarithm is not continuous."""
     loaded = load_scene(scene)
     arm = Kinematics(loaded.urdf, loaded.joint_names, loaded.tool)
@@ -371,7 +371,7 @@ def test_redundant_arms_do_not_drift_over_circles(seed: int) -> None:
     assert np.abs(q - start).max() < 1e-4
 
 
-def test_a_joint_limit_in_the_way_is_gone_round() -> None:
+def test_a_joint_limit_in_the_path_is_circumvented() -> None:
     """An elbow that bends to one side only: from a pose on the other side of the base."""
     urdf = THREE_AXIS.replace(
         '<joint name="elbow" type="continuous">',

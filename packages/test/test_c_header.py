@@ -130,7 +130,7 @@ int abs(int x);
         Library("libc.so.6", (header,)).getpid()
 
 
-def test_an_array_of_other_numbers_is_no_place_for_a_struct(tmp_path: Path) -> None:
+def test_an_array_of_a_different_type_is_no_place_for_a_struct(tmp_path: Path) -> None:
     """Wrong types, orders and strides are errors, where an address would be taken for good."""
     rows = ARM.rows("arm_joint_command", 3)
     for wrong in (np.zeros(3), np.zeros(3, ARM.dtype("arm_joint_measurement"))):
@@ -175,7 +175,7 @@ def read_cache(cache: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in cache.iterdir() if file.suffix == ".cdef"}
 
 
-def test_read_headers_are_cached_and_read_anew_if_the_cache_is_spoiled(
+def test_read_headers_are_cached_and_read_again_if_the_cache_is_spoiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cache = tmp_path / "cache"

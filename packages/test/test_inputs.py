@@ -66,7 +66,7 @@ def draw_commands(seed: int, rows: int = 30) -> tuple[np.ndarray, np.ndarray]:
     return commands, along
 
 
-def test_every_declared_input_is_whole() -> None:
+def test_every_declared_input_is_complete() -> None:
     """A command first, in a mode of arm.h; of further ones what a motor got is an output."""
     declared = [kind.inputs for kind in MOTORS] + [kind.inputs for kind in DECORATORS]
     for inputs in declared:

@@ -202,7 +202,7 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
                 assert reading.present == 1
 
 
-def test_units_of_other_tools_have_all_of_it(scene: Scene) -> None:
+def test_units_of_all_tools_have_all_of_it(scene: Scene) -> None:
     output_names = {
         variable.name[0] for variable in list_variables(scene) if variable.role == "output"
     }
@@ -262,7 +262,7 @@ def test_registers_have_all_of_it_behind_those_of_every_machine(scene: Scene) ->
         converter.read(at, 1)
 
 
-def test_real_time_hands_over_the_same(scene: Scene) -> None:
+def test_real_time_passes_the_same_inputs(scene: Scene) -> None:
     session = open_real_time_session(scene, "paused")
     assert session.step() == ""
     fresh = Plant(scene)

@@ -238,7 +238,7 @@ def troubled(name: str, into: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "cycles"), [("three_axis", CYCLES), ("ur5", CYCLES // 4)], ids=["three_axis", "ur5"]
 )
-def test_controllers_take_turns_while_the_machine_is_in_trouble(
+def test_controllers_alternate_while_the_machine_is_in_trouble(
     tmp_path: Path, name: str, cycles: int, sound: Path
 ) -> None:
     controllers = troubled(name, tmp_path)
@@ -289,7 +289,7 @@ WRONG = [
 ]  # fmt: skip
 
 
-def test_wrong_descriptions_are_one_line(prefix: Path, tmp_path: Path) -> None:
+def test_wrong_descriptions_are_a_line(prefix: Path, tmp_path: Path) -> None:
     troubled("three_axis", tmp_path)
     text = (tmp_path / "three_axis.urdf").read_text()
     for old, new, why in WRONG:

@@ -333,7 +333,7 @@ def test_command_shows_the_worth_of_errors_and_writes(
     assert (integrator.scheme, f"{integrator.dt:.6g}") == (scheme, dt), "reported, and written"
 
 
-def test_a_motion_of_the_user_judges_alone(
+def test_a_motion_of_the_user_is_judged_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "mine.csv"

@@ -140,7 +140,7 @@ def test_faults_are_exact_to_the_tick(tmp_path):
     assert measures == {"q": session.state.q[2], "v": session.state.v[2]}
 
 
-def test_measures_and_functions_of_python_see_the_whole_trace(tmp_path):
+def test_measures_and_functions_of_python_get_the_full_trace(tmp_path):
     (tmp_path / "checks.py").write_text(
         "def margin(trace):\n    return 0.5 - abs(trace['error.elbow']).max() + len(trace['t'])\n"
     )
@@ -450,7 +450,7 @@ def test_a_campaign_stops_when_it_knows_enough(tmp_path):
     assert all(share["high"] - share["low"] <= 0.16 for share in facts["shares"])
 
 
-def test_the_price_is_known_beforehand(tmp_path):
+def test_the_price_is_stated_before_the_runs(tmp_path):
     done = subprocess.run(
         command(written(tmp_path, TABLE), tmp_path / "x", "--dry"), capture_output=True, text=True,
         timeout=300, check=True,
@@ -459,7 +459,7 @@ def test_the_price_is_known_beforehand(tmp_path):
     assert not (tmp_path / "x").exists()
 
 
-def test_the_page_lists_what_a_file_may_have():
+def test_the_page_lists_every_key_of_a_file():
     from arm_emulator_campaign.definition.campaign_file import KEYS
     from arm_emulator_campaign.definition.scenario import TARGET_KEYS
     from arm_emulator_campaign.evaluators import REDUCTIONS

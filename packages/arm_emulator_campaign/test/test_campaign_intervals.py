@@ -28,7 +28,7 @@ def error_of(share: float, count: int) -> float:
     return 4.0 * math.sqrt(share * (1.0 - share) / count)
 
 
-def test_intervals_of_shares_hold_what_they_state() -> None:
+def test_intervals_of_shares_cover_as_they_state() -> None:
     # Coverage summed over all outcomes.
     for share in (0.02, 0.2, 0.5):
         chance = stats.binom.pmf(range(41), 40, share)
@@ -38,7 +38,7 @@ def test_intervals_of_shares_hold_what_they_state() -> None:
 
 
 @pytest.mark.parametrize("count", [*range(1, 60), *COUNTS])
-def test_intervals_of_quantiles_hold_what_they_state(count: int) -> None:
+def test_intervals_of_quantiles_cover_as_they_state(count: int) -> None:
     """The k-th smallest of uniform numbers has a beta distribution: coverage in closed form."""
     for q in QUANTILES:
         for confidence in (0.9, 0.95, 0.99):
@@ -90,7 +90,7 @@ def test_shares_of_simulated_campaigns(count: int) -> None:
     ("confidence", "width", "share"),
     [(0.9, 0.05, 0.2044), (0.9, 0.01, 0.01), (0.95, 0.02, 0.02031), (0.99, 0.01, 0.05878)],
 )
-def test_a_campaign_that_ends_by_the_width_of_its_intervals_holds_what_it_states(
+def test_a_campaign_that_ends_by_the_width_of_its_intervals_covers_as_it_states(
     confidence: float, width: float, share: float
 ) -> None:
     """At shares where looking several times costs most: 87.6 % of 90 without the correction."""
@@ -121,7 +121,7 @@ def lognormal(rng: np.random.Generator, deviation: float, zeros: float) -> NDArr
     # Estimates that are 0 at times are products of small shares, which scatter.
     [(0.1, 0.0), (0.5, 0.0), (1.0, 0.0), (2.0, 0.0), (1.5, 0.1), (1.5, 0.45), (2.0, 0.65)],
 )
-def test_intervals_of_repetitions_hold_what_they_state(deviation: float, zeros: float) -> None:
+def test_intervals_of_repetitions_cover_as_they_state(deviation: float, zeros: float) -> None:
     rng, cases = np.random.default_rng(1), CAMPAIGNS if FULL else 150
     covered = []
     for _ in range(cases):

@@ -117,7 +117,7 @@ def test_each_run_equals_its_single_run_whatever_is_beside_it(tmp_path: Path, na
 
 
 @pytest.mark.skipif(not FULL, reason="lanes are compiled once more for it: make test-in-full")
-def test_arms_that_stick_and_drawn_gains_alike(tmp_path: Path) -> None:
+def test_arms_that_stick_and_varied_gains_alike(tmp_path: Path) -> None:
     data = changed(TABLE | JUDGED, "set", {
         "payload": 1.0,
         "integrator.events": "located",
@@ -162,7 +162,7 @@ def test_a_run_that_is_refused_leaves_those_before_it(tmp_path: Path) -> None:
     assert [*Outcomes.join(outcomes).indices] == list(range(refused)) and refused > 0
 
 
-def test_the_motion_controller_leads_runs_one_by_one(tmp_path: Path) -> None:
+def test_the_motion_controller_leads_runs_in_sequence(tmp_path: Path) -> None:
     campaign = load_campaign(written(tmp_path, MOVES))
     runs = make_simulator(campaign)
     assert isinstance(runs, Simulator)
@@ -201,7 +201,7 @@ def test_changes_that_make_no_sense_are_refused(
         FleetWay(fleet.scene, 2).set_changes(changes)
 
 
-def test_a_way_and_targets_of_another_fleet_are_refused(fleet: Fleet) -> None:
+def test_a_schedule_and_targets_of_a_different_fleet_are_refused(fleet: Fleet) -> None:
     servos = ServoFleet(fleet, load_gains("three_axis").servo)
     with pytest.raises(Refusal, match="way must be a FleetWay for this fleet"):
         fleet.follow(servos, 1, way=FleetWay(fleet.scene, 3))
@@ -224,7 +224,7 @@ def test_a_way_and_targets_of_another_fleet_are_refused(fleet: Fleet) -> None:
         servos.aim_at([0, 0], q, [0, 1, 2])
 
 
-def test_only_the_first_arms_advance_where_that_is_asked_for(fleet: Fleet) -> None:
+def test_only_the_first_arms_advance_where_that_is_requested(fleet: Fleet) -> None:
     many = Fleet(fleet.scene, fleet.lanes + 3, workers=1)
     servos = ServoFleet(many, load_gains("three_axis").servo)
     many.follow(servos, 7, arms=1)

@@ -22,7 +22,7 @@ from arm_emulator_campaign.results.pictures import (
 
 
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.99])
-def test_no_kind_of_run_hides_the_other(share: float) -> None:
+def test_no_kind_of_run_hides_another(share: float) -> None:
     """As many lines of each as there are, up to a limit, and in any part of the order both."""
     count, rng = 20_000, np.random.default_rng(3)
     columns = {name: rng.uniform(size=count) for name in "abc"}
@@ -50,7 +50,7 @@ LONG = (
 
 
 @pytest.mark.parametrize("kind", ["influences", "margins", "coordinates"])
-def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> None:
+def test_long_names_are_neither_cut_off_nor_overlap(kind: str) -> None:
     rng = np.random.default_rng(4)
     columns = {name: rng.normal(size=300) for name in LONG}
     titles = {"robustness.near": "tool_stays_within_a_tenth_of_its_tolerance", "robustness.at": "b"}
@@ -81,7 +81,7 @@ def test_long_names_are_neither_cut_off_nor_laid_over_each_other(kind: str) -> N
     )
 
 
-def test_a_text_is_broken_after_dots_and_kept_to_the_letter() -> None:
+def test_a_text_is_broken_after_dots_and_stays_the_same_to_the_letter() -> None:
     text = LONG[0]
     lines = wrap_text(text, 20).split("\n")
     assert "".join(lines) == text
@@ -90,6 +90,6 @@ def test_a_text_is_broken_after_dots_and_kept_to_the_letter() -> None:
     assert "".join(wrap_text("a" * 50, 20).split("\n")) == "a" * 50
 
 
-def test_a_unit_stays_on_one_line() -> None:
+def test_a_unit_stays_on_a_single_line() -> None:
     label = wrap_text(_add_unit("joints.shoulder.gear.stiffness", "N m/rad"))
     assert [line.replace(NO_BREAK, " ") for line in label.split("\n")][-1].endswith("[N m/rad]")

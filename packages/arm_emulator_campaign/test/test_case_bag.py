@@ -52,7 +52,9 @@ def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None
         assert list(last.effort) == simulator.session.state.gear_torque.tolist()
 
 
-def test_a_fault_that_is_left_out_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_that_is_left_out_is_detected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     definition = campaign(tmp_path, "all that varies")
     plain, kinds = RunBag.changed, []
 

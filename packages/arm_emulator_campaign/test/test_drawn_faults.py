@@ -61,12 +61,12 @@ def written(values: dict[str, float]) -> dict[str, Any]:
     return faults
 
 
-def test_every_kind_is_drawn_here() -> None:
+def test_every_kind_is_varied_here() -> None:
     assert {value["kind"] for value in FAULTS.values()} == set(list_faults())
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_drawn_faults_are_those_of_a_file_with_their_numbers(
+def test_varied_faults_are_those_of_a_file_with_their_numbers(
     campaign: Campaign, tmp_path: Path, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)

@@ -336,6 +336,6 @@ def test_arithmetic_of_signals_equals_numpy(seed):
         ("always 1 < 2", None),
     ],
 )
-def test_robustness_has_the_unit_of_what_is_compared(text, unit):
+def test_robustness_has_the_unit_of_the_compared_quantity(text, unit):
     units = {"q.a": "rad", "current.a": "A"}
     assert find_formula_unit(parse_formula(text, "c", "r"), units) == unit

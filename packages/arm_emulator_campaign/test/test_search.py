@@ -107,7 +107,7 @@ def test_intervals_from_few_runs_a_level_hold_as_often_as_they_claim(per_level):
 
 
 @pytest.mark.parametrize(("beta", "p"), [(4.753424, 1e-6), (5.997807, 1e-9)])
-def test_rare_probabilities_are_known_from_few_runs(beta, p):
+def test_rare_probabilities_are_estimated_from_few_runs(beta, p):
     _, mean, low, high, runs = run_search(Subset(), plane(beta, 20), 20)[0].rows[0]
     assert low <= p <= high and mean == pytest.approx(p, rel=0.5)
     assert high < 3.0 * low and runs <= 2e5
@@ -139,7 +139,7 @@ def bowl(z):
 
 
 @pytest.mark.parametrize("method", [CmaEs, Bayes])
-def test_falsification_finds_what_sampling_does_not(method):
+def test_falsification_reaches_failures_that_sampling_misses(method):
     pytest.importorskip(method.package[0], reason=f"pip install {method.package[1]}")
     some = method(most=400, below=-1e300)
     finding, points = run_search(some, bowl, 3)
@@ -365,7 +365,7 @@ def test_bad_searches_are_refused_in_a_line(tmp_path, search, reason):
         ),
     ],
 )
-def test_searches_are_refused_beside_what_they_cannot_have(tmp_path, change, reason):
+def test_searches_refuse_sections_that_they_cannot_have(tmp_path, change, reason):
     with pytest.raises(Refusal, match=reason):
         load_campaign(written(tmp_path, PUSHED | change))
 
@@ -382,7 +382,7 @@ def test_packages_that_are_missing_are_named(tmp_path, name, monkeypatch):
 # --------------------------------------------------------------------------------------- shrinking
 
 
-def test_the_fewest_changes_are_found():
+def test_shrinking_leaves_the_fewest_changes():
     rng = np.random.default_rng(5)
     for _ in range(200):
         names = [f"x{k}" for k in range(int(rng.integers(1, 12)))]

@@ -167,7 +167,7 @@ def test_a_level_is_reached_at_its_tick(tmp_path):
 
 
 @pytest.mark.parametrize("change", [{}, MOVES], ids=["targets", "moves"])
-def test_a_failure_of_forks_is_a_run_whose_noise_changes_on_the_way(tmp_path, change):
+def test_a_failure_of_forks_is_a_run_whose_noise_changes_after_its_start(tmp_path, change):
     """Bits of the machine where it fails, and its margin over the whole run, alone and in lanes."""
     own = {"faults.push.at": "uniform(0.01, 0.03)", "seed": "uniform(0, 1000)"}
     campaign = read(tmp_path, DRIFTS | change | {"vary": own})

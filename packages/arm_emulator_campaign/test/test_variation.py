@@ -95,7 +95,7 @@ def test_correlation_and_grids():
     assert (cube(grid, 50)[25:] == cube(grid, 25)).all()
 
 
-def test_numbers_may_follow_from_each_other():
+def test_numbers_may_follow_from_a_common_number():
     for pairs, signs in (
         ([(["x0", "x1", "x2"], 1.0)], (1, 1)),
         ([(["x0", "x1"], -1.0), (["x1", "x2"], -1.0), (["x0", "x2"], 1.0)], (-1, 1)),

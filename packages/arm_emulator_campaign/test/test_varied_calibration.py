@@ -38,7 +38,7 @@ def write_campaign(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", [Simulator, BatchSimulator])
-def test_tools_stand_by_the_drawn_places(tmp_path: Path, kind: Any) -> None:
+def test_tools_stand_by_the_pictured_places(tmp_path: Path, kind: Any) -> None:
     campaign = load_campaign(write_campaign(tmp_path))
     simulator, scene = kind(campaign), campaign.scene
     names = list(campaign.measures)

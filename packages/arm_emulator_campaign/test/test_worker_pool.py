@@ -62,7 +62,7 @@ def work_of(kills, done_before_each):
     return missing_runs, ended
 
 
-def test_another_pool_does_what_is_left():
+def test_another_pool_does_the_rest():
     work, ended = work_of(5, 2)
     assert [len(piece) for piece in work] == [12, 10, 8, 6, 4, 2]
     assert ended == [1] * 5 + [0], "a pool that was not killed is there for more work"

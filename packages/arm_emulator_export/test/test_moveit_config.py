@@ -138,14 +138,14 @@ def test_the_description_finds_its_machine_and_meshes(files: tuple[str, dict[str
             )
 
 
-def test_a_dollar_of_a_description_stays_one() -> None:
+def test_a_dollar_of_a_description_stays_a_dollar() -> None:
     scene = load_scene("three_axis")
     object.__setattr__(scene, "urdf", scene.urdf.replace('"three_axis"', '"$(a) ${b}"'))
     texts = moveit_files(scene, load_gains("three_axis").motion, "three_axis")
     assert 'name="$$(a) $${b}"' in texts["config/three_axis.urdf.xacro"]
 
 
-def test_files_are_whole(files: tuple[str, dict[str, str]]) -> None:
+def test_files_are_complete(files: tuple[str, dict[str, str]]) -> None:
     name, texts = files
     package = ET.fromstring(texts["package.xml"])
     assert package.findtext("name") == f"{name}_moveit_config" == package_name(load_scene(name))

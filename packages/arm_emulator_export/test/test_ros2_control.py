@@ -62,7 +62,7 @@ def test_varied_numbers_are_commands_with_the_scene_s_values(tmp_path: Path) -> 
     assert values["faults.elbow.gear_breaks"] == 0.0 and len(values) == 3
 
 
-def test_joints_that_follow_one_other_are_mimics_and_other_couplings_are_refused(
+def test_joints_that_follow_a_single_joint_are_mimics_and_further_couplings_are_refused(
     tmp_path: Path,
 ) -> None:
     parts, shares = ARMS["telescope"]
@@ -108,7 +108,7 @@ def test_the_package_exports_the_plugin_of_descriptions() -> None:
 
 
 @pytest.mark.parametrize(("period", "rate"), [(1e-3, 500), (2e-3, 500), (4e-3, 250), (5e-4, 500)])
-def test_controllers_wait_for_whole_servo_periods(period: float, rate: int) -> None:
+def test_controllers_wait_for_complete_servo_periods(period: float, rate: int) -> None:
     scene = load_scene("three_axis", {"servo_period": period, "integrator.dt": 5e-4})
     assert update_rate(scene) == rate
     parameters = yaml.safe_load(controllers(scene))
@@ -117,7 +117,7 @@ def test_controllers_wait_for_whole_servo_periods(period: float, rate: int) -> N
     assert tuple(trajectory["joints"]) == scene.joint_names
 
 
-def test_a_servo_period_without_a_whole_rate_is_refused() -> None:
+def test_a_servo_period_without_an_integer_rate_is_refused() -> None:
     scene = load_scene("three_axis", {"servo_period": 3e-3, "integrator.dt": 1e-3})
     with pytest.raises(Refusal, match="servo_period must divide the period of a whole rate"):
         update_rate(scene)

@@ -80,7 +80,7 @@ class Client:
         self.socket.close()
 
 
-def test_a_member_reaches_nodes_and_other_members(server: CanServer) -> None:
+def test_a_member_reaches_nodes_and_further_members(server: CanServer) -> None:
     with Client(server) as first, Client(server) as second:
         assert [first.device_type(node) for node in (1, 2, 3)] == [DEVICE_TYPE] * 3
         second.frame(0x603)  # what one asks
@@ -125,7 +125,7 @@ def test_frames_that_come_early_wait_until_the_handshake_is_read(
         assert re.fullmatch(rb"< frame 123 \S+ 05 >< frame 124 \S+  ?>", words), words
 
 
-def test_it_listens_on_this_machine_only_unless_asked() -> None:
+def test_it_listens_on_this_machine_only_by_default() -> None:
     with open_requested_bus("0", None, None, None) as (bus, name):
         assert isinstance(bus, CanServer)
         assert bus.address[0] == "127.0.0.1" and name.startswith("socketcand on 127.0.0.1:")
@@ -186,7 +186,7 @@ def test_a_member_that_sends_garbage_does_not_disturb_the_others(
     assert server.ignored > 0, "counted"
 
 
-def test_one_that_does_not_read_and_one_too_many_are_dropped(server: CanServer) -> None:
+def test_a_client_that_does_not_read_and_an_excess_client_are_dropped(server: CanServer) -> None:
     with Client(server) as client, Client(server) as deaf:
         for _ in range(60):
             deaf.send("< send 123 8 0 0 0 0 0 0 0 0 >" * 50)

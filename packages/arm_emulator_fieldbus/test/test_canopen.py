@@ -148,7 +148,7 @@ def test_mapping_is_changed_as_the_standard_states(scene: Scene) -> None:
     assert dumped(segment, 1) == fresh, "a reset of the communication restores it"
 
 
-def test_heartbeats_are_sent_and_watched(scene: Scene) -> None:
+def test_heartbeats_are_sent_and_monitored(scene: Scene) -> None:
     segment = segment_of(scene, operational=True)
     put(segment, 1, 0x1017, 0, 10, 2)
     ms = 1_000_000

@@ -118,7 +118,7 @@ def test_block_uploads_bring_every_entry_whatever_is_lost(scene: Scene, seed: in
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_block_downloads_take_the_value_only_as_a_whole(scene: Scene, seed: int) -> None:
+def test_block_downloads_take_the_value_only_when_complete(scene: Scene, seed: int) -> None:
     segment, draw = segment_of(scene), random.Random(seed)
 
     def ask(request: bytes) -> list[bytes]:
@@ -236,7 +236,7 @@ _RANGES = {
 }
 
 
-def test_data_sheet_holds_what_the_standard_names(scene: Scene) -> None:
+def test_data_sheet_has_the_keys_of_the_standard(scene: Scene) -> None:
     sheet = configparser.RawConfigParser(strict=True)
     sheet.optionxform = str  # type: ignore[assignment,method-assign]
     sheet.read_string(make_eds(segment_of(scene, 7).nodes[0], "a.eds", "a"))

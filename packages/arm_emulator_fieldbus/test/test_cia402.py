@@ -162,7 +162,7 @@ def test_random_accesses_crash_nothing_and_refused_ones_change_nothing() -> None
     drives.period(100)
 
 
-def test_a_mapping_is_taken_only_whole_and_only_of_what_can_be_mapped() -> None:
+def test_a_mapping_is_taken_only_in_full_and_only_of_mappable_objects() -> None:
     for bus, locked in ((ETHERCAT, 0x06010003), (CANOPEN, 0x08000022)):
         drives = make(bus=bus)
 
@@ -364,7 +364,7 @@ def test_libraries_of_field_buses_are_compiled_ahead_on_request(
     assert {"drives", "ethercat"} < set(units), "what is compiled"
 
 
-def test_a_joint_without_a_drive_is_refused_in_one_line() -> None:
+def test_a_joint_without_a_drive_is_refused_in_a_line() -> None:
     with pytest.raises(Refusal, match=r"servo.joint_names must name every moving joint"):
         Drives(Plant(PLAIN), load_servo_config(ROOT / "config/servo/ur5.yaml"), ETHERCAT)
 

@@ -136,7 +136,7 @@ def test_cyclic_position_goes_on_beyond_32_bits() -> None:
     assert drives.read(0, ERROR) == 0, "no following error on the way"
 
 
-def test_cyclic_velocity_turns_the_motor_at_the_speed() -> None:
+def test_cyclic_velocity_moves_the_motor_at_the_speed() -> None:
     drives = make()
     enable(drives, CSV)
     per_rad = 1024 / (2 * math.pi)
@@ -252,7 +252,7 @@ def test_a_profile_arrives_when_its_trapezoid_states(seed: int) -> None:
     )
 
 
-def test_profiles_follow_one_another_or_change_at_once() -> None:
+def test_profiles_follow_in_sequence_or_change_at_once() -> None:
     drives = make()
     enable(drives, PP)
     start = drives.read(0, ACTUAL)

@@ -182,7 +182,7 @@ def test_change_immediately_takes_a_set_point_while_the_buffer_is_full(relative:
 
 
 @pytest.mark.parametrize("mode", [CSP, CSV, PP])
-def test_an_endless_joint_turns_beyond_31_bits(mode: int) -> None:
+def test_an_endless_joint_rotates_beyond_31_bits(mode: int) -> None:
     """The position wraps at the ends of 0x607B, where 0x607D limits nothing."""
     drives = make()
     assert [drives.read(0, 0x607D, k) for k in (1, 2)] == [-LARGEST - 1, LARGEST]
@@ -206,7 +206,7 @@ def test_an_endless_joint_turns_beyond_31_bits(mode: int) -> None:
     assert drives.read(0, ERROR) == 0
 
 
-def test_a_limit_at_one_side_alone_still_holds() -> None:
+def test_a_limit_on_a_single_side_still_holds() -> None:
     drives = make()
     enable(drives, CSP)
     drives.write(0, 0x607D, 500, 2)

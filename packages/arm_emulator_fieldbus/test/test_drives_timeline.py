@@ -135,7 +135,7 @@ def test_forks_of_drives_go_on_as_if_they_were_alone() -> None:
         assert read_everything(drives) == read_everything(alone)
 
 
-def test_other_states_are_refused() -> None:
+def test_states_of_different_drives_are_refused() -> None:
     first, second = make(), make()
     for state in (second.save(), b"", None):
         with pytest.raises(Refusal, match="the same drives"):

@@ -141,7 +141,7 @@ def write_eeprom(master: Master, slave: int, word: int, value: int) -> int:
     return master.word(slave, 0x0502)
 
 
-def test_the_eeprom_reports_what_a_slave_is(master: Master) -> None:
+def test_the_eeprom_identifies_a_slave(master: Master) -> None:
     image = b"".join(eeprom(master, 0, word) for word in range(0, 1024, 4))
     crc = 0xFF
     for byte in image[:14]:
@@ -345,7 +345,9 @@ def test_interfaces_and_files_that_cannot_be_opened_are_refused(
         write_esi("three_axis", tmp_path / "nowhere" / "file.xml")
 
 
-def test_the_description_agrees_with_what_the_slaves_report(master: Master, tmp_path: Path) -> None:
+def test_the_description_agrees_with_the_reports_of_the_slaves(
+    master: Master, tmp_path: Path
+) -> None:
     import xml.etree.ElementTree as ET
 
     root = ET.fromstring(make_esi(master.segment.drives).partition("\n")[2])

@@ -39,7 +39,7 @@ def test_complete_access_reads_all_of_an_object(master: Master) -> None:
             assert master.upload(0, index, 1, complete=True) == values, f"{index:#x} from sub 1"
 
 
-def test_the_dictionary_describes_itself(master: Master) -> None:
+def test_the_dictionary_lists_its_own_entries(master: Master) -> None:
     master.preop(0)
     drives = master.segment.drives
     objects = sorted({entry.index for entry in drives.entries if entry.buses & ETHERCAT})
@@ -164,7 +164,7 @@ def test_malformed_mail_is_answered_with_its_error(
     assert master.upload(0, 0x1000), "the mailbox goes on"
 
 
-def test_a_mailbox_holds_one_message_and_repeats_it(master: Master) -> None:
+def test_a_mailbox_holds_a_single_message_and_repeats_it(master: Master) -> None:
     master.preop(0)
     assert master.one(FPRD, at(STATION, 0x1100), bytes(128))[1] == 0, "nothing to read"
     request = b"\0\x20" + bytes.fromhex("40 00 10 00") + bytes(4)
@@ -180,7 +180,7 @@ def test_a_mailbox_holds_one_message_and_repeats_it(master: Master) -> None:
     assert master.fetch(0) is None, "is not carried out twice"
 
 
-def test_datagrams_report_events_that_the_master_has_asked_for(master: Master) -> None:
+def test_datagrams_report_events_that_the_master_has_requested(master: Master) -> None:
     def events() -> int:
         back = master.segment.frame(frame((NOP, 0, b"")))
         return int(struct.unpack_from("<H", back, 24)[0])
@@ -195,7 +195,7 @@ def test_datagrams_report_events_that_the_master_has_asked_for(master: Master) -
     assert events() == 0, "until it is read"
 
 
-def test_a_mailbox_keeps_what_it_has_no_room_to_answer(master: Master) -> None:
+def test_a_mailbox_stores_a_request_until_it_has_room_to_answer(master: Master) -> None:
     master.preop(0)
     sent = 0
     while master.mail(0, b"\0\x20" + bytes.fromhex("40 00 10 00") + bytes(4)):

@@ -47,7 +47,7 @@ __all__ = ["master"]  # a fixture
 # ------------------------------------------------------------------------------------ process data
 
 
-def test_one_servo_period_passes_per_exchange_with_all_drives(master: Master) -> None:
+def test_a_servo_period_passes_per_exchange_with_all_drives(master: Master) -> None:
     tick = lambda: master.segment.drives.tick  # noqa: E731
     master.bring_up()
     start = tick()
@@ -83,7 +83,7 @@ def random_mapping(rng: np.random.Generator, entries: list[ObjectEntry]) -> list
 
 
 @pytest.mark.parametrize("seed", some(range(30), 6))
-def test_any_mapping_carries_what_it_names(master: Master, seed: int) -> None:
+def test_any_mapping_carries_the_objects_that_it_names(master: Master, seed: int) -> None:
     """Process data affect drives as the same values written through their dictionaries do."""
     rng = np.random.default_rng(seed)
     twin, drives = segment().drives, master.segment.drives
@@ -289,7 +289,7 @@ def test_a_master_finds_delays_and_sets_clocks_alike() -> None:
     ("cycle", "status"),
     [(PERIOD, (SAFEOP, 0)), (4 * PERIOD, (SAFEOP, 0)), (1_500_000, (PREOP | ERROR, 0x36))],
 )
-def test_the_cycle_of_sync0_is_whole_servo_periods(
+def test_the_cycle_of_sync0_is_an_integer_number_of_servo_periods(
     master: Master, cycle: int, status: tuple[int, int]
 ) -> None:
     for k in range(master.slaves):

@@ -179,7 +179,7 @@ def test_registers_set_faults_as_a_session_does(scene: Scene) -> None:
         (5, (*words(0.0), *words(0.0)), Code.ADDRESS),  # beyond the last
     ],
 )
-def test_registers_are_taken_whole_or_not_at_all(
+def test_registers_are_taken_all_or_none(
     scene: Scene, address: int, register_values: tuple[int, ...], code: Code
 ) -> None:
     line, converter = line_of(scene)

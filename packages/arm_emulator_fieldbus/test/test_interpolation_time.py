@@ -199,7 +199,7 @@ def test_a_target_that_rpdos_repeat_is_reached_in_the_interpolation_time() -> No
     assert demands == [20 * (n + 1) for n in range(50)]
 
 
-def test_a_target_that_changes_on_the_way_begins_a_new_line() -> None:
+def test_a_target_that_changes_in_motion_begins_a_new_line() -> None:
     drives = make()
     drives.write(0, 0x60C2, 8, 1)
     enable(drives, CSP)
@@ -212,7 +212,7 @@ def test_a_target_that_changes_on_the_way_begins_a_new_line() -> None:
 
 
 @pytest.mark.parametrize("bus", [ETHERCAT, CANOPEN])
-def test_a_mode_that_is_not_supported_is_refused_and_never_shown(bus: int) -> None:
+def test_a_mode_that_is_not_supported_is_refused_and_never_displayed(bus: int) -> None:
     """0x6502 has a bit for each mode 1 to 32; drives lack 7, interpolated position.
 
     Nanotec PD4-E: 0x6502, bit 6 is interpolated position; 0x6061 shows the mode that is active.

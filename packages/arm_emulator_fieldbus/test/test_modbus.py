@@ -167,7 +167,7 @@ def test_silent_master_loses_the_drives(scene: Scene) -> None:
     assert not converter.status & registers.WATCHDOG, "no watchdog was asked for"
 
 
-def test_reset_begins_anew(scene: Scene) -> None:
+def test_reset_restarts(scene: Scene) -> None:
     line, converter = line_of(scene)
     master, fresh = Master(line), Session(scene, "lockstep", "first_answer")
     for _ in range(10):

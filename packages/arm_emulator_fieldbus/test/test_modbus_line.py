@@ -69,7 +69,7 @@ def test_checksum_sees_every_damaged_byte_and_every_two_flipped_bits() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_frames_are_found_in_whatever_pieces_they_come(seed: int) -> None:
+def test_frames_are_recognised_in_any_pieces(seed: int) -> None:
     draw = random.Random(seed)
     receiver, sent, frames = FrameReceiver(), [], []
     stream = b""

@@ -62,12 +62,12 @@ def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", some(SHIPPED, 2))
-def test_torques_are_what_was_asked_for_on_every_joint(name: str) -> None:
+def test_torques_are_as_requested_on_every_joint(name: str) -> None:
     assert list(faults(*shipped(name))) == []
 
 
 @pytest.mark.skipif(not FULL, reason="some 60 arms are made and compiled: make test-in-full")
-def test_torques_are_what_was_asked_for_on_arms_that_are_made_new() -> None:
+def test_torques_are_as_requested_on_new_arms() -> None:
     bad, count = [], 0
     for robot in arms().values():
         if not isinstance(robot, Path):
@@ -181,7 +181,7 @@ def draw_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConf
     return load_scene(file), ServoConfig(1e-3, 0.0, 1.0, 2.0, 48.0, (servo,))
 
 
-def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
+def test_drives_behave_as_the_eigenvalues_state(tmp_path: Path) -> None:
     """In each loop, of motors slow and fast against the period, only unstable modes grow."""
     rng = np.random.default_rng(4)
     stable, grew = 0, 0
@@ -217,7 +217,7 @@ def test_drives_do_what_the_eigenvalues_state(tmp_path: Path) -> None:
     assert stable > 15 and grew > 1, f"{stable} that hold, {grew} that do not"
 
 
-def test_a_held_rotor_is_one_of_infinite_inertia() -> None:
+def test_a_locked_rotor_is_a_rotor_of_infinite_inertia() -> None:
     """The machine with a brake closed, against one whose rotor nothing turns."""
     name = "joints.elbow.motor.rotor_inertia"
     rigid = {"joints.elbow.gear.stiffness": None, "joints.elbow.gear.damping": None}
@@ -244,7 +244,7 @@ def test_without_motor_torques_an_arm_falls_as_its_links_do() -> None:
     assert upright_rate > 2.0 * SmallMotions(plant, hanging).falls, "a pendulum that stands"
 
 
-def test_check_scene_shows_all_loops_and_warns_of_what_is_withheld(tmp_path: Path) -> None:
+def test_check_scene_prints_all_loops_and_warns_of_withheld_modes(tmp_path: Path) -> None:
     for place in ("", "servo/", "motion/"):
         text = (ROOT / "config" / f"{place}ur5.yaml").read_text()
         # Drives that close no current loop: the machine of `by_voltage`.

@@ -92,7 +92,7 @@ def servo_of(scene: Scene) -> ServoConfig:
     return compute(scene, dataclasses.replace(servo, joints=joints), link_inertias([scene]))
 
 
-def test_every_kind_states_what_a_servo_must_know() -> None:
+def test_every_kind_states_the_numbers_that_a_servo_needs() -> None:
     for kind in MOTORS:
         for name in ("servo_data", "torque_per_command", "largest_command", "reflect_to_link"):
             assert name in vars(kind), f"{kind.__name__} states no {name}"
@@ -238,7 +238,7 @@ def test_a_drive_without_limits_is_refused_on_a_field_bus() -> None:
         FieldBus(Plant(scene), dataclasses.replace(servo, joints=joints), ETHERCAT)
 
 
-def test_files_refuse_data_that_contradict_each_other() -> None:
+def test_files_refuse_contradictory_data() -> None:
     good = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
     plain = {
         **{key: getattr(good, key) for key in

@@ -29,7 +29,7 @@ CASES = CASES if FULL else some([("scara", kind) for kind in KINDS if kind != "d
 
 
 @pytest.mark.parametrize("kind", SIZED_MOTORS, ids=lambda kind: kind.kind)
-def test_every_kind_gives_the_torque_that_was_asked_for(kind: type[Motor]) -> None:
+def test_every_kind_gives_the_requested_torque(kind: type[Motor]) -> None:
     """At its limit, and at full speed within its supply: by what it declares of itself."""
     rng = np.random.default_rng(2)
     for _ in range(50):
@@ -85,7 +85,7 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
         enabled(scene, gains.servo)
 
 
-def test_an_unknown_kind_is_refused_with_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_kind_is_refused_with_the_valid_kinds(tmp_path: Path) -> None:
     robot = tmp_path / "scara.urdf"
     robot.write_text(OWN["scara"]())
     valid = ", ".join(KINDS)

@@ -205,7 +205,7 @@ def test_a_wrong_value_is_refused_with_its_place(path: tuple[str, ...], tmp_path
 
 
 @pytest.mark.parametrize("seed", some(range(40), 7))
-def test_any_change_of_a_board_is_read_or_refused_in_one_line(seed: int, tmp_path: Path) -> None:
+def test_any_change_of_a_board_is_read_or_refused_in_a_line(seed: int, tmp_path: Path) -> None:
     """Keys that go, come, change places or get any other value: nothing but a refusal."""
     rng = np.random.default_rng([1, seed])
     all_places = places(FULL)
@@ -306,7 +306,7 @@ def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: P
         ([str(EXAMPLE), "x.elf", "--scene", "ur5"], "x.elf: file must be readable"),
     ],
 )
-def test_the_command_refuses_in_one_line(
+def test_the_command_refuses_in_a_line(
     words: list[str], line: str, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
     monkeypatch.setattr("sys.argv", ["arm_emulator", "firmware", *words])

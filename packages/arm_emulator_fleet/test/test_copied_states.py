@@ -52,7 +52,7 @@ def states(fleet: Fleet) -> list[bytes]:
     ],
     ids=range(5),
 )
-def test_chosen_arms_continue_from_one(
+def test_chosen_arms_continue_from_a_saved_arm(
     device: str | None, arms: Any, chosen: Iterable[int], scene: Scene
 ) -> None:
     fleet = move(scene, device, 1)

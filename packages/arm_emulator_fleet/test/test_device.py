@@ -218,7 +218,7 @@ def test_no_threads_do_nothing(device: Device, kernels: Path) -> None:
     module.launch("scale", 0, scaled(array, 1.0, 1))
 
 
-def test_arguments_arrive_as_what_they_are(device: Device, kernels: Path) -> None:
+def test_arguments_arrive_with_their_types(device: Device, kernels: Path) -> None:
     module = device.load(kernels.read_bytes())
     result = DeviceArray((2, 3), "f8", device)
     for number in (0, 1, -1, 2**53, -(2**63)):
@@ -291,7 +291,9 @@ def test_a_variable_of_the_source_is_read_and_written(device: Device, kernels: P
         module.global_memory("nothing")
 
 
-def test_modules_of_one_file_have_variables_of_their_own(device: Device, kernels: Path) -> None:
+def test_modules_of_the_same_file_have_variables_of_their_own(
+    device: Device, kernels: Path
+) -> None:
     for image in (kernels, kernels.read_bytes()):
         modules = [device.load(image) for _ in range(3)]
         places = [module.global_memory("offsets") for module in modules]
@@ -338,7 +340,7 @@ def test_a_module_describes_its_kernels(cards: SimpleNamespace, kernels: Path) -
         module.launch("scale", 5, b"1", block=513)
 
 
-def test_shared_memory_beyond_48_kb_is_asked_for(cards: SimpleNamespace, kernels: Path) -> None:
+def test_shared_memory_beyond_48_kb_is_requested(cards: SimpleNamespace, kernels: Path) -> None:
     module, array = cards.open().load(kernels), DeviceArray(4, "f8", cards.open())
     for size, is_requested in ((48 << 10, False), ((48 << 10) + 1, True), (200 << 10, True)):
         cards.stub.calls.stub_forget()
@@ -451,7 +453,7 @@ def test_a_card_is_opened_once(cards: SimpleNamespace) -> None:
     assert len(retained) == 2
 
 
-def test_the_processor_is_one_device() -> None:
+def test_the_processor_is_a_single_device() -> None:
     """So that arrays of several fleets are shared among them."""
     assert open_device("Fleet", "processor") is open_device("Fleet", "processor")
 
@@ -473,7 +475,7 @@ def test_no_such_device(name) -> None:
         open_device("Fleet", name)
 
 
-def test_no_driver_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_driver_is_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda_device, "LIBRARY", "libno_cuda.so.1")
     monkeypatch.setattr(cuda_device, "_CARDS", {})
     with pytest.raises(Refusal) as refused:

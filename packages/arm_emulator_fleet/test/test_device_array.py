@@ -168,7 +168,7 @@ def test_numbers_are_converted_without_loss_of_their_kind(device: Device) -> Non
     np.testing.assert_array_equal(array.numpy(), [4.0, 5.0, 6.0])
 
 
-def test_rows_of_an_array_are_copied_to_its_other_rows(device: Device) -> None:
+def test_rows_of_an_array_are_copied_to_its_further_rows(device: Device) -> None:
     numbers = draw(shape=(6, 2))
     array = place(device, numbers)
     array[1:5] = array[0:4]
@@ -176,7 +176,7 @@ def test_rows_of_an_array_are_copied_to_its_other_rows(device: Device) -> None:
     np.testing.assert_array_equal(array.numpy(), numbers)
 
 
-def test_numpy_gets_copies_alone_of_itself(device: Device) -> None:
+def test_numpy_gets_copies_alone(device: Device) -> None:
     array = place(device, np.arange(3.0))
     assert np.asarray(array, "f4").dtype == "f4"
     with pytest.raises(ValueError, match=r"from_dlpack shares it"):
@@ -242,7 +242,7 @@ def test_memory_lives_until_the_consumer_is_done(device: Device, version) -> Non
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_memory_lives_as_long_as_a_capsule_that_nobody_used(device: Device, version) -> None:
+def test_memory_lives_as_long_as_an_unused_capsule(device: Device, version) -> None:
     array = place(device, np.arange(20.0))
     memory = weakref.ref(array.memory)
     capsule = array.__dlpack__(max_version=version)
@@ -264,7 +264,7 @@ def test_memory_lives_as_long_as_an_array_of_numpy() -> None:
     assert memory() is None
 
 
-def test_a_copy_is_one_where_it_is_asked_for(device: Device) -> None:
+def test_a_copy_is_returned_where_it_is_requested(device: Device) -> None:
     array = place(device, np.arange(4.0))
     used = Consumer(array.__dlpack__(copy=True, max_version=(1, 0)))
     assert used.pointer != array.pointer and used.flags == 2
@@ -424,7 +424,7 @@ def test_an_array_on_another_card_is_copied(cards: SimpleNamespace) -> None:
         as_device_array(second, ByInterface(array))
 
 
-def test_strided_arrays_of_others_are_refused_in_one_line(cards: SimpleNamespace) -> None:
+def test_strided_foreign_arrays_are_refused_in_a_line(cards: SimpleNamespace) -> None:
     card = cards.open()
     foreign = ByInterface(place(card, np.arange(6.0)), strides=(16,), shape=(3,))
     with pytest.raises(Refusal, match=r"as_device_array: values must be an array of numbers"):

@@ -639,7 +639,7 @@ def test_more_arms_than_a_card_has_room_for(located: Scene, fleet_cards: Stub) -
     pair.assert_alike("a fleet that did not fit")
 
 
-def test_fleets_on_one_card_and_on_two_do_not_touch_each_other(
+def test_fleets_on_the_same_card_and_on_two_are_independent(
     located: Scene, fleet_cards: Stub
 ) -> None:
     pairs = [

@@ -122,14 +122,14 @@ def test_files_are_compiled_ahead_into_a_folder(tmp_path: Path) -> None:
 
 
 @needs_clang
-def test_an_error_in_the_kernels_is_one_line() -> None:
+def test_an_error_in_the_kernels_is_a_line() -> None:
     with pytest.raises(Refusal, match=r"test: compiler \S+ must compile the kernels, got exit code "
                                       r"1: unit.cu:\d+:\d+: error: .*no_such_name"):  # fmt: skip
         load_ptx(make_unit("\nint x = no_such_name;\n"), "sm_90")
 
 
 @needs_clang
-def test_kernels_restore_what_the_processor_has_saved() -> None:
+def test_kernels_restore_states_that_the_processor_has_saved() -> None:
     """The fingerprint of a machine does not depend on the device."""
     unit = make_unit('\nextern "C" { unsigned long long mark = ARM_FINGERPRINT; }\n')
     source = unit.source.replace("unsigned", "__attribute__((device)) unsigned")
@@ -263,7 +263,7 @@ def test_ptxas_gets_the_ptx_of_the_kernels(monkeypatch: pytest.MonkeyPatch, tmp_
 
 
 @needs_clang
-def test_one_source_is_loaded_by_either_device(
+def test_the_same_source_is_loaded_by_either_device(
     cards: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unit = replace(make_unit(), more=("scale", "take"))

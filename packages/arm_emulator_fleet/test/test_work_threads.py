@@ -32,7 +32,7 @@ class Clock:
 @pytest.mark.parametrize(
     ("of_share", "of_all", "shared"), [(1e-4, 4e-3, True), (4e-3, 2e-4, False)]
 )
-def test_work_goes_the_way_that_was_quicker(
+def test_work_is_divided_as_was_quicker(
     of_share: float, of_all: float, shared: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shares, clock = WorkThreads(ALL, 8, 2), Clock(monkeypatch, of_share, of_all)
@@ -71,7 +71,7 @@ def test_short_work_stays_in_the_calling_thread(monkeypatch: pytest.MonkeyPatch)
     shares.end()
 
 
-def test_the_calling_thread_does_what_nobody_else_takes() -> None:
+def test_the_calling_thread_does_the_remaining_work() -> None:
     """The other thread is busy: nothing waits for it."""
     shares, free = WorkThreads(ALL, 8, 2), threading.Event()
     done: list[int] = []

@@ -118,7 +118,7 @@ def test_a_unit_moves_as_plant_does_to_the_last_bit(fmu: Fmu, plant: Plant, seed
 
 
 @pytest.mark.parametrize("seed", some(range(20), 5))
-def test_a_state_that_was_kept_goes_on_with_equal_bits(fmu: Fmu, seed: int) -> None:
+def test_a_saved_state_goes_on_with_equal_bits(fmu: Fmu, seed: int) -> None:
     """Within an instance, in another one, in a new one; kept at any time of its life."""
     rng = np.random.default_rng(seed)
     original = moved(fmu, seed) if seed % 5 else Instance(fmu)
@@ -209,7 +209,7 @@ def test_inputs_out_of_bounds_are_discarded(fmu: Fmu) -> None:
     assert early.set("start.v", [0.0, -1e7]) == DISCARD, early.printed
 
 
-def test_a_divergence_is_reported_and_hurts_nobody_else(fmu: Fmu) -> None:
+def test_a_divergence_is_reported_and_leaves_the_rest_unharmed(fmu: Fmu) -> None:
     unaffected, expected = moved(fmu, 7), moved(fmu, 7)
     diverging = Instance(fmu, logging=False)
     set_all(diverging, {"start.v": [9e5, 9e5], MASS: 1e15})
@@ -236,7 +236,7 @@ def test_a_divergence_is_reported_and_hurts_nobody_else(fmu: Fmu) -> None:
     assert diverging.everything() == new.everything(), "a reset makes it sound again"
 
 
-def test_instances_in_threads_do_not_notice_each_other(fmu: Fmu) -> None:
+def test_instances_in_threads_are_independent(fmu: Fmu) -> None:
     """ctypes lets go of Python's lock during a call."""
 
     def drive(seed: int) -> dict[str, bytes]:
@@ -324,7 +324,7 @@ def test_messages_go_to_their_categories(fmu: Fmu) -> None:
     assert instance.call("SetDebugLogging", True, 1, unknown) == ERROR, instance.printed
 
 
-def test_any_calls_in_any_order_hurt_nobody(fmu: Fmu) -> None:
+def test_any_calls_in_any_order_do_no_harm(fmu: Fmu) -> None:
     """The same under sanitizers: `test_sanitizers_find_nothing`."""
     statuses = abuse(np.random.default_rng(0), fmu, 30_000 if FULL else 2500)
     assert min(statuses[status] for status in (OK, DISCARD, ERROR)) > 20, statuses

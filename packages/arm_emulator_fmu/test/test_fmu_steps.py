@@ -39,7 +39,7 @@ def random_lengths(seed: int) -> list[float]:
     ],
     ids=lambda lengths: f"{len(lengths)}x{lengths[0]:.3g}",
 )
-def test_steps_of_any_length_move_as_plant_with_the_inputs_held(
+def test_steps_of_any_length_move_as_plant_with_zoh_inputs(
     fmu: Fmu, plant: Plant, lengths: list[float]
 ) -> None:
     """A servo period has the inputs of the step in which it begins; outputs are those of ticks."""

@@ -62,7 +62,7 @@ def readings(line: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("period", [1_000_000, 4_000_000])
-def test_each_loop_does_what_it_is_commanded(folder: Path, period: int) -> None:
+def test_each_loop_obeys_its_command(folder: Path, period: int) -> None:
     lines = run(folder, period)
     assert lines == run(folder, period)  # to the last bit
     worst, moved, held, early, late, effort = lines[:6]
@@ -91,7 +91,7 @@ def test_switches_of_loops_drives_and_power_leave_every_reading_finite(folder: P
     assert last == "time 10000000000"
 
 
-def test_refusals_are_one_line(folder: Path) -> None:
+def test_refusals_are_a_line(folder: Path) -> None:
     valid = "valid: waist, shoulder, elbow"
     line = f"three_axis: joint must be one of the arm, got no_such_joint; {valid}"
     assert run(folder, 1_000_000, cycles=1)[-1] == line

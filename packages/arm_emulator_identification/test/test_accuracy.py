@@ -220,7 +220,7 @@ def accuracy_test() -> AccuracyTest:
                         held=8, tracker=15e-6, tracker_angle=np.inf, seed=1)  # fmt: skip
 
 
-def test_a_controller_with_what_was_found_reaches_its_poses(
+def test_a_calibrated_controller_reaches_its_poses(
     tmp_path: Path, accuracy_test: AccuracyTest
 ) -> None:
     """As near as without deviations, up to the fit's accuracy; before it misses by millimetres."""
@@ -262,7 +262,7 @@ def test_motion_control_takes_the_place_of_links_by_counts_and_wind_up(tmp_path:
     assert rest.q == pytest.approx(arm.run.session.state.q, abs=2e-4)
 
 
-def test_the_command_states_what_it_has_measured(
+def test_the_command_prints_its_measurements(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = own_three_axis(tmp_path, "")

@@ -66,7 +66,7 @@ def test_effects_that_a_scene_lacks_are_named_and_widen_the_deviations(
     assert inside >= 0.85, f"{inside} of the numbers within two deviations"
 
 
-def test_a_few_spikes_are_found_one_by_one() -> None:
+def test_a_few_spikes_are_detected_singly() -> None:
     rng = np.random.default_rng(4)
     driven, values = changed(MACHINES["three_axis"](), rng)
     run = make_record(driven, 5, 4.0, 2e-6, 0.03, values)

@@ -156,7 +156,7 @@ def test_a_table_reads_as_the_archive(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.tau, RUN_A.tau)
 
 
-def test_the_shipped_machine_is_near_what_identify_makes_of_run_a(
+def test_the_shipped_machine_is_near_the_identification_of_run_a(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From run A alone; free runs have moved the shipped one a little since."""

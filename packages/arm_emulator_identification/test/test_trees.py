@@ -122,7 +122,7 @@ def test_a_driven_tree_keeps_the_order_of_its_scheme(tmp_path: Path, scheme: str
     assert errors[1] < {1: 1e-4, 2: 1e-7}[order], "error [rad or m]"
 
 
-def test_a_wrench_acts_on_the_way_to_its_link_alone(tmp_path: Path) -> None:
+def test_a_wrench_acts_on_the_path_to_its_link_alone(tmp_path: Path) -> None:
     """J^T w of Pinocchio, on the link of each joint."""
     scene = load_scene(driven_tree(tmp_path))
     plant, oracle, rng = Plant(scene), Oracle(scene), np.random.default_rng(2)

@@ -22,7 +22,7 @@ def rows(begin: int, end: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", some(range(50), 8))
-def test_the_newest_rows_stand_one_by_one_and_the_run_is_thinned_evenly(seed: int) -> None:
+def test_the_newest_rows_are_complete_and_the_run_is_thinned_evenly(seed: int) -> None:
     draw, history, end = random.Random(seed), LiveHistory(KIND), 0
     last = draw.choice((50, 3000, 9000, 60_000))
     while end < last:
@@ -43,7 +43,7 @@ def test_the_newest_rows_stand_one_by_one_and_the_run_is_thinned_evenly(seed: in
         assert newest_rows["t"][0] >= 1e-3 * (last - 1) - seconds
 
 
-def test_a_machine_that_begins_anew_has_no_rows_of_before() -> None:
+def test_a_machine_that_restarts_has_no_rows_of_before() -> None:
     history = LiveHistory(KIND)
     history.add(rows(0, 500))
     history.add(np.concatenate([rows(500, 600), rows(0, 20)]))

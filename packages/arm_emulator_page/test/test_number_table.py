@@ -32,10 +32,10 @@ def test_numbers_have_equal_decimals() -> None:
     assert {len(cell.partition(".")[2]) for cell in cells} == {DECIMALS}
 
 
-def test_a_number_beyond_the_decimals_is_shown_with_its_magnitude() -> None:
+def test_a_number_beyond_the_decimals_is_printed_with_its_magnitude() -> None:
     cells = [row[1] for row in rows_of([1e-6, -2.5e7, math.nan, -0.0])[2:]]
     assert cells == ["1.0e-06", "-2.5e+07", "-", "0.0000"]
 
 
-def test_counts_are_whole() -> None:
+def test_counts_are_integers() -> None:
     assert rows_of([0.0])[2][-1] == "-228991"

@@ -117,12 +117,12 @@ def test_any_request_has_an_answer() -> None:
     (0, "127.0.0.1", 0), ("8080", "127.0.0.1", 8080), ("0.0.0.0:80", "0.0.0.0", 80),
     ("[::1]:8080", "::1", 8080), ("arm.local:1", "arm.local", 1),
 ])  # fmt: skip
-def test_an_address_is_a_port_and_perhaps_a_host(text: str | int, host: str, port: int) -> None:
+def test_an_address_is_a_port_with_an_optional_host(text: str | int, host: str, port: int) -> None:
     assert PageAddress.of(text) == PageAddress(host, port)
 
 
 @pytest.mark.parametrize("text", ["", "host", "host:", "1:x", "70000", "-1", "127.0.0.1:70000"])
-def test_other_addresses_are_refused(text: str) -> None:
+def test_foreign_addresses_are_refused(text: str) -> None:
     with pytest.raises(Refusal, match=r"must be \[HOST:\]PORT|port must be"):
         PageAddress.of(text)
 
@@ -136,7 +136,7 @@ def test_a_host_of_another_machine_and_a_taken_port_are_refused() -> None:
             PageAddress.of(port).free()
 
 
-def test_a_page_for_other_machines_is_asked_for_by_addresses_and_by_its_own_name() -> None:
+def test_a_page_for_foreign_machines_is_reached_by_addresses_and_by_its_own_name() -> None:
     every = PageAddress.of("0.0.0.0:0")
     assert all(map(every.is_asked_by, ("192.168.1.5", "fe80::1", "localhost", every.name)))
     assert not any(map(every.is_asked_by, ("evil.example", "192.168.1.5.evil.example", "", None)))

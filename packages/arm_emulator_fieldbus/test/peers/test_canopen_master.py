@@ -62,7 +62,7 @@ def wait_until(there: Any, condition: str) -> None:
         time.sleep(0.001)
 
 
-def test_scan_and_upload_of_the_whole_dictionary(tmp_path: Path) -> None:
+def test_scan_and_upload_of_the_full_dictionary(tmp_path: Path) -> None:
     """All nodes are found, and every entry is read by its data sheet as the drive has it."""
     segment = load_segment("three_axis", 10)
     write_eds("three_axis", tmp_path)
@@ -144,7 +144,7 @@ def test_profile_position_in_real_time_by_sdo_alone(tmp_path: Path) -> None:
     assert segment.fault is None
 
 
-def test_page_shows_what_happens(tmp_path: Path) -> None:
+def test_page_shows_the_real_output(tmp_path: Path) -> None:
     """The master of docs/how_to/canopen.md, in another process than the nodes."""
     page = page_of("canopen").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)

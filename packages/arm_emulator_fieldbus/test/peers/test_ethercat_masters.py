@@ -154,7 +154,7 @@ def listed(name: str, objects: list[int]) -> set[int]:
 
 
 @pytest.mark.parametrize("name", MASTERS)
-def test_a_master_finds_the_drives_and_uploads_the_whole_dictionary(
+def test_a_master_detects_the_drives_and_uploads_the_full_dictionary(
     name: str, cable: Cable, tmp_path: Path
 ) -> None:
     drives = ur5().drives

@@ -115,7 +115,7 @@ def test_wrong_requests_are_answered_with_exceptions(tmp_path: Path) -> None:
         assert master.read_input_registers(1000, count=3).registers == [1, 0, 0]
 
 
-def test_page_shows_what_happens(tmp_path: Path) -> None:
+def test_page_shows_the_real_output(tmp_path: Path) -> None:
     """The master of docs/how_to/modbus.md."""
     page = page_of("modbus").read_text()
     blocks = re.findall(r"(?:^    .*\n|^\n)+", page, re.M)

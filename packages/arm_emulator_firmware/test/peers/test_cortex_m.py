@@ -142,7 +142,7 @@ def test_ten_runs_are_equal(built: Callable[..., Path], ur5: Scene) -> None:
     assert len(outcomes) == 1, "states, instructions and cycles of ten runs"
 
 
-def test_two_chips_know_nothing_of_each_other(built: Callable[..., Path], ur5: Scene) -> None:
+def test_two_chips_are_independent(built: Callable[..., Path], ur5: Scene) -> None:
     elf = built("asleep.elf")
     table = random_table(np.random.default_rng(3), ur5, 50)
     alone = states(TableRun(ur5, table, chip_of(ur5, elf)), 60)

@@ -335,7 +335,7 @@ int main(void) {{
     assert len(times) == 8 * 168_000 // (load + 1), "ticks in 8 ms"
 
 
-def test_firmware_that_waits_where_no_time_passes_ends_in_one_line(tmp_path: Path) -> None:
+def test_firmware_that_waits_where_no_time_passes_ends_in_a_line(tmp_path: Path) -> None:
     text = "int main(void) { SYSTICK_LOAD = 99; SYSTICK_CTRL = 5;"
     text += " while (!(SYSTICK_CTRL & 1u << 16)) continue; for (;;) sleep(); }"
     board = write_board(tmp_path, cycles_per_instruction=0, cycles_per_branch=0)

@@ -255,7 +255,7 @@ CULPRITS = {
 
 
 @pytest.mark.parametrize("kind", CULPRITS)
-def test_a_fault_ends_the_run_in_one_line_with_its_function(kind: str, tmp_path: Path) -> None:
+def test_a_fault_ends_the_run_in_a_line_with_its_function(kind: str, tmp_path: Path) -> None:
     rng = np.random.default_rng([6, *kind.encode()])
     text, words = CULPRITS[kind]
     hole = int(rng.choice([0, 0x1000, 0x08200000, 0x30000000, 0x90000000])) + 4 * int(
@@ -299,7 +299,7 @@ def tiny_awake(elf: Path, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_any_bits_are_run_or_end_in_one_line_twice_alike(seed: int, tmp_path: Path) -> None:
+def test_any_bits_are_run_or_end_in_a_line_twice_alike(seed: int, tmp_path: Path) -> None:
     """Flash full of random halfwords, half of them instructions that do much."""
     rng = np.random.default_rng([9, seed])
     flash, entries = 0x08000000, 98

@@ -44,7 +44,7 @@ def module(card: Device) -> Module:
     return load_kernels(card, make_unit(ADDRESS))
 
 
-def test_the_card_names_itself(card: Device) -> None:
+def test_the_card_reports_its_name(card: Device) -> None:
     print(f"{card.name}, {card.architecture}, {card.units} multiprocessors")
     assert card.architecture.startswith("sm_") and card.units > 0
     assert card is open_device("test", "gpu:0")

@@ -305,7 +305,9 @@ def test_the_servo_of_the_page_moves_the_arm(unit: Path) -> None:
     assert done.stdout.strip() == "q [rad]: [0.2 0.5 0.8]", done.stdout
 
 
-def test_units_of_two_scenes_live_in_one_program(unit: Path, rich: Path, tmp_path: Path) -> None:
+def test_units_of_two_scenes_live_in_the_same_program(
+    unit: Path, rich: Path, tmp_path: Path
+) -> None:
     """Each calls its own machine, though their functions have the same names for all to see."""
     files = unit, rich
     together = [
@@ -320,7 +322,7 @@ def test_units_of_two_scenes_live_in_one_program(unit: Path, rich: Path, tmp_pat
     assert together[1].everything() == alone.everything(), "as if it were alone"
 
 
-def test_one_command_compiles_the_sources(unit: Path, unpacked: Path, tmp_path: Path) -> None:
+def test_a_single_command_compiles_the_sources(unit: Path, unpacked: Path, tmp_path: Path) -> None:
     """The compilation of its page; the result goes on from a state of the shipped binary."""
     page = (unpacked / "documentation" / "index.html").read_text()
     command = html.unescape(re.findall(r"<pre>(.*?)</pre>", page, re.S)[0])

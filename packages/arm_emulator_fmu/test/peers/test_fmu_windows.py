@@ -88,7 +88,7 @@ def test_it_moves_under_wine_as_under_linux(unit: Fmu, tmp_path: Path) -> None:
         assert np.abs(np.array(q) - instance.get("truth.q")).max() < AS_LINUX, f"angles at {time} s"
 
 
-def test_without_a_cross_compiler_it_states_what_to_install(
+def test_without_a_cross_compiler_it_names_the_missing_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from arm_emulator.machine.scene.scene import load_scene

@@ -21,7 +21,7 @@ UNREADABLE = '<visual><geometry><mesh filename="file:///no/such.stl"/></geometry
 @pytest.mark.parametrize(
     ("shape", "words"), [("", "the robot description has none"), (UNREADABLE, "/no/such.stl")]
 )
-def test_an_arm_without_readable_shapes_is_shown_by_its_tool(shape: str, words: str) -> None:
+def test_an_arm_without_readable_shapes_appears_as_its_tool(shape: str, words: str) -> None:
     scene = dataclasses.replace(SCENE, true_urdf=VISUAL.sub(shape, SCENE.true_urdf))
     assert scene.true_urdf != SCENE.true_urdf
     with_shapes, bare = (ArmScene(MagicMock(), scene) for scene in (SCENE, scene))

@@ -205,7 +205,7 @@ def test_a_handle_that_is_dragged_pulls_at_its_link(live: Live, browser: Any) ->
     page.context.close()
 
 
-def test_rows_that_found_no_room_are_counted_on_the_page(live: Live, browser: Any) -> None:
+def test_rows_without_room_are_counted_on_the_page(live: Live, browser: Any) -> None:
     page = opened(browser, live.url, play="Pause")
     live.take(dropped=17)
     live.shows(page, "17 ticks not shown")
@@ -249,7 +249,7 @@ def client(url: str) -> Iterator[Any]:
         yield connection
 
 
-def test_a_browser_that_stops_reading_holds_up_nobody_and_costs_no_memory(
+def test_a_browser_that_stops_reading_blocks_no_process_and_costs_no_memory(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The other one gets every picture, and nothing is kept for the first."""

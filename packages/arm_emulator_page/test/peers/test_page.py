@@ -128,7 +128,7 @@ def test_a_malformed_request_is_the_fault_of_the_client(served: Served, head: st
     assert answer(served.url)[0] == 200, "the page goes on"
 
 
-def test_other_machines_come_only_where_the_page_is_served_to_them(served: Served) -> None:
+def test_foreign_machines_connect_only_where_the_page_is_served_to_them(served: Served) -> None:
     """127.0.0.2 stands for them: an address of this machine that the page is not served at."""
     port = served.url.split(":")[2].partition("/")[0]
     with pytest.raises(urllib.error.URLError, match="refused"):
@@ -148,7 +148,7 @@ def test_other_machines_come_only_where_the_page_is_served_to_them(served: Serve
         every.stop()
 
 
-def test_no_other_page_gets_a_connection(served: Served) -> None:
+def test_no_foreign_page_gets_a_connection(served: Served) -> None:
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
 
@@ -169,7 +169,7 @@ def test_a_port_that_is_taken_is_refused(served: Served) -> None:
         RunPage(RunView.of(served.line, LAST), lambda: (TermsNow({}, {}), []), port)
 
 
-def test_every_control_does_what_it_names(served: Served, browser: Any) -> None:
+def test_every_control_acts_as_labelled(served: Served, browser: Any) -> None:
     page, scene = opened(browser, served.url), served.machine.scene
     assert page.title() == "arm_emulator"
     for button, tick in (("to end", LAST), ("-1", LAST - 1), ("to start", 0), ("+1", 1)):
@@ -272,7 +272,7 @@ def test_another_future_from_a_moment_of_the_past(browser: Any) -> None:
         run_page.close()
 
 
-def test_a_push_acts_in_the_future_and_all_futures_are_kept(browser: Any, tmp_path: Path) -> None:
+def test_a_push_acts_in_the_future_and_all_futures_remain(browser: Any, tmp_path: Path) -> None:
     scene = own_three_axis(tmp_path / "scene", "external_wrench: true")
     line = Timeline(load_offline_run(str(scene)), every=100)
     line.advance(120)
@@ -339,7 +339,7 @@ def moved(run: Any) -> None:
     new_target(run, np.array([0.0, 0.05, -0.05]))
 
 
-def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Path) -> None:
+def test_a_fork_and_its_run_are_overlaid(browser: Any, tmp_path: Path) -> None:
     """The page shows the tools' distance and differences of signals, as straight runs have them."""
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(200)
@@ -384,7 +384,7 @@ def test_a_fork_and_its_run_are_laid_over_each_other(browser: Any, tmp_path: Pat
         run_page.close()
 
 
-def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
+def test_the_tab_of_futures_overlays_them(browser: Any) -> None:
     line = Timeline(load_offline_run("three_axis"), every=100)
     line.advance(300)
     run_page = RunPage(RunView.of(line, 300), lambda: (TermsNow({}, {}), []))
@@ -401,7 +401,7 @@ def test_the_tab_of_futures_lays_them_over_each_other(browser: Any) -> None:
         run_page.close()
 
 
-def test_runs_of_other_joints_are_not_laid_over_each_other(served: Served) -> None:
+def test_runs_of_different_joints_are_not_overlaid(served: Served) -> None:
     timeline = Timeline(load_offline_run("panda"))
     timeline.advance(1)
     with pytest.raises(Refusal, match="joints of the other run must be"):
