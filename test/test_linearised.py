@@ -215,7 +215,7 @@ def test_a_gear_with_play_pulls_where_it_touches() -> None:
     plant.put("test", {"theta_m": plant.state.theta_m + np.array([0.0, 0.0, 0.2])})
     touching = linearise(plant).A[:, elbow : elbow + 2]  # the links' own pull at each other changes
     assert_same(touching, second.A[:, elbow : elbow + 2], np.full((15, 2), 1e-9 * size))
-    with pytest.raises(Refusal, match="the motors hold"):
+    with pytest.raises(Refusal, match="motors and springs hold"):
         linearise(in_three_axis(gravity=[0, -9.81, 0], **LOOSE), [0.0, 0.5, 0.8])
 
 

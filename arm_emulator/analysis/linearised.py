@@ -69,6 +69,7 @@ def linearise(
 
     Without a pose it is linearised at its present state, sticking or sliding. With a pose it is
     linearised about rest: commands hold it, gears are wound up by its weight, and no joint sticks.
+    A joint without a motor rests where its springs bear the weight, near the pose.
 
     Args:
         plant: the machine, whose state is unchanged; or its scene, by name or file, at its start.
@@ -77,8 +78,8 @@ def linearise(
             newest that was applied.
 
     Raises:
-        Refusal: the pose or command is invalid, or the motors do not hold the pose, as for a joint
-            without a motor or a gear with play.
+        Refusal: the pose or command is invalid, or motors and springs do not hold the pose, as for
+            a gear with play.
     """
     if not isinstance(plant, Plant):
         plant = Plant(coerce_scene(plant, "linearise"))
@@ -91,16 +92,22 @@ def linearise(
 
 
 def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
-    """Return the equations at commands that hold a pose, by Newton's method from unloaded gears."""
+    """Return the equations at rest near a pose, by Newton's method from unloaded gears.
+
+    It solves for the drives' states, for the command of each motor, and for the position of each
+    joint that has none.
+    """
     other = copy.copy(plant)
     other.reset(q)
-    N = len(other.scene.joints)
-    x, u = other.equations(np.zeros(N), slides=True).x, np.zeros(N)
+    joints = other.scene.joints
+    N = len(joints)
+    driven = np.array([joint.motor is not None for joint in joints])
+    z = np.concatenate([other.equations(np.zeros(N), slides=True).x, np.zeros(N)])
     for _ in range(MOST_ROUNDS):
-        now = plant.equations(u, x, slides=True)
+        now = plant.equations(z[-N:], z[:-N], slides=True)
         m = len(now.D)
         rows = np.concatenate([now.states, m + np.arange(N)])
-        columns = np.concatenate([now.states, m + 2 * N + np.arange(N)])
+        columns = np.concatenate([now.states, m + 2 * N * driven + np.arange(N)])
         J, off = now.by[np.ix_(rows, columns)], now.value[rows]
         # Rows and columns of very different units, each scaled by its largest entry.
         of_row = np.abs(now.by[rows]).max(axis=1)
@@ -109,10 +116,8 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
         scaled = J / of_row[:, np.newaxis] / of_column
         if (np.abs(off) <= ROUNDING * of_row).all():
             return now
-        step = np.linalg.lstsq(scaled, -off / of_row, rcond=1e-12)[0] / of_column
-        x[now.states] += step[:-N]
-        u = u + step[-N:]
-    raise Refusal("linearise", "the pose", "be one that the motors hold", np.asarray(q))
+        z[columns] += np.linalg.lstsq(scaled, -off / of_row, rcond=1e-12)[0] / of_column
+    raise Refusal("linearise", "the pose", "be one that motors and springs hold", np.asarray(q))
 
 
 def _eliminate_algebraic_states(of: Equations) -> LinearMachine:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -114,7 +115,9 @@ def _compute_coefficients(joint: JointServo, period: float) -> tuple[dict[str, A
         }
     except ArithmeticError:
         return None
-    is_finite = np.isfinite([remainder, *np.hstack([*coefficients.values()])]).all()
+    sums = [value for value in coefficients.values() if isinstance(value, Sum)]
+    numbers = [value for value in coefficients.values() if not isinstance(value, Sum)]
+    is_finite = all(map(math.isfinite, chain((remainder,), numbers, *sums)))
     return (coefficients, remainder) if is_finite else None
 
 

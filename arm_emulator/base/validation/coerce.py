@@ -56,6 +56,6 @@ def coerce_kind(value: object, kind: type[Kind], where: str, quantity: str, rule
 
 def _holds_flag(values: object) -> bool:
     """Whether there is a flag among numbers in lists, which NumPy takes for 0 or 1."""
-    if isinstance(values, list | tuple):
-        return any(map(_holds_flag, values))
+    if isinstance(values, list | tuple):  # most hold floats, of which a call each takes long
+        return any(type(value) is not float and _holds_flag(value) for value in values)
     return isinstance(values, _FLAGS) or getattr(values, "dtype", None) == np.bool_

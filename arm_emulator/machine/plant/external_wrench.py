@@ -67,9 +67,11 @@ def move_to_moving_link(
             (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
         )
     )  # fmt: skip
-    if wrench.axes == "link":
+    if wrench.axes == "link" and not (wrench.force is NONE and wrench.moment is NONE):
         force, moment = (apply_matrix(frame.R, one) + 0.0 for one in (force, moment))
-    point = apply_matrix(frame.R, point) + frame.p
+    if wrench.point is not NONE:
+        point = apply_matrix(frame.R, point)
+    point = point + frame.p
     if arms:
         return place, ExternalWrench(force, moment, point, wrench.axes)
     return place, ExternalWrench(tuple(force), tuple(moment), tuple(point), wrench.axes)
@@ -77,6 +79,8 @@ def move_to_moving_link(
 
 def _check_vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
     """Return a vector (3,), or of a fleet a row for each arm (arms, 3)."""
+    if values is NONE:
+        return np.zeros((*arms, 3))
     if not arms:
         return bound.row(where, values, 3)
     rows = bound.numbers(where, values)
