@@ -26,7 +26,6 @@ TILTING = ("joint_1", "joint_2", "joint_3")
 AXES = {"x": "1 0 0", "y": "0 1 0"}  # across those of the joints, which are all z
 STIFFNESS = (None, 10.0, 3.0, 1.0)  # times that of the joint's gear; None: rigid
 REACH = 0.1  # rad, of the springs
-WEIGHTLESS = {"gravity": [0.0, 0.0, 0.0]}  # a spring cannot hold the weight at 0
 FREQUENCIES = np.geomspace(1.0, 100.0, 4001)  # Hz
 
 
@@ -37,7 +36,7 @@ def run(quick: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder, progress("scenes", len(chosen)) as done:
         for factor in chosen:
             file = SCENE if factor is None else write_tilting(Path(folder), factor)
-            scene = load_scene(str(file), WEIGHTLESS)
+            scene = load_scene(str(file))
             linear = linearise(scene, scene.start)
             names = list(scene.joint_names)
             modes = {

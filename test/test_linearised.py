@@ -10,9 +10,12 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 from draws import some
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
 
 from arm_emulator import LinearMachine, Plant, Refusal, Scene, linearise, load_scene
 from arm_emulator.base.arrays import Array
@@ -21,7 +24,7 @@ from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from oracles.event_reference import MachineWithModes
-from oracles.reference import ReferenceMachine
+from oracles.reference import ReferenceMachine, links_model
 
 # Without what the references do not have, see below for that.
 ROTORS = {f"joints.axis_{k}.motor.friction": None for k in range(1, 7)}
@@ -250,6 +253,49 @@ def test_an_end_stop_is_a_spring_where_it_is_pressed() -> None:
     for first, expected in ((linear.q.start, -1e4), (linear.v.start, -20.0)):
         np.testing.assert_allclose(pressed[:, first], [expected, 0.0, 0.0], atol=1e-4)
     assert (M @ linear.rate[linear.v])[0] == pytest.approx(-1e4 * 0.02)
+
+
+def test_a_joint_without_a_motor_rests_where_its_spring_bears_the_weight() -> None:
+    """The truth is Pinocchio's gravity and SciPy's table; the elbow sags by some mrad."""
+    angles, torques = np.array([-2.0, -0.5, 0.5, 2.0]), np.array([300.0, 90.0, -90.0, -300.0])
+    table = {"angles": (angles + 0.8).tolist(), "torques": torques.tolist()}
+    gravity = [3.0, -9.0, 2.0]
+    scene = load_scene("three_axis", {
+        "gravity": gravity, "joints.elbow": {"torque_table": table, "friction": {"viscous": 5.0}},
+    })  # fmt: skip
+    plant, spring = Plant(scene), PchipInterpolator(angles + 0.8, torques)
+    model = links_model(scene)
+    data, rng = model.createData(), np.random.default_rng(5)
+    per_volt = np.array([joint.torque_per_command for joint in scene.joints])
+    for q in scene.start + rng.uniform(-0.3, 0.3, (5, 3)):
+        q[2] = 0.8
+        linear = linearise(plant, q)
+
+        def torque(elbow: float, q: Array = q) -> float:
+            weight = pin.computeGeneralizedGravity(model, data, np.array([*q[:2], elbow]))[2]
+            return float(spring(elbow) - weight)
+
+        rest = brentq(torque, 0.4, 1.2, xtol=1e-14)
+        assert abs(rest - 0.8) > 1e-4
+        np.testing.assert_allclose(linear.x0[linear.q], [*q[:2], rest], rtol=0.0, atol=1e-9)
+        weight = pin.computeGeneralizedGravity(model, data, linear.x0[linear.q])
+        np.testing.assert_allclose(per_volt * linear.u0, [*weight[:2], 0.0], atol=1e-8)
+        assert np.abs(linear.rate).max() < 1e-5, "1e-10 of the derivatives, up to 1e5"
+        # The drives' torques stand while the elbow turns; its spring and damper do not.
+        h, place = 1e-5, linear.q.start + 2
+
+        def accelerate(
+            dq: float, v: float, q: Array = q, rest: float = rest, weight: Array = weight
+        ) -> Array:
+            elbow = rest + dq
+            tau = np.array([*weight[:2], spring(elbow) - 5.0 * v])
+            at, speeds = np.array([*q[:2], elbow]), np.array([0.0, 0.0, v])
+            return np.array(pin.aba(model, data, at, speeds, tau))
+
+        by_q = (accelerate(h, 0.0) - accelerate(-h, 0.0)) / (2.0 * h)
+        by_v = (accelerate(0.0, h) - accelerate(0.0, -h)) / (2.0 * h)
+        actual = linear.A[linear.v][:, [place, place + 3]]
+        np.testing.assert_allclose(actual, np.column_stack([by_q, by_v]), rtol=1e-5, atol=1e-6)
 
 
 def test_a_current_without_inductance_is_no_state_and_follows_the_command() -> None:
