@@ -30,7 +30,6 @@ CARD = 2  # kDLCUDA
 LONGEST_NAME = 256  # bytes
 LONGEST_LOG = 8192  # bytes
 OTHERWISE = '"processor"'
-FEW = 48 * 1024  # bytes of shared memory that a block has without asking
 REFUSED_IMAGES = (
     "CUDA_ERROR_INVALID_IMAGE",
     "CUDA_ERROR_NO_BINARY_FOR_GPU",
@@ -157,10 +156,17 @@ class CudaDevice(Device):
         return CudaModule(self, image)
 
     def set_stack(self, size: int) -> None:  # noqa: D102
-        self._raise_limit("set_stack", "CU_LIMIT_STACK_SIZE", size)
-
-    def set_heap(self, size: int) -> None:  # noqa: D102
-        self._raise_limit("set_heap", "CU_LIMIT_MALLOC_HEAP_SIZE", size)
+        where, limit = "Device.set_stack", DRIVER.constant("CU_LIMIT_STACK_SIZE")
+        size = check_count(where, "size", size, 0, LARGEST_MEMORY)
+        with self.current():
+            # Others who share the context may need what it is now.
+            before = self.driver.get("cuCtxGetLimit", "size_t *", limit)
+            if size > before:
+                try:
+                    self.driver.call("cuCtxSetLimit", limit, size)
+                except DeviceError as error:
+                    rule = "be a size that the card grants [byte]"
+                    raise Refusal(where, "size", rule, f"{size} ({error})") from None
 
     def synchronize(self, stream: int | None = None) -> None:  # noqa: D102
         with self.current():
@@ -202,20 +208,6 @@ class CudaDevice(Device):
             yield
         finally:
             self.driver.call_quietly("cuCtxPopCurrent_v2", DRIVER.ffi.new("CUcontext *"))
-
-    def _raise_limit(self, function: str, name: str, size: int) -> None:
-        where = f"Device.{function}"
-        size = check_count(where, "size", size, 0, LARGEST_MEMORY)
-        limit = DRIVER.constant(name)
-        with self.current():
-            # Others who share the context may need what it is now.
-            before = self.driver.get("cuCtxGetLimit", "size_t *", limit)
-            if size > before:
-                try:
-                    self.driver.call("cuCtxSetLimit", limit, size)
-                except DeviceError as error:
-                    rule = "be a size that the card grants [byte]"
-                    raise Refusal(where, "size", rule, f"{size} ({error})") from None
 
     def _allocate(self, size: int) -> Memory:
         with self.current():
@@ -329,7 +321,6 @@ class CudaModule(Module):
         threads: int,
         packed: ctypes.Array[Any],
         block: int,
-        shared: int,
     ) -> None:
         function, max_threads = kernel
         if block > max_threads:
@@ -340,10 +331,7 @@ class CudaModule(Module):
         parameters = DRIVER.ffi.cast("void **", ctypes.addressof(pointers))
         grid = -(-threads // block), 1, 1, block, 1, 1
         with self._card.current():
-            if shared > FEW:
-                name = "CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES"
-                self._driver.call("cuFuncSetAttribute", function, DRIVER.constant(name), shared)
-            self._driver.call("cuLaunchKernel", function, *grid, shared, C_NULL, parameters, C_NULL)
+            self._driver.call("cuLaunchKernel", function, *grid, 0, C_NULL, parameters, C_NULL)
 
 
 def _host_pointer(address: int) -> CData:

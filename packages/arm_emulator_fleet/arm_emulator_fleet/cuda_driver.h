@@ -44,11 +44,10 @@ enum {
   CU_FUNC_ATTRIBUTE_MAX_THREADS_PER_BLOCK = 0,
   CU_FUNC_ATTRIBUTE_SHARED_SIZE_BYTES = 1,
   CU_FUNC_ATTRIBUTE_LOCAL_SIZE_BYTES = 3,
-  CU_FUNC_ATTRIBUTE_NUM_REGS = 4,
-  CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES = 8
+  CU_FUNC_ATTRIBUTE_NUM_REGS = 4
 };
 
-enum { CU_LIMIT_STACK_SIZE = 0, CU_LIMIT_MALLOC_HEAP_SIZE = 2 };
+enum { CU_LIMIT_STACK_SIZE = 0 };
 
 enum { CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL = 9 };
 
@@ -86,7 +85,6 @@ CUresult cuModuleGetGlobal_v2(CUdeviceptr* pointer, size_t* size, CUmodule modul
                               const char* name);
 
 CUresult cuFuncGetAttribute(int* value, int attribute, CUfunction function);
-CUresult cuFuncSetAttribute(CUfunction function, int attribute, int value);
 CUresult cuLaunchKernel(CUfunction function, unsigned int grid_x, unsigned int grid_y,
                         unsigned int grid_z, unsigned int block_x, unsigned int block_y,
                         unsigned int block_z, unsigned int shared, CUstream stream,

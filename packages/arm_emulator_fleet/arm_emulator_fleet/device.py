@@ -227,14 +227,6 @@ class Device(ABC):
         """
 
     @abstractmethod
-    def set_heap(self, size: int) -> None:
-        """Let `malloc` of all threads have at least so many bytes, before the first launch.
-
-        Raises:
-            Refusal: that is too much, or too late.
-        """
-
-    @abstractmethod
     def synchronize(self, stream: int | None = None) -> None:
         """Wait until all work is done.
 
@@ -291,7 +283,6 @@ class Module(ABC):
         threads: int,
         *arguments: Argument,
         block: int = DEFAULT_BLOCK,
-        shared: int = 0,
     ) -> None:
         """Start a kernel on threads; it may be running when this returns.
 
@@ -301,7 +292,6 @@ class Module(ABC):
             arguments: memory or an array (its pointer), int (int64_t), float (double), bytes (a
                 struct), a number of NumPy's types (that type).
             block: threads of a block, on a card.
-            shared: bytes of dynamic shared memory of a block, on a card.
 
         Raises:
             Refusal: no such kernel, or an argument that no kernel takes.
@@ -310,11 +300,10 @@ class Module(ABC):
         where = "Module.launch"
         block = check_count(where, "block", block, 1, LARGEST_BLOCK)
         threads = check_count(where, "threads", threads, 0, LARGEST_GRID * block)
-        shared = check_count(where, "shared", shared, 0, 2**31 - 1)
         packed = _pack_arguments(where, self.device, arguments)
         handle = self._find(where, kernel)
         if threads:
-            self._launch(handle, threads, packed, block, shared)
+            self._launch(handle, threads, packed, block)
 
     def describe(self, kernel: str) -> dict[str, int]:
         """Return what a kernel needs of a card: registers, bytes of stack, of shared memory.
@@ -337,9 +326,7 @@ class Module(ABC):
         """Return what starts a kernel, or None."""
 
     @abstractmethod
-    def _launch(
-        self, handle: Any, threads: int, packed: ctypes.Array[Any], block: int, shared: int
-    ) -> None: ...
+    def _launch(self, handle: Any, threads: int, packed: ctypes.Array[Any], block: int) -> None: ...
 
     def _describe(self, handle: Any) -> dict[str, int]:
         return {}

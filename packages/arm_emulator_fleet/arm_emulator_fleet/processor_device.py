@@ -46,9 +46,6 @@ class ProcessorDevice(Device):
     def set_stack(self, size: int) -> None:  # noqa: D102
         check_count("Device.set_stack", "size", size, 0, LARGEST_MEMORY)  # threads have megabytes
 
-    def set_heap(self, size: int) -> None:  # noqa: D102
-        check_count("Device.set_heap", "size", size, 0, LARGEST_MEMORY)
-
     def synchronize(self, stream: int | None = None) -> None:  # noqa: D102
         pass
 
@@ -123,9 +120,7 @@ class ProcessorModule(Module):
         address = _load_loader().dlsym(self._library, kernel.encode())
         return _LOADER.ffi.cast(KERNEL, address) if address else None
 
-    def _launch(
-        self, kernel: CData, threads: int, packed: ctypes.Array[Any], block: int, shared: int
-    ) -> None:
+    def _launch(self, kernel: CData, threads: int, packed: ctypes.Array[Any], block: int) -> None:
         arguments = _LOADER.ffi.cast("void **", ctypes.addressof(packed))
         work = self._processor.share(threads)
         work.do(threads, lambda first, count: kernel(first, count, arguments))

@@ -29,7 +29,6 @@ struct CUmod_st {
 };
 struct CUfunc_st {
   void (*loop)(int64_t, int64_t, void**);
-  int shared;
 };
 struct block {
   char* at;
@@ -394,15 +393,6 @@ CUresult cuFuncGetAttribute(int* value, int attribute, CUfunction function) {
   ANSWER(0);
 }
 
-CUresult cuFuncSetAttribute(CUfunction function, int attribute, int value) {
-  CHECK_CONTEXT();
-  CHECK(function, CUDA_ERROR_INVALID_HANDLE);
-  CHECK(attribute == CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES, CUDA_ERROR_INVALID_VALUE);
-  CHECK(value <= 227 * 1024, CUDA_ERROR_INVALID_VALUE);
-  function->shared = value;
-  ANSWER(0);
-}
-
 CUresult cuLaunchKernel(CUfunction function, unsigned int grid_x, unsigned int grid_y,
                         unsigned int grid_z, unsigned int block_x, unsigned int block_y,
                         unsigned int block_z, unsigned int shared, CUstream stream,
@@ -410,10 +400,8 @@ CUresult cuLaunchKernel(CUfunction function, unsigned int grid_x, unsigned int g
   CHECK_CONTEXT();
   CHECK(function, CUDA_ERROR_INVALID_HANDLE);
   CHECK(grid_x && grid_y == 1 && grid_z == 1 && block_x, CUDA_ERROR_INVALID_VALUE);
-  CHECK(block_y == 1 && block_z == 1 && !extra && !stream, CUDA_ERROR_INVALID_VALUE);
+  CHECK(block_y == 1 && block_z == 1 && !shared && !extra && !stream, CUDA_ERROR_INVALID_VALUE);
   CHECK(block_x <= LARGEST_BLOCK, 701);
-  const unsigned int most = function->shared > 48 * 1024 ? (unsigned int)function->shared : 49152;
-  CHECK(shared <= most, CUDA_ERROR_INVALID_VALUE);
   int64_t threads;
   memcpy(&threads, parameters[0], sizeof threads);
   const int64_t covered = (int64_t)grid_x * block_x;

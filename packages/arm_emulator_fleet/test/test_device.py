@@ -106,7 +106,7 @@ def test_bytes_are_copied_and_filled_where_they_should_be(device: Device) -> Non
         lambda device, memory: copy.copy(memory),
         lambda device, memory: pickle.dumps(memory),
         lambda device, memory: device.set_stack(-1),
-        lambda device, memory: device.set_heap(0.5),
+        lambda device, memory: device.set_stack(0.5),
     ],
 )
 def test_data_that_do_not_fit_are_refused_and_change_nothing(device: Device, spoil) -> None:
@@ -243,12 +243,11 @@ def test_memory_of_another_device_is_no_argument(cards: SimpleNamespace, kernels
 
 
 @pytest.mark.parametrize(
-    ("threads", "block", "shared"),
-    [(-1, 64, 0), (1.5, 64, 0), (2**41, 64, 0), (1, 0, 0), (1, 1025, 0), (1, 64, -1)],
+    ("threads", "block"), [(-1, 64), (1.5, 64), (2**41, 64), (1, 0), (1, 1025)]
 )
-def test_no_such_launch(device: Device, kernels: Path, threads, block, shared) -> None:
-    with pytest.raises(Refusal, match=r"Module.launch: (threads|block|shared) must be"):
-        device.load(kernels).launch("scale", threads, b"1", block=block, shared=shared)
+def test_no_such_launch(device: Device, kernels: Path, threads, block) -> None:
+    with pytest.raises(Refusal, match=r"Module.launch: (threads|block) must be"):
+        device.load(kernels).launch("scale", threads, b"1", block=block)
 
 
 def test_a_kernel_that_is_not_there(device: Device, kernels: Path) -> None:
@@ -340,26 +339,15 @@ def test_a_module_describes_its_kernels(cards: SimpleNamespace, kernels: Path) -
         module.launch("scale", 5, b"1", block=513)
 
 
-def test_shared_memory_beyond_48_kb_is_requested(cards: SimpleNamespace, kernels: Path) -> None:
-    module, array = cards.open().load(kernels), DeviceArray(4, "f8", cards.open())
-    for size, is_requested in ((48 << 10, False), ((48 << 10) + 1, True), (200 << 10, True)):
-        cards.stub.calls.stub_forget()
-        module.launch("scale", 4, scaled(array, 0.0, 0), shared=size)
-        assert ("cuFuncSetAttribute" in dict(cards.stub.notes)) is is_requested
-    with pytest.raises(DeviceError, match="cuFuncSetAttribute"):
-        module.launch("scale", 4, scaled(array, 0.0, 0), shared=1 << 20)
-
-
-def test_limits_of_a_card_are_raised_and_never_lowered(cards: SimpleNamespace) -> None:
+def test_the_stack_of_a_card_is_raised_and_never_lowered(cards: SimpleNamespace) -> None:
     card = cards.open()
-    for raise_limit in (card.set_stack, card.set_heap):
-        raise_limit(20_000)
-        raise_limit(30_000)
-        cards.stub.calls.stub_forget()
-        raise_limit(10_000)
-        assert "cuCtxSetLimit" not in dict(cards.stub.notes)
-        with pytest.raises(Refusal, match=r"size must be a size that the card grants \[byte\]"):
-            raise_limit(1 << 40)
+    card.set_stack(20_000)
+    card.set_stack(30_000)
+    cards.stub.calls.stub_forget()
+    card.set_stack(10_000)
+    assert "cuCtxSetLimit" not in dict(cards.stub.notes)
+    with pytest.raises(Refusal, match=r"size must be a size that the card grants \[byte\]"):
+        card.set_stack(1 << 40)
 
 
 # Errors of the driver
