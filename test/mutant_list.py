@@ -176,8 +176,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MACHINE}/plant/external_wrench.py",
-        "point = apply_matrix(frame.R, point) + frame.p",
-        "point = apply_matrix(frame.R, point)",
+        "point = point + frame.p",
+        "point = point + 0.0",
         "test_external_wrench.py",
     ),
     Mutant(
