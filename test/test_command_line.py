@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from documents import DOCUMENTS, ROOT
+from draws import with_slow
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli import arguments, command_line
@@ -225,9 +226,15 @@ for words in sys.stdin.read().splitlines():
 """
 
 
-def test_help_and_version_end_quietly_without_a_reader() -> None:
-    lines = ["", "--help", "--version", "completion bash"]
-    lines += [f"{name} --help" for name in command_names()]
+WITHOUT_A_READER = {
+    "shared": ["", "--help", "--version", "completion bash", "run --help", "canopen --help"],
+    "of each": [f"{name} --help" for name in command_names()],
+}
+
+
+@pytest.mark.parametrize("name", with_slow(WITHOUT_A_READER, 1))
+def test_help_and_version_end_quietly_without_a_reader(name: str) -> None:
+    lines = WITHOUT_A_READER[name]
     ended = subprocess.run(
         [sys.executable, "-c", CLOSED_PIPE], input="\n".join(lines), text=True,
         stdout=subprocess.PIPE, check=True,

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import own_three_axis
 
 ROOM = 400_000  # bytes of the full disk
@@ -93,16 +93,20 @@ def test_names_are_printed_where_the_terminal_has_ascii_alone(tmp_path: Path) ->
         assert "Gelenkarm \\xe9 \\u95a2\\u7bc0" in printed or "Gelenkarm \\u00e9" in printed
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--record", "disk/a.mcap", "--seconds", "20"],
-        ["--record", "disk/a.parquet", "--seconds", "20"],
-        ["--rerun", "disk/a.rrd", "--seconds", "60"],
-        ["--bag", "disk/bag", "--seconds", "3"],
-    ],
+RECORDS = (
+    ["--record", "disk/a.mcap", "--seconds", "20"],
+    ["--record", "disk/a.parquet", "--seconds", "20"],
+    ["--rerun", "disk/a.rrd", "--seconds", "60"],
+    ["--bag", "disk/bag", "--seconds", "3"],
 )
-@pytest.mark.parametrize("left", [0, ROOM // 2])
+# At first each kind of file once, on either disk in turns.
+ON_DISKS = [
+    *zip(RECORDS, (0, ROOM // 2) * 2, strict=True),
+    *zip(RECORDS, (ROOM // 2, 0) * 2, strict=True),
+]
+
+
+@pytest.mark.parametrize(("words", "left"), with_slow(ON_DISKS, len(RECORDS)))
 def test_a_record_on_a_full_disk(words: list[str], left: int, disk: Path) -> None:
     """The run ends, whether the disk is full before or on the way, and no process stays."""
     with contextlib.suppress(OSError):

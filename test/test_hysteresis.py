@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import LINK_INERTIA, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
@@ -117,14 +117,22 @@ def pushes(rng: np.random.Generator, hysteresis: dict[str, float], rows: int = 1
 
 @pytest.mark.parametrize(
     ("scheme", "events", "cubic"),
-    some(
-        [
-            (scheme, events, cubic)
-            for scheme in SCHEMES
-            for events in ("step", "located")[: 1 + KNOWN[scheme].locates]
-            for cubic in (0.0, 2e9)
-        ],
-        4,
+    # At first a linear spring without located events, and a cubic one with them.
+    with_slow(
+        some(
+            [
+                (scheme, events, cubic)
+                for scheme in SCHEMES
+                for swapped in (False, True)
+                for events, cubic in zip(
+                    ("step", "located")[: 1 + KNOWN[scheme].locates],
+                    (2e9, 0.0) if swapped else (0.0, 2e9),
+                    strict=False,
+                )
+            ],
+            4,
+        ),
+        2,
     ),
 )
 def test_every_scheme_keeps_its_order(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from draws import some
+from draws import some, with_slow
 from lossy_joint import Bam
 from machines import CONFIG
 from test_new_drives import untuned
@@ -102,7 +102,9 @@ def test_a_joint_has_the_published_friction_and_motor(name: str) -> None:
 
 
 @pytest.mark.usefixtures("untuned")
-@pytest.mark.parametrize("name", some(["erob80_100", "mx106", "sts3215", *PUBLISHED], 2))
+@pytest.mark.parametrize(
+    "name", with_slow(some(["erob80_100", "mx106", "sts3215", *PUBLISHED], 2), 1)
+)
 def test_a_new_arm_of_such_joints_moves_with_their_friction(tmp_path: Path, name: str) -> None:
     written = write_new(robot_of(tmp_path, mass=0.1), tmp_path / "arm", joint_data=[name])
     scene = load_scene(written.file)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.plant.external_wrench import ExternalWrench
@@ -51,9 +52,14 @@ def draw_command(rng: np.random.Generator, largest: float) -> np.ndarray:
     return rng.uniform(-size, size, 3)
 
 
-@pytest.mark.parametrize("scheme", some(["extrapolated", "rosenbrock"], 1))
-@pytest.mark.parametrize("events", ["located", "step"])
-@pytest.mark.parametrize("name", some(MACHINES, 3))
+# At first each machine in one of the modes of events, in turns.
+CASES = sorted(
+    product(some(MACHINES, 3), ("located", "step"), some(["extrapolated", "rosenbrock"], 1)),
+    key=lambda case: (list(MACHINES).index(case[0]) + (case[1] == "step")) % 2,
+)
+
+
+@pytest.mark.parametrize(("name", "events", "scheme"), with_slow(CASES, 3))
 def test_a_machine_moves_as_a_machine_that_forgets_its_modes_before_every_step(
     name: str, events: str, scheme: str
 ) -> None:

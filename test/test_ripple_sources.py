@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from machines import LINK_INERTIA, make_link_urdf, write_scene
 
 from arm_emulator import Plant, load_scene
@@ -70,7 +71,7 @@ def fit_sines(t: Array, v: Array, frequencies: list[float]) -> Array:
     return np.concatenate([[solution[0]], solution[1::2] + 1j * solution[2::2]])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", with_slow(range(3), 1))
 def test_every_source_shakes_the_link_by_its_order_and_the_linear_response(
     tmp_path: Path, seed: int
 ) -> None:

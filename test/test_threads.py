@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from machines import GRAVITY, random_chain
 
 from arm_emulator import Diverged, Plant, load_scene
@@ -57,7 +57,9 @@ def thread_count() -> int:
     return len(list(Path("/proc/self/task").iterdir()))
 
 
-@pytest.mark.parametrize(("exchange", "depth"), [("lag", 1), ("predict", 1), ("predict", 2)])
+@pytest.mark.parametrize(
+    ("exchange", "depth"), with_slow([("lag", 1), ("predict", 2), ("predict", 1)], 2)
+)
 def test_same_bits_every_time_under_load(exchange: str, depth: int) -> None:
     machine = plant(2, exchange=exchange, depth=depth)
     states = set()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import GRAVITY, Oracle, own_three_axis, write_scene
 from test_calibration import displaced_urdf, draw_deltas, tool_by_pinocchio
 
@@ -33,7 +33,7 @@ def set_all(plant: Plant, deltas: Deltas) -> None:
         plant.set_parameter(name, value)
 
 
-@pytest.mark.parametrize("seed", some(range(8), 3))
+@pytest.mark.parametrize("seed", with_slow(some(range(8), 3), 2))
 def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
     """At the values of the scene and at others; chains, branches, turning and sliding joints."""
     rng = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def move(plant: Plant, count: int) -> np.ndarray:
     return np.concatenate([plant.state.q, plant.state.v])
 
 
-@pytest.mark.parametrize("events", ["step", "located"])
+@pytest.mark.parametrize("events", with_slow(["located", "step"], 1))
 def test_a_machine_with_set_places_moves_as_a_compiled_machine(
     tmp_path: Path, deltas: Deltas, events: str
 ) -> None:

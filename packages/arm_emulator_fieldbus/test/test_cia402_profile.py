@@ -35,6 +35,7 @@ from cia402 import (
     state,
     until,
 )
+from draws import with_slow
 from ethercat_master import master
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
@@ -217,7 +218,7 @@ def test_a_limit_on_a_single_side_still_holds() -> None:
     assert drives.read(0, 0x6062) == 500
 
 
-@pytest.mark.parametrize("bits", [10, 14, 17, 20, 23, 24])
+@pytest.mark.parametrize("bits", with_slow([10, 14, 24, 17, 20, 23], 3))
 def test_windows_and_decelerations_scale_with_the_encoder(bits: int) -> None:
     """Angles at the motor are those of 10 bits, and the motor stops in the same time.
 

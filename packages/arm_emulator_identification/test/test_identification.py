@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import make_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
@@ -76,7 +76,7 @@ def test_the_record_as_it_is_passes() -> None:
 MISTAKES = make_mistakes()
 
 
-@pytest.mark.parametrize("slip", some(MISTAKES, 3))
+@pytest.mark.parametrize("slip", with_slow(some(MISTAKES, 3), 1))
 def test_a_record_with_a_slip_is_refused_by_its_name(slip: str) -> None:
     with pytest.raises(Refusal) as refusal:
         look_over(MISTAKES[slip])
