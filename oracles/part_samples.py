@@ -32,7 +32,7 @@ from arm_emulator.machine.parts.joint_effects.counterbalance import Counterbalan
 from arm_emulator.machine.parts.joint_effects.drag import Drag
 from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
 from arm_emulator.machine.parts.joint_effects.gear_temperature import GearTemperature
-from arm_emulator.machine.parts.joint_effects.torque_table import LEAST, TorqueTable
+from arm_emulator.machine.parts.joint_effects.torque_table import MIN_POINTS, TorqueTable
 from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.motor import Motor, Rating
@@ -206,7 +206,7 @@ def _draw_end_stops(_: type[Part], rng: Rng) -> Numbers:
 
 
 def _draw_torque_table(_: type[Part], rng: Rng) -> Numbers:
-    angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(LEAST, 12)))) - 1.5
+    angles = np.cumsum(rng.uniform(0.05, 0.4, int(rng.integers(MIN_POINTS, 12)))) - 1.5
     torques = rng.uniform(-5.0, 5.0, len(angles))
     periodic = bool(rng.random() < 0.5)
     if periodic:

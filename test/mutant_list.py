@@ -601,8 +601,8 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/base/validation/joint_order.py",
-        "array[[self._index[name] for name in names]] = given",
-        "array = given[[self._index[name] for name in names]]",
+        "array[[self._index[name] for name in names]] = unordered",
+        "array = unordered[[self._index[name] for name in names]]",
         "test_session.py test_manners.py test_lockstep.py",
     ),
     Mutant(

@@ -99,10 +99,10 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     assert min(signals[0]) == 0
     # At its end the recording has the motion that follows the experiment, so that it can be seen.
     plan = DemoPlan.load(find_scene(scene), run.session.period_ns * run.motion_ticks)
-    assert plan.shown is not None and np.linalg.norm(plan.shown) > 0.2  # m
+    assert plan.motion is not None and np.linalg.norm(plan.motion) > 0.2  # m
     end = forward(np.array([values[max(values)] for values in signals]))[1]
     # 1 mm: what is left by encoders and by gears under the weight is below (docs/validation).
-    assert np.linalg.norm(end - forward(machine.start)[1] - plan.shown) < 1e-3
+    assert np.linalg.norm(end - forward(machine.start)[1] - plan.motion) < 1e-3
 
 
 def test_the_prediction_names_the_missed_target_or_place() -> None:

@@ -63,7 +63,7 @@ def test_a_missing_tool_is_a_problem_with_a_remedy(
     )
     monkeypatch.setenv("CXX", "no_such_compiler")
     assert finding_of("compiler").level == "problem"
-    monkeypatch.setattr(doctor, "LEAST_DISK", 1e9)
+    monkeypatch.setattr(doctor, "MIN_DISK", 1e9)
     assert finding_of("disk").level == "problem" and "make room" in finding_of("disk").remedy
 
 

@@ -105,21 +105,21 @@ def test_wrong_units_are_named(tmp_path: Path) -> None:
             file.write_text("\n".join(["t,waist,shoulder,elbow", *rows]))
 
         write(t, q)
-        warning.given.clear()
+        warning.issued.clear()
         for arm in (scene, free):
             load_target_table(file, arm.joint_names, partial(check_targets, arm))
-        assert not warning.given, "right units"
+        assert not warning.issued, "right units"
         write(t, np.degrees(q))
         with pytest.raises(Refusal, match=r"probably degrees"):
             load_target_table(file, scene.joint_names, partial(check_targets, scene))
         load_target_table(file, free.joint_names, partial(check_targets, free))
-        assert len(warning.given) == 1 and "not degrees" in warning.given[0]
+        assert len(warning.issued) == 1 and "not degrees" in warning.issued[0]
         write(1000.0 * t, q)
         for arm in (scene, free):
-            warning.given.clear()
+            warning.issued.clear()
             load_target_table(file, arm.joint_names, partial(check_targets, arm))
-            assert len(warning.given) == 1 and "not ms" in warning.given[0]
-    warning.given.clear()
+            assert len(warning.issued) == 1 and "not ms" in warning.issued[0]
+    warning.issued.clear()
 
 
 def test_millimetres_of_sliding_joints_are_named() -> None:

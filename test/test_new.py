@@ -16,7 +16,7 @@ from test_new_drives import untuned
 from arm_emulator import Kinematics, Refusal, load_gains, load_scene
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.tune import tune
-from arm_emulator.design.choose_joints import LEAST_ARM, MOST_FINGER, choose_joints
+from arm_emulator.design.choose_joints import MAX_FINGER, MIN_ARM, choose_joints
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.robot_file import read_limits
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
@@ -48,7 +48,7 @@ ODD_NAMES = [
 def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[str]]:
     """Return an arm with a gripper of two or more fingers, the arm's joints and the fingers'."""
     robot = Robot("gripped")
-    arm = int(draw.integers(LEAST_ARM, 8))
+    arm = int(draw.integers(MIN_ARM, 8))
     robot.link("base")
     at = "base"
     for k in range(arm):
@@ -61,7 +61,7 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
         robot.joint(f"a{k}", "revolute", (at, f"arm{k}"), "0.2 0 0", '0 0 0|<axis xyz="0 1 0"/>')
         at = f"arm{k}"
     fingers = []
-    long = int(draw.integers(1, MOST_FINGER + 1))
+    long = int(draw.integers(1, MAX_FINGER + 1))
     for f in range(int(draw.integers(2, 5))):
         below = at
         for k in range(long):

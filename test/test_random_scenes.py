@@ -17,7 +17,7 @@ from draws import some
 from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
-from arm_emulator.base.io.yaml_file import MOST_LEVELS, MOST_VALUES, parse_yaml
+from arm_emulator.base.io.yaml_file import MAX_LEVELS, MAX_VALUES, parse_yaml
 from arm_emulator.cli.command_line import main
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
@@ -103,8 +103,8 @@ def test_yaml_is_read_by_version_1_2_with_text_keys() -> None:
     assert printed == {"a": 10, "b": 1e-4, "c": "1:30", "d": "2001-01-01", "1": 2, "true": 3,
                     "~": [inf, None]}  # fmt: skip
     assert parse_yaml("x: " + "9" * 400, "f") == {"x": inf}
-    assert len(parse_yaml("- a\n" * (MOST_VALUES - 1), "f")) == MOST_VALUES - 1
-    assert parse_yaml("[" * MOST_LEVELS + "]" * MOST_LEVELS, "f")
+    assert len(parse_yaml("- a\n" * (MAX_VALUES - 1), "f")) == MAX_VALUES - 1
+    assert parse_yaml("[" * MAX_LEVELS + "]" * MAX_LEVELS, "f")
 
 
 def write(folder: Path, urdf: str, **changes: Any) -> Path:

@@ -47,7 +47,7 @@ def overloads(scene: Scene) -> list[Overload]:
     loads = LinkLoads(scene)
     at = np.array(poses(scene, POSES))
     takes = np.abs(np.array([loads.weight(q) + _compute_spring_torques(scene, q) for q in at]))
-    found = []
+    overloaded = []
     for j, joint in enumerate(scene.joints):
         if joint.motor is None:
             continue
@@ -55,7 +55,7 @@ def overloads(scene: Scene) -> list[Overload]:
         too_much = NEARLY * takes[:, j] > gives
         if too_much.any():
             worst = int(takes[:, j].argmax())
-            found.append(
+            overloaded.append(
                 Overload(
                     joint.name,
                     "N" if scene.chain.joints[j].kind == "prismatic" else "N m",
@@ -66,7 +66,7 @@ def overloads(scene: Scene) -> list[Overload]:
                     int(too_much.sum()),
                 )
             )
-    return found
+    return overloaded
 
 
 def largest_torque(joint: Joint, supply_voltage: float) -> float:
@@ -121,13 +121,13 @@ class LinkLoads:
         """Return M(q), (N, N)."""
         C = self._coupling.C
         M = pin.crba(self._model, self._data, self._joints(q))
-        whole: Array = C.T @ (np.triu(M) + np.triu(M, 1).T) @ C
-        return whole
+        M_reduced: Array = C.T @ (np.triu(M) + np.triu(M, 1).T) @ C
+        return M_reduced
 
     def weight(self, q: Array) -> Array:
         """Return the torques that hold the links at q, (N,) [N m or N]."""
-        held = pin.computeGeneralizedGravity(self._model, self._data, self._joints(q))
-        torque: Array = self._coupling.C.T @ held
+        gravity = pin.computeGeneralizedGravity(self._model, self._data, self._joints(q))
+        torque: Array = self._coupling.C.T @ gravity
         return torque
 
     def _joints(self, q: Array) -> Array:

@@ -63,9 +63,9 @@ class LinearServo:
         )
         n = len(STATES)
         rows = np.eye(n + len(INPUTS)).tolist()
-        whole = np.array([_tick(numbers, loop, row[:n], row[n:]) for row in rows]).T
-        self.A, self.B = whole[:n, :n], whole[:n, n:]
-        self.C, self.D = whole[n, :n], whole[n, n:]
+        matrix = np.array([_tick(numbers, loop, row[:n], row[n:]) for row in rows]).T
+        self.A, self.B = matrix[:n, :n], matrix[:n, n:]
+        self.C, self.D = matrix[n, :n], matrix[n, n:]
 
 
 def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -> list[float]:
@@ -75,18 +75,18 @@ def _tick(numbers: Rows, loop: Loop, states: list[float], inputs: list[float]) -
         state[name] = value
     places = SERVO.pointer("servo_joint", numbers), SERVO.pointer("servo_state", state)
     theta, current, applied, target, v_target, tau = inputs
-    wish = SERVO.new("servo_wish", v_target=v_target, tau=tau)
-    wish.least_omega = wish.least_current = -math.inf
-    wish.most_omega = wish.most_current = math.inf
+    setpoint = SERVO.new("servo_wish", v_target=v_target, tau=tau)
+    setpoint.least_omega = setpoint.least_current = -math.inf
+    setpoint.most_omega = setpoint.most_current = math.inf
     match loop:
         case Loop.POSITION:
-            wish.wants, wish.q_target = POSITION, target
+            setpoint.wants, setpoint.q_target = POSITION, target
         case Loop.SPEED:
-            wish.wants, wish.omega = SPEED, target
+            setpoint.wants, setpoint.omega = SPEED, target
         case Loop.TORQUE:
-            wish.wants, wish.current = CURRENT, target
+            setpoint.wants, setpoint.current = CURRENT, target
         case Loop.SPEED_LIMIT:
-            wish.wants, wish.least_omega, wish.most_omega = CURRENT, target, target
+            setpoint.wants, setpoint.least_omega, setpoint.most_omega = CURRENT, target, target
     law.servo_joint_take(*places, theta, current, applied)
-    command = law.servo_joint_drive(*places, wish)
+    command = law.servo_joint_drive(*places, setpoint)
     return [*(float(state[name][0]) for name in STATES), command]

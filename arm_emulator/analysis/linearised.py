@@ -17,7 +17,7 @@ from arm_emulator.machine.plant.core_machine import Equations
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.scene import Scene, coerce_scene
 
-MOST_ROUNDS = 30  # of Newton's method
+MAX_ITERATIONS = 30  # of Newton's method
 ROUNDING = 1e-10  # of the largest entry in a row of the derivatives: residual permitted at rest
 
 
@@ -84,8 +84,8 @@ def linearise(
     if not isinstance(plant, Plant):
         plant = Plant(coerce_scene(plant, "linearise"))
     if q is None:
-        given = plant.commanded[0] if command is None else command
-        return _eliminate_algebraic_states(plant.equations(given))
+        voltages = plant.commanded[0] if command is None else command
+        return _eliminate_algebraic_states(plant.equations(voltages))
     if command is not None:
         raise Refusal("linearise", "command", "be absent in a pose, which decides it", command)
     return _eliminate_algebraic_states(_solve_rest(plant, q))
@@ -97,13 +97,13 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
     It solves for the drives' states, for the command of each motor, and for the position of each
     joint that has none.
     """
-    other = copy.copy(plant)
-    other.reset(q)
-    joints = other.scene.joints
+    trial = copy.copy(plant)
+    trial.reset(q)
+    joints = trial.scene.joints
     N = len(joints)
     driven = np.array([joint.motor is not None for joint in joints])
-    z = np.concatenate([other.equations(np.zeros(N), slides=True).x, np.zeros(N)])
-    for _ in range(MOST_ROUNDS):
+    z = np.concatenate([trial.equations(np.zeros(N), slides=True).x, np.zeros(N)])
+    for _ in range(MAX_ITERATIONS):
         now = plant.equations(z[-N:], z[:-N], slides=True)
         m = len(now.D)
         rows = np.concatenate([now.states, m + np.arange(N)])
@@ -124,27 +124,27 @@ def _eliminate_algebraic_states(of: Equations) -> LinearMachine:
     """Return the linear system without the algebraic states."""
     N, m = len(of.u), len(of.D)
     follows = of.states[of.D[of.states] == 0.0]
-    kept = of.states[of.D[of.states] != 0.0]
+    differential = of.states[of.D[of.states] != 0.0]
     links = m + np.arange(2 * N)
-    columns = np.concatenate([kept, links, m + 2 * N + np.arange(N)])
+    columns = np.concatenate([differential, links, m + 2 * N + np.arange(N)])
     # d(algebraic) = W d(all others) + w, so that its rows stay 0.
-    inner, given = of.by[np.ix_(follows, follows)], of.by[np.ix_(follows, columns)]
-    W, w = -np.linalg.solve(inner, given), -np.linalg.solve(inner, of.value[follows])
+    inner, outer = of.by[np.ix_(follows, follows)], of.by[np.ix_(follows, columns)]
+    W, w = -np.linalg.solve(inner, outer), -np.linalg.solve(inner, of.value[follows])
 
     def rows(places: NDArray[np.int64]) -> tuple[Array, Array]:
         by = of.by[np.ix_(places, follows)]
         return of.by[np.ix_(places, columns)] + by @ W, of.value[places] + by @ w
 
-    n = len(kept) + 2 * N
+    n = len(differential) + 2 * N
     of_drives, of_links, of_currents, of_angles = (
-        rows(places) for places in (kept, *(m + k * N + np.arange(N) for k in range(3)))
+        rows(places) for places in (differential, *(m + k * N + np.arange(N) for k in range(3)))
     )
-    D = of.D[kept]
-    of_q = np.eye(N, n + N, len(kept) + N), of.x[m + N :]
+    D = of.D[differential]
+    of_q = np.eye(N, n + N, len(differential) + N), of.x[m + N :]
     table = np.vstack([of_drives[0] / D[:, np.newaxis], of_q[0], of_links[0]])
     rate = np.concatenate([of_drives[1] / D, of_q[1], of_links[1]])
     (resting,) = np.nonzero(of.sticks)
-    for first in (len(kept), len(kept) + N):
+    for first in (len(differential), len(differential) + N):
         table[first + resting], rate[first + resting] = 0.0, 0.0
     return LinearMachine(
         A=table[:, :n],
@@ -156,7 +156,7 @@ def _eliminate_algebraic_states(of: Equations) -> LinearMachine:
         theta_m_by_u=of_angles[0][:, n:],
         current=of_currents[0][:, :n],
         current_by_u=of_currents[0][:, n:],
-        q=slice(len(kept), len(kept) + N),
-        v=slice(len(kept) + N, n),
+        q=slice(len(differential), len(differential) + N),
+        v=slice(len(differential) + N, n),
         sticks=of.sticks,
     )

@@ -112,8 +112,8 @@ class ModeLoops:
     """
 
     def __init__(self, scene: Scene, servo: ServoConfig) -> None:
-        known = {joint.name: joint for joint in servo.joints}
-        joints = [known[name] for name in scene.joint_names]
+        by_name = {joint.name: joint for joint in servo.joints}
+        joints = [by_name[name] for name in scene.joint_names]
         self._N, self._delay, self._period = len(joints), late(scene), servo.period
         self._fast = min(joint.position_gain for joint in joints)
         self._servos = {
@@ -122,11 +122,11 @@ class ModeLoops:
         plant = Plant(scene)
         stand = [(q, loaded) for loaded in contacts(plant) for q in poses(scene, POSES)]
         self._poses = [q for q, _ in stand]
-        motions = [SmallMotions(plant, *one) for one in stand]
-        self._falls = [one.falls for one in motions]
-        self._free = [sampled_plant(one, servo, servo.period) for one in motions]
+        motions = [SmallMotions(plant, *pose) for pose in stand]
+        self._falls = [motion.falls for motion in motions]
+        self._free = [sampled_plant(motion, servo, servo.period) for motion in motions]
         self._braked = {
-            j: [sampled_plant(one, servo, servo.period, j) for one in motions]
+            j: [sampled_plant(motion, servo, servo.period, j) for motion in motions]
             for j, joint in enumerate(scene.joints)
             if joint.brake is not None
         }
@@ -152,41 +152,43 @@ class ModeLoops:
         loops = [SampledLoop(plant, servos, self._delay) for plant in plants]
         beyond = [self._beyond(*pair, loop) for pair in zip(loops, self._falls, strict=True)]
         worst = int(np.argmax(beyond))
-        one, gain, most = loops[worst], 1.0, beyond[worst]
-        if most <= HARMLESS:
+        closed, gain, excess = loops[worst], 1.0, beyond[worst]
+        if excess <= HARMLESS:
             for factor in (GAIN, 1.0 / GAIN):
-                other = SampledLoop(
+                scaled = SampledLoop(
                     _scale_command(plants[worst], factor, None if alike else j), servos, self._delay
                 )
-                grows = self._beyond(other, self._falls[worst], loop, self._fast)
+                grows = self._beyond(scaled, self._falls[worst], loop, self._fast)
                 if grows > HARMLESS:
-                    one, gain, most = other, factor, grows
-        poles = np.concatenate([one.poles for one in loops])
+                    closed, gain, excess = scaled, factor, grows
+        poles = np.concatenate([pose_loop.poles for pose_loop in loops])
         swings = poles[np.abs(np.angle(poles)) > _STANDS]
         swing = swings[np.argmax(np.abs(swings))] if len(swings) else 0.0
         yield LoopFigure(
-            joint=one.loudest() if alike else j,
+            joint=closed.loudest() if alike else j,
             loop=loop,
             braked=braked,
             alike=alike,
-            radius=max(one.radius for one in loops),
+            radius=max(pose_loop.radius for pose_loop in loops),
             swing=float(np.abs(swing)),
             frequency=float(np.abs(np.angle(swing)) / (2.0 * math.pi * self._period)),
-            beyond=most,
+            beyond=excess,
             gain=gain,
             q=tuple(self._poses[worst].tolist()),
         )
 
-    def _beyond(self, one: SampledLoop, falls: float, loop: Loop, least: float = 0.0) -> float:
-        """Return the growth rate of motions faster than `least` [1/s], beyond a fall [1/s]."""
-        poles = one.poles[np.abs(one.poles) > 1e-300]
+    def _beyond(
+        self, closed: SampledLoop, falls: float, loop: Loop, min_rate: float = 0.0
+    ) -> float:
+        """Return the growth rate of motions faster than `min_rate` [1/s], beyond a fall [1/s]."""
+        poles = closed.poles[np.abs(closed.poles) > 1e-300]
         rates = np.log(poles) / self._period
-        growth = rates.real[np.abs(rates) >= least].max(initial=-math.inf)
+        growth = rates.real[np.abs(rates) >= min_rate].max(initial=-math.inf)
         return float(growth) - FALLING[loop] * falls
 
     def withheld(self, modes: Iterable[Mode]) -> list[Withheld]:
         """Return the unstable modes among some, by joint and mode, each with its worst loop."""
-        found = []
+        withheld = []
         for j in range(self._N):
             for mode in modes:
                 bad = [
@@ -195,9 +197,9 @@ class ModeLoops:
                     if figure.joint == j and figure.loop in mode.loops and not figure.holds
                 ]
                 if bad:
-                    worst = max(bad, key=lambda one: one.beyond)
-                    found.append(Withheld(j, mode, worst.why()))
-        return found
+                    worst = max(bad, key=lambda unstable: unstable.beyond)
+                    withheld.append(Withheld(j, mode, worst.why()))
+        return withheld
 
 
 def _scale_command(plant: SampledPlant, factor: float, joint: int | None) -> SampledPlant:
@@ -211,8 +213,8 @@ def _scale_command(plant: SampledPlant, factor: float, joint: int | None) -> Sam
 
 
 _Key = tuple[str, bytes, tuple[float, ...], ServoConfig, tuple[Mode, ...]]
-_KNOWN: dict[_Key, list[Withheld]] = {}
-_MOST_KNOWN = 64
+_CACHE: dict[_Key, list[Withheld]] = {}
+_CACHE_SIZE = 64
 
 
 def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) -> list[Withheld]:
@@ -222,24 +224,24 @@ def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) ->
     """
     if any(joint.motor is None for joint in scene.joints):
         return []
-    values = tuple(one.value for one in scene.varied)
+    values = tuple(number.value for number in scene.varied)
     key = write_scene_unit(scene), scene.start.tobytes(), values, servo, modes
-    if key not in _KNOWN:
-        while len(_KNOWN) >= _MOST_KNOWN:
-            del _KNOWN[next(iter(_KNOWN))]
+    if key not in _CACHE:
+        while len(_CACHE) >= _CACHE_SIZE:
+            del _CACHE[next(iter(_CACHE))]
         try:
             with np.errstate(all="ignore"):
-                _KNOWN[key] = ModeLoops(scene, servo).withheld(modes)
+                _CACHE[key] = ModeLoops(scene, servo).withheld(modes)
         except (ArithmeticError, np.linalg.LinAlgError):
-            _KNOWN[key] = []
-    return _KNOWN[key]
+            _CACHE[key] = []
+    return _CACHE[key]
 
 
 def withheld_words(scene: Scene, withheld: list[Withheld]) -> list[str]:
     """Return the same as text, one line per joint and reason."""
     by_reason: dict[tuple[int, str], list[Mode]] = {}
-    for one in withheld:
-        by_reason.setdefault((one.joint, one.why), []).append(one.mode)
+    for lost in withheld:
+        by_reason.setdefault((lost.joint, lost.why), []).append(lost.mode)
     return [
         f"{scene.where}: {scene.joint_names[j]}: a drive offers no "
         f"{' or '.join(map(str, modes))}: {why}"

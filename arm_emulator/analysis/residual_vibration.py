@@ -14,7 +14,7 @@ WHERE = "residual vibration"
 QUANTITIES = {"largest": "m", "swing": "m", "rms": "m", "settled": "s"}
 _PADDED = 8  # times as many samples as there are, for the spectrum
 _PROMINENT = 0.05  # of the spectrum's largest value: what counts as a peak
-_LEAST = 4  # samples
+_MIN_SAMPLES = 4  # samples
 _STILL = 1e-3  # of the largest change of targets
 
 
@@ -46,8 +46,8 @@ def measure_vibration(places: Array, period: float, band: float) -> ResidualVibr
     Raises:
         Refusal: too few places, or numbers that are not finite.
     """
-    if len(places) < _LEAST or not np.isfinite(places).all():
-        rule = f"be followed by {_LEAST} samples of finite numbers at least"
+    if len(places) < _MIN_SAMPLES or not np.isfinite(places).all():
+        rule = f"be followed by {_MIN_SAMPLES} samples of finite numbers at least"
         raise Refusal(WHERE, "the end of the reference", rule, len(places))
     off = places - places[-1]
     distance = np.linalg.norm(off, axis=1)
@@ -83,8 +83,8 @@ def _find_swing(x: Array) -> float:
     """Return half of the largest way between two turning points that follow each other."""
     moves = np.concatenate([[True], np.diff(x) != 0.0])
     x = x[moves]
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(x))) != 0.0) + 1
-    return 0.5 * float(np.abs(np.diff(x[turns])).max(initial=0.0))
+    reversals = np.flatnonzero(np.diff(np.sign(np.diff(x))) != 0.0) + 1
+    return 0.5 * float(np.abs(np.diff(x[reversals])).max(initial=0.0))
 
 
 def _find_frequency(speeds: Array, period: float) -> float:

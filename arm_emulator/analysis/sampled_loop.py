@@ -15,7 +15,7 @@ from arm_emulator.base.arrays import Array
 ComplexArray = npt.NDArray[np.complex128]
 
 _THETA, _CURRENT, _APPLIED = (INPUTS.index(name) for name in ("theta", "current", "applied"))
-_GIVEN = [INPUTS.index(name) for name in ("target", "v_target")]
+_TARGETS = [INPUTS.index(name) for name in ("target", "v_target")]
 _FREQUENCIES = 240  # from 1e-4 of the sampling frequency to its half
 
 
@@ -79,26 +79,26 @@ class SampledLoop:
             measured[_CURRENT, j, applied + j] = plant.current_by_command[j]
             measured[_APPLIED, j, applied + j] = 1.0
         A, B = np.zeros((size, size)), np.zeros((size, 2, N))
-        command, by_given = np.zeros((N, size)), np.zeros((N, 2, N))
+        command, by_target = np.zeros((N, size)), np.zeros((N, 2, N))
         for j, servo in enumerate(servos):
             own = slice(n + s * j, n + s * (j + 1))
             A[own] = servo.B @ measured[:, j]
             A[own, own] += servo.A
-            B[own, :, j] = servo.B[:, _GIVEN]
+            B[own, :, j] = servo.B[:, _TARGETS]
             command[j] = servo.D @ measured[:, j]
             command[j, own] += servo.C
-            by_given[j, :, j] = servo.D[_GIVEN]
+            by_target[j, :, j] = servo.D[_TARGETS]
         # The queue of commands: the newest at its end, the one that is applied at its front.
         queue = np.zeros((N * (1 + delay), size))
-        queue_given = np.zeros((N * (1 + delay), 2, N))
+        queue_by_target = np.zeros((N * (1 + delay), 2, N))
         for d in range(delay):
             queue[N * d : N * (d + 1), applied + N * (d + 1) : applied + N * (d + 2)] = np.eye(N)
         queue[N * delay :] = command
-        queue_given[N * delay :] = by_given
-        A[applied:], B[applied:] = queue, queue_given
+        queue_by_target[N * delay :] = by_target
+        A[applied:], B[applied:] = queue, queue_by_target
         A[:n, :n] = plant.F
         A[:n] += plant.G @ queue[:N]
-        B[:n] += np.tensordot(plant.G, queue_given[:N], 1)
+        B[:n] += np.tensordot(plant.G, queue_by_target[:N], 1)
         self.A, self.B = A, B
         self._states, self._command = n, command
         # Inputs added to the commands of the servos.
@@ -147,7 +147,7 @@ class SampledLoop:
     def margins(self) -> list[Margins]:
         """Return the margins of each joint's loop."""
         w, S = self.sensitivities()
-        return [_compute_margins(w, one) for one in S.T]
+        return [_compute_margins(w, response) for response in S.T]
 
     def step(self, joint: int, rows: int, every: int = 1) -> Array:
         """Return the response of the link positions to a joint's unit target.

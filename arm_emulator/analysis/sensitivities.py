@@ -76,12 +76,12 @@ class SensitiveMachine:
         possible = numbers_of(scene)
         starts = [f"start.{which}.{joint}" for which in "qv" for joint in scene.joint_names]
         rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
-        every = {one: one for one in (*possible, *starts)}
+        every = {name: name for name in (*possible, *starts)}
         self.names = choose(by, every, WHERE, "by", rule)
         self._scene = scene
         self._varied = tuple(possible[name] for name in self.names if name in possible)
         self._core = load_sensitivities(differentiable(scene, self._varied))
-        seeded = [*(one.name for one in self._varied), *starts]
+        seeded = [*(number.name for number in self._varied), *starts]
         self._places = [seeded.index(name) for name in self.names]
 
     def run(
@@ -114,7 +114,7 @@ class SensitiveMachine:
         if rows.ndim != 2 or rows.shape[1] != N:
             raise Refusal(WHERE, ANY_COMMANDS.name, f"have shape (K, {N})", rows.shape)
         ANY_COMMANDS.check(WHERE, rows)
-        given = {
+        inputs = {
             "parameters": np.array([(values or {}).get(o.name, o.value) for o in self._varied]),
             "q": POSITION.row(WHERE, scene.start if q is None else q, N),
             "v": VELOCITY.row(WHERE, np.zeros(N) if v is None else v, N),
@@ -122,7 +122,7 @@ class SensitiveMachine:
         }
         if motors is not None:
             pairs = zip(("theta_m", "omega_m"), motors, strict=True)
-            given |= {name: ANY_STATE.row(WHERE, one, N) for name, one in pairs}
+            inputs |= {name: ANY_STATE.row(WHERE, row, N) for name, row in pairs}
         places = np.array(self._places, dtype=int)
         parts = max(1, -(-len(places) // DIRECTIONS))
         seeds = np.zeros((parts, len(self._varied) + 2 * N, DIRECTIONS))
@@ -139,12 +139,12 @@ class SensitiveMachine:
                 "arm_sensitive_run", step=dt, rows=len(rows), steps=steps,
                 parts=some.stop - some.start, values=quantities,
                 slopes=slopes.ravel()[some.start * DIRECTIONS :], stride=slopes.shape[-1],
-                **given, **of,
+                **inputs, **of,
             )  # fmt: skip
             done = self._core.arm_run_with_sensitivities(request)
             if done < len(rows):
-                got = f"a divergence after {done * steps * dt:g} s"
-                raise Refusal(WHERE, "motion", "stay within bounds", got)
+                actual = f"a divergence after {done * steps * dt:g} s"
+                raise Refusal(WHERE, "motion", "stay within bounds", actual)
             return quantities
 
         threads = min(len(os.sched_getaffinity(0)), parts)
@@ -203,7 +203,7 @@ def numbers_of(scene: Scene) -> dict[str, Varied]:
         for number in list_variable_numbers(_remove_sensors(scene).joints, scene.chain, ())
     }
     listed = (MASS, f"{CALIBRATION}.")
-    return here | {one.name: one for one in scene.varied if one.name.startswith(listed)}
+    return here | {number.name: number for number in scene.varied if number.name.startswith(listed)}
 
 
 def _remove_sensors(scene: Scene) -> Scene:
@@ -217,13 +217,13 @@ def differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
     Raises:
         Refusal: they are of the payload and of the link that carries it.
     """
-    load = scene.load if any(one.name == MASS for one in varied) else None
+    load = scene.load if any(number.name == MASS for number in varied) else None
     if load is not None:
         carrier = f"links.{scene.chain.links[load.link].link}."
-        for one in varied:
-            if one.name.startswith(carrier):
+        for number in varied:
+            if number.name.startswith(carrier):
                 rule = f"not name both {MASS} and numbers of the link that carries it"
-                raise Refusal(WHERE, "by", rule, one.name)
+                raise Refusal(WHERE, "by", rule, number.name)
     return dataclasses.replace(
         _remove_sensors(scene), varied=varied, load=load, threads=1, external_wrench=False,
         energy_flow=False,

@@ -42,15 +42,15 @@ def poses(scene: Scene, count: int = POSES) -> list[Array]:
     for joint in ET.fromstring(scene.urdf).iter("joint"):
         limit, kind = joint.find("limit"), joint.get("type")
         if limit is not None and kind in ("revolute", "prismatic"):
-            least, most = (float(limit.get(key, "0")) for key in ("lower", "upper"))
-            if max(-least, most) >= UNLIMITED:
+            lower, upper = (float(limit.get(key, "0")) for key in ("lower", "upper"))
+            if max(-lower, upper) >= UNLIMITED:
                 free = FREE_SLIDE if kind == "prismatic" else FREE_TURN
-                least, most = max(least, -free), min(most, free)
-            limits[joint.get("name")] = (least, most)
+                lower, upper = max(lower, -free), min(upper, free)
+            limits[joint.get("name")] = (lower, upper)
     turn = (-FREE_TURN, FREE_TURN)
     low, high = np.array([limits.get(name, turn) for name in scene.joint_names]).T
-    drawn = np.random.default_rng(0).uniform(low, np.maximum(low, high), (count - 1, len(low)))
-    return [scene.start, *drawn]
+    samples = np.random.default_rng(0).uniform(low, np.maximum(low, high), (count - 1, len(low)))
+    return [scene.start, *samples]
 
 
 def sampled_plant(
@@ -67,9 +67,9 @@ def sampled_plant(
     scene = motions.scene
     N, n = len(scene.joints), len(motions.J)
     q = np.eye(N, n, motions.links)
-    known = {joint.name: joint.counts_per_turn for joint in servo.joints}
+    counts = {joint.name: joint.counts_per_turn for joint in servo.joints}
     # A servo that is set up for another encoder takes the angle for another one.
-    scale = np.array([[joint.counts_per_turn / known[joint.name]] for joint in scene.joints])
+    scale = np.array([[joint.counts_per_turn / counts[joint.name]] for joint in scene.joints])
     J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
     return SampledPlant(
         *discretise_zoh(J, B, period),
@@ -111,8 +111,8 @@ class ServoLoops:
         delay: int = 0,
     ) -> None:
         self.scene = scene
-        known = {joint.name: joint for joint in servo.joints}
-        self.joints = [known[name] for name in scene.joint_names]
+        by_name = {joint.name: joint for joint in servo.joints}
+        self.joints = [by_name[name] for name in scene.joint_names]
         self.servo = servo
         self.delay = delay = delay + late(scene)
         self.poses = poses(scene) if at is None else at
@@ -137,11 +137,11 @@ class ServoLoops:
         every = [loop.margins() for loop in self._all]
         return [
             Margins(
-                min(one.gain_up for one in row),
-                max(one.gain_down for one in row),
-                min(one.phase for one in row),
-                min(one.delay for one in row),
-                max(one.sensitivity for one in row),
+                min(margins.gain_up for margins in row),
+                max(margins.gain_down for margins in row),
+                min(margins.phase for margins in row),
+                min(margins.delay for margins in row),
+                max(margins.sensitivity for margins in row),
             )
             for row in zip(*every, strict=True)
         ]
@@ -158,25 +158,25 @@ class ServoLoops:
 
     def _beyond(self, loops: list[SampledLoop], period: float) -> list[float]:
         """Return how fast small motions grow [1/s], beyond the fall of links that hang in play."""
-        held = len(self.poses)
-        falls = [one.fastest if k >= held else 0.0 for k, one in enumerate(self._motions)]
+        loaded = len(self.poses)
+        falls = [motion.fastest if k >= loaded else 0.0 for k, motion in enumerate(self._motions)]
         return [growth(loop, period) - fall for loop, fall in zip(loops, falls, strict=True)]
 
     def _what_holds(self, joint: int) -> tuple[JointServo | None, float | None]:
         softer = self.joints[joint]
-        found = None
+        stable_gains = None
         for _ in range(_TRIALS):
             softer = slower(softer, 0.5, self.servo.period)
             joints = [*self.joints[:joint], softer, *self.joints[joint + 1 :]]
             if self._holds(joints, self.servo.period):
-                found = softer
+                stable_gains = softer
                 break
         period = self.servo.period
         for _ in range(_TRIALS):
             period /= 2.0
             if self._holds(self.joints, period):
-                return found, period
-        return found, None
+                return stable_gains, period
+        return stable_gains, None
 
     def _holds(self, joints: list[JointServo], period: float) -> bool:
         try:
@@ -202,15 +202,15 @@ class Unstable:
 
     def what_holds(self) -> str:
         """Return gain and period in words."""
-        found = []
+        remedies = []
         if self.softer is not None:
-            found.append(
+            remedies.append(
                 f"velocity_gain {self.softer.velocity_gain:.3g} with position_gain "
                 f"{self.softer.position_gain:.3g}"
             )
         if self.period is not None:
-            found.append(f"a servo period of {self.period:.3g} s")
-        return " or ".join(found) or "gains by `arm_emulator tune`"
+            remedies.append(f"a servo period of {self.period:.3g} s")
+        return " or ".join(remedies) or "gains by `arm_emulator tune`"
 
 
 def growth(loop: SampledLoop, period: float) -> float:
@@ -263,13 +263,13 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
     bad = loops.unstable()
     if bad is not None:
         quantity = f"servo.joints.{names[bad.joint]}"
-        got = f"small motions that grow {bad.growth:.4g}-fold per servo period"
+        actual = f"small motions that grow {bad.growth:.4g}-fold per servo period"
         if bad.pose == 0 or growth(loops.loops[0], servo.period) > HARMLESS:
             rule = f"be stable at a period of {servo.period:g} s"
-            raise Refusal(where, quantity, rule, got, bad.what_holds())
+            raise Refusal(where, quantity, rule, actual, bad.what_holds())
         pose = np.array2string(loops.poses[bad.pose], precision=2, separator=", ")
         pose = " ".join(pose.split())
-        return [f"{where}: {quantity}: {got} at q = {pose}; what holds: {bad.what_holds()}"]
+        return [f"{where}: {quantity}: {actual} at q = {pose}; what holds: {bad.what_holds()}"]
     lines = []
     for j, margins in enumerate(loops.margins()):
         little = too_little(margins)
@@ -280,11 +280,11 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
 
 def too_little(margins: Margins) -> str:
     """Return in words what a joint has too little of; empty: nothing."""
-    found = []
+    flaws = []
     if margins.gain_up < LITTLE_GAIN:
-        found.append(f"a gain margin of {margins.gain_up:.2f}")
+        flaws.append(f"a gain margin of {margins.gain_up:.2f}")
     if margins.phase < LITTLE_PHASE:
-        found.append(f"a phase margin of {math.degrees(margins.phase):.0f} degrees")
+        flaws.append(f"a phase margin of {math.degrees(margins.phase):.0f} degrees")
     if margins.delay < LITTLE_DELAY:
-        found.append(f"unstable with {margins.delay:.2g} servo periods of dead time")
-    return ", ".join(found)
+        flaws.append(f"unstable with {margins.delay:.2g} servo periods of dead time")
+    return ", ".join(flaws)

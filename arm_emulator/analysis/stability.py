@@ -96,14 +96,14 @@ class SmallMotions:
         n, D, F, G = len(of_drives.D), of_drives.D, of_drives.F, of_drives.G
         # States that follow at once, such as a current without inductance, are no states.
         follows = D == 0.0
-        kept = np.concatenate([~follows, np.ones(3 * N, dtype=bool)])
+        remaining = np.concatenate([~follows, np.ones(3 * N, dtype=bool)])
 
-        def from_kept(F: Array) -> Array:
-            whole = np.eye(n + 3 * N)[:, kept]
-            whole[:n][follows] = -np.linalg.solve(
-                F[follows][:, :n][:, follows], F[follows][:, kept]
+        def expand_states(F: Array) -> Array:
+            expansion = np.eye(n + 3 * N)[:, remaining]
+            expansion[:n][follows] = -np.linalg.solve(
+                F[follows][:, :n][:, follows], F[follows][:, remaining]
             )
-            return whole
+            return expansion
 
         # M + carried rotors: (M + C)^-1 = (1 + M^-1 C)^-1 M^-1.
         carried = np.array([drive.carried for drive in drives])
@@ -114,23 +114,23 @@ class SmallMotions:
         own_places = slice(self.links, self.links + N)
 
         def rates(F: Array, G: Array) -> Array:
-            of_kept = from_kept(F)
+            expanded = expand_states(F)
             return np.vstack(
                 [
-                    (F[~follows] / D[~follows, None]) @ of_kept,
+                    (F[~follows] / D[~follows, None]) @ expanded,
                     np.eye(N, self.links + 3 * N, self.links + N),  # dq/dt = v
-                    by_torque @ G @ of_kept,
+                    by_torque @ G @ expanded,
                 ]
             )
 
-        all_from_kept, whole = from_kept(F), rates(F, G)
-        whole, self.B = whole[:, :-N], whole[:, -N:]
-        self.theta_m = (of_drives.motor_angle @ all_from_kept)[:, :-N]
-        measured = of_drives.current @ all_from_kept
+        all_states, jacobian = expand_states(F), rates(F, G)
+        jacobian, self.B = jacobian[:, :-N], jacobian[:, -N:]
+        self.theta_m = (of_drives.motor_angle @ all_states)[:, :-N]
+        measured = of_drives.current @ all_states
         self.current, self.current_by_command = measured[:, :-N], np.diag(measured[:, -N:])
-        self.A = whole.copy()  # what the schemes treat implicitly
-        whole[-N:, own_places] += by_q
-        self.J = whole  # all
+        self.A = jacobian.copy()  # what the schemes treat implicitly
+        jacobian[-N:, own_places] += by_q
+        self.J = jacobian  # all
         # Without torques of motors: a current acts on nothing but itself.
         no_currents = of_drives.no_currents
         alone = np.where(np.eye(n, n + 3 * N) > 0.0, F, F * no_currents)
@@ -149,13 +149,13 @@ class SmallMotions:
         (own,) = np.nonzero(self.theta_m[joint])
         m, N = self.links, len(self.theta_m)
         if own[0] < m:
-            held = [own[0], int(np.argmax(J[own[0]]))]  # its angle, and what that grows by
+            braked_states = [own[0], int(np.argmax(J[own[0]]))]  # its angle, and what that grows by
         else:
             by = self._by_torque[:, joint] / self._by_torque[joint, joint]
             for rows in (J, B):  # the torque that keeps the link acts on the others
                 rows[m + N :] -= np.outer(by, rows[m + N + joint])
-            held = [m + joint, m + N + joint]
-        J[held], B[held] = 0.0, 0.0
+            braked_states = [m + joint, m + N + joint]
+        J[braked_states], B[braked_states] = 0.0, 0.0
         return J, B
 
     def step(self, scheme: str, dt: float) -> Array:
@@ -195,7 +195,7 @@ class SmallMotions:
 def contacts(plant: Plant) -> tuple[bool, ...]:
     """Return the ways in which gears can stand, as `SmallMotions` takes them, loaded first."""
     pairs = zip(plant.linear_drives(True), plant.linear_drives(False), strict=True)
-    play = any(not np.array_equal(one.G, other.G) for one, other in pairs)
+    play = any(not np.array_equal(first.G, second.G) for first, second in pairs)
     return (True, False) if play else (True,)
 
 
@@ -230,6 +230,6 @@ def why(fault: Diverged) -> str:
     words = "small motions about rest in this pose hold"
     if turn < SLOW:
         return f"{words}, and the motion was slow, {turn:.2g} rad or m per step"
-    wound = any(joint.gear.stiffens for joint in scene.joints)
-    more = ", or a gear is wound up beyond what is linear in it" if wound else ""
+    stiffens = any(joint.gear.stiffens for joint in scene.joints)
+    more = ", or a gear is wound up beyond what is linear in it" if stiffens else ""
     return f"{words}: the motion is too fast for the step, {turn:.2g} rad or m per step{more}"

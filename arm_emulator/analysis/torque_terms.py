@@ -72,8 +72,8 @@ class TorqueTerms:
         plant.restore(saved)
         N = len(scene.joints)
         out = np.zeros((plant.equation("arm_torque_terms", NULL, NULL), N))
-        given = np.ascontiguousarray(command, np.float64) * plant.powered
-        plant.equation("arm_torque_terms", pointer(given), pointer(out))
+        powered_command = np.ascontiguousarray(command, np.float64) * plant.powered
+        plant.equation("arm_torque_terms", pointer(powered_command), pointer(out))
         k, n = len(_OF_LINK), len(_OF_LINK) + len(_OF_ROTOR)
         link, rotor = (
             dict(zip(_OF_LINK, out, strict=False)),

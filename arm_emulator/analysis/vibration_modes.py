@@ -58,8 +58,8 @@ def find_vibration_modes(
     scene, period = plant.scene, servo.period
     kinematics = Kinematics(scene.true_urdf, scene.joint_names, scene.tool)
     linear = linearise(plant, q)
-    known = {joint.name: joint for joint in servo.joints}
-    joints = [known[name] for name in scene.joint_names]
+    by_name = {joint.name: joint for joint in servo.joints}
+    joints = [by_name[name] for name in scene.joint_names]
     n = len(linear.A)
     counts = [joint.counts_per_turn for joint in scene.joints]
     scale = np.array([[a / b.counts_per_turn] for a, b in zip(counts, joints, strict=True)])
@@ -76,7 +76,7 @@ def find_vibration_modes(
     tool = jacobian[:POSITION_ROWS]
     lines = np.linalg.pinv(jacobian, rcond=_SINGULAR)[:, :POSITION_ROWS]  # joints along the axes
     poles, left, right = linalg.eig(loop.A, left=True, right=True)
-    found = []
+    modes = []
     for z, w, x in zip(poles, left.T, right.T, strict=True):
         if abs(z) < _AT_ONCE or z.imag <= 0.0:
             continue
@@ -88,5 +88,5 @@ def find_vibration_modes(
         by_target = w.conj() @ (loop.B[:, 0] + loop.B[:, 1] * (z - 1.0) / period) / (w.conj() @ x)
         by_step = np.linalg.norm(by_target @ lines / (1.0 - z))
         swing = 2.0 * np.linalg.norm(tool @ x[linear.q]) * by_step / abs(rate) ** 2
-        found.append(VibrationMode(float(frequency), float(damping), float(swing)))
-    return sorted(found, key=lambda mode: -mode.swing)
+        modes.append(VibrationMode(float(frequency), float(damping), float(swing)))
+    return sorted(modes, key=lambda mode: -mode.swing)

@@ -65,8 +65,8 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
     try:
         for name, message in topics.read(*COMPARED):
             repetition.take(name, message)
-    except Difference as found:
-        difference = str(found)
+    except Difference as deviation:
+        difference = str(deviation)
     if not tally.runs:
         rule, actual = "hold a run from tick 0 on", f"{tally.before} states of later ticks"
         raise Refusal(str(path), "the bag", rule, actual, "record, then call emulator/reset")
@@ -92,4 +92,6 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
 def _compare_builds(topics: RecordedTopics, session: Session) -> list[str]:
     """Return how the build of the record and the present one differ, a sentence each."""
     builds = topics.build, build_facts(session.plant)
-    return [f"other builds: {one}" for one in list_differing_builds(("record", "present"), *builds)]
+    return [
+        f"other builds: {fact}" for fact in list_differing_builds(("record", "present"), *builds)
+    ]

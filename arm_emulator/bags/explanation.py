@@ -111,18 +111,18 @@ def _find_newest(
 
 
 def arrange_joints(
-    given: list[str], values: Any, names: tuple[str, ...], before: Array | None
+    recorded_names: list[str], values: Any, names: tuple[str, ...], before: Array | None
 ) -> Array | None:
     """Return values in the scene's order of joints; `before` if joints are missing."""
-    if sorted(given) != sorted(names) or len(values) != len(names):
+    if sorted(recorded_names) != sorted(names) or len(values) != len(names):
         return before
-    return np.array([values[list(given).index(name)] for name in names], np.float64)
+    return np.array([values[list(recorded_names).index(name)] for name in names], np.float64)
 
 
 def _list_changes(machine: RecordedMachine, tick: int) -> Iterator[str]:
     """Yield the changes by hand here, and the last one before."""
-    for one in machine.changes.get(tick, ()):
-        yield f"changed by hand at this tick: {KINDS.get(one.kind, one.kind)}"
+    for change in machine.changes.get(tick, ()):
+        yield f"changed by hand at this tick: {KINDS.get(change.kind, change.kind)}"
     before = max((at for at in machine.changes if at < tick), default=None)
     if before is not None:
         kind = machine.changes[before][-1].kind

@@ -63,8 +63,8 @@ class RecordedMachine:
     def of(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> RecordedMachine:
         """Return the machine of a run of a bag; the scene is that which the bag names if None."""
         topics = RecordedTopics(Bag(path))
-        known = scene if isinstance(scene, Scene) else load_scene(scene or topics.scene)
-        return cls(topics, known, run)
+        loaded = scene if isinstance(scene, Scene) else load_scene(scene or topics.scene)
+        return cls(topics, loaded, run)
 
     @property
     def tick(self) -> int:
@@ -79,7 +79,7 @@ class RecordedMachine:
     def read_records(self) -> Iterator[RecordedTick]:
         """Yield what is recorded of each tick."""
         every = read_ticks(self.topics, self.scene.joint_names)
-        return (one for one in every if one.run == self._run)
+        return (record for record in every if record.run == self._run)
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods of the record.

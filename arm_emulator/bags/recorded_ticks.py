@@ -17,7 +17,7 @@ from arm_emulator_msgs.msg import MachineEvent, MotorState
 
 Values = NDArray[Any]
 TRUTH = ("position", "velocity", "effort")
-_OF_UNITS = {name for name, one in KNOWN.items() if one.per_unit}
+_OF_UNITS = {name for name, output in KNOWN.items() if output.per_unit}
 _NAMES = ("joint_names", "reading_names", "imu_names")
 _FIELDS = MotorState.get_fields_and_field_types()
 # Its arrays of numbers, commands first.
@@ -180,7 +180,7 @@ def find_first_difference_of_bits(
     computed = np.ascontiguousarray(computed, recorded.dtype)
     if recorded.tobytes() != computed.tobytes():
         # Of the bits: 0.0 and -0.0 differ, and a NaN is equal to itself.
-        for place, (one, other) in enumerate(zip(recorded, computed, strict=True)):
-            if one.tobytes() != other.tobytes():
-                return place, (one.item(), other.item())
+        for place, (left, right) in enumerate(zip(recorded, computed, strict=True)):
+            if left.tobytes() != right.tobytes():
+                return place, (left.item(), right.item())
     return None

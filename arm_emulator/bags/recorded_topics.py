@@ -52,8 +52,8 @@ class RecordedTopics:
         where = str(bag.path)
         states = [name for name in bag.topics if name.endswith("/motor_states")]
         if len(states) != 1:
-            known = ", ".join(states or sorted(bag.topics)) or "no topics"
-            raise Refusal(where, "the bag", "have one topic motor_states", known)
+            listed = ", ".join(states or sorted(bag.topics)) or "no topics"
+            raise Refusal(where, "the bag", "have one topic motor_states", listed)
         namespace = states[0].removesuffix("motor_states")
         self.names: dict[str, str] = {}
         for name in READ:
@@ -71,40 +71,40 @@ class RecordedTopics:
                 raise Refusal(where, f"definition of {topic.name}", rule, "other fields")
             self.names[name] = topic.name
 
-    def read(self, *wanted: str) -> Iterator[tuple[str, Any]]:
+    def read(self, *requested: str) -> Iterator[tuple[str, Any]]:
         """Yield name and message of some topics, in the order of publication.
 
         Raises:
             Refusal: a message cannot be read.
         """
-        for name, message, _ in self.read_with_time(*wanted):
+        for name, message, _ in self.read_with_time(*requested):
             yield name, message
 
-    def read_with_time(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
+    def read_with_time(self, *requested: str) -> Iterator[tuple[str, Any, int]]:
         """Yield as `read`, with the wall time of publication [ns]."""
-        for name, data, published in self._read_data(wanted):
+        for name, data, published in self._read_data(requested):
             yield name, self._deserialize(name, data), published
 
-    def read_in_place(self, *wanted: str) -> Iterator[tuple[str, Any, int]]:
+    def read_in_place(self, *requested: str) -> Iterator[tuple[str, Any, int]]:
         """Yield as `read_with_time`; a message is overwritten by the next one of its topic.
 
         Of messages that are alike but for their numbers this takes a fifth of the time.
         """
         layouts: dict[str, FixedLayout] = {}
-        for name, data, published in self._read_data(wanted):
-            known = layouts.get(name)
-            if known is not None and known.take(data):
-                yield name, known.message, published
+        for name, data, published in self._read_data(requested):
+            layout = layouts.get(name)
+            if layout is not None and layout.take(data):
+                yield name, layout.message, published
                 continue
             message = self._deserialize(name, data)
             if name in ALIKE:
                 layouts[name] = FixedLayout(message)
             yield name, message, published
 
-    def _read_data(self, wanted: tuple[str, ...]) -> Iterator[tuple[str, bytes, int]]:
-        names = {self.names[name]: name for name in wanted if name in self.names}
-        for one in self.bag.read_as_published(names):
-            yield names[one.topic], one.data, one.published
+    def _read_data(self, requested: tuple[str, ...]) -> Iterator[tuple[str, bytes, int]]:
+        names = {self.names[name]: name for name in requested if name in self.names}
+        for record in self.bag.read_as_published(names):
+            yield names[record.topic], record.data, record.published
 
     def _deserialize(self, name: str, data: bytes) -> Any:
         try:
@@ -167,14 +167,14 @@ class RecordedTopics:
         """Data that the bag lacks, a sentence each."""
         if not self.bag.complete:
             yield "messages after the bag's end: its recorder did not close it"
-        for name, what in (
+        for name, information in (
             ("motor_commands", "what was commanded"),
             ("emulator/joint_states", "the true state of the machine"),
             ("emulator/events", "whether the machine was changed by hand"),
             ("emulator/status", "whether this was lock-step, as assumed"),
         ):
-            if not any(known.endswith(f"/{name}") for known in self.bag.topics):
-                yield f"{what}: the bag has no {name}"
+            if not any(topic.endswith(f"/{name}") for topic in self.bag.topics):
+                yield f"{information}: the bag has no {name}"
 
     def hints(self, scene: Scene) -> Iterator[str]:
         """Yield possible reasons for a difference, one sentence each."""

@@ -99,7 +99,7 @@ class Repetition:
     def fields(self) -> dict[str, str]:
         """Compared fields of each message."""
         fields = self._measured
-        own = (one.name for one in fields.own)
+        own = (output.name for output in fields.own)
         names = "stamp", "tick", *fields.in_all, *own, *fields.listed
         return {
             "motor_states": ", ".join(names),
@@ -132,8 +132,8 @@ class Repetition:
         if not self._is_in_run:
             return
         try:
-            names, given = command.joint_names, (command.input_names, command.inputs)
-            further = name_inputs("motor_commands", *given, len(names))
+            names, inputs = command.joint_names, (command.input_names, command.inputs)
+            further = name_inputs("motor_commands", *inputs, len(names))
             rows = self._buffer.arranged(names, command.command, further)
         except Refusal:
             self.tally.refused += 1
@@ -148,10 +148,10 @@ class Repetition:
     def _skip_lost_state(self, tick: int) -> None:
         """Advance to a tick whose state is missing in the bag, if the command before it exists."""
         session = self._session
-        known = self._commands.get(session.tick)
-        if tick == session.tick + 1 and known and self._lockstep:
+        recorded = self._commands.get(session.tick)
+        if tick == session.tick + 1 and recorded and self._lockstep:
             self.tally.lost += 1
-            self._advance(known[-1] if session.powered else np.zeros_like(known[-1]))
+            self._advance(recorded[-1] if session.powered else np.zeros_like(recorded[-1]))
 
     def _take_event(self, event: MachineEvent) -> None:
         session, number = self._session, int(event.number)
@@ -179,9 +179,9 @@ class Repetition:
     def _repeat_change(self, event: MachineEvent) -> None:
         """Repeat a change by hand."""
         session = self._session
-        what = KINDS.get(event.kind, f"kind {event.kind}")
+        kind = KINDS.get(event.kind, f"kind {event.kind}")
         place = (
-            f"run {self.tally.runs}, tick {session.tick}, change {event.number} by hand ({what})"
+            f"run {self.tally.runs}, tick {session.tick}, change {event.number} by hand ({kind})"
         )
         self.tally.changes += 1
         try:
@@ -210,7 +210,7 @@ class Repetition:
             raise Difference(f"{place}: external wrenches differ")
         reported, now = self._reported.state, session.state
         for name in SET:
-            quantity = f"{name} after {what} by hand"
+            quantity = f"{name} after {kind} by hand"
             self._compare(quantity, getattr(reported, name), getattr(now, name))
 
     def _set_varied(self) -> None:
@@ -255,7 +255,7 @@ class Repetition:
                 f"recorded {stamp} ns, computed {session.logical_ns} ns"
             )
         now = session.measured
-        per_joint = (one.name for one in self._measured.own if not one.per_unit)
+        per_joint = (output.name for output in self._measured.own if not output.per_unit)
         for name in (*self._measured.in_all, *per_joint):
             if name == "applied" and not first:
                 continue  # a machine that diverges then, and is reported again, has others
@@ -270,10 +270,10 @@ class Repetition:
                     "recorded, and the scene has no such sensor"
                 )
         if session.scene.imus:
-            units = [one.name for one in session.scene.imus]
+            units = [imu.name for imu in session.scene.imus]
             self._check_names("imu_names", state.imu_names, units)
             owners = [unit for unit in units for _ in range(3)]
-            for name in (one.name for one in self._measured.own if one.per_unit):
+            for name in (output.name for output in self._measured.own if output.per_unit):
                 self._compare(name, values[name], getattr(now, name).ravel(), owners)
 
     def _end_run(self, state: MotorState) -> None:
@@ -285,9 +285,9 @@ class Repetition:
                 "and no reset is recorded"
             )
 
-    def _check_names(self, field: str, given: Sequence[str], known: Sequence[str]) -> None:
-        if list(given) != list(known):
-            actual, valid = ", ".join(given) or "none", ", ".join(known) or "none"
+    def _check_names(self, field: str, recorded: Sequence[str], expected: Sequence[str]) -> None:
+        if list(recorded) != list(expected):
+            actual, valid = ", ".join(recorded) or "none", ", ".join(expected) or "none"
             raise Refusal(self._where, field, "be those of the scene", actual, valid)
 
     def _check_applied(self, state: MotorState, values: dict[str, Values]) -> NDArray[np.float64]:
@@ -312,11 +312,11 @@ class Repetition:
             fits = (self._is_possible(applied, command) for command in commands)
             if not any(fits) and not has_command_fault(session):
                 index, joint = np.argwhere(applied != commands[-1])[0].tolist()
-                given, actual = (rows[index, joint].item() for rows in (commands[-1], applied))
+                commanded, actual = (rows[index, joint].item() for rows in (commands[-1], applied))
                 raise Difference(
                     f"run {self.tally.runs}, tick {session.tick}, "
                     f"joint {session.scene.joint_names[joint]}, {quantities[index]}: "
-                    f"commanded {given!r}, applied {actual!r}"
+                    f"commanded {commanded!r}, applied {actual!r}"
                 )
         return applied
 
@@ -361,11 +361,11 @@ class Repetition:
     ) -> None:
         """Raise the first difference; the owners are the joints if None."""
         check_length(self._where, quantity, recorded, len(computed))
-        if (found := find_first_difference_of_bits(recorded, computed)) is not None:
-            place, (one, other) = found
+        if (difference := find_first_difference_of_bits(recorded, computed)) is not None:
+            place, (recorded_value, computed_value) = difference
             joints = [f"joint {name}" for name in self._session.scene.joint_names]
             owner = owners[place] if owners else joints[place]
             raise Difference(
                 f"run {self.tally.runs}, tick {self._session.tick}, {owner}, {quantity}: "
-                f"recorded {one!r}, computed {other!r}"
+                f"recorded {recorded_value!r}, computed {computed_value!r}"
             )

@@ -53,7 +53,7 @@ class RunBag:
     def __init__(self, folder: Path, session: Session, about: Mapping[str, str]) -> None:
         self._session, scene = session, session.scene
         self._names = list(scene.joint_names)
-        self._imus = [one.name for one in scene.imus]
+        self._imus = [imu.name for imu in scene.imus]
         self._fields = MeasuredFields(scene, MotorState.get_fields_and_field_types())
         self._clock, self._events = time.time_ns(), 0
         self._writer = BagWriter(folder, about)
@@ -65,7 +65,7 @@ class RunBag:
     def __enter__(self) -> Self:
         self._writer.__enter__()
         session = self._session
-        facts = [KeyValue(key=key, value=one) for key, one in build_facts(session.plant).items()]
+        facts = [KeyValue(key=key, value=fact) for key, fact in build_facts(session.plant).items()]
         health = DiagnosticStatus(name="emulator", hardware_id=session.scene.name, values=facts)
         self._send("diagnostics", status=[health])
         self._send("emulator/status", tick=0)

@@ -67,13 +67,13 @@ class Tally:
             "ticks at 0 V before the first command": self.free,
         }
         return ", ".join(
-            [*parts, *(f"{number} {what}" for what, number in extra.items() if number)]
+            [*parts, *(f"{number} {name}" for name, number in extra.items() if number)]
         )
 
     @property
     def left_out(self) -> list[str]:
         """Omitted messages, a sentence each."""
-        what = {
+        counts = {
             f"motor states that belong to no run, from {self.first_after} on": self.after,
             "motor states of a run that began before the recording": self.before,
             "states are missing, the run was continued with commands": self.lost,
@@ -81,4 +81,4 @@ class Tally:
             "ticks whose commands no recorded one gives": self.uncommanded,
             "commands: in real time any may be held": self.held,
         }
-        return [f"{number} {name}" for name, number in what.items() if number]
+        return [f"{number} {name}" for name, number in counts.items() if number]

@@ -69,8 +69,8 @@ class TargetedRun(OfflineRun):
         self._targets = targets
         self._changes = dict(changes)
         self.instructor: Any = _NoMotionControl()
-        for one in self._changes.pop(0, ()):
-            self.session.restore(one.saved)
+        for change in self._changes.pop(0, ()):
+            self.session.restore(change.saved)
 
     @property
     def changes_here(self) -> Sequence[Change]:
@@ -98,8 +98,8 @@ class TargetedRun(OfflineRun):
         session = self.session
         self._instruct()
         rows = self._step.command(session.powered)
-        for one in self.changes_here:
-            session.restore(one.saved)
+        for change in self.changes_here:
+            session.restore(change.saved)
         session.advance_under(rows, session.tick)
         if session.fault is not None:
             raise session.fault

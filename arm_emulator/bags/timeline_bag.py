@@ -45,7 +45,7 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
         (change.tick, change.made) for change in line.changes if isinstance(change.made, Order)
     ]
     if len(orders) == len(line.changes):
-        about[ORDERS] = json.dumps([{"tick": tick, **as_data(one)} for tick, one in orders])
+        about[ORDERS] = json.dumps([{"tick": tick, **as_data(order)} for tick, order in orders])
     if isinstance(line.run, TargetedRun):
         about[TARGETS] = line.run.source
     if parent is not None:
@@ -65,8 +65,8 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
     """Write all ticks of a timeline, and what was changed by hand."""
     session = line.run.session
     changed: dict[int, list[Change]] = {}
-    for one in line.changes:
-        changed.setdefault(one.tick, []).append(one)
+    for by_hand in line.changes:
+        changed.setdefault(by_hand.tick, []).append(by_hand)
     for tick in range(1, line.newest + 1):
         line.run.advance(1)  # not by the timeline: the state before changes is reported
         bag.report()
@@ -74,7 +74,7 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
             for kind, saved in line.run.changes_here:
                 bag.changed(kind, saved)
         changes_here = changed.get(tick, [])
-        orders = [one.made for one in changes_here if isinstance(one.made, Order)]
+        orders = [change.made for change in changes_here if isinstance(change.made, Order)]
         if len(orders) == len(changes_here):
             for order in orders:
                 order(line.run)
@@ -109,8 +109,8 @@ def load_ordered_run(topics: RecordedTopics, scene: str) -> Timeline[OfflineRun]
     actual, recorded = line.run.session.measured.applied, record.ticks[-1].applied[0]
     if record.last and actual.tobytes() != recorded.tobytes():
         rule = "lead to the recorded commands, with the same code, scene and gains"
-        what = "its joint targets" if of_network else "its orders"
-        raise Refusal(str(topics.bag.path), what, rule, "others", "see check-bag")
+        missing = "its joint targets" if of_network else "its orders"
+        raise Refusal(str(topics.bag.path), missing, rule, "others", "see check-bag")
     return line
 
 
@@ -122,10 +122,10 @@ def _read_orders(topics: RecordedTopics) -> list[tuple[int, Order]]:
     except ValueError as error:
         raise Refusal(where, "its orders", "be JSON", error) from None
     orders: list[tuple[int, Order]] = []
-    for one in data if isinstance(data, list) else [data]:
-        tick = one.pop("tick", None) if isinstance(one, dict) else None
-        least = orders[-1][0] if orders else 0
-        if not isinstance(tick, int) or isinstance(tick, bool) or tick < least:
-            raise Refusal(where, "tick of an order", f"be a number from {least} on", tick)
-        orders.append((tick, of_data(where, one, (LeaveChanges,))))
+    for entry in data if isinstance(data, list) else [data]:
+        tick = entry.pop("tick", None) if isinstance(entry, dict) else None
+        earliest = orders[-1][0] if orders else 0
+        if not isinstance(tick, int) or isinstance(tick, bool) or tick < earliest:
+            raise Refusal(where, "tick of an order", f"be a number from {earliest} on", tick)
+        orders.append((tick, of_data(where, entry, (LeaveChanges,))))
     return orders

@@ -21,25 +21,25 @@ class ArrayEquality:  # noqa: PLW1641  # arrays change: there is no hash
         return _is_same(self, other) if type(other) is type(self) else NotImplemented
 
 
-def _is_same(one: Any, other: Any) -> bool:
-    if one is other:
+def _is_same(left: Any, right: Any) -> bool:
+    if left is right:
         return True
-    if type(one) is not type(other):
+    if type(left) is not type(right):
         return False
-    if isinstance(one, np.ndarray):
-        if one.dtype != other.dtype or one.shape != other.shape:
+    if isinstance(left, np.ndarray):
+        if left.dtype != right.dtype or left.shape != right.shape:
             return False
-        names = one.dtype.names  # of a record, which NumPy compares without regard to NaN
+        names = left.dtype.names  # of a record, which NumPy compares without regard to NaN
         if names is not None:
-            return all(_is_same(one[name], other[name]) for name in names)
-        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
-    if dataclasses.is_dataclass(one):
-        names = [field.name for field in dataclasses.fields(one) if field.compare]
-        return all(_is_same(getattr(one, name), getattr(other, name)) for name in names)
-    if isinstance(one, Mapping):
-        return one.keys() == other.keys() and all(_is_same(one[key], other[key]) for key in one)
-    if isinstance(one, tuple | list):
-        return len(one) == len(other) and all(map(_is_same, one, other))
-    if isinstance(one, float) and math.isnan(one):
-        return math.isnan(other)
-    return bool(one == other)
+            return all(_is_same(left[name], right[name]) for name in names)
+        return np.array_equal(left, right, equal_nan=left.dtype.kind == "f")
+    if dataclasses.is_dataclass(left):
+        names = [field.name for field in dataclasses.fields(left) if field.compare]
+        return all(_is_same(getattr(left, name), getattr(right, name)) for name in names)
+    if isinstance(left, Mapping):
+        return left.keys() == right.keys() and all(_is_same(left[key], right[key]) for key in left)
+    if isinstance(left, tuple | list):
+        return len(left) == len(right) and all(map(_is_same, left, right))
+    if isinstance(left, float) and math.isnan(left):
+        return math.isnan(right)
+    return bool(left == right)

@@ -76,8 +76,8 @@ def find_config(name: str, ending: str, kind: str = ".") -> Path:
     shipped = _find_shipped(name, ending, kind)
     if shipped is not None:
         return shipped
-    known = ", ".join(sorted(file.stem for file in folder.glob(f"*{ending}")))
-    raise Refusal("arm_emulator", f"file {name}", "exist", reason, known or None)
+    available = ", ".join(sorted(file.stem for file in folder.glob(f"*{ending}")))
+    raise Refusal("arm_emulator", f"file {name}", "exist", reason, available or None)
 
 
 def find_scene(name: str | Path) -> Path:

@@ -23,8 +23,8 @@ class Registry(Generic[Kind]):
         name_of: name that a class owns.
     """
 
-    def __init__(self, what: str, package: str, name_of: Callable[[Any], str]) -> None:
-        self._what = what
+    def __init__(self, kind_name: str, package: str, name_of: Callable[[Any], str]) -> None:
+        self._what = kind_name
         self._package = package
         self._name_of = name_of
         self._kinds: dict[str, type[Kind]] = {}
@@ -39,8 +39,8 @@ class Registry(Generic[Kind]):
         where, name = f"{kind.__module__}.{kind.__qualname__}", self._name_of(kind)
         owner = self._kinds.get(name)
         if owner is not None:
-            got = f"a second beside {owner.__module__}.{owner.__qualname__}"
-            raise Refusal(where, f"{self._what} {name}", "have one owner", got)
+            actual = f"a second beside {owner.__module__}.{owner.__qualname__}"
+            raise Refusal(where, f"{self._what} {name}", "have one owner", actual)
         if self._complete:
             rule = f"be registered before the {self._what}s are read for the first time"
             raise Refusal(where, f"{self._what} {name}", rule, "a class that comes later")

@@ -56,12 +56,12 @@ def refuse_missing_modules(where: str) -> None:
 
     It is for programs whose imports stand at the top of their file.
     """
-    usual = sys.excepthook
+    default_hook = sys.excepthook
 
     def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         top = (getattr(error, "name", "") or "").partition(".")[0]
         if not isinstance(error, ModuleNotFoundError) or top in ("", "arm_emulator"):
-            usual(kind, error, trace)
+            default_hook(kind, error, trace)
             return
         print(refuse_missing_module(where, top), file=sys.stderr, flush=True)
         os._exit(2)  # Python would end with 1

@@ -52,21 +52,21 @@ class SavedObjects:
 
 
 class _Pickler(pickle.Pickler):
-    def __init__(self, into: io.BytesIO, lasting: dict[int, SharedObject]) -> None:
+    def __init__(self, into: io.BytesIO, shared: dict[int, SharedObject]) -> None:
         super().__init__(into, pickle.HIGHEST_PROTOCOL)
-        self._lasting = lasting
+        self._lasting = shared
 
-    def persistent_id(self, one: Any) -> int | None:
-        if not isinstance(one, SharedObject):
+    def persistent_id(self, value: Any) -> int | None:
+        if not isinstance(value, SharedObject):
             return None
-        self._lasting[id(one)] = one
-        return id(one)
+        self._lasting[id(value)] = value
+        return id(value)
 
 
 class _Unpickler(pickle.Unpickler):
-    def __init__(self, source: io.BytesIO, lasting: dict[int, SharedObject]) -> None:
+    def __init__(self, source: io.BytesIO, shared: dict[int, SharedObject]) -> None:
         super().__init__(source)
-        self._lasting = lasting
+        self._lasting = shared
 
     def persistent_load(self, number: int) -> SharedObject:
         return self._lasting[number]

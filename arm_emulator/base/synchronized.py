@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
 _all: weakref.WeakSet[Synchronized] = weakref.WeakSet()
-_held: list[Synchronized] = []  # while the process forks
+_acquired: list[Synchronized] = []  # while the process forks
 
 
 class Synchronized:
@@ -38,17 +38,17 @@ class Synchronized:
 
 
 This = TypeVar("This", bound=Synchronized)
-Given = ParamSpec("Given")
+Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
 def synchronized(
-    method: Callable[Concatenate[This, Given], Result],
-) -> Callable[Concatenate[This, Given], Result]:
+    method: Callable[Concatenate[This, Arguments], Result],
+) -> Callable[Concatenate[This, Arguments], Result]:
     """Return a method that holds the lock."""
 
     @functools.wraps(method)
-    def call(self: This, *args: Given.args, **kwargs: Given.kwargs) -> Result:
+    def call(self: This, *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
         with self.turn:
             return method(self, *args, **kwargs)
 
@@ -56,18 +56,18 @@ def synchronized(
 
 
 def _acquire_all() -> None:
-    _held[:] = _all
-    for one in _held:
-        one.turn.acquire()
+    _acquired[:] = _all
+    for owner in _acquired:
+        owner.turn.acquire()
 
 
 def _release_all() -> None:
-    while _held:
-        _held.pop().turn.release()
+    while _acquired:
+        _acquired.pop().turn.release()
 
 
 def _restart_in_child() -> None:
-    machines = list(_held)
+    machines = list(_acquired)
     _release_all()
     for machine in machines:
         machine.restart_threads()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 
-given: list[str] = []  # by this process
+issued: list[str] = []  # by this process
 
 
 def warn(*texts: str) -> None:
     """Print warnings."""
-    given.extend(texts)
+    issued.extend(texts)
     for text in texts:
         print(f"warning: {text}", file=sys.stderr)

@@ -54,30 +54,32 @@ class BadArguments(Exception):
     """Arguments that a command refuses; the text is one line."""
 
 
-def run_with(one: Command, words: Sequence[str]) -> int:
+def run_with(command: Command, words: Sequence[str]) -> int:
     """Run a command with its arguments, and return its exit code.
 
     Raises:
         BadArguments: the arguments are invalid.
     """
     try:
-        function, given, _ = _build_app([one]).parse_args(
-            [one.name, *words], print_error=False, exit_on_error=False
+        function, bound, _ = _build_app([command]).parse_args(
+            [command.name, *words], print_error=False, exit_on_error=False
         )
     except UnusedCliTokensError as error:
         raise BadArguments(f"unexpected argument {' '.join(error.unused_tokens or ())}") from None
     except CycloptsError as error:
         reason = " ".join(str(error).split())
         raise BadArguments(reason[:1].lower() + reason[1:].removesuffix(".")) from None
-    if given.kwargs.pop("json", False):  # the option itself is no word any more
+    if bound.kwargs.pop("json", False):  # the option itself is no word any more
         raise BadArguments("--json takes no value")
-    return int(function(*given.args, **given.kwargs))
+    return int(function(*bound.args, **bound.kwargs))
 
 
-def page_of(one: Command) -> str:
+def page_of(command: Command) -> str:
     """Return the help page of a command."""
     page = io.StringIO()
-    _build_app([one]).help_print([one.name], console=Console(file=page, width=WIDTH, no_color=True))
+    _build_app([command]).help_print(
+        [command.name], console=Console(file=page, width=WIDTH, no_color=True)
+    )
     return "\n".join(line.rstrip() for line in page.getvalue().strip().splitlines())
 
 
@@ -89,8 +91,8 @@ def completion_script(shell: Literal["bash", "zsh", "fish"]) -> str:
     every = list[Command]()
     for name in command_names():
         with contextlib.suppress(ModuleNotFoundError, Refusal):
-            if one := load_command(name):
-                every.append(one)
+            if command := load_command(name):
+                every.append(command)
     return _build_app(every).generate_completion(prog_name="arm_emulator", shell=shell)
 
 
@@ -115,8 +117,8 @@ def _add_json_option(function: Callable[..., int]) -> Callable[..., int]:
     json = inspect.Parameter("json", kind, default=False, annotation=Json)
 
     @functools.wraps(function)
-    def run(*given: object, **named: object) -> int:
-        return function(*given, **named)
+    def run(*positional: object, **named: object) -> int:
+        return function(*positional, **named)
 
     run.__signature__ = plain.replace(parameters=[*plain.parameters.values(), json])  # type: ignore[attr-defined]
     run.__annotations__ = {**function.__annotations__, "json": Json}

@@ -42,16 +42,16 @@ def main() -> None:
     as_json = len(words) < len(sys.argv) - 1
     name = words[0] if words else ""
     try:
-        one = load_command(name)
+        command = load_command(name)
     except Exception as error:
         end_at_once(None)
         sys.exit(_run_printed(partial(_print_refusal, _translate_error(name, error)), as_json))
-    code = 0 if one is not None and one.until_stopped else None
+    code = 0 if command is not None and command.until_stopped else None
     end_at_once(code)
-    if one is None:
+    if command is None:
         sys.exit(_run_printed(partial(_answer_without_command, words), as_json))
     with CtrlC(code):
-        sys.exit(_run_printed(partial(_run, one, words[1:]), as_json))
+        sys.exit(_run_printed(partial(_run, command, words[1:]), as_json))
     sys.exit(get_exit_code(CtrlC.signal, code))
 
 
@@ -64,7 +64,7 @@ def _run_printed(work: Callable[[], int], as_json: bool) -> int:
         sys.stdout.flush()
         return code
     except BrokenPipeError:
-        if not _is_reader_gone():
+        if not _is_pipe_closed():
             raise
         drop_descriptor(1)  # for output not flushed yet
         return get_exit_code(signal.SIGPIPE, None)
@@ -74,25 +74,25 @@ def _run_printed(work: Callable[[], int], as_json: bool) -> int:
         of_stdout = find_stdout_error()
         if of_stdout is None and error.errno not in DISK_ERRORS:
             raise
-        what = "stdout" if of_stdout else f"file {error.filename}" if error.filename else "disk"
-        got = error.strerror or error
-        return _print_refusal(Refusal("arm_emulator", what, "accept all that is written", got))
+        target = "stdout" if of_stdout else f"file {error.filename}" if error.filename else "disk"
+        actual = error.strerror or error
+        return _print_refusal(Refusal("arm_emulator", target, "accept all that is written", actual))
 
 
-def _run(one: Command, words: Sequence[str]) -> int:
+def _run(command: Command, words: Sequence[str]) -> int:
     from arm_emulator.cli.arguments import BadArguments, page_of, run_with
 
     if set(HELP) & set(words):
-        page = page_of(one)
+        page = page_of(command)
         output.line(page)
         output.facts({"help": page})
         return 0
     try:
-        return run_with(one, words)
+        return run_with(command, words)
     except BadArguments as bad:
-        return _print_refusal(f"arm_emulator {one.name}: {bad}")
+        return _print_refusal(f"arm_emulator {command.name}: {bad}")
     except Exception as error:
-        return _print_refusal(_translate_error(one.name, error))
+        return _print_refusal(_translate_error(command.name, error))
 
 
 def _translate_error(name: str, error: Exception) -> Refusal:
@@ -116,7 +116,7 @@ def _print_refusal(reason: Refusal | str) -> int:
     return 2
 
 
-def _is_reader_gone() -> bool:
+def _is_pipe_closed() -> bool:
     """Return whether the reader of our output, such as `head`, has ended."""
     poll = select.poll()
     poll.register(1, 0)
@@ -148,10 +148,10 @@ def _answer_without_command(words: Sequence[str]) -> int:
     elif (package := package_of_command(words[0])) is not None:
         return _print_refusal(missing_package(words[0], package))
     else:
-        known = difflib.get_close_matches(words[0], command_names())
+        similar = difflib.get_close_matches(words[0], command_names())
         near = (
-            f"; did you mean {' or '.join(known)}?"
-            if known
+            f"; did you mean {' or '.join(similar)}?"
+            if similar
             else "; `arm_emulator --help` lists them"
         )
         return _print_refusal(f"arm_emulator: unknown command {words[0]}{near}")

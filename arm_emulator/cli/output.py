@@ -37,7 +37,7 @@ class Output:
     def printed(self, *, as_json: bool) -> Iterator[None]:
         """Within, a command runs; its object is printed however it ends."""
         self.as_json, self.collected = as_json, {}
-        warning.given.clear()
+        warning.issued.clear()
         standard = sys.__stdout__
         if as_json and standard is not None and sys.stdout is standard:
             standard.flush()
@@ -53,13 +53,13 @@ class Output:
         if not self.as_json:
             print(text, flush=True)
 
-    def console(self, least_width: int | None = None) -> Console:
+    def console(self, min_width: int | None = None) -> Console:
         """Return the console for tables and other text without markup."""
         from rich.console import Console
 
-        width = None if least_width is None else max(least_width, Console().width)
+        width = None if min_width is None else max(min_width, Console().width)
         return Console(
-            width=width, highlight=False, soft_wrap=least_width is None, quiet=self.as_json
+            width=width, highlight=False, soft_wrap=min_width is None, quiet=self.as_json
         )
 
     def table(
@@ -99,7 +99,7 @@ class Output:
             os.dup2(self._stdout, 1)
             os.close(self._stdout)
             self._stdout = -1
-        facts = {**self.collected, "warnings": warning.given}
+        facts = {**self.collected, "warnings": warning.issued}
         print(json.dumps(plain(facts), indent=2), flush=True)
 
 
@@ -111,7 +111,7 @@ def plain(value: Any) -> Any:
     import dataclasses
 
     if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): plain(element) for key, element in value.items()}
     if dataclasses.is_dataclass(value):
         return {
             field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
@@ -123,5 +123,5 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, Sequence | set | frozenset):
-        return [plain(one) for one in value]
+        return [plain(element) for element in value]
     return str(value)

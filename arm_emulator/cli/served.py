@@ -18,14 +18,14 @@ from arm_emulator.runs.recorder import Recorder
 
 @contextmanager
 def served_session(
-    scene: Scene, clock: str, kept: RunOutputs, page: str | None
+    scene: Scene, clock: str, outputs: RunOutputs, page: str | None
 ) -> Iterator[Session]:
     """Context in which a session that waits for its first answer is recorded and watched.
 
     Args:
         scene: of the machine.
         clock: "realtime", or another one, in which ticks wait for their answers.
-        kept: records of it.
+        outputs: records of it.
         page: address of its page in the browser, if any.
     """
     warn(*scene.warnings)
@@ -34,7 +34,7 @@ def served_session(
         session = Session(scene, "lockstep", "first_answer")
     else:
         session = open_real_time_session(scene, "first_answer")
-    with session, Recorder(session.plant, kept, waits), watched(session, page):
+    with session, Recorder(session.plant, outputs, waits), watched(session, page):
         yield session
 
 
@@ -42,7 +42,7 @@ def serve_clients(
     door: str,
     scene: Scene,
     clock: str,
-    kept: RunOutputs,
+    outputs: RunOutputs,
     page: str | None,
     server_of: Callable[[Session], Any],
     **facts: object,
@@ -53,12 +53,12 @@ def serve_clients(
         door: name of the command.
         scene: of the machine.
         clock: see `served_session`.
-        kept: records of it.
+        outputs: records of it.
         page: address of its page in the browser, if any.
         server_of: makes the server of a session, with `address` and `serve`.
         facts: further ones to report.
     """
-    with served_session(scene, clock, kept, page) as session:
+    with served_session(scene, clock, outputs, page) as session:
         server = server_of(session)
         address = server.address
         output.facts({"scene": scene.name, "address": address, "clock": clock, **facts})

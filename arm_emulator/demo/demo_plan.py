@@ -17,7 +17,7 @@ NANOSECONDS = 1_000_000_000
 
 _DISPLACEMENT = Number.within("displacement", "m", 100.0)
 _SETTLE = Number("settle", "s", at_least=0.0, at_most=1000.0)
-_SHOWN = Number.within("shown", "m", 100.0)
+_DEMO_MOTION = Number.within("shown", "m", 100.0)
 _INSTRUCTIONS = Number("instructions", at_least=1, at_most=1_000_000, whole=True)
 
 
@@ -26,14 +26,14 @@ class DemoPlan:
     """A displacement of the tool, its start, and the time of observation.
 
     Attributes:
-        shown: displacement that the tool is given after the observation, as long as that, so that
+        motion: displacement that the tool is given after the observation, as long as that, so that
             the recording has a motion of the arm that can be seen; or None for no such motion.
     """
 
     displacement: NDArray[np.float64]  # m (3,), of the tool in the world
     settle_ns: int  # logical time before the target holds, a multiple of the motion period
     instructions: int
-    shown: NDArray[np.float64] | None = None  # m (3,), of the tool in the world
+    motion: NDArray[np.float64] | None = None  # m (3,), of the tool in the world
 
     @classmethod
     def load(cls, scene: Path, period_ns: int) -> DemoPlan:
@@ -46,7 +46,7 @@ class DemoPlan:
         section = Section(read_yaml(file), file.name)
         displacement = section.vector(_DISPLACEMENT)
         settle, instructions = section.number(_SETTLE), section.integer(_INSTRUCTIONS)
-        shown = section.vector(_SHOWN)
+        motion = section.vector(_DEMO_MOTION)
         section.finish()
         if displacement is None:
             raise section.refusal("displacement", "be given", "nothing")
@@ -55,5 +55,5 @@ class DemoPlan:
             np.array(displacement),
             periods * period_ns,
             instructions,
-            None if shown is None else np.array(shown),
+            None if motion is None else np.array(motion),
         )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 AXES = "xyz"
 COLOURS = ("#2a6fb0", "#d9731a", "#3c8f4f")
 MARKERS = "os^"
-MOST_MARKS = 60
+MAX_MARKS = 60
 
 
 def draw_fig4(
@@ -76,7 +76,7 @@ def _draw_signed(axes: Axes, d: NDArray[np.float64]) -> None:
 
 def _marks(marker: str, values: NDArray[np.float64]) -> dict[str, Any]:
     """Return marks at the instructions, or at some of very many."""
-    return {"marker": marker, "markersize": 4, "markevery": max(1, len(values) // MOST_MARKS)}
+    return {"marker": marker, "markersize": 4, "markevery": max(1, len(values) // MAX_MARKS)}
 
 
 def _draw_magnitude(axes: Axes, d: NDArray[np.float64]) -> None:

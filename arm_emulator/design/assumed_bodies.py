@@ -26,7 +26,7 @@ DENSITY = 1200.0  # kg/m3
 SLENDER = 0.1  # radius by length of a rod
 SHORTEST = 0.15  # of the longest rod: a link between joints that meet
 LONE = 0.1  # m, of a rod where no link has a length
-MOST_MESH = 64 << 20  # bytes
+MAX_MESH = 64 << 20  # bytes
 _KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
@@ -66,9 +66,9 @@ def assume_bodies(
         scale = density
         for old in link.findall("inertial"):
             mass = old.find("mass")
-            given = float(mass.get("value", "0")) if mass is not None else 0.0
-            if given > 0.0:
-                scale, how = given / body.mass, f"{how}, with the mass given"
+            stated = float(mass.get("value", "0")) if mass is not None else 0.0
+            if stated > 0.0:
+                scale, how = stated / body.mass, f"{how}, with the mass given"
             link.remove(old)
         link.insert(0, inertial_of(body.scaled(scale)))
         out.append(Assumed(name, how))
@@ -85,16 +85,16 @@ def shape_of(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
     why = ""
     for kind in ("collision", "visual"):
         body = Body()
-        seen: list[str] = []
+        shapes: list[str] = []
         for element in link.findall(kind):
             try:
-                one, what = _read_shape(element, folder)
+                part, kind_name = _read_shape(element, folder)
             except Refusal as refusal:
                 why = f" ({refusal.quantity} {refusal.got})"
                 continue
-            body, seen = body + one, [*seen, what]
+            body, shapes = body + part, [*shapes, kind_name]
         if body.mass > 0.0:
-            return body, f"{kind}: {', '.join(dict.fromkeys(seen))}"
+            return body, f"{kind}: {', '.join(dict.fromkeys(shapes))}"
     return None, why
 
 
@@ -139,11 +139,11 @@ def _make_centred_body(volume: float, moments: Iterable[float], by: float) -> Bo
     return Body(volume, np.zeros(3), inertia)
 
 
-def _make_rod(end: Array, least: float) -> Body:
-    """Return a cylinder from the origin to a point; one along z where that is nearer than least."""
+def _make_rod(end: Array, min_length: float) -> Body:
+    """Return a cylinder from the origin to a point, along z where that is nearer than asked."""
     length = float(np.linalg.norm(end))
-    if length < least:
-        length, end = least, np.array([0.0, 0.0, least])
+    if length < min_length:
+        length, end = min_length, np.array([0.0, 0.0, min_length])
     r, u = SLENDER * length, end / length
     volume = math.pi * r * r * length
     along, across = 0.5 * r * r, 0.25 * r * r + length * length / 12.0
@@ -179,16 +179,16 @@ def _read_points(mesh: ET.Element, folder: Path) -> Array:
     file = find_mesh(name, folder)
     if file is None:
         raise Refusal("new", f"mesh {name}", "be a file", "not found")
-    if file.stat().st_size > MOST_MESH:
-        raise Refusal("new", f"mesh {name}", f"have at most {MOST_MESH} bytes", "larger")
+    if file.stat().st_size > MAX_MESH:
+        raise Refusal("new", f"mesh {name}", f"have at most {MAX_MESH} bytes", "larger")
     try:
         points = coal.MeshLoader().load(str(file), read_mesh_unit(file) * scale).vertices()
     except (RuntimeError, ValueError, TypeError) as error:
         raise Refusal("new", f"mesh {name}", "be readable", f"not read ({error})") from None
-    found: Array = np.unique(np.asarray(points, dtype=np.float64), axis=0)
-    if not len(found) or not np.isfinite(found).all():
+    vertices: Array = np.unique(np.asarray(points, dtype=np.float64), axis=0)
+    if not len(vertices) or not np.isfinite(vertices).all():
         raise Refusal("new", f"mesh {name}", "have points", "empty")
-    return found
+    return vertices
 
 
 def inertial_of(body: Body, digits: int = 6) -> ET.Element:

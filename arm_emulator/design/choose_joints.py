@@ -16,14 +16,14 @@ MOVING = tuple(MOVING_KINDS)
 KINDS = (*MOVING, "fixed", *FREE_KINDS)
 # Behind a fork of an arm of at least so many joints, at most so many joints are a gripper's finger,
 # and any number where so many branches begin: a hand.
-LEAST_ARM, MOST_FINGER, FINGERS = 3, 4, 4
+MIN_ARM, MAX_FINGER, FINGERS = 3, 4, 4
 _GRIPPER = re.compile(r"grip|finger|jaw|knuckle|claw", re.IGNORECASE)
 # Frames that makers of arms put at the flange for what is mounted there, the best first.
 _TOOLS = ("tcp", "tool0", "tool", "ee", "eef", "end_effector", "grasp", "flange", "hand")
 
 
 @dataclass(frozen=True)
-class Held:
+class LockedJoint:
     """A joint that does not move."""
 
     position: float  # rad or m
@@ -38,7 +38,7 @@ class Choice:
     """Link that is the tool."""
     joints: tuple[str, ...]
     """Moving joints."""
-    held: dict[str, Held]
+    held: dict[str, LockedJoint]
     """All other joints that could move."""
     guesses: tuple[str, ...]
     """Choices made, as text."""
@@ -91,19 +91,21 @@ class _Tree:
     def list_ordered(self) -> list[_Joint]:
         """Return all joints, each behind what carries it, and with all that it carries."""
         left = [link for link in self.links if link not in self.above]
-        found: list[_Joint] = []
+        ordered: list[_Joint] = []
         while left:
             below = self.below.get(left.pop(), [])
             left += [joint.child for joint in below[::-1]]
-            found += below
-        return found
+            ordered += below
+        return ordered
 
     def find_fixed(self, link: str) -> list[str]:
         """Return a link and all that are fixed to it, towards the tips."""
-        found = [link]
-        for one in found:
-            found += [joint.child for joint in self.below.get(one, []) if joint.kind == "fixed"]
-        return found
+        links = [link]
+        for fixed_link in links:
+            links += [
+                joint.child for joint in self.below.get(fixed_link, []) if joint.kind == "fixed"
+            ]
+        return links
 
     def count_branches(self, joint: _Joint) -> int:
         """Return how many joints begin on the body on which a joint begins.
@@ -113,9 +115,9 @@ class _Tree:
         body = joint.parent
         while body in self.above and self.above[body].kind == "fixed":
             body = self.above[body].parent
-        beside = [one for link in self.find_fixed(body) for one in self.below.get(link, [])]
-        way = {one.name for one in self.path(body)}
-        return sum(one.kind in MOVING and not way & {*one.follows} for one in beside)
+        beside = [begun for link in self.find_fixed(body) for begun in self.below.get(link, [])]
+        path = {moved.name for moved in self.path(body)}
+        return sum(begun.kind in MOVING and not path & {*begun.follows} for begun in beside)
 
 
 def choose_joints(
@@ -150,37 +152,37 @@ def choose_joints(
     if joints is not None:
         chosen = _find_named(limbs, joints, tool)
         rows = [limbs.path(joint.child) for joint in chosen] or [[]]
-        way = max(rows, key=len) if tool is None else limbs.path(_find_tip(limbs, tool))
+        path = max(rows, key=len) if tool is None else limbs.path(_find_tip(limbs, tool))
     else:
-        way = limbs.path(_find_tip(limbs, tool))
-        chosen = [joint for joint in way if joint.moves]
+        path = limbs.path(_find_tip(limbs, tool))
+        chosen = [joint for joint in path if joint.moves]
         if tool is None:
             chosen = _remove_gripper(limbs, chosen, [] if tree else guesses)
     if not chosen:
         raise Refusal(where, "the robot", "have a joint that moves", "none on the way to the tool")
     if tool is None:
-        along = _find_along(way, chosen)
-        last = [joint for joint in way if joint in chosen or joint in along][-1]
+        along = _find_along(path, chosen)
+        last = [joint for joint in path if joint in chosen or joint in along][-1]
         tool = _find_tool_link(limbs, last.child)
         guesses.append(f"tool: {tool} (--tool names another)")
     if tree:
         chosen = [joint for joint in limbs.list_ordered() if joint.moves]
-    along = _find_along(way if joints is None and not tree else limbs.joints, chosen)
-    guesses[:0] = [f"{one.name} moves along with {', '.join(one.follows)}" for one in along]
+    along = _find_along(path if joints is None and not tree else limbs.joints, chosen)
+    guesses[:0] = [f"{joint.name} moves along with {', '.join(joint.follows)}" for joint in along]
     names = tuple(joint.name for joint in chosen)
     positions = _compute_positions(limbs)
-    held = {
+    locked = {
         joint.name: _hold_joint(joint, chosen, positions[joint.name])
         for joint in limbs.joints
         if joint.kind != "fixed" and joint.name not in names and joint not in along
     }
     beside = [
         joint.name for joint in limbs.joints
-        if joint.moves and joint.name in held and joint not in way
+        if joint.moves and joint.name in locked and joint not in path
     ]  # fmt: skip
     if beside and joints is None and not tree:
         guesses.append(f"held beside the arm: {', '.join(beside)} (--tree moves them, too)")
-    return Choice(tool, names, held, tuple(guesses))
+    return Choice(tool, names, locked, tuple(guesses))
 
 
 def _read_followed(robot: ET.Element) -> dict[str, tuple[str, ...]]:
@@ -203,11 +205,13 @@ def _read_followers(robot: ET.Element, where: str) -> dict[str, Follows]:
     return followers(robot, where, list(_find_lost(robot)))
 
 
-def _find_followed(robot: ET.Element, laws: Mapping[str, Follows]) -> dict[str, tuple[str, ...]]:
+def _find_followed(
+    robot: ET.Element, couplings: Mapping[str, Follows]
+) -> dict[str, tuple[str, ...]]:
     """Return with which joints those move that have no shaft of their own, by name."""
-    alone = list_own_shafts(list(_read_followed(robot)), laws)
+    alone = list_own_shafts(list(_read_followed(robot)), couplings)
     return {
-        name: tuple(one.shares) for name, one in laws.items() if name not in alone
+        name: tuple(coupling.shares) for name, coupling in couplings.items() if name not in alone
     } | _find_lost(robot)
 
 
@@ -218,8 +222,8 @@ def _read(element: ET.Element, follows: tuple[str, ...], where: str) -> _Joint:
         raise Refusal(where, f"joint {element.get('name')}: type", rule, kind, ", ".join(KINDS))
     ends = {}
     for tag in ("parent", "child"):
-        found = element.find(tag)
-        ends[tag] = "" if found is None else found.get("link", "")
+        end = element.find(tag)
+        ends[tag] = "" if end is None else end.get("link", "")
     limit = element.find("limit")
     bounds = {"lower": -math.inf, "upper": math.inf}
     if limit is not None and kind != "continuous":
@@ -258,26 +262,26 @@ def _find_tip(tree: _Tree, tool: str | None) -> str:
     return max(tips, key=lambda link: sum(joint.moves for joint in tree.path(link)))
 
 
-def _find_along(way: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
+def _find_along(path: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
     """Return the joints among some that move with those chosen alone."""
     names = {joint.name for joint in chosen}
     return [
         joint
-        for joint in way
+        for joint in path
         if joint.kind in MOVING and joint.follows and names.issuperset(joint.follows)
     ]
 
 
 def _find_named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_Joint]:
     """Return the joints of these names."""
-    known = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
+    by_name = {joint.name: joint for joint in tree.joints if joint.kind != "fixed"}
     for name in joints:
-        if name not in known:
+        if name not in by_name:
             rule = "be joints of the robot that can move"
-            raise Refusal("new", "--joints", rule, name, ", ".join(known))
-        if not known[name].moves:
-            others = ", ".join(known[name].follows)
-            kind = f"one that follows {others}" if others else known[name].kind
+            raise Refusal("new", "--joints", rule, name, ", ".join(by_name))
+        if not by_name[name].moves:
+            others = ", ".join(by_name[name].follows)
+            kind = f"one that follows {others}" if others else by_name[name].kind
             raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))
     if tool is not None:
         _find_tip(tree, tool)
@@ -286,12 +290,12 @@ def _find_named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_J
 
 def _remove_gripper(tree: _Tree, chosen: list[_Joint], guesses: list[str]) -> list[_Joint]:
     """Return the joints without those at the end that look like a gripper's."""
-    for k, joint in enumerate(chosen[LEAST_ARM:], start=LEAST_ARM):
-        short = len(chosen) - k <= MOST_FINGER
+    for k, joint in enumerate(chosen[MIN_ARM:], start=MIN_ARM):
+        short = len(chosen) - k <= MAX_FINGER
         branches = tree.count_branches(joint)
         named = _GRIPPER.search(joint.name) is not None
         if branches >= FINGERS or (short and (branches > 1 or named)):
-            names = ", ".join(one.name for one in chosen[k:])
+            names = ", ".join(joint.name for joint in chosen[k:])
             to_move = "--joints names the joints that move, --tree moves all"
             guesses.append(f"held as a gripper: {names} ({to_move})")
             return chosen[:k]
@@ -302,9 +306,9 @@ def _find_tool_link(tree: _Tree, link: str) -> str:
     """Return the link fixed to `link` that its maker meant for tools, or the link itself."""
     fixed = tree.find_fixed(link)
     for word in _TOOLS:
-        for one in fixed:
-            if re.search(rf"(^|[^a-z]){word}([^a-z]|$)", one.lower()):
-                return one
+        for name in fixed:
+            if re.search(rf"(^|[^a-z]){word}([^a-z]|$)", name.lower()):
+                return name
     return fixed[0]
 
 
@@ -318,17 +322,17 @@ def _compute_positions(tree: _Tree) -> dict[str, float]:
         joint.name: min(max(0.0, joint.limits[0]), joint.limits[1]) if joint.kind in MOVING else 0.0
         for joint in tree.joints
     }
-    laws = {
+    couplings = {
         joint.name: tree.followers[joint.name]
         for joint in tree.joints
         if joint.follows and joint.kind in MOVING and joint.name in tree.followers
     }
-    return positions | {name: law.position(positions) for name, law in laws.items()}
+    return positions | {name: law.position(positions) for name, law in couplings.items()}
 
 
-def _hold_joint(joint: _Joint, chosen: Sequence[_Joint], position: float) -> Held:
+def _hold_joint(joint: _Joint, chosen: Sequence[_Joint], position: float) -> LockedJoint:
     if joint.follows:
-        moved = {one.name for one in chosen}.issuperset(joint.follows)
+        moved = {driven.name for driven in chosen}.issuperset(joint.follows)
         off = ", which moves, but not on the way to the tool" if moved else ""
-        return Held(position, f"follows {', '.join(joint.follows)}{off}")
-    return Held(position, "not part of the arm" if joint.kind in MOVING else joint.kind)
+        return LockedJoint(position, f"follows {', '.join(joint.follows)}{off}")
+    return LockedJoint(position, "not part of the arm" if joint.kind in MOVING else joint.kind)

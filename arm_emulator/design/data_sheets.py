@@ -75,8 +75,8 @@ class JointSheet:
     @property
     def supply(self) -> float | None:
         """Voltage for which its figures hold [V]; None: any."""
-        known = self.servo or self.data
-        return None if known is None else known.supply
+        source = self.servo or self.data
+        return None if source is None else source.supply
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ def _make_servo_arm(names: str, *servos: Servo) -> _Arm:
     return _Arm(
         names,
         tuple(
-            JointSheet(one.torque, one.speed, f"{one.name}, {one.source}", one) for one in servos
+            JointSheet(servo.torque, servo.speed, f"{servo.name}, {servo.source}", servo)
+            for servo in servos
         ),
     )
 

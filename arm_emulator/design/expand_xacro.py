@@ -26,8 +26,8 @@ def _main() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (FILES, FILES))
     import xacro
 
-    file, packages, *given = sys.argv[1:]
-    mappings = dict(one.split(":=", 1) for one in given)
+    file, packages, *arguments = sys.argv[1:]
+    mappings = dict(argument.split(":=", 1) for argument in arguments)
     missing = _find_packages_in(json.loads(packages))
     try:
         with contextlib.redirect_stderr(io.StringIO()):  # warnings, which would hide the reason

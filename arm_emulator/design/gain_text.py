@@ -8,7 +8,7 @@ import yaml
 
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.io.text_file import read_text
-from arm_emulator.base.io.yaml_file import MOST_BYTES, edit_yaml, read_nodes
+from arm_emulator.base.io.yaml_file import MAX_BYTES, edit_yaml, read_nodes
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.servo.servo_config import ServoConfig, load_servo_config
 
@@ -24,7 +24,7 @@ def write_gains(file: Path, servo: ServoConfig) -> None:
             joints at once, as with anchors. Nothing is written then.
     """
     check_own("tune", file)
-    new = _replace_gains(read_text(file, MOST_BYTES), servo)
+    new = _replace_gains(read_text(file, MAX_BYTES), servo)
     trial = file.with_name(f".{file.name}")
     try:
         trial.write_text(new, encoding="utf-8")
@@ -47,15 +47,15 @@ def _replace_gains(text: str, servo: ServoConfig) -> str:
     edits: list[tuple[int, int, str]] = []
     for joint in servo.joints:
         for key in (*GAINS, RIGID):
-            found = ending(f"joints.{joint.name}.{key}")
+            nodes_at = ending(f"joints.{joint.name}.{key}")
             value = repr(float(getattr(joint, key)))
-            if found is not None:
-                _, node = found
+            if nodes_at is not None:
+                _, node = nodes_at
                 edits.append((node.start_mark.index, node.end_mark.index, value))
             elif key == RIGID and joint.link_inertia:
-                found = ending(f"joints.{joint.name}.{GAINS[-1]}")
-                if found is not None:  # a line of its own behind the last gain's
-                    name, node = found
+                nodes_at = ending(f"joints.{joint.name}.{GAINS[-1]}")
+                if nodes_at is not None:  # a line of its own behind the last gain's
+                    name, node = nodes_at
                     line_end = text.find("\n", node.end_mark.index)
                     line_end = len(text) if line_end < 0 else line_end
                     key_text = text[name.start_mark.index : name.end_mark.index]

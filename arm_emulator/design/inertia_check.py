@@ -31,7 +31,7 @@ DENSITIES = 300.0, 3000.0  # kg/m3: 44 of 48 industrial arms lie between them, b
 AIR = 1.2  # kg/m3: no link is lighter
 # Radius of gyration over that of the shape, filled evenly. All mass at the ends of a rod gives 1.7.
 LARGE, SMALL = 2.0, 0.1
-MOST_WARNINGS = 10
+MAX_WARNINGS = 10
 REMEDY = (
     "`new --replace-inertias` computes inertias from shapes, `new --trust-inertias` and the scene's"
     " `trusted_inertias` take them as they are"
@@ -70,44 +70,46 @@ def doubtful_inertias(
     arm = sum(math.hypot(*joint.p) for joint in chain.links[1:]) + max(
         (math.hypot(*frame.p) for frame in chain.links[-1].links.values()), default=0.0
     )
-    found: list[Doubt] = []
+    doubtful: list[Doubt] = []
     for joint in chain.links:
         own: list[Doubt] = []
         parts = [name for name in joint.links if name not in unchecked]
         alone = {name: bodies.one(places[name]) for name in parts}
-        whole = Body()
+        arm_body = Body()
         for name, frame in joint.links.items():
-            whole = whole + bodies.one(places[name]).seen_from(frame)
+            arm_body = arm_body + bodies.one(places[name]).seen_from(frame)
         for name, body in alone.items():
             if elements[name].find("inertial") is not None:
                 shape = _read_shape(elements[name], folder)
-                own += _find_doubts(name, body, shape, _measure_length(robot, name), whole.mass)
+                own += _list_doubtful(
+                    name, body, shape, _measure_length(robot, name), arm_body.mass
+                )
         heaviest = max(parts, key=lambda name: alone[name].mass, default=None)
-        if heaviest is not None and (reason := _explain_no_body(whole, arm)):
+        if heaviest is not None and (reason := _explain_no_body(arm_body, arm)):
             own.insert(0, Doubt(heaviest, reason, is_impossible=True))
-        found += own
-    return found
+        doubtful += own
+    return doubtful
 
 
-def check_inertias(doubts: Sequence[Doubt], where: str) -> None:
+def check_inertias(doubtful: Sequence[Doubt], where: str) -> None:
     """Warn of doubtful links, and refuse impossible ones.
 
     Raises:
         Refusal: names all that are impossible.
     """
-    impossible = [doubt for doubt in doubts if doubt.is_impossible]
+    impossible = [doubt for doubt in doubtful if doubt.is_impossible]
     if impossible:
         first, valid = impossible[0], REMEDY
         others = dict.fromkeys(doubt.link for doubt in impossible if doubt.link != first.link)
         if others:
             valid += f"; likewise links {', '.join(others)}"
         raise Refusal(where, f"inertia of link {first.link}", "be a body's", first.reason, valid)
-    for doubt in doubts[:MOST_WARNINGS]:
+    for doubt in doubtful[:MAX_WARNINGS]:
         warn(f"{where}: {doubt}")
-    if len(doubts) > MOST_WARNINGS:
-        links = ", ".join(dict.fromkeys(doubt.link for doubt in doubts[MOST_WARNINGS:]))
+    if len(doubtful) > MAX_WARNINGS:
+        links = ", ".join(dict.fromkeys(doubt.link for doubt in doubtful[MAX_WARNINGS:]))
         warn(f"{where}: doubtful inertias, too, of links {links}")
-    if doubts:
+    if doubtful:
         warn(f"{where}: doubtful inertias: {REMEDY}")
 
 
@@ -149,18 +151,18 @@ def _explain_no_body(body: Body, largest: float) -> str:
 def _explain_no_moments(body: Body) -> str:
     """Return why no body has these principal moments; empty: one has."""
     moments = _compute_moments(body)
-    shown = ", ".join(f"{moment:.3g}" for moment in moments)
+    text = ", ".join(f"{moment:.3g}" for moment in moments)
     # A body as small as a point has moments near 0, computed as the difference of two large
     # tensors. Their rounding can be larger than what remains.
     rounding = ROUNDING * abs(moments[2]) + 1e-12 * np.abs(body.inertia).max()
     if moments[0] < -rounding:
-        return f"a principal moment below 0: ({shown}) kg m2"
+        return f"a principal moment below 0: ({text}) kg m2"
     if moments[2] - moments[0] - moments[1] > rounding:
-        return f"a principal moment above the sum of the others: ({shown}) kg m2"
+        return f"a principal moment above the sum of the others: ({text}) kg m2"
     return ""
 
 
-def _find_doubts(
+def _list_doubtful(
     name: str, body: Body, shape: Body | None, length: float, moved: float
 ) -> list[Doubt]:
     """Return the doubts about one link.
@@ -174,24 +176,26 @@ def _find_doubts(
     """
     if body.mass <= 0.0:
         return [Doubt(name, "inertia without mass")] if body.inertia.any() else []
-    found: list[Doubt] = []
+    doubtful: list[Doubt] = []
     if reason := _explain_no_moments(body):
-        found.append(Doubt(name, reason))
+        doubtful.append(Doubt(name, reason))
     if shape is None:
-        return found
+        return doubtful
     radius = math.sqrt(max(_compute_moments(body)[2], 0.0) / body.mass)
     density, filled = body.mass / shape.mass, math.sqrt(_compute_moments(shape)[2] / shape.mass)
     low, high = DENSITIES
     if not low <= density <= high:
         reason = f"{body.mass:.3g} kg in its shape, {density:.3g} kg/m3, not {low:g} to {high:g}"
-        found.append(Doubt(name, reason, density < AIR and body.mass > 0.5 * moved, True))
+        doubtful.append(Doubt(name, reason, density < AIR and body.mass > 0.5 * moved, True))
     if radius < SMALL * filled:
-        found.append(Doubt(name, f"radius of gyration {radius:.3g} m, of its shape {filled:.3g} m"))
+        doubtful.append(
+            Doubt(name, f"radius of gyration {radius:.3g} m, of its shape {filled:.3g} m")
+        )
     size = max(filled, length / math.sqrt(12.0))
     if radius > LARGE * size:
         reason = f"radius of gyration {radius:.3g} m, of its shape and length {size:.3g} m"
-        found.append(Doubt(name, reason))
-    return found
+        doubtful.append(Doubt(name, reason))
+    return doubtful
 
 
 def _compute_moments(body: Body) -> Array:

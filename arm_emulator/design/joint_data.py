@@ -106,10 +106,10 @@ def choose_joint_data(choices: Sequence[str], joints: Sequence[str]) -> dict[str
             of_all.append(name)
     named = {joint: name for name in of_all for joint in joints} | of_joint
     data = {name: load_joint_data(name) for name in dict.fromkeys(named.values())}
-    supplies = {one.supply: one.name for one in data.values()}
+    supplies = {data_file.supply: data_file.name for data_file in data.values()}
     if len(supplies) > 1:
-        got = ", ".join(f"{name} for {volts:g} V" for volts, name in supplies.items())
-        raise Refusal("new", "--joint", "name joints for one supply voltage", got)
+        actual = ", ".join(f"{name} for {volts:g} V" for volts, name in supplies.items())
+        raise Refusal("new", "--joint", "name joints for one supply voltage", actual)
     return {joint: data[name] for joint, name in named.items()}
 
 

@@ -52,7 +52,7 @@ _BANDWIDTHS = (0.5, 0.3, 0.1, 0.03)  # of the observer, per period
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06)  # of K / (3 M)
 # The observer is at least so much faster than the loop of the speed: a slower one sees the
 # rotor swing too late, and with the current at its limit the swing then stays.
-_SEEN = 0.7
+_OBSERVED = 0.7
 _SWINGS = 20  # of the heaviest link on its gear, within which it has to settle
 _DELAYS = (0, 1)  # periods
 _ROWS = 240  # of a step response
@@ -149,22 +149,22 @@ def _search(
     viscous: float,
     kick: float,
 ) -> ServoGains | None:
-    least, most = link_inertia
+    smallest, largest = link_inertia
     rotor = motor.rotor_inertia / gear.ratio**2
-    mean = math.sqrt(least * most)
+    mean = math.sqrt(smallest * largest)
     with_rotor = mean if gear.stiffness is None else 0.0
     plants = [
         joint_plant(motor, gear, inertia, viscous, period)
-        for inertia in sorted({least, mean, most})
+        for inertia in sorted({smallest, mean, largest})
     ]
-    swing = 0.0 if gear.stiffness is None else 2.0 * math.pi * math.sqrt(most / gear.stiffness)
+    swing = 0.0 if gear.stiffness is None else 2.0 * math.pi * math.sqrt(largest / gear.stiffness)
     trial = _Trial(motor, gear, plants, period, _SWINGS * swing, kick)
     for share in _SHARES:
         for bandwidth in _BANDWIDTHS:
             for step in reversed(_STEPS):
                 velocity_gain = step * (rotor + with_rotor) / period
-                position_gain = share * velocity_gain / (3.0 * (rotor + most))
-                if position_gain * period > 0.5 or bandwidth < _SEEN * step:
+                position_gain = share * velocity_gain / (3.0 * (rotor + largest))
+                if position_gain * period > 0.5 or bandwidth < _OBSERVED * step:
                     continue
                 trial.run(
                     ServoGains(
@@ -241,18 +241,20 @@ class _Trial:
 
     def choose_best(self) -> ServoGains | None:
         """Return the best of what was tried; None where nothing holds."""
-        quiet = [one for one in self.found if one.kick <= self.kick]
+        quiet = [outcome for outcome in self.found if outcome.kick <= self.kick]
         for sensitivity, overshoot in ((SENSITIVITY, OVERSHOOT), *_IF_NEED_BE):
             for among in (quiet, self.found):
                 good = [
-                    one
-                    for one in among
-                    if one.sensitivity <= sensitivity and one.overshoot <= overshoot
+                    outcome
+                    for outcome in among
+                    if outcome.sensitivity <= sensitivity and outcome.overshoot <= overshoot
                 ]
                 if good:
-                    first = min(one.settling for one in good)
-                    near = [one for one in good if one.settling <= (1.0 + NEARLY) * first]
-                    return min(near, key=lambda one: one.kick).gains
+                    first = min(outcome.settling for outcome in good)
+                    near = [
+                        outcome for outcome in good if outcome.settling <= (1.0 + NEARLY) * first
+                    ]
+                    return min(near, key=lambda outcome: outcome.kick).gains
         return None
 
 
@@ -292,12 +294,12 @@ def joint_plant(
     if Kg is None:
         inertia = motor.rotor_inertia + Ng**2 * link_inertia
         A[2, [0, 2]] = Kt / inertia, -(Dv + Ng**2 * viscous) / inertia
-        kept = [0, 1, 2]
+        columns = [0, 1, 2]
     else:
         Mm = motor.rotor_inertia
         A[2] = Kt / Mm, -(Ng**2) * Kg / Mm, -(Dv + Ng**2 * Dg) / Mm, Ng * Kg / Mm, Ng * Dg / Mm
         A[4, 1:] = np.array([Ng * Kg, Ng * Dg, -Kg, -Dg - viscous]) / link_inertia
-        kept = [0, 1, 2, 3, 4]
+        columns = [0, 1, 2, 3, 4]
     current, by_voltage = np.zeros(5), 0.0
     if L > 1e-6 * R * period:
         A[0, [0, 2]] = -R / L, -Kb / L
@@ -307,8 +309,8 @@ def joint_plant(
         current[2], by_voltage = -Kb / R, 1.0 / R
         B[2] = A[2, 0] * by_voltage
         A[2] += A[2, 0] * current
-        kept = kept[1:]
-    unit: Array = np.eye(5)[:, kept]
+        columns = columns[1:]
+    unit: Array = np.eye(5)[:, columns]
     return SampledPlant(
         *discretise_zoh(unit.T @ A @ unit, unit.T @ B, period),
         unit[1:2],

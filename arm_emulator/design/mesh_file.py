@@ -50,8 +50,8 @@ def move_meshes(robot: ET.Element, folder: Path) -> None:
             inside = unquote(url.netloc + url.path)
             if any((root / inside).is_file() for root in everywhere):
                 continue
-            if found := find_mesh(name, folder):
-                mesh.set("filename", found.resolve().as_uri())
+            if path := find_mesh(name, folder):
+                mesh.set("filename", path.resolve().as_uri())
         elif name and not url.scheme and not Path(name).is_absolute():
             mesh.set("filename", (folder.resolve() / name).as_uri())
 
@@ -59,8 +59,8 @@ def move_meshes(robot: ET.Element, folder: Path) -> None:
 # Packages of ROS in the folders around a file, as in a clone of a maker's repository, are found by
 # their `package.xml`, without a sourced shell and whatever their folder is called.
 MANIFEST = "package.xml"
-MOST_BYTES = 1 << 20  # of a manifest; a larger file has no name
-MOST_FOLDERS = 1000  # that are looked at beside each folder above the file
+MAX_BYTES = 1 << 20  # of a manifest; a larger file has no name
+MAX_FOLDERS = 1000  # that are looked at beside each folder above the file
 
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _NAME = re.compile(r"<name>\s*([A-Za-z0-9_.-]+)\s*</name>")
@@ -71,14 +71,14 @@ def source_packages(folder: Path) -> dict[str, Path]:
 
     Of two with the same name the nearer counts.
     """
-    found: dict[str, Path] = {}
+    packages: dict[str, Path] = {}
     folder = folder.resolve()
     for place in (folder, *folder.parents):
         for candidate in (place, *_list_subfolders(place)):
             name = _read_package_name(candidate / MANIFEST)
             if name:
-                found.setdefault(name, candidate)
-    return found
+                packages.setdefault(name, candidate)
+    return packages
 
 
 def _list_subfolders(folder: Path) -> Iterator[Path]:
@@ -86,13 +86,13 @@ def _list_subfolders(folder: Path) -> Iterator[Path]:
         entries = sorted(folder.iterdir())
     except OSError:  # a folder that may be passed through, but not read
         return
-    yield from entries[:MOST_FOLDERS]
+    yield from entries[:MAX_FOLDERS]
 
 
 def _read_package_name(manifest: Path) -> str:
     """Return the name that a manifest gives; empty without one."""
     try:
-        if not manifest.is_file() or manifest.stat().st_size > MOST_BYTES:
+        if not manifest.is_file() or manifest.stat().st_size > MAX_BYTES:
             return ""
         text = manifest.read_text(encoding="utf-8", errors="replace")
     except OSError:

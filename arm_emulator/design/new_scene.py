@@ -26,7 +26,13 @@ from arm_emulator.design.joint_data import choose_joint_data
 from arm_emulator.design.mesh_file import move_meshes
 from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
 from arm_emulator.design.robot_file import forget_impossible, read_limits, robot_text, write_limits
-from arm_emulator.design.scene_text import Given, demo_text, motion_text, scene_text, servo_text
+from arm_emulator.design.scene_text import (
+    SceneSources,
+    demo_text,
+    motion_text,
+    scene_text,
+    servo_text,
+)
 from arm_emulator.design.sizing import Demand, Sized, full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import data_sheet, tuned_servo
@@ -43,11 +49,11 @@ from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.servo.servo_config import JointServo, ServoConfig
 
 SERVO_PERIOD = 1e-3  # s
-MOST_DENSITY = 3e4  # kg/m3: denser than any material
+MAX_DENSITY = 3e4  # kg/m3: denser than any material
 PLACES = ("{}.yaml", "servo/{}.yaml", "motion/{}.yaml", "demo/{}.yaml", "urdf/{}.urdf")
 HOLD_AFTER, CUT_AFTER = 0.2, 2.0  # s
 MOTION_PERIOD = 0.01  # s
-SETTLE, WATCHED = 1.0, 3.0  # s, of the demo
+SETTLE, OBSERVED = 1.0, 3.0  # s, of the demo
 SERVO_HEADING = """\
 Servo of {name}: data sheets as in {name}.yaml; gains as in docs/how_to/gains.md."""
 MOTION_COMMENTS = {
@@ -121,7 +127,7 @@ def write_new(
     text = robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)
-    known = {
+    sheets = {
         joint: JointSheet.of(data)
         for joint, data in choose_joint_data(joint_data, choice.joints).items()
     }
@@ -132,13 +138,13 @@ def write_new(
     assumed = _assume_missing_bodies(description, robot, choice, density)
     if replace_inertias and trust_inertias:
         raise Refusal("new", "--trust-inertias", "stand without --replace-inertias", "both")
-    doubts = _find_doubts(description, robot, choice, assumed)
-    if replace_inertias and doubts:
-        assumed += _replace(description, robot, choice, density, doubts)
-        doubts = _find_doubts(description, robot, choice, assumed)
+    doubtful = _list_doubtful(description, robot, choice, assumed)
+    if replace_inertias and doubtful:
+        assumed += _replace(description, robot, choice, density, doubtful)
+        doubtful = _list_doubtful(description, robot, choice, assumed)
     if not trust_inertias:
-        check_inertias(doubts, robot.name)
-    trusted = [*dict.fromkeys(doubt.link for doubt in doubts)] if trust_inertias else []
+        check_inertias(doubtful, robot.name)
+    trusted = [*dict.fromkeys(doubt.link for doubt in doubtful)] if trust_inertias else []
     if mended or assumed:
         text = ET.tostring(description, encoding="unicode")
     name = scene_name(robot)
@@ -152,15 +158,15 @@ def write_new(
             raise Refusal("new", f"file {there}", "not be there yet", "one", valid)
     bodies = assumed, trusted
     drives, tools, texts = _make_texts(
-        robot, text, description, choice, payload, bodies, kind, known
+        robot, text, description, choice, payload, bodies, kind, sheets
     )
     with tempfile.TemporaryDirectory() as trial:
-        made = Path(trial) / f"{name}.yaml"
-        _write(Path(trial), {place.format(name): one for place, one in texts.items()})
-        scene = load_scene(made)
-        servo = tuned_servo(made, _make_servo(scene, drives))
+        scene_file = Path(trial) / f"{name}.yaml"
+        _write(Path(trial), {place.format(name): content for place, content in texts.items()})
+        scene = load_scene(scene_file)
+        servo = tuned_servo(scene_file, _make_servo(scene, drives))
     texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
-    _write(folder, {place.format(name): one for place, one in texts.items()})
+    _write(folder, {place.format(name): content for place, content in texts.items()})
     return NewScene(file, choice, drives, overloads(scene), assumed, tools)
 
 
@@ -168,55 +174,55 @@ def _assume_missing_bodies(
     description: ET.Element, robot: Path, choice: Choice, density: float
 ) -> list[Assumed]:
     """Add a body in the description to each moving link without one; return these links."""
-    if not 0.0 < density <= MOST_DENSITY:
-        raise Refusal("new", "--density", f"be > 0 and at most {MOST_DENSITY:g} kg/m3", density)
+    if not 0.0 < density <= MAX_DENSITY:
+        raise Refusal("new", "--density", f"be > 0 and at most {MAX_DENSITY:g} kg/m3", density)
     shapes = {link.get("name", ""): has_shape(link) for link in description.findall("link")}
-    wanted: dict[str, Array] = {}
+    tips: dict[str, Array] = {}
     for body in _find_moved(description, robot, choice):
         if body.fault is not None:
             lacking = [link for link in body.links if shapes[link]] or list(body.links[:1])
-            wanted |= {link: body.tip for link in lacking}
-    return assume_bodies(description, robot.parent, wanted, density)
+            tips |= {link: body.tip for link in lacking}
+    return assume_bodies(description, robot.parent, tips, density)
 
 
-def _find_doubts(
+def _list_doubtful(
     description: ET.Element, robot: Path, choice: Choice, assumed: list[Assumed]
 ) -> list[Doubt]:
     """Return what is wrong with inertias that the description gives."""
     text = ET.tostring(description, encoding="unicode")
     chain = _load_links(text, robot.name, choice).chain
-    given = [one.link for one in assumed]
-    return doubtful_inertias(description, robot.name, robot.parent, chain, given)
+    trusted = [body.link for body in assumed]
+    return doubtful_inertias(description, robot.name, robot.parent, chain, trusted)
 
 
 def _replace(
-    description: ET.Element, robot: Path, choice: Choice, density: float, doubts: list[Doubt]
+    description: ET.Element, robot: Path, choice: Choice, density: float, doubtful: list[Doubt]
 ) -> list[Assumed]:
     """Give links with doubtful inertias those of their shapes; return these links.
 
     A mass that is in doubt goes, too, and so does an inertia without a mass.
     """
-    of_mass = {doubt.link for doubt in doubts if doubt.is_of_mass}
-    wanted: dict[str, Array] = {}
+    of_mass = {doubt.link for doubt in doubtful if doubt.is_of_mass}
+    tips: dict[str, Array] = {}
     for body in _find_moved(description, robot, choice):
         for link in body.links:
-            if any(doubt.link == link for doubt in doubts):
-                wanted[link] = body.tip
+            if any(doubt.link == link for doubt in doubtful):
+                tips[link] = body.tip
     for element in description.findall("link"):
         name = element.get("name", "")
-        for inertial in element.findall("inertial") if name in wanted else ():
+        for inertial in element.findall("inertial") if name in tips else ():
             mass = inertial.find("mass")
             if mass is not None and name in of_mass:
                 mass.set("value", "0")
             elif mass is None or (float(mass.get("value", "0")) <= 0.0 and not has_shape(element)):
                 element.remove(inertial)
-                wanted.pop(name, None)
-    return assume_bodies(description, robot.parent, wanted, density)
+                tips.pop(name, None)
+    return assume_bodies(description, robot.parent, tips, density)
 
 
 def _find_moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
     """Return what each moving joint of a choice moves."""
-    locked = {name: held.position for name, held in choice.held.items()}
+    locked = {name: joint.position for name, joint in choice.held.items()}
     return collect_moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
 
 
@@ -247,7 +253,7 @@ def _load_links(text: str, where: str, choice: Choice, payload: float = 0.0) -> 
             "tool": choice.tool,
             "gravity": [0.0, 0.0, -9.81],
             "supply_voltage": 1.0,
-            "locked": {name: held.position for name, held in choice.held.items()},
+            "locked": {name: joint.position for name, joint in choice.held.items()},
             "joints": {name: {} for name in choice.joints},
             "integrator": {"dt": SERVO_PERIOD},
             "servo_period": SERVO_PERIOD,
@@ -266,12 +272,12 @@ def _make_texts(
     payload: float | None,
     bodies: tuple[list[Assumed], list[str]],
     kind: type[Motor],
-    known: Mapping[str, JointSheet],
+    sheet_by_joint: Mapping[str, JointSheet],
 ) -> tuple[list[Sized], list[RatedTool], dict[str, str]]:
     """Return the drives, the tools that they are sized for, and the files to write by their places.
 
     The `description` gets limits; `bodies` are links whose body is assumed, and those whose inertia
-    is trusted; `known` has the drives of joints that exist.
+    is trusted; `sheet_by_joint` has the drives of joints that exist.
 
     The servo is not among them: its gains are those of the scene as it is written.
     """
@@ -281,18 +287,18 @@ def _make_texts(
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
     shapes = _read_own_shapes(links.urdf, links.joint_names)
     bare = survey(links, kinematics, shapes)
-    seen = bare
+    surveyed = bare
     if payload:
-        seen = survey(_load_links(text, robot.name, choice, payload), kinematics)
+        surveyed = survey(_load_links(text, robot.name, choice, payload), kinematics)
     limits = read_limits(description)
     count = len(links.joints)
     of_arm = published(description.get("name", ""), count) or (None,) * count
     for joint in links.chain.joints:
-        if joint.name in known and joint.kind != "revolute":
+        if joint.name in sheet_by_joint and joint.kind != "revolute":
             rule = "be of a joint that turns"
             raise Refusal("new", "--joint", rule, f"{joint.name}, a {joint.kind} one")
     sheets = tuple(
-        known.get(joint.name, sheet)
+        sheet_by_joint.get(joint.name, sheet)
         for joint, sheet in zip(links.chain.joints, of_arm, strict=True)
     )
     speeds = {
@@ -304,7 +310,7 @@ def _make_texts(
     rated = survey(
         _load_links(ET.tostring(loaded, encoding="unicode"), robot.name, choice), kinematics
     )
-    demands = _collect_demands(limits, sheets, links, kinematics, (bare, seen, rated))
+    demands = _collect_demands(limits, sheets, links, kinematics, (bare, surveyed, rated))
     supply, drives = size(demands, kind)
     motion = {
         "tool": choice.tool,
@@ -317,14 +323,14 @@ def _make_texts(
     write_limits(description, {drive.joint.name: drive for drive in drives})
     motion["collisions"], why = _choose_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
-    given = Given(robot.name, choice, payload or 0.0, *bodies, tools)
-    scene = scene_text(name, given, supply, demands, drives, SERVO_PERIOD)
+    sources = SceneSources(robot.name, choice, payload or 0.0, *bodies, tools)
+    scene = scene_text(name, sources, supply, demands, drives, SERVO_PERIOD)
     displacement = bare.displacement.tolist()
     contents = (
         scene,
         "",
         motion_text(motion, comments, known_drives(drive.joint for drive in drives)),
-        demo_text(displacement, SETTLE, round(WATCHED / MOTION_PERIOD)),
+        demo_text(displacement, SETTLE, round(OBSERVED / MOTION_PERIOD)),
         ET.tostring(description, encoding="unicode") + "\n",
     )
     return drives, tools, dict(zip(PLACES, contents, strict=True))
@@ -346,15 +352,15 @@ def _collect_demands(
         kinematics: of the same.
         surveys: of the links alone, with the payload, and with the tools they are rated for.
     """
-    bare, seen, rated = surveys
+    bare, surveyed, rated = surveys
     return [
         Demand(
             name=joint.name,
             kind=joint.kind,
             start=float(bare.start[j]),
-            inertia=(float(bare.inertia[j, 0]), float(seen.inertia[j, 1])),
-            coupling=tuple(seen.coupling[j].tolist()),
-            gravity_torque=float(seen.gravity_torque[j]),
+            inertia=(float(bare.inertia[j, 0]), float(surveyed.inertia[j, 1])),
+            coupling=tuple(surveyed.coupling[j].tolist()),
+            gravity_torque=float(surveyed.gravity_torque[j]),
             bare_torque=float(bare.gravity_torque[j]),
             tool_weight=float(rated.gravity_torque[j]),
             tool_inertia=float(rated.inertia[j, 1]),
@@ -394,14 +400,14 @@ def _make_servo(scene: Scene, drives: list[Sized]) -> ServoConfig:
 
 def known_drives(joints: Iterable[Joint]) -> dict[str, DriveParameters]:
     """Return the data sheet of each joint's gear and friction, by names."""
-    return {joint.name: _read_known_drive(joint) for joint in joints}
+    return {joint.name: _read_drive_numbers(joint) for joint in joints}
 
 
-def _read_known_drive(joint: Joint) -> DriveParameters:
+def _read_drive_numbers(joint: Joint) -> DriveParameters:
     gear, values = joint.gear, dict[str, float]()
-    known = list_numbers(DriveParameters)
+    names = list_numbers(DriveParameters)
     if gear.stiffness is not None:
-        values |= {key: getattr(gear, key) for key in gear.numbers() if key in known}
+        values |= {key: getattr(gear, key) for key in gear.numbers() if key in names}
     for law, prefix, per in (
         (joint.friction, "", 1.0),
         (joint.rotor_friction, "rotor_", abs(gear.ratio)),
@@ -412,8 +418,8 @@ def _read_known_drive(joint: Joint) -> DriveParameters:
     return DriveParameters(**values)
 
 
-_DRAWN = 100  # poses within the limits
-_MOST = 0.8  # share of them: shapes that overlap nearly everywhere are not those of the arm
+_SAMPLES = 100  # poses within the limits
+_MAX_SHARE = 0.8  # share of them: shapes that overlap nearly everywhere are not those of the arm
 
 
 def _read_own_shapes(urdf_xml: str, joint_names: tuple[str, ...]) -> Collisions | None:
@@ -443,7 +449,7 @@ def _choose_collisions(tested: Collisions | None, start: Array) -> tuple[str, st
     if touching := tested.first(start):
         return "off", f"{touching} touch wherever it could start"
     rng = np.random.default_rng(0)
-    share = np.mean([bool(tested.first(tested.drawn(rng))) for _ in range(_DRAWN)])
-    if share > _MOST:
+    share = np.mean([bool(tested.first(tested.drawn(rng))) for _ in range(_SAMPLES)])
+    if share > _MAX_SHARE:
         return "off", f"parts of the arm touch in {share:.0%} of its poses"
     return "stop", "before parts of the arm touch each other"

@@ -21,12 +21,12 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.urdf.frames import Frame
-from arm_emulator.design.choose_joints import LEAST_ARM
+from arm_emulator.design.choose_joints import MIN_ARM
 from arm_emulator.machine.chain import Chain
 
 DENSITY = 1000.0  # kg/m3
 PAYLOAD, OF_MASS, OF_SPEED = 0.9, 0.86, -0.5
-MOST_ARM = 7  # joints that the rule counts from the tool: those before are a rail or a torso
+MAX_ARM = 7  # joints that the rule counts from the tool: those before are a rail or a torso
 LARGEST_SHARE = 0.5  # of the moving mass: no arm of the sample carries more than 0.4
 ALONG = 1e-3  # m: a tool that is nearer to the joint before has no direction
 
@@ -61,22 +61,22 @@ def rated_tools(
         speeds: full speeds of the joints, by name [rad/s or m/s].
         payload: mass of the tool at `tool` [kg]; None: by the rule.
     """
-    found = []
+    tools = []
     carriers = {joint.parent for joint in chain.links}
-    on_way = set[int]()
+    on_paths = set[int]()
     if tool in chain.carried:
         at, frame = chain.carried[tool]
-        way = chain.way_to(at)
-        on_way.update(way)
-        mass = _estimate_mass(chain, way, speeds) if payload is None else payload
-        found.append(_place_tool(chain, at, tool, frame, mass))
+        path = chain.way_to(at)
+        on_paths.update(path)
+        mass = _estimate_mass(chain, path, speeds) if payload is None else payload
+        tools.append(_place_tool(chain, at, tool, frame, mass))
     for end in range(len(chain.links)):
-        branch = [joint for joint in chain.way_to(end) if joint not in on_way]
-        if end in carriers or len(branch) < LEAST_ARM:
+        branch = [joint for joint in chain.way_to(end) if joint not in on_paths]
+        if end in carriers or len(branch) < MIN_ARM:
             continue
         link, frame = list(chain.links[end].links.items())[-1]
-        found.append(_place_tool(chain, end, link, frame, _estimate_mass(chain, branch, speeds)))
-    return found
+        tools.append(_place_tool(chain, end, link, frame, _estimate_mass(chain, branch, speeds)))
+    return tools
 
 
 def with_tools(robot: ET.Element, tools: list[RatedTool]) -> ET.Element:
@@ -100,12 +100,12 @@ def with_tools(robot: ET.Element, tools: list[RatedTool]) -> ET.Element:
     return loaded
 
 
-def _estimate_mass(chain: Chain, way: list[int], speeds: Mapping[str, float]) -> float:
-    """Return the payload by the rule [kg]; `way`: the joints that carry it."""
-    way = way[-MOST_ARM:]
-    moving = sum(chain.links[joint].body.mass for joint in way)
-    turns = [chain.links[joint].name for joint in way if chain.links[joint].kind == "revolute"]
-    speed = speeds.get(turns[-1], math.pi) if turns else math.pi
+def _estimate_mass(chain: Chain, path: list[int], speeds: Mapping[str, float]) -> float:
+    """Return the payload by the rule [kg]; `path`: the joints that carry it."""
+    path = path[-MAX_ARM:]
+    moving = sum(chain.links[joint].body.mass for joint in path)
+    revolute = [chain.links[joint].name for joint in path if chain.links[joint].kind == "revolute"]
+    speed = speeds.get(revolute[-1], math.pi) if revolute else math.pi
     payload = PAYLOAD * moving**OF_MASS * speed**OF_SPEED
     return float(min(payload, LARGEST_SHARE * moving))
 

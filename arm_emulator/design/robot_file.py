@@ -17,7 +17,7 @@ from pathlib import Path
 from arm_emulator.base.config_files import ROBOTS
 from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.urdf_text import MOST_BYTES, read_urdf
+from arm_emulator.base.urdf.urdf_text import MAX_BYTES, read_urdf
 from arm_emulator.design import expand_xacro
 from arm_emulator.design.mesh_file import source_packages
 from arm_emulator.design.sizing import Sized
@@ -55,11 +55,11 @@ def _expand_source(file: Path, arguments: Mapping[str, str]) -> str:
     if importlib.util.find_spec("xacro") is None:
         valid = "pip install xacro, or give the output of `xacro FILE > robot.urdf`"
         raise Refusal(file.name, "file", "be a URDF", "a xacro source", valid)
-    given = [f"{name}:={value}" for name, value in arguments.items()]
+    mappings = [f"{name}:={value}" for name, value in arguments.items()]
     packages = {name: str(folder) for name, folder in source_packages(file.parent).items()}
     command = [
         sys.executable, "-P", expand_xacro.__file__, str(file.resolve()), json.dumps(packages),
-        *given,
+        *mappings,
     ]  # fmt: skip
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         try:
@@ -72,7 +72,7 @@ def _expand_source(file: Path, arguments: Mapping[str, str]) -> str:
             code = -signal.SIGKILL
         for stream in (out, errors):
             stream.seek(0)
-        text = out.read(MOST_BYTES + 1)
+        text = out.read(MAX_BYTES + 1)
         reason = " ".join(errors.read(2000).decode(errors="replace").split())
     if code < 0:
         reason = f"more than {expand_xacro.SECONDS} s, or more than it may write"
@@ -80,7 +80,7 @@ def _expand_source(file: Path, arguments: Mapping[str, str]) -> str:
         rule = "name a package whose package.xml is around the file, or one of the shell"
         valid = ", ".join(sorted(packages)) or "a clone with package.xml, or a sourced workspace"
         raise Refusal(file.name, f"$(find {reason})", rule, "none", valid)
-    elif code == 0 and len(text) <= MOST_BYTES:
+    elif code == 0 and len(text) <= MAX_BYTES:
         return text.decode(errors="replace")
     raise Refusal(file.name, "file", "be expandable by xacro", reason or "nothing")
 
@@ -110,13 +110,13 @@ def _read_number(limit: ET.Element, key: str) -> float:
 
 def forget_impossible(robot: ET.Element) -> bool:
     """Make efforts and velocities that are below 0, or no numbers, unknown; whether there were."""
-    found = False
+    changed = False
     for limit in robot.iter("limit"):
         for key in KEYS:
             if not _read_number(limit, key) >= 0.0:
                 limit.set(key, "0")
-                found = True
-    return found
+                changed = True
+    return changed
 
 
 def write_limits(robot: ET.Element, drives: Mapping[str, Sized]) -> None:

@@ -54,7 +54,7 @@ _RULES = """\
 
 
 @dataclass(frozen=True)
-class Given:
+class SceneSources:
     """Content of a new scene."""
 
     robot: str  # name of its file
@@ -67,49 +67,54 @@ class Given:
 
 def scene_text(
     name: str,
-    given: Given,
+    sources: SceneSources,
     supply: float,
     demands: list[Demand],
     drives: list[Sized],
     servo_period: float,
 ) -> str:
     """Return the scene file, with where each number comes from."""
-    choice = given.choice
+    choice = sources.choice
     kinds = {type(drive.joint.motor) for drive in drives if drive.joint.motor}
     rules = "\n".join(f"#                {rule}" for kind in kinds for rule in kind.rules)
     lines = [
-        _RULES.format(robot=escape_to_line(given.robot), file=f"{name}.yaml", motor=rules),
+        _RULES.format(robot=escape_to_line(sources.robot), file=f"{name}.yaml", motor=rules),
         f"name: {_quote_text(name)}",
         f"urdf: {_quote_text(f'urdf/{name}.urdf')}",
         f"tool: {_quote_text(choice.tool)}",
         "gravity: [0.0, 0.0, -9.81]  # m/s2, z up",
         f"supply_voltage: {supply:g}  # V, "
-        + ("of the servos" if any(one.sheet and one.sheet.supply for one in demands) else "guess"),
+        + (
+            "of the servos"
+            if any(demand.sheet and demand.sheet.supply for demand in demands)
+            else "guess"
+        ),
     ]
-    if given.payload:
-        lines.append(f"payload: {{mass: {given.payload!r}}}  # kg, at the tool")
+    if sources.payload:
+        lines.append(f"payload: {{mass: {sources.payload!r}}}  # kg, at the tool")
     if any(drive.notes["torque"].startswith("guess") for drive in drives):
-        for tool in given.tools:
+        for tool in sources.tools:
             lines.append(f"# Torques that are guessed are for a tool of {tool.mass:.3g} kg at")
             lines.append(
                 f"# {tool.link}, whose centre is half an edge off: a cube as dense as water."
             )
-    if given.assumed:
+    if sources.assumed:
         lines += ["", "assumed:  # links whose bodies are of one density, from"]
         lines += [
-            f"  - {_quote_text(one.link)}  # {escape_to_line(one.how)}" for one in given.assumed
+            f"  - {_quote_text(body.link)}  # {escape_to_line(body.how)}"
+            for body in sources.assumed
         ]
-    if given.trusted:
+    if sources.trusted:
         lines += [
             "",
             "trusted_inertias:  # as in the description, though no body of its shape has them",
         ]
-        lines += [f"  - {_quote_text(link)}" for link in given.trusted]
+        lines += [f"  - {_quote_text(link)}" for link in sources.trusted]
     if choice.held:
         lines += ["", "locked:"]
-        for joint, held in choice.held.items():
+        for joint, locked in choice.held.items():
             lines.append(
-                f"  {_quote_text(joint)}: {held.position!r}  # {escape_to_line(held.reason)}"
+                f"  {_quote_text(joint)}: {locked.position!r}  # {escape_to_line(locked.reason)}"
             )
     lines += ["", "joints:"]
     for demand, drive in zip(demands, drives, strict=True):
@@ -129,18 +134,18 @@ def _format_joint(demand: Demand, drive: Sized) -> list[str]:
     ratio = "m of the slide per rad of the motor" if slide else "link turns per turn of the motor"
     joint = drive.joint
     assert joint.motor is not None and joint.encoder is not None
-    least, most = demand.inertia
+    smallest, largest = demand.inertia
     parts = drive.text or _format_parts(joint, (torque, speed, angle), ratio)
     return [
         f"  # {drive.peak_torque:.3g} {torque} ({drive.notes['torque']}),",
         f"  # {drive.speed:.3g} {speed} ({drive.notes['speed']});",
-        f"  # feels {least:.3g} to {most:.3g} {inertia}, weight up to "
+        f"  # feels {smallest:.3g} to {largest:.3g} {inertia}, weight up to "
         f"{demand.gravity_torque:.3g} {torque}",
         f"  {_quote_text(joint.name)}:",
         f"    start: {joint.start!r}  # {angle}",
         *parts,
         f"    encoder: {{counts_per_turn: {joint.encoder.counts_per_turn}}}",
-        *(_format_end_stops(most, drive.speed, slide) if demand.limited else ()),
+        *(_format_end_stops(largest, drive.speed, slide) if demand.limited else ()),
     ]
 
 
@@ -169,18 +174,21 @@ def _format_motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:
     """Return the section of a motor and of what is around it."""
     kind = [] if motor.is_default else [f"      kind: {motor.kind}"]
     lines = ["    motor:", *kind, *_format_numbers(motor, "      ")]
-    for one in decorators:
-        lines += [f"      {one.section.rpartition('.')[2]}:", *_format_numbers(one, "        ")]
+    for decorator in decorators:
+        lines += [
+            f"      {decorator.section.rpartition('.')[2]}:",
+            *_format_numbers(decorator, "        "),
+        ]
     return lines
 
 
 def _format_numbers(part: Part, indent: str) -> list[str]:
     """Return the numbers of a part that are not what an absent key gives, a line each."""
-    values = {key: (getattr(part, key), one) for key, one in part.numbers().items()}
+    values = {key: (getattr(part, key), number) for key, number in part.numbers().items()}
     return [
-        f"{indent}{key}: {value!r}  # {one.unit}"
-        for key, (value, one) in values.items()
-        if value is not None and value != one.default
+        f"{indent}{key}: {value!r}  # {number.unit}"
+        for key, (value, number) in values.items()
+        if value is not None and value != number.default
     ]
 
 
@@ -235,13 +243,13 @@ def motion_text(
     """Return the ROS parameter file of a motion controller."""
     lines = ["/**/motion_controller:", "  ros__parameters:"]
     for key, value in parameters.items():
-        shown = _quote_text(value) if isinstance(value, str) else repr(value)
+        text = _quote_text(value) if isinstance(value, str) else repr(value)
         comment = f"  # {comments[key]}" if key in comments else ""
-        lines.append(f"    {key}: {shown}{comment}")
-    known = {name: drive for name, drive in drives.items() if drive != DriveParameters()}
-    if known:
+        lines.append(f"    {key}: {text}{comment}")
+    specified = {name: drive for name, drive in drives.items() if drive != DriveParameters()}
+    if specified:
         about = "for feed-forward, as in the scene; seen at the links, in N m, rad, s (a slide: m)"
-        lines += [f"    # {about}", *_format_by_joint(SECTION, known)]
+        lines += [f"    # {about}", *_format_by_joint(SECTION, specified)]
     return "\n".join(lines) + "\n"
 
 

@@ -21,7 +21,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.scene.joint import Joint
 
 # Largest plausible limits of a description. Larger ones mean "unknown".
-MOST_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
+MAX_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s
 DEFAULT_SPEED = {"revolute": math.pi, "prismatic": 0.5}  # rad/s, m/s
 # A torque of the description stands for "not known" beyond so many times what the joint needs with
 # a tool, or where every joint has so many times as much. Makers' figures are up to 6 times.
@@ -32,7 +32,7 @@ ALIKE = 3  # joints that have one figure are all without one, where one of them 
 GRAVITY_MARGIN = 1.3  # holds its own links, and some payload
 SPEED_UP = 0.25  # s from rest to full speed
 TORQUE_PART = 0.6  # of what the weight leaves of the torque, for accelerating
-LEAST_PART = 0.02  # of the torque, for accelerating where the weight leaves less
+MIN_PART = 0.02  # of the torque, for accelerating where the weight leaves less
 
 SUPPLIES = ((50.0, 24.0), (2000.0, 48.0), (math.inf, 560.0))  # W of the strongest joint, V
 MOTOR_SPEED = 314.0  # rad/s at the joint's full speed: 3000 rpm, rated speed of most servo motors
@@ -40,7 +40,7 @@ BACK_EMF_PART = 0.6  # of the supply at full speed
 RESISTANCE_PART = 0.25  # of the supply at peak torque; 0.15 are left for control
 # Windings of servo motors above some watts have less, in catalogues for 24 to 560 V: a motor whose
 # torque asks for more is larger than needed, and its current limit keeps the torque.
-MOST_RESISTANCE = 100.0  # ohm
+MAX_RESISTANCE = 100.0  # ohm
 ELECTRICAL_TIME = 1e-3  # s, L/R of frameless and small servo motors
 CURRENT_BANDWIDTH = 1000.0  # Hz, of drives that sample at 16 kHz
 ROTOR_ACCELERATION = 1.4e4  # rad/s2 at peak torque, with the gear's primary side
@@ -51,7 +51,7 @@ STIFFNESS_PER_TORQUE = 170.0  # 1/rad: strain wave gears of sizes 14 to 40, to t
 LOWEST_RESONANCE = {"revolute": 2 * math.pi * 12.0, "prismatic": 2 * math.pi * 30.0}  # rad/s
 DAMPING = 0.05  # of critical, of the link on its gear
 FRICTION_PART = 0.1  # of the peak torque at full speed
-FEWEST_BITS, MOST_BITS = 13, 15  # of the encoder at the motor
+FEWEST_BITS, MAX_BITS = 13, 15  # of the encoder at the motor
 COUNT_PART = 0.05  # of the acceleration, that a count of wind-up gives a link on its gear
 
 
@@ -118,12 +118,12 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
         for demand, need in zip(demands, needs, strict=True)
         if demand.effort is not None
     ]
-    most = PLACEHOLDER if min(shares, default=0.0) <= OVERSIZED else 0.0
+    factor = PLACEHOLDER if min(shares, default=0.0) <= OVERSIZED else 0.0
     bounds = [
-        (max(demand.bare_torque, alone / UNDERSIZED), most * need)
+        (max(demand.bare_torque, alone / UNDERSIZED), factor * need)
         for demand, alone, need in zip(demands, links_alone.tolist(), needs.tolist(), strict=True)
     ]
-    alike = {kind: _find_impossible_for_all(kind, demands, bounds) for kind in MOST_SPEED}
+    alike = {kind: _find_impossible_for_all(kind, demands, bounds) for kind in MAX_SPEED}
     for j, (demand, (_, of_speed), needed) in enumerate(
         zip(demands, rated, needs.tolist(), strict=True)
     ):
@@ -133,9 +133,9 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
     # Each joint for itself, as much as all joints can hold; what several ask for at a time is
     # kept by the timing of ways.
     peak = np.array(torques)
-    left = np.maximum(TORQUE_PART * (peak - weight), LEAST_PART * peak)
-    asked = (coupling / left[:, None]).max(axis=0)  # per acceleration, of what is left
-    accelerations = 1.0 / np.maximum(SPEED_UP / speeds, asked)
+    left = np.maximum(TORQUE_PART * (peak - weight), MIN_PART * peak)
+    required = (coupling / left[:, None]).max(axis=0)  # per acceleration, of what is left
+    accelerations = 1.0 / np.maximum(SPEED_UP / speeds, required)
     supply = _choose_supply(demands, float((peak * speeds).max()))
     return supply, [
         _size_drive(demand, torque, float(speed), float(acceleration), note, supply, kind)
@@ -148,23 +148,23 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
 def _choose_supply(demands: list[Demand], power: float) -> float:
     """Return the supply voltage of drives whose strongest has a power [W]."""
     supplies = [demand.sheet.supply for demand in demands if demand.sheet is not None]
-    known = [supply for supply in supplies if supply is not None]
-    return max(known) if known else next(volts for watts, volts in SUPPLIES if power <= watts)
+    stated = [supply for supply in supplies if supply is not None]
+    return max(stated) if stated else next(volts for watts, volts in SUPPLIES if power <= watts)
 
 
-def full_speed(kind: str, given: float | None, sheet: JointSheet | None) -> tuple[float, str]:
+def full_speed(kind: str, stated: float | None, sheet: JointSheet | None) -> tuple[float, str]:
     """Return a joint's full speed [rad/s or m/s], and where it comes from.
 
     Args:
         kind: revolute or prismatic.
-        given: by the description; None: it gives none.
+        stated: by the description; None: it gives none.
         sheet: of the joint's drive, where one is published.
     """
     if sheet is not None:
         return sheet.speed, f"published, {sheet.source}"
-    if given is not None and 0.0 < given <= MOST_SPEED[kind]:
-        return given, "URDF"
-    why = "none in the URDF" if given is None else f"the URDF's {given:g} is a placeholder"
+    if stated is not None and 0.0 < stated <= MAX_SPEED[kind]:
+        return stated, "URDF"
+    why = "none in the URDF" if stated is None else f"the URDF's {stated:g} is a placeholder"
     return DEFAULT_SPEED[kind], f"guess, {why}"
 
 
@@ -177,44 +177,44 @@ def _find_impossible_for_all(
         for demand, ends in zip(demands, bounds, strict=True)
         if demand.kind == kind and demand.sheet is None
     ]
-    given = {demand.effort for demand, _ in pairs}
-    if len(pairs) < ALIKE or len(given) > 1 or None in given:
+    stated = {demand.effort for demand, _ in pairs}
+    if len(pairs) < ALIKE or len(stated) > 1 or None in stated:
         return ""
-    for demand, (least, largest) in pairs:
-        if not least <= (demand.effort or 0.0) <= largest:
+    for demand, (smallest, largest) in pairs:
+        if not smallest <= (demand.effort or 0.0) <= largest:
             return demand.name
     return ""
 
 
 def _choose_peak_torque(
-    demand: Demand, needed: float, least: float, largest: float, alike: str
+    demand: Demand, needed: float, smallest: float, largest: float, alike: str
 ) -> tuple[float, str]:
     """Return a joint's peak torque, and where it comes from.
 
     Args:
         demand: on the joint.
         needed: by the rules.
-        least: a smaller figure of the description is refused.
+        smallest: a smaller figure of the description is refused.
         largest: likewise.
         alike: the joint that cannot have the figure of all; empty: none.
     """
     if demand.sheet is not None:
         return demand.sheet.torque, f"published, {demand.sheet.source}"
-    given = demand.effort
-    if given is not None and not alike and least <= given <= largest:
-        return given, "URDF"
-    if given is None:
+    stated = demand.effort
+    if stated is not None and not alike and smallest <= stated <= largest:
+        return stated, "URDF"
+    if stated is None:
         why = "none in the URDF"
-    elif least <= given <= largest:
+    elif smallest <= stated <= largest:
         why = (
-            f"the URDF's {given:g} is a placeholder, that of all joints, which {alike} cannot have"
+            f"the URDF's {stated:g} is a placeholder, that of all joints, which {alike} cannot have"
         )
-    elif given > largest:
-        why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} times what it needs"
-    elif given > demand.bare_torque:
-        why = f"the URDF's {given:g} is a placeholder, {given / needed:.2g} of what it needs"
+    elif stated > largest:
+        why = f"the URDF's {stated:g} is a placeholder, {stated / needed:.2g} times what it needs"
+    elif stated > demand.bare_torque:
+        why = f"the URDF's {stated:g} is a placeholder, {stated / needed:.2g} of what it needs"
     else:
-        why = f"the URDF's {given:g} does not hold its own links, {demand.bare_torque:.3g}"
+        why = f"the URDF's {stated:g} does not hold its own links, {demand.bare_torque:.3g}"
     rule = f"{GRAVITY_MARGIN:g} times the weight and full speed in {SPEED_UP:g} s, with a tool"
     return needed, f"guess, {why}: {rule}"
 
@@ -233,20 +233,22 @@ def _size_drive(
         ratio = speed / MOTOR_SPEED
         back_emf_constant = torque_constant = BACK_EMF_PART * supply / MOTOR_SPEED
         current = torque * ratio / torque_constant
-        resistance = min(RESISTANCE_PART * supply / current, MOST_RESISTANCE)
+        resistance = min(RESISTANCE_PART * supply / current, MAX_RESISTANCE)
     else:
         ratio, resistance = 1.0 / servo.turns, servo.resistance
         torque_constant, back_emf_constant = servo.torque_constant, servo.back_emf_constant
         current = torque * ratio / torque_constant
-    least, most = demand.inertia
-    stiffness = max(STIFFNESS_PER_TORQUE * torque, LOWEST_RESONANCE[demand.kind] ** 2 * most)
-    middle = math.sqrt(least * most)
-    count = 2.0 * math.pi * ratio * stiffness / max(least, 1e-9)  # rad/s2, of one count in a turn
+    smallest, largest = demand.inertia
+    stiffness = max(STIFFNESS_PER_TORQUE * torque, LOWEST_RESONANCE[demand.kind] ** 2 * largest)
+    middle = math.sqrt(smallest * largest)
+    count = (
+        2.0 * math.pi * ratio * stiffness / max(smallest, 1e-9)
+    )  # rad/s2, of one count in a turn
     finest = math.ceil(math.log2(max(1.0, count / (COUNT_PART * acceleration))))
-    bits = min(max(FEWEST_BITS, finest), MOST_BITS)
+    bits = min(max(FEWEST_BITS, finest), MAX_BITS)
     rating = Rating(
         torque=torque * ratio,
-        rotor_inertia=max(torque * ratio / ROTOR_ACCELERATION, most * ratio**2 / INERTIA_RATIO),
+        rotor_inertia=max(torque * ratio / ROTOR_ACCELERATION, largest * ratio**2 / INERTIA_RATIO),
         torque_constant=torque_constant,
         back_emf_constant=back_emf_constant,
         resistance=resistance,
@@ -254,7 +256,7 @@ def _size_drive(
         bandwidth=CURRENT_BANDWIDTH,
     )
     motor = kind.size_part(rating)
-    around = (one.of(motor).size_part(motor, rating) for one in DECORATORS)
+    around = (decorator.of(motor).size_part(motor, rating) for decorator in DECORATORS)
     joint = Joint(
         name=demand.name,
         start=demand.start,
@@ -266,13 +268,13 @@ def _size_drive(
         ),
         sensors=JointSensors.add_counts(2**bits),
         friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
-        decorators=tuple(_round_part(one) for one in around if one is not None),
+        decorators=tuple(_round_part(part) for part in around if part is not None),
     )
     if demand.sheet is not None and (data := demand.sheet.data) is not None:
-        known = dataclasses.replace(
+        sized = dataclasses.replace(
             data.joint, name=joint.name, start=joint.start, sensors=joint.sensors
         )
-        return Sized(known, torque, speed, acceleration, notes, data.text)
+        return Sized(sized, torque, speed, acceleration, notes, data.text)
     return Sized(joint, torque, speed, acceleration, notes)
 
 
@@ -281,7 +283,7 @@ _Kind = TypeVar("_Kind", bound=Part)
 
 def _round_part(part: _Kind) -> _Kind:
     """Return a part with numbers as a data sheet would give them."""
-    values = {key: getattr(part, key) for key, one in part.numbers().items() if not one.whole}
+    values = {key: getattr(part, key) for key, number in part.numbers().items() if not number.whole}
     return dataclasses.replace(
         part, **{key: rounded(value) for key, value in values.items() if value is not None}
     )

@@ -52,15 +52,15 @@ def survey(scene: Scene, kinematics: Kinematics, shapes: Collisions | None = Non
     N = len(low)
     poses = low + (high - low) * rng.random((POSES, N))
     loads = LinkLoads(scene)
-    least, coupling = np.full(N, np.inf), np.zeros((N, N))
+    smallest, coupling = np.full(N, np.inf), np.zeros((N, N))
     weight = np.zeros(N)
     for q in poses:
         M = loads.mass_matrix(q)
-        least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
+        smallest = np.minimum(smallest, 1.0 / np.diag(np.linalg.inv(M)))
         coupling = np.maximum(coupling, np.abs(M))
         weight = np.maximum(weight, np.abs(loads.weight(q)))
     start = _choose_start(kinematics, low, high, rng, shapes)
-    inertia = np.stack([least, np.diag(coupling)], axis=1)
+    inertia = np.stack([smallest, np.diag(coupling)], axis=1)
     displacement = _choose_displacement(kinematics, start, low, high)
     return Survey(inertia, coupling, weight, start, displacement)
 
@@ -109,9 +109,9 @@ def _choose_displacement(kinematics: Kinematics, start: Array, low: Array, high:
     J = kinematics.jacobian(start)
     U, s, Vt = np.linalg.svd(J[:3])
     if len(start) >= POSE_ROWS:
-        way = distance * U[:, 0]
+        displacement = distance * U[:, 0]
     else:
         step = Vt[0] * min(distance / max(float(s[0]), 1e-9), 0.2)
         q = np.clip(start + step, low, high)
-        way = kinematics.forward(q)[1] - kinematics.forward(start)[1]
-    return np.asarray(np.round(way, 4) + 0.0, dtype=np.float64)
+        displacement = kinematics.forward(q)[1] - kinematics.forward(start)[1]
+    return np.asarray(np.round(displacement, 4) + 0.0, dtype=np.float64)

@@ -29,7 +29,7 @@ Range = tuple[float, float]
 POSES = 48  # over which link inertias are looked for
 ROWS = 400  # of a step response
 SETTLE, MOVE, REST = 1.0, 1.0, 6.0  # s of the run on the machine; what sticks creeps to rest
-WATCHED = 0.75  # s of the rest
+OBSERVED = 0.75  # s of the rest
 TURN, SLIDE = 0.2, 0.05  # rad, m: the move
 _SOFTER = 0.7  # where a whole arm leaves too little margin
 # A joint that is so many times as fast as the slowest of a group begins another one.
@@ -80,14 +80,14 @@ def link_inertias(scenes: list[Scene]) -> list[Range]:
 
     The least with all other joints free, 1 / (M^-1)_jj, the largest with the others held, M_jj.
     """
-    least, most = [], []
+    smallest, largest = [], []
     for scene in scenes:
         plant = Plant(scene)
         for q in poses(scene, POSES):
             M_inverse, _ = at_rest(plant, q)
-            least.append(1.0 / np.diag(M_inverse))
-            most.append(np.diag(np.linalg.inv(M_inverse)))
-    low, high = np.min(least, axis=0), np.max(most, axis=0)
+            smallest.append(1.0 / np.diag(M_inverse))
+            largest.append(np.diag(np.linalg.inv(M_inverse)))
+    low, high = np.min(smallest, axis=0), np.max(largest, axis=0)
     return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
@@ -98,7 +98,7 @@ def falls(scene: Scene) -> Array:
     that a joint moves hangs from it.
     """
     plant, N = Plant(scene), len(scene.joints)
-    still, unit, most = np.zeros((N, N)), np.eye(N), np.zeros(N)
+    still, unit, steepest = np.zeros((N, N)), np.eye(N), np.zeros(N)
     for q in poses(scene, POSES):
         M_inverse, balancing = at_rest(plant, q)
         M, at, weight = np.linalg.inv(M_inverse), np.tile(q, (N, 1)), np.tile(balancing, (N, 1))
@@ -106,8 +106,8 @@ def falls(scene: Scene) -> Array:
             plant.links.accelerations(at + side * _NUDGE * unit, still, weight)
             for side in (1.0, -1.0)
         )
-        most = np.maximum(most, np.diag(M @ (ahead - behind).T) / (2.0 * _NUDGE))
-    return most
+        steepest = np.maximum(steepest, np.diag(M @ (ahead - behind).T) / (2.0 * _NUDGE))
+    return steepest
 
 
 def together(gains: list[float]) -> list[float]:
@@ -172,11 +172,11 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
     stands over its joint would fall; then joints whose loop has too little margin in the whole arm
     are made slower, within that.
     """
-    known = {joint.name: joint for joint in servo.joints}
-    found: dict[str, JointServo] = {}
+    by_name = {joint.name: joint for joint in servo.joints}
+    tuned: dict[str, JointServo] = {}
     for joint, inertia in zip(scene.joints, inertias, strict=True):
         motor, gear = data_of(joint)
-        own = known[joint.name]
+        own = by_name[joint.name]
         gains = design(
             motor,
             gear,
@@ -186,13 +186,13 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
             servo.supply_voltage,
             own.current_limit,
         )
-        found[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
-    alone = {name: joint.position_gain for name, joint in found.items()}
-    shared = dict(zip(found, together([*alone.values()]), strict=True))
+        tuned[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
+    alone = {name: joint.position_gain for name, joint in tuned.items()}
+    shared = dict(zip(tuned, together([*alone.values()]), strict=True))
     fall = dict(zip(scene.joint_names, falls(scene).tolist(), strict=True))
     joints = [
         holding(
-            dataclasses.replace(found[name], position_gain=shared[name]), fall[name], alone[name]
+            dataclasses.replace(tuned[name], position_gain=shared[name]), fall[name], alone[name]
         )
         for name in servo.joint_names
     ]
@@ -201,8 +201,8 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         loops = ServoLoops(scene, config)
         little = {
             name
-            for name, one in zip(scene.joint_names, loops.margins(), strict=True)
-            if too_little(one)
+            for name, margins in zip(scene.joint_names, loops.margins(), strict=True)
+            if too_little(margins)
         }
         if not little:
             break
@@ -294,12 +294,14 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
     """Move all joints of the machine at once, smoothly (jerk without jumps), and let it rest."""
     session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     order = [scene.joint_names.index(name) for name in servo.joint_names]
-    known = {joint.name: joint for joint in servo.joints}
-    kinds = [known[joint.name] for joint in scene.joints]
-    way = np.array([SLIDE if joint.kind == "prismatic" else TURN for joint in scene.chain.joints])
+    by_name = {joint.name: joint for joint in servo.joints}
+    kinds = [by_name[joint.name] for joint in scene.joints]
+    distance = np.array(
+        [SLIDE if joint.kind == "prismatic" else TURN for joint in scene.chain.joints]
+    )
     # The peak speed of the quintic is 1.875 way / time: half of what the servos may ask for.
     limits = np.array([joint.velocity_limit for joint in kinds])
-    time = max(MOVE, float((1.875 * way / (0.5 * limits)).max()))
+    time = max(MOVE, float((1.875 * distance / (0.5 * limits)).max()))
     period = servo.period
     every = max(1, round(servo.motion_period / period))
     ticks = round((SETTLE + time + REST) / period)
@@ -311,12 +313,12 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
         drives.measure(session.logical_ns, counts, current, session.measured.applied[order])
         s, rate = _compute_quintic((tick - begin) * period / time)
         if tick % every == 0:
-            q = scene.start + s * way
-            drives.aim(Target(q[order], (rate / time * way)[order]))
+            q = scene.start + s * distance
+            drives.aim(Target(q[order], (rate / time * distance)[order]))
         command = drives.command(session.powered)
         if begin <= tick < end:
-            off.append(state.q - scene.start - s * way)
-        if tick >= ticks - round(WATCHED / period):
+            off.append(state.q - scene.start - s * distance)
+        if tick >= ticks - round(OBSERVED / period):
             q_late.append(state.q)
         session.offer(tick, list(servo.joint_names), command.tolist())
         session.advance()

@@ -71,7 +71,7 @@ class JsonLinesServer:
 
     def _serve_client(self, client: socket.socket) -> None:
         """Answer a client until it goes, or sends a line that is too long."""
-        held = b""
+        partial = b""
         try:
             client.sendall(self.greeting())
             while not self._closing.is_set():
@@ -80,10 +80,10 @@ class JsonLinesServer:
                 data = client.recv(LONGEST)
                 if not data:
                     return
-                *lines, held = (held + data).split(b"\n")
+                *lines, partial = (partial + data).split(b"\n")
                 for line in lines:
                     client.sendall(self.answer(line))
-                if len(held) > LONGEST:
+                if len(partial) > LONGEST:
                     return
         except OSError:  # it has gone, or does not read
             return
@@ -113,24 +113,24 @@ class JsonLinesServer:
 
     def _take_line(self, line: bytes) -> None:
         try:
-            given = json.loads(line)
+            request = json.loads(line)
         except (ValueError, RecursionError) as error:
             raise Refusal(self._where, "line", "be JSON", error) from None
-        if not isinstance(given, dict) or not self._keys >= given.keys():
+        if not isinstance(request, dict) or not self._keys >= request.keys():
             rule, valid = "be an object with keys that are known", ", ".join(sorted(self._keys))
-            raise Refusal(self._where, "line", rule, given, valid)
-        on, again = (self._read_flag(given, key) for key in ("power", "reset"))
+            raise Refusal(self._where, "line", rule, request, valid)
+        on, again = (self._read_flag(request, key) for key in ("power", "reset"))
         names = self._session.scene.joint_names
         rows = {
-            key: self._numbers(key, given[key], len(names))
+            key: self._numbers(key, request[key], len(names))
             for key in ("command", *self._inputs)
-            if key in given
+            if key in request
         }
         command = rows.pop("command", None)
         if command is None and not rows.keys().isdisjoint(self._inputs):
             raise Refusal(self._where, "command", "be given with further inputs", "nothing")
         with self._session.turn:
-            tick = given.get("tick", self._session.tick)
+            tick = request.get("tick", self._session.tick)
             if isinstance(tick, bool) or not isinstance(tick, int):
                 raise Refusal(self._where, "tick", "be a whole number", tick)
             if again:
@@ -138,22 +138,22 @@ class JsonLinesServer:
             elif command is not None:
                 submit_command(self._session, tick, names, command, rows, powered=on is not False)
 
-    def _read_flag(self, given: dict[str, Any], key: str) -> bool | None:
-        found = given.get(key)
-        if found is None or isinstance(found, bool):
-            return found
-        raise Refusal(self._where, key, "be true or false", found)
+    def _read_flag(self, request: dict[str, Any], key: str) -> bool | None:
+        flag = request.get(key)
+        if flag is None or isinstance(flag, bool):
+            return flag
+        raise Refusal(self._where, key, "be true or false", flag)
 
-    def _numbers(self, key: str, given: object, count: int) -> list[float]:
+    def _numbers(self, key: str, values: object, count: int) -> list[float]:
         """Return a list of so many numbers.
 
         Raises:
             Refusal: it is something else.
         """
-        if isinstance(given, list) and len(given) == count:
-            if not any(isinstance(x, bool) or not isinstance(x, int | float) for x in given):
-                return given
-        raise Refusal(self._where, key, f"be {count} numbers, base to tool", given)
+        if isinstance(values, list) and len(values) == count:
+            if not any(isinstance(x, bool) or not isinstance(x, int | float) for x in values):
+                return values
+        raise Refusal(self._where, key, f"be {count} numbers, base to tool", values)
 
     def _write_measurement(self) -> bytes:
         session = self._session
@@ -169,7 +169,7 @@ def _write_line(of: dict[str, Any]) -> bytes:
 
     def finite(value: Any) -> Any:
         if isinstance(value, list):
-            return [finite(one) for one in value]
+            return [finite(element) for element in value]
         return None if isinstance(value, float) and not math.isfinite(value) else value
 
     return json.dumps({key: finite(value) for key, value in of.items()}).encode() + b"\n"

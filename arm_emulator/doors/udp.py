@@ -177,11 +177,11 @@ class UdpServer:
         try:
             if len(data) != kind.itemsize:
                 raise Refusal("udp", "datagram", f"have {kind.itemsize} bytes", len(data))
-            given = np.frombuffer(data, kind)[0]
-            if given["layout"] != self.datagrams.layout:
+            datagram = np.frombuffer(data, kind)[0]
+            if datagram["layout"] != self.datagrams.layout:
                 rule = f"be {self.datagrams.layout}, that of {session.scene.name}"
-                raise Refusal("udp", "layout", rule, int(given["layout"]))
-            self._take_command(given)
+                raise Refusal("udp", "layout", rule, int(datagram["layout"]))
+            self._take_command(datagram)
         except DuplicateCommand:
             pass
         except Refusal as reason:
@@ -189,19 +189,19 @@ class UdpServer:
             return REFUSED + str(reason).encode()
         return self._write_measurement()
 
-    def _take_command(self, given: np.void) -> None:
-        session, control = self._session, int(given["control"])
+    def _take_command(self, datagram: np.void) -> None:
+        session, control = self._session, int(datagram["control"])
         if not 0 <= control <= POWER + RESET:
             raise Refusal("udp", "control", "have no bits but power 1, reset 2", control)
-        tick, further = int(given["tick"]), self.datagrams.inputs
+        tick, further = int(datagram["tick"]), self.datagrams.inputs
         with session.turn:
             if control & RESET:
                 session.reset()
             if control & RESET or tick == GREETING:
                 return
-            rows = {name: given[name] for name in further}
+            rows = {name: datagram[name] for name in further}
             names, on = session.scene.joint_names, bool(control & POWER)
-            submit_command(session, tick, names, given["command"], rows, powered=on)
+            submit_command(session, tick, names, datagram["command"], rows, powered=on)
 
     def _write_measurement(self) -> bytes:
         session, record = self._session, self._record

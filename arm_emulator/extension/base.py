@@ -31,7 +31,7 @@ from arm_emulator.base.expression.formula import (
 from arm_emulator.base.io.atomic_write import name_hidden_file, write_atomically
 from arm_emulator.base.io.table_file import read_table
 from arm_emulator.base.io.text_file import open_file, read_bytes, read_text
-from arm_emulator.base.io.yaml_file import MOST_BYTES as LARGEST_YAML_FILE
+from arm_emulator.base.io.yaml_file import MAX_BYTES as LARGEST_YAML_FILE
 from arm_emulator.base.io.yaml_file import edit_yaml as edited_yaml
 from arm_emulator.base.io.yaml_file import read_nodes as yaml_nodes
 from arm_emulator.base.io.yaml_file import read_yaml
@@ -60,7 +60,7 @@ from arm_emulator.base.validation.count import check_count, check_whole_numbers
 from arm_emulator.base.validation.number import LARGEST as LARGEST_NUMBER
 from arm_emulator.base.validation.number import REQUIRED, Number, list_numbers, number
 from arm_emulator.base.validation.section import Section
-from arm_emulator.base.warning import given as given_warnings
+from arm_emulator.base.warning import issued as given_warnings
 from arm_emulator.base.warning import warn
 from arm_emulator.version import VERSION
 

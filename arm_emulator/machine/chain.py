@@ -166,11 +166,11 @@ class Chain:
 
     def way_to(self, joint: int) -> list[int]:
         """Return the joints from the base to one of them, which is the last."""
-        way: list[int] = []
+        path: list[int] = []
         while joint >= 0:
-            way.append(joint)
+            path.append(joint)
             joint = self.links[joint].parent
-        return way[::-1]
+        return path[::-1]
 
     def place_of(self, link: str) -> tuple[int, Frame]:
         """Return the joint that carries a link of `carried`, and the frame in the core's of it."""

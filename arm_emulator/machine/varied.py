@@ -32,12 +32,12 @@ class Varied:
 
 
 def choose(
-    wanted: Sequence[object], possible: Mapping[str, Kind], where: str, key: str, rule: str
+    patterns: Sequence[object], possible: Mapping[str, Kind], where: str, key: str, rule: str
 ) -> tuple[Kind, ...]:
     """Return what is named, each once and in the order of the scene.
 
     Args:
-        wanted: names such as ``payload.mass``, or patterns such as ``joints.*.friction.coulomb``.
+        patterns: names such as ``payload.mass``, or patterns such as ``joints.*.friction.coulomb``.
         possible: all that can be chosen, by name.
         where: the file, for refusals.
         key: of the list in the file, for refusals.
@@ -47,13 +47,13 @@ def choose(
         Refusal: a name or pattern that no choice has.
     """
     chosen = set()
-    for one in wanted:
-        found = fnmatch.filter(possible, one) if isinstance(one, str) else []
-        if not found:
-            near = isinstance(one, str) and difflib.get_close_matches(one, possible)
-            raise Refusal(where, key, rule, one, ", ".join(near or possible) or "none")
-        chosen.update(found)
-    return tuple(one for name, one in possible.items() if name in chosen)
+    for pattern in patterns:
+        matches = fnmatch.filter(possible, pattern) if isinstance(pattern, str) else []
+        if not matches:
+            near = isinstance(pattern, str) and difflib.get_close_matches(pattern, possible)
+            raise Refusal(where, key, rule, pattern, ", ".join(near or possible) or "none")
+        chosen.update(matches)
+    return tuple(kind for name, kind in possible.items() if name in chosen)
 
 
 def find_varied(varied: Sequence[Varied], name: object, where: str) -> Varied:
@@ -62,11 +62,11 @@ def find_varied(varied: Sequence[Varied], name: object, where: str) -> Varied:
     Raises:
         Refusal: the scene does not list it as varied.
     """
-    for one in varied:
-        if isinstance(name, str) and one.name == name:
-            return one
-    known = ", ".join(one.name for one in varied)
-    valid = known or "none, see `varied` and `faults` in docs/reference/scene.md"
+    for number in varied:
+        if isinstance(name, str) and number.name == name:
+            return number
+    names = ", ".join(number.name for number in varied)
+    valid = names or "none, see `varied` and `faults` in docs/reference/scene.md"
     raise Refusal(where, "name", "be varied in the scene", name, valid)
 
 
@@ -136,10 +136,10 @@ def _write_tensor(R: Array, i: int, j: int) -> list[tuple[str, float]]:
 
 def _sum(parts: list[tuple[str, float]], terms: Mapping[str, str]) -> str:
     # Exactly 1 and 0: a chain's axes have them wherever rounding alone is the difference.
-    shown = []
+    products = []
     for name, factor in parts:
         if factor == 1.0:
-            shown.append(terms[name])
+            products.append(terms[name])
         elif factor != 0.0:
-            shown.append(f"{format_number(factor)} * {terms[name]}")
-    return " + ".join(shown) or format_number(0.0)
+            products.append(f"{format_number(factor)} * {terms[name]}")
+    return " + ".join(products) or format_number(0.0)

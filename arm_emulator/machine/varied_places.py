@@ -55,7 +55,7 @@ def write_place(joint: ChainJoint, calibration: Calibration, places: Mapping[str
     described = f"{{{_write_axes(frame.R)}, {format_vector(frame.p)}}}"
     terms = [own[key] or format_number(numbers[key]) for key in NAMES]
     vectors = (", ".join(terms[k : k + 3]) for k in (0, 3))
-    xyz, rpy = (f"{{{one}}}" for one in vectors)
+    xyz, rpy = (f"{{{vector}}}" for vector in vectors)
     return f"arm::displaced({described}, {_write_axes(joint.axes)}, {xyz}, {rpy})"
 
 

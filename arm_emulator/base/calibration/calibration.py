@@ -64,16 +64,16 @@ class Calibration:
         """
         joints = _read_joints_by_name(robot, self.where)
         frames = self._displace_axes(robot, tool)
-        for name, one in self.deviations.items():
-            frames[name] = frames.get(name, Frame()) @ one.displaced
-            if zeros and one.encoder_zero:
-                back = joints[name].place_at(-one.encoder_zero)
+        for name, deviation in self.deviations.items():
+            frames[name] = frames.get(name, Frame()) @ deviation.displaced
+            if zeros and deviation.encoder_zero:
+                back = joints[name].place_at(-deviation.encoder_zero)
                 frames[name] = frames[name] @ joints[name].placement.inverse @ back
         return frames
 
     def _displace_axes(self, robot: ET.Element, tool: str) -> dict[str, Frame]:
         """Return what the numbers of Denavit and Hartenberg do."""
-        of_axes = [name for name, one in self.deviations.items() if one.has_dh_numbers]
+        of_axes = [name for name, deviation in self.deviations.items() if deviation.has_dh_numbers]
         if not of_axes:
             return {}
         path = find_path(robot, self.where, self.base, self.flange, tool)
@@ -85,17 +85,17 @@ class Calibration:
                 raise Refusal(self.where, name_key(name, key), rule, name, ", ".join(moving))
         dh, children = find_dh_frames(path), path.frames
         ends = [*moving, path.behind[0].name] if path.behind else moving
-        found, before = {}, None
+        displacements, before = {}, None
         for name, frame in zip(ends, dh, strict=False):
-            one = self.deviations.get(name, Deviation()) if name in moving else Deviation()
-            found[name] = displace_along_axes(one, before, frame, children[name])
-            before = one
+            deviation = self.deviations.get(name, Deviation()) if name in moving else Deviation()
+            displacements[name] = displace_along_axes(deviation, before, frame, children[name])
+            before = deviation
         last = self.deviations.get(moving[-1], Deviation())
         if not path.behind and (last.delta_a or last.delta_alpha):
             rule = "be 0 of the last joint, whose own link is the flange"
             key = "delta_a" if last.delta_a else "delta_alpha"
             raise Refusal(self.where, name_key(moving[-1], key), rule, getattr(last, key))
-        return found
+        return displacements
 
 
 def displace_joints(robot: ET.Element, frames: Mapping[str, Frame], where: str) -> ET.Element:
@@ -230,15 +230,15 @@ def _read_file(
             return read_calibration(root, robot, tool, find_beside(file.parent))
     path = find_path(robot, file.name, base, flange, tool)
     if root is not None:
-        found = read_ur_kinematics(root, path)
+        deviations = read_ur_kinematics(root, path)
     elif nominal is not None:
-        found = read_kuka_zeros(file, nominal, path)
+        deviations = read_kuka_zeros(file, nominal, path)
     else:
-        found = read_ur_deltas(file, path)
-    for name, one in found.items():
+        deviations = read_ur_deltas(file, path)
+    for name, deviation in deviations.items():
         for key, number in list_numbers(Deviation).items():
-            number.take(file.name, getattr(one, key), f"{key} of joint {name}")
-    return Calibration(found, base, flange, file.name)
+            number.take(file.name, getattr(deviation, key), f"{key} of joint {name}")
+    return Calibration(deviations, base, flange, file.name)
 
 
 def find_beside(folder: Path) -> Callable[[str], Path]:

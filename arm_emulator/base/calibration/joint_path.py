@@ -45,10 +45,10 @@ class JointPath:
     @property
     def frames(self) -> Mapping[str, Frame]:
         """Frame of each joint's child link, seen from the root link."""
-        frame, found = Frame(), {}
+        frame, placed = Frame(), {}
         for joint in self.joints:
-            frame = found[joint.name] = frame @ joint.placement
-        return found
+            frame = placed[joint.name] = frame @ joint.placement
+        return placed
 
     @property
     def flange(self) -> Frame:
@@ -59,8 +59,8 @@ class JointPath:
     def axes(self) -> list[tuple[Array, Array]]:
         """A point and the direction of each moving joint's axis, seen from the root link."""
         frames = self.frames
-        return [(frames[one.name].p, apply_matrix(frames[one.name].R, one.axis))
-                for one in self.moving]  # fmt: skip
+        return [(frames[joint.name].p, apply_matrix(frames[joint.name].R, joint.axis))
+                for joint in self.moving]  # fmt: skip
 
     @property
     def behind(self) -> tuple[UrdfJoint, ...]:

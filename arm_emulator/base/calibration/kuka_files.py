@@ -19,7 +19,7 @@ from arm_emulator.base.io.text_file import read_text
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import Number
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 _MARK = re.compile(r"^\s*(?:DECL\s+)?(?:REAL\s+)?\$MAMES\[(\d+)\]\s*=\s*([^\s;]+)", re.I | re.M)
 _POSITION = Number.within("$MAMES", "deg or mm", 1e5)
 
@@ -36,28 +36,28 @@ def read_kuka_zeros(file: Path, nominal: Path, path: JointPath) -> Mapping[str, 
         Refusal: a file without mastering positions, or without one of an axis.
     """
     of_machine, of_type = _read_marks(file), _read_marks(nominal)
-    found = {}
+    deviations = {}
     for place, joint in enumerate(path.moving, start=1):
-        for given, where in ((of_machine, file.name), (of_type, nominal.name)):
-            if place not in given:
+        for marks, where in ((of_machine, file.name), (of_type, nominal.name)):
+            if place not in marks:
                 rule = f"be given, as of joint {joint.name}"
                 raise Refusal(where, f"$MAMES[{place}]", rule, "nothing")
         unit = 1e-3 if joint.kind == "prismatic" else math.pi / 180.0
         zero = (of_machine[place] - of_type[place]) * unit
-        found[joint.name] = Deviation(encoder_zero=zero)
-    return found
+        deviations[joint.name] = Deviation(encoder_zero=zero)
+    return deviations
 
 
 def _read_marks(file: Path) -> Mapping[int, float]:
     """Return the positions at which axes are mastered, by number."""
-    text = read_text(file, MOST_BYTES)
-    found = {}
+    text = read_text(file, MAX_BYTES)
+    marks = {}
     for number, word in _MARK.findall(text):
         try:
             value = float(word)
         except ValueError:
             raise Refusal(file.name, f"$MAMES[{number}]", "be a number", repr(word)) from None
-        found[int(number)] = _POSITION.take(file.name, value, f"$MAMES[{number}]")
-    if not found:
+        marks[int(number)] = _POSITION.take(file.name, value, f"$MAMES[{number}]")
+    if not marks:
         raise Refusal(file.name, "file", "have lines $MAMES[1]=... of axes", "none")
-    return found
+    return marks

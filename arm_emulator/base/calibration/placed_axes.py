@@ -34,7 +34,7 @@ def place_axes(path: JointPath, axes: Sequence[Frame], flange: Frame) -> Mapping
     Raises:
         Refusal: the flange is the last joint's own link, and not where that joint can have it.
     """
-    left, link, found = list(axes), Frame(), {}
+    left, link, placed = list(axes), Frame(), {}
     behind = path.behind
     for joint in path.joints[: len(path.joints) - len(behind)]:
         nominal = link @ joint.placement
@@ -47,16 +47,16 @@ def place_axes(path: JointPath, axes: Sequence[Frame], flange: Frame) -> Mapping
         turned = turn(2, math.atan2(Q[1, 0] - Q[0, 1], Q[0, 0] + Q[1, 1]))
         R = clean(multiply_matrices(axis.R, turned, own.T))
         link = Frame(R, axis.p + z * dot(nominal.p - axis.p, z))
-        found[joint.name] = nominal.inverse @ link
+        placed[joint.name] = nominal.inverse @ link
     if behind:
         rest = Frame()
         for joint in behind[1:]:
             rest = rest @ joint.placement
-        found[behind[0].name] = (link @ behind[0].placement).inverse @ flange @ rest.inverse
+        placed[behind[0].name] = (link @ behind[0].placement).inverse @ flange @ rest.inverse
     else:
         _check_axis(path, axes[-1], flange)
-        found[path.joints[-1].name] = found[path.joints[-1].name] @ link.inverse @ flange
-    return {name: Deviation.of_frame(frame) for name, frame in found.items()}
+        placed[path.joints[-1].name] = placed[path.joints[-1].name] @ link.inverse @ flange
+    return {name: Deviation.of_frame(frame) for name, frame in placed.items()}
 
 
 def _check_axis(path: JointPath, axis: Frame, flange: Frame) -> None:

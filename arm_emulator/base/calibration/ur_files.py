@@ -28,7 +28,7 @@ LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 DELTAS = ("delta_theta", "delta_a", "delta_d", "delta_alpha")
 STATUS = "calibration_status"  # 2: linearised, the deltas hold; 0 and 1: they do not yet
 LINEARISED = 2
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 _PLACE = [Number.within(name, "m", 1e5) for name in "xyz"]
 _TURN = [Number.within(name, "rad", 10.0) for name in ("roll", "pitch", "yaw")]
 _DELTA = Number.within("deltas", "m or rad", 1e5)  # common normals of almost parallel axes
@@ -44,8 +44,8 @@ def read_ur_kinematics(root: Section, path: JointPath) -> Mapping[str, Deviation
     _check_joints(path, root.where)
     frame, axes = path.base, []
     for link in LINKS:
-        one = section.required_section(link)
-        frame = frame @ frame_of(map(one.number, _PLACE), map(one.number, _TURN))
+        link_section = section.required_section(link)
+        frame = frame @ frame_of(map(link_section.number, _PLACE), map(link_section.number, _TURN))
         axes.append(frame)
     if section.has("hash"):
         section.text("hash")  # by which the driver compares it with the arm
@@ -75,13 +75,13 @@ def _read_rows(file: Path) -> Mapping[str, list[float]]:
     """Return the rows of deltas, six numbers each."""
     parser = configparser.ConfigParser(strict=False, interpolation=None)
     try:
-        parser.read_string(read_text(file, MOST_BYTES))
+        parser.read_string(read_text(file, MAX_BYTES))
     except configparser.Error as error:
         reason = str(error).splitlines()[0]
         raise Refusal(file.name, "file", "be a calibration of the controller", reason) from None
     if not parser.has_section("mounting"):
-        known = ", ".join(parser.sections()) or "none"
-        raise Refusal(file.name, "section mounting", "be given", "nothing", known)
+        sections = ", ".join(parser.sections()) or "none"
+        raise Refusal(file.name, "section mounting", "be given", "nothing", sections)
     section = parser["mounting"]
     status = section.get(STATUS, str(LINEARISED)).split("#")[0].split()
     if status[:1] != [str(LINEARISED)]:
@@ -91,8 +91,8 @@ def _read_rows(file: Path) -> Mapping[str, list[float]]:
 
 
 def _read_row(where: str, name: str, text: str) -> list[float]:
-    found = re.fullmatch(r"\[(.*)\]", text.split("#", maxsplit=1)[0].strip())
-    words = found[1].replace(",", " ").split() if found else []
+    match = re.fullmatch(r"\[(.*)\]", text.split("#", maxsplit=1)[0].strip())
+    words = match[1].replace(",", " ").split() if match else []
     if len(words) != len(LINKS):
         raise Refusal(where, name, f"be a row of {len(LINKS)} numbers", text or "nothing")
     try:

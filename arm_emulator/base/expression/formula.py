@@ -93,21 +93,21 @@ _Any = Expression | Formula
 _T = TypeVar("_T")
 
 
-def fold(what: Expression, visit: Callable[[Expression, Sequence[_T]], _T]) -> _T:
+def fold(expression: Expression, visit: Callable[[Expression, Sequence[_T]], _T]) -> _T:
     """Return what a function makes of arithmetic, whatever its depth.
 
     Args:
-        what: the arithmetic.
+        expression: the arithmetic.
         visit: gets each part with its own results for the operands, operands first.
     """
     results: list[_T] = []
-    pending = [(what, False)]
+    pending = [(expression, False)]
     while pending:
         part, visited = pending.pop()
         operands = part.of if isinstance(part, Operation) else ()
         if operands and not visited:
             pending.append((part, True))
-            pending.extend((one, False) for one in reversed(operands))
+            pending.extend((operand, False) for operand in reversed(operands))
             continue
         first = len(results) - len(operands)
         results[first:] = [visit(part, results[first:])]
@@ -121,9 +121,9 @@ def parse_formula(text: str, where: str, quantity: str) -> Formula:
         Refusal: it states something else; with the place in the text.
     """
     parser = _Parser(text, where, quantity)
-    found = parser.parse_implication(0)
+    parsed = parser.parse_implication(0)
     parser.finish()
-    return parser.formula(found)
+    return parser.formula(parsed)
 
 
 def parse_expression(text: str, where: str, quantity: str) -> Expression:
@@ -133,9 +133,9 @@ def parse_expression(text: str, where: str, quantity: str) -> Expression:
         Refusal: it states something else; with the place in the text.
     """
     parser = _Parser(text, where, quantity)
-    found = parser.parse_implication(0)
+    parsed = parser.parse_implication(0)
     parser.finish()
-    return parser.expression(found)
+    return parser.expression(parsed)
 
 
 class _Parser:
@@ -146,20 +146,20 @@ class _Parser:
         self._tokens = list(self._split(text))
         self._at = 0
 
-    def _refusal(self, rule: str, got: object, valid: str | None = None) -> Refusal:
-        return Refusal(self._where, self._quantity, rule, got, valid)
+    def _refusal(self, rule: str, actual: object, valid: str | None = None) -> Refusal:
+        return Refusal(self._where, self._quantity, rule, actual, valid)
 
     def _split(self, text: str) -> Iterator[tuple[str, str, int]]:
         at, end = 0, len(text.rstrip())
         while at < end:
-            found = _TOKEN.match(text, at)
-            if found is None:
+            match = _TOKEN.match(text, at)
+            if match is None:
                 left = text[at:].lstrip()
-                got = f"{left[:12]!r} at character {len(text) - len(left) + 1}"
-                raise self._refusal("be a formula", got, "names, numbers, operators")
-            kind = found.lastgroup or ""
-            yield kind, found[kind], found.start(kind) + 1
-            at = found.end()
+                actual = f"{left[:12]!r} at character {len(text) - len(left) + 1}"
+                raise self._refusal("be a formula", actual, "names, numbers, operators")
+            kind = match.lastgroup or ""
+            yield kind, match[kind], match.start(kind) + 1
+            at = match.end()
 
     @property
     def _next(self) -> str:
@@ -186,15 +186,15 @@ class _Parser:
         if self._at < len(self._tokens):
             raise self._refuse_token("an operator such as and, until, <=")
 
-    def formula(self, found: _Any) -> Formula:
-        if isinstance(found, Constant | Signal | Operation):
+    def formula(self, parsed: _Any) -> Formula:
+        if isinstance(parsed, Constant | Signal | Operation):
             raise self._refusal("be a comparison", "a number", "such as abs(v.elbow) <= 2")
-        return found
+        return parsed
 
-    def expression(self, found: _Any) -> Expression:
-        if not isinstance(found, Constant | Signal | Operation):
+    def expression(self, parsed: _Any) -> Expression:
+        if not isinstance(parsed, Constant | Signal | Operation):
             raise self._refusal("be a number where it is computed with", "a comparison")
-        return found
+        return parsed
 
     def parse_implication(self, depth: int) -> _Any:
         if depth > DEEPEST:
@@ -316,89 +316,91 @@ class _Parser:
         while self._take(","):
             of.append(self.expression(self.parse_implication(depth + 1)))
         self._expect(")")
-        least = FUNCTIONS[name]
-        if len(of) < least or (least == 1 and len(of) > 1):
-            wanted = f"{least} argument" if least == 1 else f"{least} arguments or more"
-            raise self._refusal(f"give {name} {wanted}", len(of))
+        fewest = FUNCTIONS[name]
+        if len(of) < fewest or (fewest == 1 and len(of) > 1):
+            expected = f"{fewest} argument" if fewest == 1 else f"{fewest} arguments or more"
+            raise self._refusal(f"give {name} {expected}", len(of))
         return Operation(name, tuple(of))
 
 
 # Formulas over known signals: names are checked, and a `*` stands for each that fits.
 
 
-def list_signals(what: Formula | Expression) -> set[str]:
+def list_signals(formula: Formula | Expression) -> set[str]:
     """Return the names of all signals."""
-    if isinstance(what, Margin):
-        return set().union(*map(list_signals, what.sides))
-    if isinstance(what, Combined | Window):
-        return set().union(*map(list_signals, what.of))
+    if isinstance(formula, Margin):
+        return set().union(*map(list_signals, formula.sides))
+    if isinstance(formula, Combined | Window):
+        return set().union(*map(list_signals, formula.of))
     names: set[str] = set()
 
     def add(part: Expression, _: object) -> None:
         if isinstance(part, Signal):
             names.add(part.name)
 
-    fold(what, add)
+    fold(formula, add)
     return names
 
 
-def bind_signals(what: Formula, known: Iterable[str], where: str, quantity: str) -> Formula:
+def bind_signals(formula: Formula, signals: Iterable[str], where: str, quantity: str) -> Formula:
     """Return a formula over known signals: a comparison with a ``*`` holds for each that it means.
 
     Raises:
         Refusal: a signal that is not known.
     """
-    known = list(known)
-    if isinstance(what, Margin):
+    signals = list(signals)
+    if isinstance(formula, Margin):
         # A text for a star is the same on both sides.
-        both = expand_stars(Operation("-", what.sides), known, where, quantity)
-        sides = [one.of for one in both if isinstance(one, Operation)]
-        each = [Margin(more, less, what.strict) for more, less in sides]
+        both = expand_stars(Operation("-", formula.sides), signals, where, quantity)
+        sides = [difference.of for difference in both if isinstance(difference, Operation)]
+        each = [Margin(more, less, formula.strict) for more, less in sides]
         return each[0] if len(each) == 1 else Combined("and", tuple(each))
-    of = tuple(bind_signals(one, known, where, quantity) for one in what.of)
-    if isinstance(what, Combined):
-        return Combined(what.sign, of)
-    return Window(what.sign, of, what.begin, what.end)
+    of = tuple(bind_signals(part, signals, where, quantity) for part in formula.of)
+    if isinstance(formula, Combined):
+        return Combined(formula.sign, of)
+    return Window(formula.sign, of, formula.begin, formula.end)
 
 
 def expand_stars(
-    what: Expression, known: Sequence[str], where: str, quantity: str
+    expression: Expression, signals: Sequence[str], where: str, quantity: str
 ) -> list[Expression]:
     """Return the arithmetic for each text that the ``*`` in names of signals stands for.
 
     Raises:
         Refusal: a signal that is not known, or no text that fits all.
     """
-    names = sorted(list_signals(what))
+    names = sorted(list_signals(expression))
     stars = [name for name in names if "*" in name]
     for name in names:
-        if name not in stars and name not in known:
-            raise _refuse_unknown(name, known, where, quantity)
+        if name not in stars and name not in signals:
+            raise _refuse_unknown(name, signals, where, quantity)
     if not stars:
-        return [what]
+        return [expression]
     fitting: list[list[str]] = []
     for name in stars:
         pattern = re.compile(re.escape(name).replace(r"\*", r"(.+)"))
-        texts = [found[1] for one in known if (found := pattern.fullmatch(one))]
+        texts = [match[1] for signal in signals if (match := pattern.fullmatch(signal))]
         if not texts:
-            raise _refuse_unknown(name, known, where, quantity)
+            raise _refuse_unknown(name, signals, where, quantity)
         fitting.append(texts)
     common = [text for text in fitting[0] if all(text in texts for texts in fitting[1:])]
     if not common:
-        raise _refuse_unknown(", ".join(stars), known, where, quantity)
-    return [_replace_star(what, text) for text in common]
+        raise _refuse_unknown(", ".join(stars), signals, where, quantity)
+    return [_replace_star(expression, text) for text in common]
 
 
-def _replace_star(what: Expression, text: str) -> Expression:
+def _replace_star(expression: Expression, text: str) -> Expression:
     def put(part: Expression, operands: Sequence[Expression]) -> Expression:
         if isinstance(part, Signal):
             return Signal(part.name.replace("*", text))
         return Operation(part.sign, tuple(operands)) if isinstance(part, Operation) else part
 
-    return fold(what, put)
+    return fold(expression, put)
 
 
-def _refuse_unknown(name: str, known: Sequence[str], where: str, quantity: str) -> Refusal:
-    first = sorted({one.rpartition(".")[0] + ".*" if "." in one else one for one in known})
-    near = difflib.get_close_matches(name, known, n=3) or first
+def _refuse_unknown(name: str, signals: Sequence[str], where: str, quantity: str) -> Refusal:
+    first = sorted(
+        {signal.rpartition(".")[0] + ".*" if "." in signal else signal for signal in signals}
+    )
+    near = difflib.get_close_matches(name, signals, n=3) or first
     return Refusal(where, quantity, "name signals of the run", name, ", ".join(near))

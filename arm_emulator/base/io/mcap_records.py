@@ -38,9 +38,9 @@ from arm_emulator.base.io.atomic_write import flush_to_disk, write_all
 from arm_emulator.base.io.text_file import open_file
 from arm_emulator.base.refusal import Refusal
 
-MOST_RECORD = 1 << 28  # bytes of a record, and of an unpacked chunk
-MOST_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, or by its own size:
-MOST_RATIO = 50  # a bomb unpacks to thousands of times, messages of machines to a few
+MAX_RECORD = 1 << 28  # bytes of a record, and of an unpacked chunk
+MAX_UNPACKED = 1 << 26  # bytes that a file unpacks to at most, or by its own size:
+MAX_RATIO = 50  # a bomb unpacks to thousands of times, messages of machines to a few
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; the data follow
@@ -75,15 +75,15 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
         CutOff: the file ends before its end.
         Damaged: see above.
     """
-    whole, size = is_whole(stream), stream.seek(0, SEEK_END)
-    left = MOST_UNPACKED + MOST_RATIO * size  # bytes that may still be unpacked
+    complete, size = is_whole(stream), stream.seek(0, SEEK_END)
+    left = MAX_UNPACKED + MAX_RATIO * size  # bytes that may still be unpacked
     stream.seek(0)
     if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC))):
         raise Damaged("it does not begin like one")
     try:
         for opcode, content, end in _split(stream, size):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                if whole:
+                if complete:
                     return
                 break
             record = _parse_records(opcode, content)
@@ -91,7 +91,7 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
                 yield record, end
                 continue
             left -= record.uncompressed_size
-            if record.uncompressed_size > MOST_RECORD or left < 0:
+            if record.uncompressed_size > MAX_RECORD or left < 0:
                 raise Damaged("chunks that unpack to more than a bag may")
             at, data = 0, BytesIO(_unpack_chunk(record))
             with contextlib.suppress(EOFError):
@@ -104,7 +104,7 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
                 raise Damaged("a chunk ends within a record")
             yield None, end
     except EOFError:
-        if whole:
+        if complete:
             raise Damaged("a record beyond its end") from None
     raise CutOff
 
@@ -171,8 +171,8 @@ def _split(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
             raise EOFError
         content = b""
         if opcode == Opcode.MESSAGE or opcode in _KINDS:
-            if length > MOST_RECORD:
-                raise Damaged(f"a record of {length} bytes, {MOST_RECORD} are the most")
+            if length > MAX_RECORD:
+                raise Damaged(f"a record of {length} bytes, {MAX_RECORD} are the most")
             content = stream.read(length)
         yield opcode, content, end
         stream.seek(end)

@@ -110,7 +110,7 @@ class McapFile:
         self._count = 0
         truth = [column for column in columns if column.path[0] != MEASURED]
         measured = [column for column in columns if column.path[0] == MEASURED]
-        clock = [one for one in truth if one.name in CLOCK]
+        clock = [column for column in truth if column.name in CLOCK]
         self._topics = [self._topic("truth", truth), self._topic(MEASURED, clock + measured)]
 
     def _topic(self, name: str, columns: list[Column]) -> tuple[int, list[Column], str]:
@@ -152,7 +152,7 @@ class McapFile:
         recover_mcap(self._file)
 
 
-class _WholeAtTheEnd:
+class _WrittenAtEnd:
     """A file that is readable only when complete: until then it has another name."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
@@ -170,7 +170,7 @@ class _WholeAtTheEnd:
         self._part.unlink(missing_ok=True)
 
 
-class ParquetFile(_WholeAtTheEnd):
+class ParquetFile(_WrittenAtEnd):
     """A column per number, the unit in the metadata of its field."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
@@ -212,7 +212,7 @@ class ParquetFile(_WholeAtTheEnd):
         super().give_up()
 
 
-class NpzFile(_WholeAtTheEnd):
+class NpzFile(_WrittenAtEnd):
     """An array per column in a NumPy archive."""
 
     def __init__(self, file: Path, columns: Sequence[Column]) -> None:
@@ -242,8 +242,8 @@ def build_arrow_table(columns: Sequence[Column], rows: Rows) -> Any:
 
     arrays = [pa.array(np.ascontiguousarray(column.of(rows))) for column in columns]
     fields = [
-        pa.field(one.name, array.type, metadata={"unit": one.unit} if one.unit else None)
-        for one, array in zip(columns, arrays, strict=True)
+        pa.field(column.name, array.type, metadata={"unit": column.unit} if column.unit else None)
+        for column, array in zip(columns, arrays, strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
@@ -286,9 +286,9 @@ def _build_template(tree: Tree) -> str:
 
 def _build_schema(tree: Tree) -> dict[str, Any]:
     properties = {
-        key: _build_schema(one)
-        if isinstance(one, dict)
-        else {"type": ["number", "null"], "description": one.unit}
-        for key, one in tree.items()
+        key: _build_schema(node)
+        if isinstance(node, dict)
+        else {"type": ["number", "null"], "description": node.unit}
+        for key, node in tree.items()
     }
     return {"type": "object", "properties": properties}

@@ -16,10 +16,10 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.text_file import read_text
 from arm_emulator.base.refusal import Refusal
 
-MOST_BYTES = 2**28
-MOST_COLUMNS = 1000
+MAX_BYTES = 2**28
+MAX_COLUMNS = 1000
 LONGEST_LINE = 2**16  # characters
-_OTHER_MARKS = {";": "semicolons", "\t": "tabs"}  # between columns, as spreadsheets write them
+_WRONG_MARKS = {";": "semicolons", "\t": "tabs"}  # between columns, as spreadsheets write them
 
 
 @dataclass(frozen=True)
@@ -59,12 +59,12 @@ def read_table(file: Path, units: Mapping[str, str]) -> Table:
     rows = _read_rows(file)
     _, head = next(rows, (1, []))
     columns = tuple(cell.strip() for cell in head)
-    for mark, name in _OTHER_MARKS.items():
+    for mark, name in _WRONG_MARKS.items():
         if len(columns) == 1 and mark in columns[0]:
             rule = "separate columns by commas"
             raise Refusal(where, "heading", rule, name, "commas, and points in decimal numbers")
-    if len(columns) > MOST_COLUMNS:
-        raise Refusal(where, "heading", f"have at most {MOST_COLUMNS} columns", len(columns))
+    if len(columns) > MAX_COLUMNS:
+        raise Refusal(where, "heading", f"have at most {MAX_COLUMNS} columns", len(columns))
     values, lines = array("d"), array("q")
     for line, cells in rows:
         if len(cells) != len(columns):
@@ -79,7 +79,7 @@ def read_table(file: Path, units: Mapping[str, str]) -> Table:
 
 def _read_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the lines that are not empty, with their numbers."""
-    text = io.StringIO(read_text(file, MOST_BYTES), newline="")
+    text = io.StringIO(read_text(file, MAX_BYTES), newline="")
     reader = csv.reader(_check_size(text, file.name), strict=True)
     try:
         for cells in reader:
@@ -99,7 +99,7 @@ def _check_size(text: io.StringIO, where: str) -> Iterator[str]:
         yield line
 
 
-def _parse_number(cell: str, what: str, unit: str | None, where: str) -> float:
+def _parse_number(cell: str, quantity: str, unit: str | None, where: str) -> float:
     if not cell or cell.isspace():
         return math.nan
     try:
@@ -107,5 +107,5 @@ def _parse_number(cell: str, what: str, unit: str | None, where: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise Refusal(where, what, f"be a number [{unit}]" if unit else "be a number", cell)
+        raise Refusal(where, quantity, f"be a number [{unit}]" if unit else "be a number", cell)
     return value

@@ -47,8 +47,8 @@ def open_file(file: Path) -> IO[bytes]:
     raise Refusal(file.name or str(file), "file", "be readable", reason)
 
 
-def read_bytes(file: Path, most: int) -> bytes:
-    """Return the content of a regular file of at most `most` bytes.
+def read_bytes(file: Path, max_bytes: int) -> bytes:
+    """Return the content of a regular file of at most `max_bytes` bytes.
 
     Raises:
         Refusal: not a regular file, too large, or not readable.
@@ -56,24 +56,24 @@ def read_bytes(file: Path, most: int) -> bytes:
     pieces, size = list[bytes](), 0
     with open_file(file) as stream:
         try:
-            while size <= most and (piece := stream.read(min(PIECE, most + 1 - size))):
+            while size <= max_bytes and (piece := stream.read(min(PIECE, max_bytes + 1 - size))):
                 pieces.append(piece)
                 size += len(piece)
         except OSError as error:
             raise Refusal(file.name, "file", "be readable", error.strerror or error) from None
-    if size > most:
-        raise Refusal(file.name, "file", f"have at most {most // 1024} KiB", "more")
+    if size > max_bytes:
+        raise Refusal(file.name, "file", f"have at most {max_bytes // 1024} KiB", "more")
     return b"".join(pieces)
 
 
-def read_text(file: Path, most: int) -> str:
-    """Return the text of a regular file of at most `most` bytes in UTF-8, line ends unchanged.
+def read_text(file: Path, max_bytes: int) -> str:
+    """Return the text of a regular file of at most `max_bytes` bytes in UTF-8, line ends unchanged.
 
     Raises:
         Refusal: see `read_bytes`, or another encoding.
     """
     try:
-        return read_bytes(file, most).decode("utf-8-sig")
+        return read_bytes(file, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise Refusal(file.name, "file", "be text in UTF-8", error.reason) from None
 

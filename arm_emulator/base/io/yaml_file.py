@@ -16,9 +16,9 @@ import yaml
 from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.refusal import Refusal
 
-MOST_BYTES = 1 << 20
-MOST_VALUES = 20_000  # keys and values, those that aliases repeat among them
-MOST_LEVELS = 32
+MAX_BYTES = 1 << 20
+MAX_VALUES = 20_000  # keys and values, those that aliases repeat among them
+MAX_LEVELS = 32
 _FLOAT = (
     r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$"
     r"|^[-+]?\.(inf|Inf|INF)$|^\.(nan|NaN|NAN)$"
@@ -28,13 +28,13 @@ _LARGEST_INT = 2**63 - 1
 
 class _Loader(yaml.CSafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
+        keys = set()
         for key_node, _ in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 raise _refuse_document(key_node, "a key is a text, not a list or section")
-            if key_node.value in seen and key_node.value != "<<":
+            if key_node.value in keys and key_node.value != "<<":
                 raise _refuse_document(key_node, f"key {key_node.value!r} is given twice")
-            seen.add(key_node.value)
+            keys.add(key_node.value)
         self.flatten_mapping(node)
         return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
 
@@ -68,10 +68,10 @@ def read_yaml(file: Path) -> dict[str, Any]:
     Raises:
         Refusal: the file is missing, not YAML, too large, too deep, or not a mapping.
     """
-    data = parse_yaml(read_bytes(file, MOST_BYTES), file.name)
+    data = parse_yaml(read_bytes(file, MAX_BYTES), file.name)
     if not isinstance(data, dict):
-        got = "nothing" if data is None else type(data).__name__
-        raise Refusal(file.name, "file", "be a mapping of keys to values", got)
+        actual = "nothing" if data is None else type(data).__name__
+        raise Refusal(file.name, "file", "be a mapping of keys to values", actual)
     return data
 
 
@@ -88,13 +88,13 @@ def parse_yaml(text: bytes | str, where: str) -> Any:
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8-sig")
-        if len(text) > MOST_BYTES:
-            raise Refusal(where, "file", f"have at most {MOST_BYTES // 1024} KiB", "more")
+        if len(text) > MAX_BYTES:
+            raise Refusal(where, "file", f"have at most {MAX_BYTES // 1024} KiB", "more")
         _check_nodes(text, where)
         return yaml.load(text, Loader=_Loader)
     except UnicodeError as error:
-        got = getattr(error, "reason", error)
-        raise Refusal(where, "file", "be written in UTF-8", got) from None
+        actual = getattr(error, "reason", error)
+        raise Refusal(where, "file", "be written in UTF-8", actual) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = f"line {mark.line + 1}: " if mark is not None else ""
@@ -121,8 +121,8 @@ def _check_nodes(text: str, where: str) -> None:
             levels += 1
             values += 1
             starts.append((anchor, values))
-            if levels > MOST_LEVELS:
-                raise Refusal(where, "file", f"nest at most {MOST_LEVELS} levels", "more")
+            if levels > MAX_LEVELS:
+                raise Refusal(where, "file", f"nest at most {MAX_LEVELS} levels", "more")
         elif isinstance(event, yaml.CollectionEndEvent):
             levels -= 1
             anchor, before = starts.pop()
@@ -138,8 +138,8 @@ def _check_nodes(text: str, where: str) -> None:
             values += 1
             if anchor is not None:
                 sizes[anchor] = 1
-        if values > MOST_VALUES:
-            raise Refusal(where, "file", f"hold at most {MOST_VALUES} keys and values", "more")
+        if values > MAX_VALUES:
+            raise Refusal(where, "file", f"hold at most {MAX_VALUES} keys and values", "more")
 
 
 def read_nodes(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
@@ -147,16 +147,16 @@ def read_nodes(text: str) -> dict[str, tuple[yaml.Node, yaml.Node]]:
 
     What an alias repeats stands under each of its paths.
     """
-    found: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+    nodes: dict[str, tuple[yaml.Node, yaml.Node]] = {}
 
     def collect(node: yaml.Node | None, path: str) -> None:
         if isinstance(node, yaml.MappingNode):
             for key, value in node.value:
-                found[f"{path}{key.value}"] = key, value
+                nodes[f"{path}{key.value}"] = key, value
                 collect(value, f"{path}{key.value}.")
 
     collect(yaml.compose(text, yaml.SafeLoader), "")
-    return found
+    return nodes
 
 
 def edit_yaml(text: str, edits: Iterable[tuple[int, int, str]]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 
-MOST = 1e4  # of a share, and of an offset [rad or m]
+MAX_SIZE = 1e4  # of a share, and of an offset [rad or m]
 RANK = 1e-9  # singular values below, by the largest, count as 0
 _MIMIC, _COUPLING = "mimic", "coupling"
 
@@ -51,52 +51,52 @@ def followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[st
         Refusal: a joint follows an unknown one or, indirectly, itself; a value is not a number.
     """
     elements = {joint.get("name", ""): joint for joint in robot.findall("joint")}
-    found = {
+    couplings = {
         name: _read(joint, elements, where)
         for name, joint in elements.items()
         if name not in but
         and joint.get("type") != "fixed"
         and (joint.find(_MIMIC) is not None or joint.find(_COUPLING) is not None)
     }
-    return {name: _resolve_followers(name, found, where) for name in found}
+    return {name: _resolve_followers(name, couplings, where) for name in couplings}
 
 
-def _read(joint: ET.Element, known: Mapping[str, ET.Element], where: str) -> Follows:
-    what = f"joint {joint.get('name')}"
+def _read(joint: ET.Element, elements: Mapping[str, ET.Element], where: str) -> Follows:
+    label = f"joint {joint.get('name')}"
     shares: dict[str, float] = {}
     offset = 0.0
     rows = joint.findall(_COUPLING) or joint.findall(_MIMIC)
     for row in rows:
         shaft = row.get("joint", "")
-        if shaft not in known:
-            raise Refusal(where, f"{what}: {row.tag}", "name a joint of the URDF", repr(shaft))
-        share = _parse_number(row.get("multiplier", "1"), f"{what}: multiplier", where)
+        if shaft not in elements:
+            raise Refusal(where, f"{label}: {row.tag}", "name a joint of the URDF", repr(shaft))
+        share = _parse_number(row.get("multiplier", "1"), f"{label}: multiplier", where)
         shares[shaft] = shares.get(shaft, 0.0) + share
-        offset += _parse_number(row.get("offset", "0"), f"{what}: offset", where)
+        offset += _parse_number(row.get("offset", "0"), f"{label}: offset", where)
     return Follows(shares, offset)
 
 
-def _parse_number(text: str, what: str, where: str) -> float:
+def _parse_number(text: str, label: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not abs(value) <= MOST:
-        raise Refusal(where, what, f"be a number from {-MOST:g} to {MOST:g}", repr(text))
+    if not abs(value) <= MAX_SIZE:
+        raise Refusal(where, label, f"be a number from {-MAX_SIZE:g} to {MAX_SIZE:g}", repr(text))
     return value
 
 
-def _resolve_followers(name: str, found: Mapping[str, Follows], where: str) -> Follows:
+def _resolve_followers(name: str, rows: Mapping[str, Follows], where: str) -> Follows:
     """Return the shafts that a joint follows, directly or through other followers."""
-    shares, offset = dict(found[name].shares), found[name].offset
-    for _ in range(len(found)):
-        through = [one for one in shares if one in found and one not in found[one].shares]
+    shares, offset = dict(rows[name].shares), rows[name].offset
+    for _ in range(len(rows)):
+        through = [shaft for shaft in shares if shaft in rows and shaft not in rows[shaft].shares]
         if not through:
             return Follows(shares, offset)
-        for one in through:
-            share = shares.pop(one)
-            offset += share * found[one].offset
-            for shaft, factor in found[one].shares.items():
+        for middle in through:
+            share = shares.pop(middle)
+            offset += share * rows[middle].offset
+            for shaft, factor in rows[middle].shares.items():
                 shares[shaft] = shares.get(shaft, 0.0) + share * factor
     raise Refusal(where, f"joint {name}", "follow a joint that moves by itself", "a circle")
 
@@ -167,13 +167,12 @@ def read_coupling(
             own.
     """
     shafts = list_own_shafts(joints, followers)
-    for name, one in followers.items():
-        for shaft in one.shares:
+    for name, row in followers.items():
+        for shaft in row.shares:
             if name in joints and shaft not in shafts:
                 rule = "follow joints on the way from base to tool"
-                raise Refusal(
-                    where, f"joint {name}", rule, shaft, _suggest_remedy(name, one, shafts, locked)
-                )
+                remedy = _suggest_remedy(name, row, shafts, locked)
+                raise Refusal(where, f"joint {name}", rule, shaft, remedy)
     rows = [followers.get(name, Follows({name: 1.0}, 0.0)) for name in joints]
     C = np.array([[row.shares.get(shaft, 0.0) for shaft in shafts] for row in rows])
     values = np.linalg.svd(C, compute_uv=False) if shafts else np.zeros(1)

@@ -42,8 +42,8 @@ class Frame:
 
 def frame_of(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
     """Return the frame at `xyz` [m], turned by roll, pitch and yaw [rad] as in a URDF."""
-    turns = (turn(axis, angle) for axis, angle in enumerate(rpy))
-    roll, pitch, yaw = turns
+    rotations = (turn(axis, angle) for axis, angle in enumerate(rpy))
+    roll, pitch, yaw = rotations
     return Frame(clean(multiply_matrices(yaw, pitch, roll)), np.array(tuple(xyz)))
 
 

@@ -79,15 +79,15 @@ def parse_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
     whats = [f"joint {element.get('name')}" for element in elements]
     placements = read_frames([e.find("origin") for e in elements], whats, "origin", where)
     joints = []
-    for element, what, placement in zip(elements, whats, placements, strict=True):
+    for element, label, placement in zip(elements, whats, placements, strict=True):
         kind = element.get("type") or ""
         if kind not in ("fixed", *MOVING_KINDS, *FREE_KINDS):
             raise Refusal(
-                where, f"{what}: type", "be supported", kind or "nothing",
+                where, f"{label}: type", "be supported", kind or "nothing",
                 "revolute, continuous, prismatic, fixed",
             )  # fmt: skip
         axis = (
-            X_AXIS if kind == "fixed" else _read_axis(element.find("axis"), f"{what}: axis", where)
+            X_AXIS if kind == "fixed" else _read_axis(element.find("axis"), f"{label}: axis", where)
         )
         parent, child = element.find("parent"), element.find("child")
         joints.append(
@@ -103,14 +103,14 @@ def parse_joints(elements: list[ET.Element], where: str) -> list[UrdfJoint]:
     return joints
 
 
-def _read_axis(element: ET.Element | None, what: str, where: str) -> Array:
+def _read_axis(element: ET.Element | None, label: str, where: str) -> Array:
     if element is None:
         return X_AXIS
-    axis = np.array(parse_numbers(element.get("xyz", "1 0 0"), 3, f"{what} xyz", where))
-    check_size(axis[None], LARGEST_LENGTH, [what], "xyz", where)
+    axis = np.array(parse_numbers(element.get("xyz", "1 0 0"), 3, f"{label} xyz", where))
+    check_size(axis[None], LARGEST_LENGTH, [label], "xyz", where)
     size = measure_length(axis)
     if size < 1e-6:
-        raise Refusal(where, what, "have a direction", tuple(map(float, axis)))
+        raise Refusal(where, label, "have a direction", tuple(map(float, axis)))
     return axis / size
 
 
@@ -119,7 +119,7 @@ def read_frames(
 ) -> list[Frame]:
     """Return the frames of elements <origin>; without one, no displacement."""
     rows, no_turn = [], (0.0,) * 6
-    for origin, what in zip(origins, whats, strict=True):
+    for origin, label in zip(origins, whats, strict=True):
         if origin is None:
             rows.append(no_turn)
             continue
@@ -130,8 +130,8 @@ def read_frames(
         except ValueError:
             words = []
         if len(words) != 6 or len(xyz.split()) != 3:  # name the one at fault
-            parse_numbers(xyz, 3, f"{what}: {name} xyz", where)
-            parse_numbers(rpy, 3, f"{what}: {name} rpy", where)
+            parse_numbers(xyz, 3, f"{label}: {name} xyz", where)
+            parse_numbers(rpy, 3, f"{label}: {name} rpy", where)
         rows.append((x, y, z, roll, pitch, yaw))
     values = np.array(rows).reshape(-1, 6)
     check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
@@ -142,15 +142,15 @@ def read_frames(
     return [Frame(R[k] if turned[k] else EYE, p[k]) for k in range(len(rows))]
 
 
-def parse_numbers(text: str | None, count: int, what: str, where: str) -> list[float]:
+def parse_numbers(text: str | None, count: int, label: str, where: str) -> list[float]:
     """Return `count` numbers of an attribute."""
     words = (text or "").split() if count > 1 else [text or ""]
     if len(words) != count:
-        raise Refusal(where, what, "be three numbers", repr(text))
+        raise Refusal(where, label, "be three numbers", repr(text))
     try:
         return [float(word) for word in words]
     except ValueError:
-        raise Refusal(where, what, "be a number", repr(text)) from None
+        raise Refusal(where, label, "be a number", repr(text)) from None
 
 
 def check_size(values: Array, largest: float, whats: list[str], name: str, where: str) -> None:
@@ -176,8 +176,8 @@ def find_root(links: Mapping[str, int], joints: list[UrdfJoint], where: str) -> 
     roots = [name for name in links if name not in parents]
     if len(roots) != 1:
         rule = "have one base link that no joint moves"
-        got = ", ".join(roots) if roots else "none (a loop)"
-        raise Refusal(where, "robot", rule, got)
+        actual = ", ".join(roots) if roots else "none (a loop)"
+        raise Refusal(where, "robot", rule, actual)
     return roots[0]
 
 

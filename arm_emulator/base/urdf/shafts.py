@@ -18,8 +18,8 @@ _ROUNDING = 1e-9  # rad or m
 
 def read_shafts(joints: Sequence[str], urdf_xml: str) -> tuple[str, ...]:
     """Return those of a description's moving joints by whose names shafts go."""
-    found = followers(parse_urdf(urdf_xml, WHERE), WHERE)
-    return tuple(list_own_shafts(joints, found))
+    couplings = followers(parse_urdf(urdf_xml, WHERE), WHERE)
+    return tuple(list_own_shafts(joints, couplings))
 
 
 def _find_path_to(tool: str, robot: ET.Element) -> set[str]:
@@ -31,11 +31,11 @@ def _find_path_to(tool: str, robot: ET.Element) -> set[str]:
             name, end = joint.get("name", ""), child.get("link", "")
             above[end] = name, parent.get("link", "")
             ends[name] = end
-    link, way = tool if tool in above else ends.get(tool, tool), set[str]()
-    while link in above and above[link][0] not in way:
+    link, path = tool if tool in above else ends.get(tool, tool), set[str]()
+    while link in above and above[link][0] not in path:
         name, link = above[link]
-        way.add(name)
-    return way
+        path.add(name)
+    return path
 
 
 class Shafts:
@@ -56,23 +56,23 @@ class Shafts:
 
     def __init__(self, urdf_xml: str, names: Sequence[str], tool: str | None = None) -> None:
         robot = parse_urdf(urdf_xml, WHERE)
-        found = followers(robot, WHERE)
-        way = found if tool is None else _find_path_to(tool, robot)
+        couplings = followers(robot, WHERE)
+        path = couplings if tool is None else _find_path_to(tool, robot)
         # A command to a joint that only follows would have it move by itself.
-        for name in {*names} - {*list_own_shafts(tuple(names), found)}:
-            del found[name]
+        for name in {*names} - {*list_own_shafts(tuple(names), couplings)}:
+            del couplings[name]
         along = [
             name
-            for name, one in found.items()
-            if name not in names and set(one.shares) <= {*names} and name in way
+            for name, coupling in couplings.items()
+            if name not in names and set(coupling.shares) <= {*names} and name in path
         ]
         self.names = tuple(names)
         self.joints = (*names, *along)
-        known = {*names}
+        all_names = {*names}
         self.C, self.offset = np.zeros((len(self.joints), len(names))), np.zeros(len(self.joints))
         for k, name in enumerate(self.joints):
-            row = found.get(name, Follows({name: 1.0}, 0.0))
-            if not set(row.shares) <= known:  # it follows what is held, and moves by itself
+            row = couplings.get(name, Follows({name: 1.0}, 0.0))
+            if not set(row.shares) <= all_names:  # it follows what is held, and moves by itself
                 row = Follows({name: 1.0}, 0.0)
             self.C[k] = [row.shares.get(shaft, 0.0) for shaft in names]
             self.offset[k] = row.offset
@@ -104,10 +104,10 @@ class Shafts:
         low, high = np.full(self.C.shape[1], -np.inf), np.full(self.C.shape[1], np.inf)
         several = np.count_nonzero(self.C, axis=1) > 1
         boxed = np.abs(self.C[several]).sum(axis=0) > 0.0
-        for row, offset, least, most in zip(self.C, self.offset, lower, upper, strict=True):
+        for row, offset, lowest, highest in zip(self.C, self.offset, lower, upper, strict=True):
             (own,) = np.nonzero(row)
             if len(own) == 1 and not boxed[own[0]]:
-                ends = (np.array([least, most]) - offset) / row[own[0]]
+                ends = (np.array([lowest, highest]) - offset) / row[own[0]]
                 low[own[0]] = max(low[own[0]], ends.min())
                 high[own[0]] = min(high[own[0]], ends.max())
         limited = np.isfinite(upper - lower) & (np.abs(self.C[:, boxed]).sum(axis=1) > 0.0)
@@ -118,12 +118,12 @@ class Shafts:
             spare = np.maximum(half - np.abs(C @ centre + self.offset[limited] - middle), 0.0)
             reach = self._least(spare, C)
             low[boxed], high[boxed] = (centre - reach)[boxed], (centre + reach)[boxed]
-        least, most = self._ends(low, high)
-        beyond = (least < lower - _ROUNDING) | (most > upper + _ROUNDING) | (most < least)
+        lowest, highest = self._ends(low, high)
+        beyond = (lowest < lower - _ROUNDING) | (highest > upper + _ROUNDING) | (highest < lowest)
         for k in np.flatnonzero(beyond).tolist():
             rule = "have limits that its couplings can keep"
-            got = f"{lower[k]:g} to {upper[k]:g}, its shafts' {least[k]:g} to {most[k]:g}"
-            raise Refusal(WHERE, f"joint {self.joints[k]}", rule, got)
+            actual = f"{lower[k]:g} to {upper[k]:g}, its shafts' {lowest[k]:g} to {highest[k]:g}"
+            raise Refusal(WHERE, f"joint {self.joints[k]}", rule, actual)
         return low, high
 
     def _ends(self, low: Array, high: Array) -> tuple[Array, Array]:
@@ -131,8 +131,8 @@ class Shafts:
         up, down = np.maximum(self.C, 0.0), np.minimum(self.C, 0.0)
         with np.errstate(invalid="ignore"):  # 0 times infinite: a shaft that is not the joint's
             ends = [
-                np.nansum(up * one + down * other, axis=1) + self.offset
-                for one, other in ((low, high), (high, low))
+                np.nansum(up * upwards + down * downwards, axis=1) + self.offset
+                for upwards, downwards in ((low, high), (high, low))
             ]
         return ends[0], ends[1]
 
@@ -144,8 +144,8 @@ class Shafts:
     def _least(limits: Array, C: Array) -> Array:
         sums = np.abs(C).sum(axis=1)
         shares = limits / np.where(sums > 0.0, sums, 1.0)
-        least: Array = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)
-        return least
+        smallest: Array = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)
+        return smallest
 
 
 def read_shaft_limits(urdf_xml: str, names: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -159,4 +159,4 @@ def read_shaft_limits(urdf_xml: str, names: Sequence[str]) -> dict[str, tuple[fl
     low, high = shafts.positions(*np.array(ends, dtype=np.float64).T)
     limited = np.isfinite(high - low)
     pairs = zip(names, low.tolist(), high.tolist(), limited, strict=True)
-    return {name: (least, most) for name, least, most, known in pairs if known}
+    return {name: (lower, upper) for name, lower, upper, is_limited in pairs if is_limited}

@@ -12,14 +12,19 @@ from xml.parsers import expat
 from arm_emulator.base.io.text_file import read_bytes
 from arm_emulator.base.refusal import Refusal
 
-MOST_BYTES = 16 << 20
-MOST_MARKS = 400_000  # of `<`: bounds the number of elements
-MOST_LEVELS = 64
+MAX_BYTES = 16 << 20
+MAX_MARKS = 400_000  # of `<`: bounds the number of elements
+MAX_LEVELS = 64
 UNLIMITED = 1e9  # rad or m: position limit of a joint without limits
 ENDLESS = 1e5  # rad or m: a limit from here on is a placeholder (999999)
 
 _DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?(\sencoding\s*=\s*["']([A-Za-z0-9._-]{1,40})["'])""")
-_ONE_BYTE = ("ascii", "iso8859-1", "iso8859-15", "cp1252")  # encodings that URDFs come in, besides
+_SINGLE_BYTE = (
+    "ascii",
+    "iso8859-1",
+    "iso8859-15",
+    "cp1252",
+)  # encodings of URDFs, besides
 
 
 def read_urdf(file: Path) -> str:
@@ -30,7 +35,7 @@ def read_urdf(file: Path) -> str:
     Raises:
         Refusal: the file is missing, too large, or not text.
     """
-    content = read_bytes(file, MOST_BYTES)
+    content = read_bytes(file, MAX_BYTES)
     for mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE):
         if content.startswith(mark):
             return _decode_text(content, "utf-16", file)
@@ -47,9 +52,9 @@ def read_urdf(file: Path) -> str:
 
 def _decode_text(content: bytes, encoding: str, file: Path) -> str:
     try:
-        known = codecs.lookup(encoding).name
-        if known in ("utf-8", "utf-16", *_ONE_BYTE):
-            return content.decode(known)
+        codec = codecs.lookup(encoding).name
+        if codec in ("utf-8", "utf-16", *_SINGLE_BYTE):
+            return content.decode(codec)
         reason = "another"
     except (LookupError, UnicodeDecodeError) as error:
         reason = getattr(error, "reason", "an unknown one")
@@ -69,8 +74,8 @@ def parse_urdf(text: str, where: str) -> ET.Element:
     Raises:
         Refusal: not well-formed, too large or too deep, with a document type, or another root.
     """
-    if text.count("<") > MOST_MARKS:
-        raise Refusal(where, "file", f"have at most {MOST_MARKS} opening and closing tags", "more")
+    if text.count("<") > MAX_MARKS:
+        raise Refusal(where, "file", f"have at most {MAX_MARKS} opening and closing tags", "more")
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True
@@ -105,10 +110,10 @@ def parse_urdf(text: str, where: str) -> ET.Element:
 
 def _check_levels(robot: ET.Element, where: str) -> None:
     level = [robot]
-    for _ in range(MOST_LEVELS):
+    for _ in range(MAX_LEVELS):
         level = [child for element in level for child in element]
     if level:
-        raise Refusal(where, "file", f"nest at most {MOST_LEVELS} levels", "more")
+        raise Refusal(where, "file", f"nest at most {MAX_LEVELS} levels", "more")
 
 
 def complete_limits(robot: ET.Element, where: str) -> bool:
@@ -130,17 +135,17 @@ def complete_limits(robot: ET.Element, where: str) -> bool:
         if kind not in ("revolute", "prismatic"):
             continue
         limit = joint.find("limit")
-        given = {} if limit is None else limit.attrib
-        bounds = [_bound(joint, key, given.get(key), where) for key in ("lower", "upper")]
+        values = {} if limit is None else limit.attrib
+        bounds = [_bound(joint, key, values.get(key), where) for key in ("lower", "upper")]
         if bounds[0] > bounds[1]:
-            what = f"joint {joint.get('name')}: limit"
-            raise Refusal(where, what, "have lower <= upper", f"{bounds[0]:g} > {bounds[1]:g}")
-        if "lower" not in given and "upper" not in given:
+            label = f"joint {joint.get('name')}: limit"
+            raise Refusal(where, label, "have lower <= upper", f"{bounds[0]:g} > {bounds[1]:g}")
+        if "lower" not in values and "upper" not in values:
             bounds = [-math.inf, math.inf]
-        elif not any(math.isinf(bound) for bound in bounds) and {"effort", "velocity"} <= {*given}:
+        elif not any(math.isinf(bound) for bound in bounds) and {"effort", "velocity"} <= {*values}:
             continue
         changed = True
-        rest = {key: given[key] for key in given if key not in ("lower", "upper")}
+        rest = {key: values[key] for key in values if key not in ("lower", "upper")}
         if limit is not None:
             joint.remove(limit)
         if kind == "revolute" and bounds == [-math.inf, math.inf]:
@@ -159,8 +164,8 @@ def _bound(joint: ET.Element, key: str, text: str | None, where: str) -> float:
     except ValueError:
         value = math.nan
     if math.isnan(value):
-        what = f"joint {joint.get('name')}: limit {key}"
-        raise Refusal(where, what, "be a number", repr(text))
+        label = f"joint {joint.get('name')}: limit {key}"
+        raise Refusal(where, label, "be a number", repr(text))
     return value if abs(value) < ENDLESS else math.copysign(math.inf, value)
 
 

@@ -15,9 +15,9 @@ LARGEST = 2**63 - 1  # the core's integer
 
 
 def check_count(
-    where: str, quantity: str, value: object, least: int = 0, largest: int = LARGEST
+    where: str, quantity: str, value: object, smallest: int = 0, largest: int = LARGEST
 ) -> int:
-    """Return a whole number from `least` to `largest`, of Python or NumPy, as Python's int.
+    """Return a whole number from `smallest` to `largest`, of Python or NumPy, as Python's int.
 
     Raises:
         Refusal: it is something else.
@@ -28,9 +28,9 @@ def check_count(
         count = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
         count = None
-    if count is None or not least <= count <= largest:
-        most = None if largest == LARGEST else largest
-        raise Number(quantity, at_least=least, at_most=most, whole=True).refusal(where, value)
+    if count is None or not smallest <= count <= largest:
+        maximum = None if largest == LARGEST else largest
+        raise Number(quantity, at_least=smallest, at_most=maximum, whole=True).refusal(where, value)
     return count
 
 

@@ -28,11 +28,11 @@ def check_joint_names(where: str, names: Iterable[object], joints: Sequence[str]
     Raises:
         Refusal: a name that no joint has, or a joint that is named twice or not at all.
     """
-    given = [str(name) for name in names]
-    check_known_joints(where, given, joints)
-    if len(given) != len(joints) or len(set(given)) != len(given):
-        got = ", ".join(given) or "none"
-        raise Refusal(where, "joint names", "name every joint once", got, ", ".join(joints))
+    listed = [str(name) for name in names]
+    check_known_joints(where, listed, joints)
+    if len(listed) != len(joints) or len(set(listed)) != len(listed):
+        actual = ", ".join(listed) or "none"
+        raise Refusal(where, "joint names", "name every joint once", actual, ", ".join(joints))
 
 
 class JointOrder:
@@ -67,11 +67,11 @@ class JointOrder:
         array = np.array(bound.numbers(self.topic, values))
         if array.shape != (len(names),):
             rule = f"have one value per joint name ({len(names)})"
-            got = f"{len(array)} values" if array.ndim == 1 else values
-            raise Refusal(self.topic, bound.name, rule, got)
+            actual = f"{len(array)} values" if array.ndim == 1 else values
+            raise Refusal(self.topic, bound.name, rule, actual)
         if list(names) != self.names:
             check_joint_names(self.topic, names, self.names)
-            given, array = array, np.empty_like(array)
-            array[[self._index[name] for name in names]] = given
+            unordered, array = array, np.empty_like(array)
+            array[[self._index[name] for name in names]] = unordered
         bound.check(self.topic, array.tolist(), self.names)
         return array

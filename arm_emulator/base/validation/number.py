@@ -66,9 +66,9 @@ class Number:
 
     def named(self, name: str) -> Self:
         """Return the same for a quantity of another name."""
-        other = object.__new__(type(self))  # all but the name: quicker than dataclasses.replace
-        other.__dict__.update(self.__dict__, name=name)
-        return other
+        renamed = object.__new__(type(self))  # all but the name: quicker than dataclasses.replace
+        renamed.__dict__.update(self.__dict__, name=name)
+        return renamed
 
     def holds(self, value: object) -> bool:
         """Whether a value is a finite number within the range."""
@@ -144,25 +144,25 @@ class Number:
         if 0.0 <= self._reach and np.vdot(array, array) < self._reach * self._reach:
             return
         size = np.abs(array) if self.in_size else array
-        most = LARGEST if self.at_most is None else self.at_most
-        wrong = ~(np.isfinite(size) & (size >= self.least) & (size <= most))
+        largest = LARGEST if self.at_most is None else self.at_most
+        wrong = ~(np.isfinite(size) & (size >= self.least) & (size <= largest))
         if self.whole:
             wrong |= np.floor(size) != size
         if wrong.any():
             at = np.unravel_index(int(wrong.argmax()), array.shape)
-            limit = float(np.broadcast_to(np.asarray(most), array.shape)[at])
+            limit = float(np.broadcast_to(np.asarray(largest), array.shape)[at])
             if joints:
                 value = float(array[at])
                 rule = self._rule(value, limit) if math.isfinite(value) else "be finite"
                 raise Refusal(where, f"{self.name} of {joints[int(at[0])]}", rule, value)
-            got = array.tolist() if array.ndim == 1 else array
-            raise Refusal(where, self.name, self._rule(float(array[at]), limit, many=True), got)
+            actual = array.tolist() if array.ndim == 1 else array
+            raise Refusal(where, self.name, self._rule(float(array[at]), limit, many=True), actual)
 
     def refusal(self, where: str, value: object) -> Refusal:
         """Return the refusal of a value."""
         number = isinstance(value, int | float) and not isinstance(value, bool)
-        got = value if number else "nothing" if value is None else repr(value)
-        return Refusal(where, self.name, self._rule(value, self.most), got)
+        actual = value if number else "nothing" if value is None else repr(value)
+        return Refusal(where, self.name, self._rule(value, self.most), actual)
 
     @property
     def rule(self) -> str:
@@ -172,8 +172,8 @@ class Number:
     @property
     def range(self) -> str:
         """The same as a description: ``number > 0 ohm``."""
-        most = None if self.at_most is None else self.most
-        return self._range(self.above, self.at_least, most)
+        largest = None if self.at_most is None else self.most
+        return self._range(self.above, self.at_least, largest)
 
     @property
     def described(self) -> str:
@@ -205,43 +205,43 @@ class Number:
         free = (self.least <= 0.0 if self.in_size else self.least <= -self.most) and not self.whole
         return min(self.most, sys.float_info.max) if free else -1.0
 
-    def _rule(self, value: object, most: float, *, many: bool = False) -> str:
+    def _rule(self, value: object, largest: float, *, many: bool = False) -> str:
         """Return the rule that a value breaks: as declared, or of what can be computed with."""
-        at_most = None if self.at_most is None else most
+        maximum = None if self.at_most is None else largest
         if isinstance(value, np.floating):
             value = float(value)
-        known = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if known and self._keeps(abs(value) if self.in_size else value, at_most):  # type: ignore[arg-type]
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if is_number and self._keeps(abs(value) if self.in_size else value, maximum):  # type: ignore[arg-type]
             low = None if self.in_size and self.above is None else self.least
-            words = self._range(None, low, most)
+            words = self._range(None, low, largest)
         else:
-            words = self._range(self.above, self.at_least, at_most)
+            words = self._range(self.above, self.at_least, maximum)
         return f"be {words.replace('number', 'numbers', 1)}" if many else f"be a {words}"
 
-    def _keeps(self, size: float, most: float | None) -> bool:
+    def _keeps(self, size: float, largest: float | None) -> bool:
         return (
             (self.above is None or size > self.above)
             and (self.at_least is None or size >= self.at_least)
-            and (most is None or size <= most)
+            and (largest is None or size <= largest)
             and not (self.whole and abs(size) < math.inf and size % 1)
         )
 
-    def _range(self, above: float | None, at_least: float | None, at_most: float | None) -> str:
+    def _range(self, above: float | None, minimum: float | None, maximum: float | None) -> str:
         kind = "whole number" if self.whole else "number"
-        bounds = {">": above, ">=": at_least, "<=": at_most}
-        shown = [f"{sign} {self._end(one)}" for sign, one in bounds.items() if one is not None]
-        if at_most == math.inf:
-            kind, shown = "finite number", shown[:-1]
-        if at_least is not None and at_most is not None:
-            shown = [f"from {self._end(at_least)} to {self._end(at_most)}"]
-        of_size = "of size" if self.in_size and shown else ""
-        if self.in_size and above == 0.0 and at_most is None:
-            of_size, shown = "", ["other than 0"]
-        elif self.in_size and above is None and at_least is None and shown:
-            of_size, shown = "", [f"within +-{self._end(at_most)}"]  # type: ignore[arg-type]
+        bounds = {">": above, ">=": minimum, "<=": maximum}
+        phrases = [f"{sign} {self._end(end)}" for sign, end in bounds.items() if end is not None]
+        if maximum == math.inf:
+            kind, phrases = "finite number", phrases[:-1]
+        if minimum is not None and maximum is not None:
+            phrases = [f"from {self._end(minimum)} to {self._end(maximum)}"]
+        of_size = "of size" if self.in_size and phrases else ""
+        if self.in_size and above == 0.0 and maximum is None:
+            of_size, phrases = "", ["other than 0"]
+        elif self.in_size and above is None and minimum is None and phrases:
+            of_size, phrases = "", [f"within +-{self._end(maximum)}"]  # type: ignore[arg-type]
         unit = "" if self.unit == "1" else self.unit
-        unit = f"[{unit}]" if unit and not shown else unit
-        words = kind, of_size, " and ".join(shown), unit
+        unit = f"[{unit}]" if unit and not phrases else unit
+        words = kind, of_size, " and ".join(phrases), unit
         return " ".join(word for word in words if word)
 
     def _end(self, value: float) -> str:
@@ -261,13 +261,13 @@ def number(
 def build_bounds(ends: Ends) -> dict[str, Any]:
     """Return two ends as the bounds of a `Number`."""
     bounds = zip(("at_least", "at_most"), ends, strict=True)
-    return {name: one for name, one in bounds if one is not None}
+    return {name: end for name, end in bounds if end is not None}
 
 
-def declare_field(one: Number, **metadata: Any) -> Any:
+def declare_field(number: Number, **metadata: Any) -> Any:
     """Return a dataclass field for a number, with more about it."""
-    default = dataclasses.MISSING if one.default is REQUIRED else one.default
-    return dataclasses.field(default=default, metadata={"number": one, **metadata})
+    default = dataclasses.MISSING if number.default is REQUIRED else number.default
+    return dataclasses.field(default=default, metadata={"number": number, **metadata})
 
 
 def list_numbers(kind: type[Any]) -> dict[str, Any]:

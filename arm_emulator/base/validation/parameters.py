@@ -46,9 +46,11 @@ def parameter(
     more = {"description": description, "choices": choices, "settable": settable}
     if type(default) not in (int, float):
         return dataclasses.field(default=default, metadata=more)
-    whole = type(default) is int
-    one = Number("", unit, whole=whole, default=default, text=description, **build_bounds(ends))
-    return declare_field(one, **more | {"description": one.described})
+    whole_number = type(default) is int
+    number = Number(
+        "", unit, whole=whole_number, default=default, text=description, **build_bounds(ends)
+    )
+    return declare_field(number, **more | {"description": number.described})
 
 
 def list_parameters(kind: type[Any]) -> dict[str, dataclasses.Field[Any]]:
@@ -67,9 +69,9 @@ def load_parameters(
     Raises:
         Refusal: no parameters of that node, an unknown name, or a refused value.
     """
-    given, sections = dict(read_ros_parameters(path, node)), dict[str, Any]()
+    values, sections = dict(read_ros_parameters(path, node)), dict[str, Any]()
     fields = list_parameters(kind)
-    for name, value in list(given.items()):
+    for name, value in list(values.items()):
         first, _, rest = name.partition(".")
         if first in beside:
             section = value if not rest else {rest: value}
@@ -77,14 +79,14 @@ def load_parameters(
                 sections.setdefault(first, {}).update(section)
             else:
                 raise Refusal(path.name, f"section {first}", "be a mapping", repr(value))
-            del given[name]
+            del values[name]
             continue
         if name not in fields:
-            known = ", ".join((*fields, *beside))
-            got = f"{value!r}{suggest_nearest_name(name, fields)}"
-            raise Refusal(path.name, f"parameter {name}", "be known", got, known)
-        given[name] = check_parameter(value, fields[name], path.name)
-    return kind(**given), sections
+            names = ", ".join((*fields, *beside))
+            actual = f"{value!r}{suggest_nearest_name(name, fields)}"
+            raise Refusal(path.name, f"parameter {name}", "be known", actual, names)
+        values[name] = check_parameter(value, fields[name], path.name)
+    return kind(**values), sections
 
 
 def read_ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
@@ -104,7 +106,7 @@ def read_ros_parameters(path: Path, node: str) -> Mapping[str, Any]:
     raise Refusal(path.name, "the file", rule, ", ".join(map(str, document)), valid)
 
 
-def split_tables(given: object, where: str, section: str) -> dict[str, dict[str, Any]]:
+def split_tables(section_table: object, where: str, section: str) -> dict[str, dict[str, Any]]:
     """Return the tables of a section by name; nested, or with ROS's dotted names.
 
     A table's name may have dots, a key has none.
@@ -112,10 +114,10 @@ def split_tables(given: object, where: str, section: str) -> dict[str, dict[str,
     Raises:
         Refusal: no table, or a value in the place of one.
     """
-    if not isinstance(given, Mapping):
-        raise Refusal(where, section, "be a mapping", given)
+    if not isinstance(section_table, Mapping):
+        raise Refusal(where, section, "be a mapping", section_table)
     tables: dict[str, dict[str, Any]] = {}
-    for name, value in given.items():
+    for name, value in section_table.items():
         if isinstance(value, Mapping):
             tables.setdefault(str(name), {}).update(value)
             continue
@@ -134,30 +136,30 @@ def read_numbers(
     Raises:
         Refusal: an unknown, missing or impossible value; `path` is that of the table.
     """
-    known, prefix = list_numbers(kind), f"{path}." if path else ""
-    check_keys(table, known, where, path)
-    given = {key: one.default for key, one in known.items()}
-    for key, one in known.items():
+    declared, prefix = list_numbers(kind), f"{path}." if path else ""
+    check_keys(table, declared, where, path)
+    values = {key: number.default for key, number in declared.items()}
+    for key, number in declared.items():
         if key in table:
-            given[key] = one.take(where, table[key], f"{prefix}{key}")
-        elif one.default is REQUIRED:
+            values[key] = number.take(where, table[key], f"{prefix}{key}")
+        elif number.default is REQUIRED:
             raise Refusal(where, f"{prefix}{key}", "be given", "nothing")
-    return given
+    return values
 
 
-def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str, path: str) -> None:
+def check_keys(table: Mapping[str, Any], keys: Iterable[str], where: str, path: str) -> None:
     """Refuse keys of the table at a path that are not known."""
-    known = tuple(known)
+    keys = tuple(keys)
     for key in table:
-        if key not in known:
+        if key not in keys:
             name = f"{path}.{key}" if path else str(key)
-            got = f"an unknown one{suggest_nearest_name(str(key), known)}"
-            raise Refusal(where, name, "be a known key", got, ", ".join(known))
+            actual = f"an unknown one{suggest_nearest_name(str(key), keys)}"
+            raise Refusal(where, name, "be a known key", actual, ", ".join(keys))
 
 
-def suggest_nearest_name(name: str, known: Iterable[str]) -> str:
+def suggest_nearest_name(name: str, names: Iterable[str]) -> str:
     """Return a hint at the known name nearest to an unknown one, empty if none is near."""
-    near = difflib.get_close_matches(name, list(known), n=1)
+    near = difflib.get_close_matches(name, list(names), n=1)
     return f", perhaps for {near[0]}" if near else ""
 
 
@@ -178,12 +180,12 @@ def check_parameter(value: Any, field: dataclasses.Field[Any], where: str) -> An
     Raises:
         Refusal: a value of the wrong type, out of its range, or not among its choices.
     """
-    what, kind, choices = f"parameter {field.name}", type(field.default), field.metadata["choices"]
-    if (one := field.metadata.get("number")) is not None:
-        return one.take(where, value, what)
+    label, kind, choices = f"parameter {field.name}", type(field.default), field.metadata["choices"]
+    if (number := field.metadata.get("number")) is not None:
+        return number.take(where, value, label)
     if choices and value not in choices:
-        raise Refusal(where, what, "be known", repr(value), ", ".join(choices))
+        raise Refusal(where, label, "be known", repr(value), ", ".join(choices))
     if type(value) is not kind:
         rule = {bool: "be true or false", str: "be a text"}[kind]
-        raise Refusal(where, what, rule, repr(value))
+        raise Refusal(where, label, rule, repr(value))
     return value

@@ -42,9 +42,9 @@ class Section:
         """Set the value of a key as if the file contained it."""
         self._data = {**self._data, key: value}
 
-    def refusal(self, key: str, rule: str, got: object, valid: str | None = None) -> Refusal:
+    def refusal(self, key: str, rule: str, actual: object, valid: str | None = None) -> Refusal:
         """Return the refusal of a key's value."""
-        return Refusal(self.where, self._name(key), rule, got, valid)
+        return Refusal(self.where, self._name(key), rule, actual, valid)
 
     def section(self, key: str) -> Section | None:
         """Return the section below a key, None if the key is absent."""
@@ -69,15 +69,15 @@ class Section:
             raise self.refusal(key, rule, "nothing" if value is None else repr(value))
         return self._below(key, value)
 
-    def text(self, key: str, most_bytes: int = 4096) -> str:
+    def text(self, key: str, max_bytes: int = 4096) -> str:
         """Return a text of printable letters."""
         value = self._take(key)
         if not isinstance(value, str) or not value:
             raise self.refusal(key, "be a text", "nothing" if value is None else repr(value))
         if not value.isprintable():
             raise self.refusal(key, "have printable letters only", repr(value))
-        if len(value.encode()) > most_bytes:
-            raise self.refusal(key, f"be at most {most_bytes} bytes long", repr(value))
+        if len(value.encode()) > max_bytes:
+            raise self.refusal(key, f"be at most {max_bytes} bytes long", repr(value))
         return value
 
     def choice(self, key: str, choices: tuple[str, ...], default: str) -> str:
@@ -86,41 +86,41 @@ class Section:
         if key not in self._data:
             return default
         if value not in choices:
-            got = "nothing" if value is None else repr(value)
-            raise self.refusal(key, "be one of the known", got, ", ".join(choices))
+            actual = "nothing" if value is None else repr(value)
+            raise self.refusal(key, "be one of the known", actual, ", ".join(choices))
         return str(value)
 
     def flag(self, key: str) -> bool:
         """Return true or false; false if the key is absent."""
         value = self._take(key)
         if key in self._data and not isinstance(value, bool):
-            got = "nothing" if value is None else repr(value)
-            raise self.refusal(key, "be true or false", got)
+            actual = "nothing" if value is None else repr(value)
+            raise self.refusal(key, "be true or false", actual)
         return bool(value)
 
-    def number(self, one: Number) -> float:
+    def number(self, number: Number) -> float:
         """Return a number by its name, or its default."""
-        value = self._take(one.name)
-        if one.name not in self._data and one.default is not REQUIRED:
-            return one.default  # type: ignore[no-any-return]
-        return one.take(self.where, value, self._name(one.name))
+        value = self._take(number.name)
+        if number.name not in self._data and number.default is not REQUIRED:
+            return number.default  # type: ignore[no-any-return]
+        return number.take(self.where, value, self._name(number.name))
 
-    def integer(self, one: Number) -> int:
+    def integer(self, number: Number) -> int:
         """Return a whole number by its name, or its default."""
-        return int(self.number(one))
+        return int(self.number(number))
 
     def numbers(self, kind: type[Any]) -> dict[str, Any]:
         """Return the numbers that a dataclass declares, by name."""
-        return {name: self.number(one) for name, one in list_numbers(kind).items()}
+        return {name: self.number(number) for name, number in list_numbers(kind).items()}
 
-    def vector(self, one: Number, size: int = 3) -> tuple[float, ...] | None:
+    def vector(self, number: Number, size: int = 3) -> tuple[float, ...] | None:
         """Return a row of numbers by its name, None if it is absent."""
-        value = self._take(one.name)
-        if value is None and one.name not in self._data:
+        value = self._take(number.name)
+        if value is None and number.name not in self._data:
             return None
-        rule = f"be {size} {one.range.replace('number', 'numbers', 1)}"
-        if not isinstance(value, list) or len(value) != size or not all(map(one.holds, value)):
-            raise self.refusal(one.name, rule, repr(value))
+        rule = f"be {size} {number.range.replace('number', 'numbers', 1)}"
+        if not isinstance(value, list) or len(value) != size or not all(map(number.holds, value)):
+            raise self.refusal(number.name, rule, repr(value))
         return tuple(float(entry) for entry in value)
 
     def value(self, key: str) -> object:

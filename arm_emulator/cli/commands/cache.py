@@ -34,21 +34,21 @@ def _list() -> int:
     facts = list[dict[str, object]]()
     for folder in list_named_folders():
         reason = explain_distrust(folder)
-        found = list_entries(folder)
-        size = sum(entry.size for entry in found)
+        entries = list_entries(folder)
+        size = sum(entry.size for entry in entries)
         state = f"not trusted, no file of it is loaded: {reason}" if reason else "trusted"
         output.line(f"{folder}: {state if folder.is_dir() else 'not there'}")
-        for entry in reversed(found):
+        for entry in reversed(entries):
             used = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(entry.used))
             output.line(
                 f"  {used}  {entry.size / 1e6:8.3f} MB  {entry.scene:20s}  {entry.file.name}"
             )
-        if found:
+        if entries:
             output.line(
-                f"  {len(found)} libraries, {size / 1e6:.3f} of {read_largest_size() / 1e6:g} MB "
+                f"  {len(entries)} libraries, {size / 1e6:.3f} of {read_largest_size() / 1e6:g} MB "
                 f"({SIZE_VARIABLE})"
             )
-        libraries = [dataclasses.asdict(entry) for entry in reversed(found)]
+        libraries = [dataclasses.asdict(entry) for entry in reversed(entries)]
         facts.append({"folder": folder, "not_trusted": reason, "libraries": libraries})
     output.facts({"folders": facts})
     return 0
@@ -73,4 +73,4 @@ def _clear() -> int:
         removed = len(libraries) - len(stay)
         facts.append({"folder": folder, "removed": removed, "stay": stay})
     output.facts({"folders": facts})
-    return int(any(one["stay"] for one in facts))
+    return int(any(fact["stay"] for fact in facts))

@@ -28,36 +28,36 @@ def check_bag(bag: Path, /, *, scene: SceneName | None = None, strict: bool = Fa
         scene: scene file or name (default: the one that the bag names).
         strict: exit code 1 also if any message is not compared.
     """
-    found = compare(bag, scene)
-    tally, left_out, difference = found.tally, found.left_out, found.difference
-    clock = "" if found.lockstep else " in real time"
-    output.line(f"scene {found.scene}{clock}: {tally.compared}")
-    if parent := found.about.get(PARENT):
-        output.line(f"forked from {parent} at tick {found.about.get(FORKED_AT)}")
-    recorded_in = found.about.get(ARITHMETIC_OF, ARITHMETIC)  # other recorders name none
+    compared = compare(bag, scene)
+    tally, left_out, difference = compared.tally, compared.left_out, compared.difference
+    clock = "" if compared.lockstep else " in real time"
+    output.line(f"scene {compared.scene}{clock}: {tally.compared}")
+    if parent := compared.about.get(PARENT):
+        output.line(f"forked from {parent} at tick {compared.about.get(FORKED_AT)}")
+    recorded_in = compared.about.get(ARITHMETIC_OF, ARITHMETIC)  # other recorders name none
     if recorded_in != ARITHMETIC:
         output.line(f"recorded in another arithmetic, {recorded_in}; this is {ARITHMETIC}")
-    output.line(f"compared: {'; '.join(f'{name} ({of})' for name, of in found.fields.items())}")
+    output.line(f"compared: {'; '.join(f'{name} ({of})' for name, of in compared.fields.items())}")
     for line in left_out:
         output.line(f"not compared: {line}")
-    if found.others:
-        output.line(f"topics that are not compared: {', '.join(found.others)}")
+    if compared.others:
+        output.line(f"topics that are not compared: {', '.join(compared.others)}")
     output.facts(
         {
             "bag": bag,
-            "scene": found.scene,
-            "clock": "lockstep" if found.lockstep else "realtime",
+            "scene": compared.scene,
+            "clock": "lockstep" if compared.lockstep else "realtime",
             "equal": difference is None,
             "difference": difference,
             "counts": dataclasses.asdict(tally),
             "not_compared": left_out,
-            "topics_not_compared": found.others,
-            "about": found.about,
+            "topics_not_compared": compared.others,
+            "about": compared.about,
         }
     )
     if difference is not None:
         output.line(f"the first difference: {difference}")
-        for hint in found.hints:
+        for hint in compared.hints:
             output.line(f"note: {hint}")
     elif tally.after:
         output.line("not checked to its end; what was compared is equal to the last bit")

@@ -43,9 +43,9 @@ def check_scenes(
     """
     facts = list[dict[str, object]]()
     for name in (scene, *more):
-        one = check_scene(name)
-        output.line(one.line)
-        fact: dict[str, object] = plain(one)
+        checked = check_scene(name)
+        output.line(checked.line)
+        fact: dict[str, object] = plain(checked)
         if modes:
             machine, servo = _load_with_loops(name)
             fact["modes"] = mode_facts(machine, servo)
@@ -129,8 +129,8 @@ def _check_links(scene: Scene, file: Path) -> None:
     folder = find_urdf(str(read_yaml(file).get("urdf")), file).parent
     trusted = (*scene.assumed, *scene.trusted_inertias)
     robot = parse_urdf(scene.urdf, scene.where)
-    doubts = doubtful_inertias(robot, scene.where, folder, scene.chain, trusted)
-    check_inertias(doubts, scene.where)
+    doubtful = doubtful_inertias(robot, scene.where, folder, scene.chain, trusted)
+    check_inertias(doubtful, scene.where)
 
 
 def _load_with_loops(name: str) -> tuple[Scene, ServoConfig]:
@@ -205,14 +205,14 @@ def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
 
 
 def _format_cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
-    by_brake = {one.braked: one for one in pair}
+    by_brake = {cell.braked: cell for cell in pair}
     cells: list[str] = []
     for braked in (False, True):
-        one = by_brake.get(braked)
-        cells.append("" if one is None else f"{one.radius:.4f}")
-        swings = one is not None and one.swing > 0.0
-        cells.append(f"{one.swing:.4f} at {one.frequency:.3g} Hz" if one and swings else "")
-    worst = max(by_brake.values(), key=lambda one: one.beyond)
+        cell = by_brake.get(braked)
+        cells.append("" if cell is None else f"{cell.radius:.4f}")
+        swings = cell is not None and cell.swing > 0.0
+        cells.append(f"{cell.swing:.4f} at {cell.frequency:.3g} Hz" if cell and swings else "")
+    worst = max(by_brake.values(), key=lambda cell: cell.beyond)
     gain = f", {worst.gain:g} of the command" if worst.gain != 1.0 else ""
     cells.append(f"{worst.beyond if abs(worst.beyond) > _NONE else 0.0:.3g}{gain}")
     cells.append("" if worst.holds else "withheld")

@@ -154,19 +154,19 @@ def _run(
         ) as progress:
             bar = progress.add_task("", total=plan.instructions, deviation="")
 
-            def watched() -> bool:
+            def is_finished() -> bool:
                 if observer.q:
                     deviation = np.linalg.norm(observer.deviation(-1)) * 1e3
-                    shown = f"deviation {deviation:9.4f} mm"
-                    progress.update(bar, completed=len(observer.q) - 1, deviation=shown)
+                    text = f"deviation {deviation:9.4f} mm"
+                    progress.update(bar, completed=len(observer.q) - 1, deviation=text)
                 return len(observer.q) > plan.instructions
 
-            observer.wait(watched, network, "the instructions", patience=15.0 * PATIENCE)
+            observer.wait(is_finished, network, "the instructions", patience=15.0 * PATIENCE)
         wall = time.monotonic() - started
         observed = observer.q[: plan.instructions + 1]
-        if plan.shown is not None:
+        if plan.motion is not None:
             with console.status("a motion to look at"):
-                observer.show(Pose(p_WT + plan.shown, R_WT))
+                observer.show(Pose(p_WT + plan.motion, R_WT))
                 end = len(observer.q) + plan.instructions
                 observer.wait(lambda: len(observer.q) > end, network, "the motion that is shown")
     finally:
@@ -204,7 +204,7 @@ class _Observer(Node):
         self,
         condition: Callable[[], bool],
         network: Bringup,
-        what: str,
+        event: str,
         patience: float = PATIENCE,
     ) -> None:
         """Spin until the condition holds; refuse when a node ends or patience does."""
@@ -218,7 +218,7 @@ class _Observer(Node):
                 name, code = ended
                 raise Refusal("demo", f"node {name}", "run", f"exit code {code}", see)
             if time.monotonic() > deadline:
-                raise Refusal("demo", what, f"take less than {patience:g} s", "more", see)
+                raise Refusal("demo", event, f"take less than {patience:g} s", "more", see)
 
     def send_target(self, from_ns: int) -> None:
         """Send the target, repeatedly until accepted: an undiscovered node does not receive it."""

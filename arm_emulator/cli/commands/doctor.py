@@ -26,9 +26,9 @@ from arm_emulator.workarounds.fastdds_shared_memory import find_left_over
 if TYPE_CHECKING:  # this machine may have no ROS 2
     from rclpy.node import Node
 
-LEAST_DISK = 1.0  # GB: libraries, a recording
+MIN_DISK = 1.0  # GB: libraries, a recording
 DISCOVERY = 1.0  # s, wall: for the middleware to find the nodes of the domain
-MOST_FAULTS = 3  # of a network, that are named
+MAX_FAULTS = 3  # of a network, that are named
 FAST_DDS = ("default middleware", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 NODES = ("emulator_node.node", "servo_node.node", "motion_controller_node.node")
 # Modules without which nothing works: nodes and `run`.
@@ -80,13 +80,13 @@ def doctor() -> int:
 
     The exit code is 1 if there is a problem. A missing package of some commands is a note.
     """
-    found = []
-    for one in findings():  # printed one by one: the imports take seconds
-        found.append(one)
-        remedy = f"; {one.remedy}" if one.remedy else ""
-        output.line(f"{one.level:<8} {one.name:<15} {one.text}{remedy}")
-    output.facts({"findings": [one._asdict() for one in found]})
-    return int(any(one.level == "problem" for one in found))
+    listed = []
+    for finding in findings():  # printed one by one: the imports take seconds
+        listed.append(finding)
+        remedy = f"; {finding.remedy}" if finding.remedy else ""
+        output.line(f"{finding.level:<8} {finding.name:<15} {finding.text}{remedy}")
+    output.facts({"findings": [finding._asdict() for finding in listed]})
+    return int(any(finding.level == "problem" for finding in listed))
 
 
 def findings() -> Iterator[Finding]:
@@ -149,9 +149,9 @@ def _check_compiler() -> Finding:
         command = [*words, "-std=c++20", "-fsyntax-only", "-x", "c++", "-"]
         done = subprocess.run(command, input=program, capture_output=True, text=True, check=False)
         if done.returncode:
-            got = (done.stderr.strip().splitlines() or ["no reason given"])[0]
+            actual = (done.stderr.strip().splitlines() or ["no reason given"])[0]
             valid = "g++ from 11 or clang from 14 on (Debian, Ubuntu: apt install g++)"
-            raise Refusal(" ".join(words), "C++20", "compile", got, valid)
+            raise Refusal(" ".join(words), "C++20", "compile", actual, valid)
         version = subprocess.run(
             [*words, "--version"], capture_output=True, text=True, check=False
         ).stdout.splitlines()
@@ -170,8 +170,8 @@ def _check_disk() -> Finding:
     places = {Path.cwd(), Path(os.environ.get("TMPDIR", "/tmp"))}
     free = {place: shutil.disk_usage(place).free / 1e9 for place in sorted(places)}
     text = ", ".join(f"{size:.1f} GB free in {place}" for place, size in free.items())
-    if min(free.values()) < LEAST_DISK:
-        return Finding("disk", "problem", text, f"make room for {LEAST_DISK:g} GB")
+    if min(free.values()) < MIN_DISK:
+        return Finding("disk", "problem", text, f"make room for {MIN_DISK:g} GB")
     return Finding("disk", "ok", text)
 
 
@@ -213,16 +213,18 @@ def _check_network() -> Finding:
             count, more = 0, True
             while more:  # on a busy machine the nodes are found one after the other
                 node.spin_until(lambda: False, DISCOVERY)
-                found = len(set(node.get_node_names_and_namespaces())) - 1
-                count, more = found, found > count
-            faults = sorted(set(network_faults(node)), key=lambda one: (not one.grave, one.text))
+                neighbours = len(set(node.get_node_names_and_namespaces())) - 1
+                count, more = neighbours, neighbours > count
+            faults = sorted(
+                set(network_faults(node)), key=lambda fault: (not fault.grave, fault.text)
+            )
     except Exception as error:  # a middleware that is not there, a domain that is not valid
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         return Finding("network", "problem", f"cannot be joined: {reason}", "see the lines above")
     nodes = f"{count} other node{'' if count == 1 else 's'} in the domain"
     if not faults:
         return Finding("network", "ok", nodes)
-    texts = [fault.text for fault in faults[:MOST_FAULTS]]
+    texts = [fault.text for fault in faults[:MAX_FAULTS]]
     if len(faults) > len(texts):
         texts.append(f"{len(faults) - len(texts)} more")
     level = "problem" if faults[0].grave else "note"
@@ -297,12 +299,12 @@ def network_faults(node: Node) -> Iterator[NetworkFault]:
             names = ", ".join(sorted(map(_name, offers)))
             remedy = "end all but one, or give each network a ROS_DOMAIN_ID or namespace"
             yield NetworkFault(True, f"{topic} has {len(offers)} publishers: {names}", remedy)
-        for wish in node.get_subscriptions_info_by_topic(topic):
+        for request in node.get_subscriptions_info_by_topic(topic):
             for offer in offers:
-                level, reason = qos_check_compatible(offer.qos_profile, wish.qos_profile)
+                level, reason = qos_check_compatible(offer.qos_profile, request.qos_profile)
                 if level == QoSCompatibility.ERROR:
                     why = str(reason).removeprefix("ERROR: ").strip(" ;")
-                    text = f"{topic}: {_name(wish)} hears nothing of {_name(offer)}: {why}"
+                    text = f"{topic}: {_name(request)} hears nothing of {_name(offer)}: {why}"
                     yield NetworkFault(False, text, "change the QoS of one of them")
 
 

@@ -69,9 +69,9 @@ def fork(
     line = load_ordered_run(topics, scene or topics.scene)
     period = line.run.session.scene.servo_period
     left = line.newest * period - at if seconds is None else seconds
-    for option, value, most in (("--at", at, line.newest * period), ("--seconds", left, math.inf)):
-        if not (math.isfinite(value) and 0.0 <= value <= most + 0.5 * period):
-            rule = f"be within 0 and {most:g} s"
+    for option, value, limit in (("--at", at, line.newest * period), ("--seconds", left, math.inf)):
+        if not (math.isfinite(value) and 0.0 <= value <= limit + 0.5 * period):
+            rule = f"be within 0 and {limit:g} s"
             raise Refusal("fork", option, rule, f"{value:g}")
     line.go_to(min(round(at / period), line.newest))
     future = line.fork()

@@ -34,9 +34,9 @@ from arm_emulator_msgs.msg import EmulatorStatus
 
 RATE = Number("--rates", "Hz", at_least=1.0, at_most=20e3)
 SECONDS = Number("--seconds", "s", at_least=0.1, at_most=3600.0)
-MOST_BUSY = 1000
+MAX_BUSY = 1000
 FEWEST = 10  # periods
-HELD_LOST, HELD_OLD = 1e-3, 1e-2  # shares of periods below which a rate is held
+MAX_LOST, MAX_OLD = 1e-3, 1e-2  # shares of periods below which a rate is held
 
 
 @command(
@@ -76,59 +76,63 @@ def latency(
     SECONDS.take("latency", seconds)
     if seconds * min(rates) < FEWEST:
         raise Refusal("latency", "--seconds", f"last {FEWEST} periods of each rate [s]", seconds)
-    check_count("latency", "--busy", busy, 0, MOST_BUSY)
-    machine, found = load_scene(scene), list[WakeUps]()
+    check_count("latency", "--busy", busy, 0, MAX_BUSY)
+    machine, measured = load_scene(scene), list[WakeUps]()
     facts: dict[str, Any] = {}
     head = "late by: median      99 %    99.9 %     worst      lost   with nodes: lost        old"
     output.line(f"{'rate':>8}   {head if not alone else head[:54]}")
     with load_processors(busy):
         for rate in rates:
-            one = measure_wake_up_latency(machine, 1.0 / rate, seconds)
-            found.append(one)
-            facts[f"{rate:g}"] = fact = _list_facts(one)
-            words = "".join(f"{late * 1e6:7.0f} us" for late in one.quantiles)
-            words = f"{rate:5g} Hz         {words} {one.lost:9d}"
+            woken = measure_wake_up_latency(machine, 1.0 / rate, seconds)
+            measured.append(woken)
+            facts[f"{rate:g}"] = fact = _list_facts(woken)
+            words = "".join(f"{late * 1e6:7.0f} us" for late in woken.quantiles)
+            words = f"{rate:5g} Hz         {words} {woken.lost:9d}"
             if not alone:
-                answers = probe_latency(scene, 1.0 / rate, seconds)
-                fact["answers"] = answers._asdict()
-                share = answers.old / max(1, answers.periods)
-                fact["held"] = fact["held"] and share < HELD_OLD
-                fact["held"] = fact["held"] and answers.lost < HELD_LOST * answers.periods
-                words += f"   {answers.lost:16d} {100 * share:8.2f} %"
+                probe = probe_latency(scene, 1.0 / rate, seconds)
+                fact["answers"] = probe._asdict()
+                share = probe.old / max(1, probe.periods)
+                fact["held"] = fact["held"] and share < MAX_OLD
+                fact["held"] = fact["held"] and probe.lost < MAX_LOST * probe.periods
+                words += f"   {probe.lost:16d} {100 * share:8.2f} %"
             output.line(f"{words}   {'held' if fact['held'] else 'not held'}")
-    fifo = all(one.fifo for one in found)
+    fifo = all(woken.fifo for woken in measured)
     output.line(f"the thread ran {'under SCHED_FIFO' if fifo else 'without real-time priority'}")
     if picture is not None:
-        _draw(found, picture)
+        _draw(measured, picture)
         output.line(str(picture))
     output.facts({"rates": facts})
     return int(not all(value["held"] for value in facts.values()))
 
 
-def _list_facts(one: WakeUps) -> dict[str, Any]:
+def _list_facts(woken: WakeUps) -> dict[str, Any]:
     return {
-        "late": dict(zip(map(str, QUANTILES), one.quantiles, strict=True)),
-        "spent": float(sorted(one.spent)[len(one.spent) // 2]),
-        "periods": len(one.late),
-        "lost": one.lost,
-        "fifo": one.fifo,
-        "held": one.lost < HELD_LOST * len(one.late),
+        "late": dict(zip(map(str, QUANTILES), woken.quantiles, strict=True)),
+        "spent": float(sorted(woken.spent)[len(woken.spent) // 2]),
+        "periods": len(woken.late),
+        "lost": woken.lost,
+        "fifo": woken.fifo,
+        "held": woken.lost < MAX_LOST * len(woken.late),
     }
 
 
-def _draw(found: list[WakeUps], picture: Path) -> None:
+def _draw(measured: list[WakeUps], picture: Path) -> None:
     """Draw histograms of lateness, a colour per rate."""
     from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     axes = figure.subplots()
-    edges = np.geomspace(1e-6, max(1e-3, *(one.late.max() for one in found)), 60)
-    for one in found:
-        label = f"{1.0 / one.period:g} Hz: {one.lost} of {len(one.late) + one.lost} lost"
+    edges = np.geomspace(1e-6, max(1e-3, *(woken.late.max() for woken in measured)), 60)
+    for woken in measured:
+        label = f"{1.0 / woken.period:g} Hz: {woken.lost} of {len(woken.late) + woken.lost} lost"
         axes.hist(
-            np.maximum(one.late, edges[0]), edges.tolist(), histtype="step", lw=1.8, label=label
+            np.maximum(woken.late, edges[0]),
+            edges.tolist(),
+            histtype="step",
+            lw=1.8,
+            label=label,
         )
-        axes.axvline(one.period, color=axes.patches[-1].get_edgecolor(), lw=0.8, ls=":")
+        axes.axvline(woken.period, color=axes.patches[-1].get_edgecolor(), lw=0.8, ls=":")
     axes.set(xscale="log", yscale="log", xlabel="wake-up late by [s]; dotted: the period",
              ylabel="periods")  # fmt: skip
     axes.legend(frameon=False)
@@ -184,8 +188,11 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
     try:
         while (passed := time.monotonic() - begun) < seconds or not late:
             if passed > seconds + PATIENCE:
-                what, rule = f"the thread of {1.0 / period:g} Hz", f"wake up within {PATIENCE:g} s"
-                raise Refusal("latency", what, rule, "no wake-up")
+                thread_name, rule = (
+                    f"the thread of {1.0 / period:g} Hz",
+                    f"wake up within {PATIENCE:g} s",
+                )
+                raise Refusal("latency", thread_name, rule, "no wake-up")
             loop.wait(0.1)
             while (reached := loop.take()) is not None:
                 late.append(reached.lateness)
@@ -193,7 +200,7 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
     finally:
         loop.stop()
     figures = loop.figures
-    late_s, spent_s = (np.array(one, np.float64) * 1e-9 for one in (late, spent))
+    late_s, spent_s = (np.array(times, np.float64) * 1e-9 for times in (late, spent))
     return WakeUps(period, late_s, spent_s, figures.lost_periods, bool(figures.fifo))
 
 
@@ -201,7 +208,7 @@ PATIENCE = 60.0  # s, wall: for two processes to begin, a compilation included
 SETTLED = 0.5  # s of logical time, before which nodes still find each other
 
 
-class AnswersInTime(NamedTuple):
+class ProbeResult(NamedTuple):
     """Figures of a network in real time.
 
     Attributes:
@@ -218,7 +225,7 @@ class AnswersInTime(NamedTuple):
     worst_lateness: float
 
 
-def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
+def probe_latency(scene: str, period: float, seconds: float) -> ProbeResult:
     """Run emulator and servo of a scene with another servo period, in a ROS domain of their own.
 
     Args:
@@ -243,20 +250,20 @@ def probe_latency(scene: str, period: float, seconds: float) -> AnswersInTime:
 
             def settled() -> bool:
                 if network.ended() is not None:
-                    rule, got = "run in real time", _read_last_line(log)
-                    raise Refusal("latency", f"nodes of {scene} at {period:g} s", rule, got)
+                    rule, actual = "run in real time", _read_last_line(log)
+                    raise Refusal("latency", f"nodes of {scene} at {period:g} s", rule, actual)
                 status = newest()
                 moving = status is not None and status.phase == EmulatorStatus.PHASE_RUNNING
                 return moving and bool(status.logical_time >= SETTLED)
 
             if not node.spin_until(settled, PATIENCE):
-                got = f"no answer within {PATIENCE:g} s"
-                raise Refusal("latency", "the servo", "answer the emulator", got)
+                actual = f"no answer within {PATIENCE:g} s"
+                raise Refusal("latency", "the servo", "answer the emulator", actual)
             begin = newest()
             node.spin_until(lambda: newest().logical_time >= begin.logical_time + seconds,
                             2.0 * seconds + PATIENCE)  # fmt: skip
             end = newest()
-    return AnswersInTime(
+    return ProbeResult(
         end.tick - begin.tick,
         end.overruns - begin.overruns,
         end.old_commands - begin.old_commands,

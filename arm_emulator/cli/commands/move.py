@@ -38,7 +38,7 @@ from arm_emulator_msgs.msg import MotionStatus
 PATIENCE = 5.0  # s, wall, to discover a running network
 AHEAD = NANOSECONDS // 4  # of logical time: the target arrives before its stamp
 LATEST = 1e9  # s
-UNDER_WAY = ("accepted", "moving")
+IN_PROGRESS = ("accepted", "moving")
 
 
 @command(keys="`states`, `outcome`, `reason`, `distance`, `angle`")
@@ -72,11 +72,11 @@ def move(
         timeout: wall time to wait for the end.
         namespace: of the network, such as /cell1.
     """
-    given = [name for name, one in (("--to", to), ("--by", by), ("--joints", joints)) if one]
-    if len(given) != 1:
+    options = [name for name, value in (("--to", to), ("--by", by), ("--joints", joints)) if value]
+    if len(options) != 1:
         valid = "--to X Y Z, --by X Y Z, or --joints NAME=ANGLE ..."
-        got = " and ".join(given) or "none"
-        raise Refusal("move", "the target", "be one", got, valid)
+        actual = " and ".join(options) or "none"
+        raise Refusal("move", "the target", "be one", actual, valid)
     if not (math.isfinite(seconds) and seconds > 0.0):
         raise Refusal("move", "--seconds", "be > 0 and finite", seconds)
     if at is not None and not 0.0 < at < LATEST:
@@ -119,8 +119,10 @@ def _watch(
         raise _refuse_no_network(f"a motion controller take {publisher.topic_name}")
     now = _find_logical_time(node)
     if at_ns is not None and at_ns <= now:
-        rule, got = f"be later than logical time, {now / NANOSECONDS:g} s", at_ns / NANOSECONDS
-        raise Refusal("move", "--at", rule, f"{got:g} s", "a network started with --start paused")
+        rule, actual = f"be later than logical time, {now / NANOSECONDS:g} s", at_ns / NANOSECONDS
+        raise Refusal(
+            "move", "--at", rule, f"{actual:g} s", "a network started with --start paused"
+        )
     # The stamp distinguishes it from the targets of others.
     ours = at_ns or now + AHEAD + random.randrange(1, 1000)
     message.header.stamp = to_stamp(ours)
@@ -131,14 +133,16 @@ def _watch(
     def ended() -> bool:
         nonlocal last
         while heard:
-            one = heard.pop(0)
-            state = STATES.get(one.state, f"state {one.state}")
-            if one.kind != kind or to_nanoseconds(one.stamp) != ours or state in states:
+            status = heard.pop(0)
+            state = STATES.get(status.state, f"state {status.state}")
+            if status.kind != kind or to_nanoseconds(status.stamp) != ours or state in states:
                 continue
             states.append(state)
-            last = one
-            output.line(f"{state}{_format_distance(one)}{f': {one.reason}' if one.reason else ''}")
-        return bool(states) and states[-1] not in UNDER_WAY
+            last = status
+            output.line(
+                f"{state}{_format_distance(status)}{f': {status.reason}' if status.reason else ''}"
+            )
+        return bool(states) and states[-1] not in IN_PROGRESS
 
     if not node.spin_until(ended, timeout):
         output.line(f"no end within {timeout:g} s of wall time: {states[-1:] or 'no answer'}")
@@ -157,9 +161,9 @@ def _watch(
 
 def _find_logical_time(node: NetworkClient) -> int:
     """Return logical time by the newest messages [ns]."""
-    known = node.newest
-    stamps = [known["joint_states"].header.stamp] if "joint_states" in known else []
-    stamps += [known["clock"].clock] if "clock" in known else []
+    newest = node.newest
+    stamps = [newest["joint_states"].header.stamp] if "joint_states" in newest else []
+    stamps += [newest["clock"].clock] if "clock" in newest else []
     return max(map(to_nanoseconds, stamps))
 
 
@@ -169,29 +173,29 @@ def _format_distance(status: MotionStatus) -> str:
     return describe_left(status.distance, status.angle)
 
 
-def _parse_angles(given: Sequence[str]) -> dict[str, float]:
+def _parse_angles(options: Sequence[str]) -> dict[str, float]:
     angles = dict[str, float]()
-    for one in given:
-        name, sign, text = one.partition("=")
+    for option in options:
+        name, sign, text = option.partition("=")
         try:
             angles[name] = float(text)
         except ValueError:
             sign = ""
         if not (sign and name and math.isfinite(angles[name])):
-            raise Refusal("move", "--joints", "be NAME=ANGLE, in rad or m", one)
+            raise Refusal("move", "--joints", "be NAME=ANGLE, in rad or m", option)
     return angles
 
 
 def _make_trajectory(now: JointState, angles: dict[str, float], seconds: float) -> JointTrajectory:
     """Return a trajectory of one point: the given joints, and the others at their positions."""
-    known = dict(zip(now.name, now.position, strict=True))
+    positions = dict(zip(now.name, now.position, strict=True))
     for name in angles:
-        if name not in known:
-            raise Refusal("move", "--joints", "name joints", name, ", ".join(known))
-    goal = {**known, **angles}
-    whole, rest = divmod(round(seconds * NANOSECONDS), NANOSECONDS)
+        if name not in positions:
+            raise Refusal("move", "--joints", "name joints", name, ", ".join(positions))
+    goal = {**positions, **angles}
+    full_seconds, rest = divmod(round(seconds * NANOSECONDS), NANOSECONDS)
     point = JointTrajectoryPoint(
-        positions=list(goal.values()), time_from_start=Duration(sec=whole, nanosec=rest)
+        positions=list(goal.values()), time_from_start=Duration(sec=full_seconds, nanosec=rest)
     )
     return JointTrajectory(joint_names=list(goal), points=[point])
 
@@ -219,14 +223,14 @@ def _make_tool_target(
 
 def _compute_tool_pose(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation and position of the motion controller's tool, from the measured angles."""
-    asked = node.create_client(GetParameters, "motion_controller/get_parameters")
+    client = node.create_client(GetParameters, "motion_controller/get_parameters")
 
     def ready() -> bool:
-        return "robot_description" in node.newest and asked.service_is_ready()
+        return "robot_description" in node.newest and client.service_is_ready()
 
     if not node.spin_until(ready, PATIENCE):
         raise _refuse_no_network("robot_description and a motion controller be present")
-    answer = node.ask(asked, GetParameters.Request(names=["tool"]), PATIENCE)
+    answer = node.ask(client, GetParameters.Request(names=["tool"]), PATIENCE)
     if answer is None:
         raise _refuse_no_network("the motion controller answer")
     now = node.newest["joint_states"]
@@ -236,6 +240,6 @@ def _compute_tool_pose(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_no_network(rule: str) -> Refusal:
-    what, _, rest = rule.partition(" ")
+    quantity, _, rest = rule.partition(" ")
     valid = "start it (`arm_emulator up`) in the same ROS_DOMAIN_ID and namespace"
-    return Refusal("move", f"in the network, {what}", rest, f"nothing in {PATIENCE:g} s", valid)
+    return Refusal("move", f"in the network, {quantity}", rest, f"nothing in {PATIENCE:g} s", valid)

@@ -60,17 +60,17 @@ def new(
         ros2_control: compile the scene for ros2_control, too, and write its robot description and
             controllers into the same folder.
     """
-    given = dict[str, str]()
+    values = dict[str, str]()
     for argument in arguments:
         name, sign, value = argument.partition(":=")
         if not sign or not name:
             raise Refusal("new", "argument", "be NAME:=VALUE", argument)
-        given[name] = value
+        values[name] = value
     export = load_command("ros2-control") if ros2_control else None
     if ros2_control and export is None:
         raise missing_package("new", "export")
     written = write_new(
-        robot, out, tool, joints, given, payload=payload, density=density, motor=motor, tree=tree,
+        robot, out, tool, joints, values, payload=payload, density=density, motor=motor, tree=tree,
         force=force, replace_inertias=replace_inertias, trust_inertias=trust_inertias,
         joint_data=joint or (),
     )  # fmt: skip
@@ -89,15 +89,15 @@ def _report(written: NewScene) -> dict[str, Any]:
     report(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
         report(f"chosen   {guess}")
-    for name, held in choice.held.items():
-        report(f"held     {name} at {held.position:g}: {held.reason}")
+    for name, locked in choice.held.items():
+        report(f"held     {name} at {locked.position:g}: {locked.reason}")
     guesses, sources = dict[str, dict[str, float]](), dict[str, None]()
     for drive in written.drives:
-        for what, value in (("torque", drive.peak_torque), ("speed", drive.speed)):
-            how, _, source = drive.notes[what].partition(", ")
+        for quantity, value in (("torque", drive.peak_torque), ("speed", drive.speed)):
+            how, _, source = drive.notes[quantity].partition(", ")
             if how == "guess":
-                guesses.setdefault(drive.joint.name, {})[what] = value
-                report(f"guessed  {drive.joint.name}: {what} {value:.3g}: {source}")
+                guesses.setdefault(drive.joint.name, {})[quantity] = value
+                report(f"guessed  {drive.joint.name}: {quantity} {value:.3g}: {source}")
             elif how == "published":
                 sources[source] = None
     rated = written.tools if any("torque" in of_joint for of_joint in guesses.values()) else []
@@ -114,8 +114,8 @@ def _report(written: NewScene) -> dict[str, Any]:
             f"guessed  all motors, gears, friction, encoders{of_some}: "
             "rules are in the scene's heading"
         )
-    for one in written.assumed:
-        report(f"assumed  body of {one.link}: {one.how}")
+    for body in written.assumed:
+        report(f"assumed  body of {body.link}: {body.how}")
     for overload in written.overloads:
         report(f"weak     {overload}")
     report(f"written  {written.file}, and servo/, motion/, demo/ in its folder")
@@ -123,7 +123,7 @@ def _report(written: NewScene) -> dict[str, Any]:
     return {
         "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
         "held": choice.held, "guessed": guesses, "rated": rated, "sources": list(sources),
-        "assumed": written.assumed, "weak": [str(one) for one in written.overloads],
+        "assumed": written.assumed, "weak": [str(overload) for overload in written.overloads],
     }  # fmt: skip
 
 

@@ -23,16 +23,16 @@ def record(out: Path, /, *, topics: Topics = None, from_start: bool = False) -> 
         from arm_emulator.ros.recording.recorder import Recorded
         from arm_emulator.ros.recording.recorder import record as write
 
-        def report(one: Recorded) -> None:
-            lost = f"; lost: {one.lost}" if one.lost else ""
+        def report(recorded: Recorded) -> None:
+            lost = f"; lost: {recorded.lost}" if recorded.lost else ""
             output.line(
-                f"{out}: {one.messages} messages on {len(one.topics)} topics in "
-                f"{one.seconds:.1f} s{lost}"
+                f"{out}: {recorded.messages} messages on {len(recorded.topics)} topics in "
+                f"{recorded.seconds:.1f} s{lost}"
             )
             output.facts({
-                "bag": out, "messages": one.messages, "topics": one.topics,
-                "seconds": one.seconds, "lost": one.lost or None,
-                **({"refused": str(one.refused)} if one.refused else {}),
+                "bag": out, "messages": recorded.messages, "topics": recorded.topics,
+                "seconds": recorded.seconds, "lost": recorded.lost or None,
+                **({"refused": str(recorded.refused)} if recorded.refused else {}),
             })  # fmt: skip
             output.end()
 

@@ -103,24 +103,24 @@ def _replay_into(bag: Bag, name: str, wait: bool) -> int:
     """Play a bag into a node, and print what it has answered."""
     started = time.monotonic()
     with join_network("replayer", "") as node:
-        answers = CausalReplay(bag, name, node).run(wait, output.line)
+        result = CausalReplay(bag, name, node).run(wait, output.line)
     wall = time.monotonic() - started
-    lost = answers.asked - answers.answered
+    lost = result.asked - result.answered
     output.line(
-        f"{bag.path} into {name}: {answers.answered} answers to {answers.asked} messages in "
+        f"{bag.path} into {name}: {result.answered} answers to {result.asked} messages in "
         f"{wall:.1f} s"
     )
-    other = (
-        f", the first other one at {answers.first_difference}" if answers.first_difference else ""
+    difference = (
+        f", the first other one at {result.first_difference}" if result.first_difference else ""
     )
-    output.line(f"as recorded to the last bit: {answers.alike}{other}")
-    output.line(f"digest of the answers: {answers.digest}")
+    output.line(f"as recorded to the last bit: {result.alike}{difference}")
+    output.line(f"digest of the answers: {result.digest}")
     output.facts({
-        "bag": bag.path, "messages": answers.asked, "answers": answers.answered,
-        "alike": answers.alike, "first_other": answers.first_difference or None,
-        "digest": answers.digest, "seconds": wall, "whole": bag.complete,
+        "bag": bag.path, "messages": result.asked, "answers": result.answered,
+        "alike": result.alike, "first_other": result.first_difference or None,
+        "digest": result.digest, "seconds": wall, "whole": bag.complete,
     })  # fmt: skip
-    at = ", ".join(answers.missing)
+    at = ", ".join(result.missing)
     return output.judge("replay", f"{lost} answers are missing, from {at} on" if lost else "")
 
 
@@ -130,14 +130,14 @@ def offer(recorded: Collection[QoSProfile]) -> QoSProfile:
     A reliable publisher serves best-effort listeners too, and a latching one volatile listeners.
     """
     profile = QoSProfile(depth=DEPTH, history=HistoryPolicy.KEEP_LAST)
-    if any(one.reliability == ReliabilityPolicy.BEST_EFFORT for one in recorded) and not any(
-        one.reliability == ReliabilityPolicy.RELIABLE for one in recorded
-    ):
+    if any(
+        offered.reliability == ReliabilityPolicy.BEST_EFFORT for offered in recorded
+    ) and not any(offered.reliability == ReliabilityPolicy.RELIABLE for offered in recorded):
         profile.reliability = ReliabilityPolicy.BEST_EFFORT
-    if any(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in recorded):
+    if any(offered.durability == DurabilityPolicy.TRANSIENT_LOCAL for offered in recorded):
         profile.durability = DurabilityPolicy.TRANSIENT_LOCAL
     first = next(iter(recorded), None)
-    if first is not None and len({str(one) for one in recorded}) == 1:
+    if first is not None and len({str(offered) for offered in recorded}) == 1:
         profile.deadline, profile.lifespan = first.deadline, first.lifespan
         profile.liveliness = first.liveliness
         profile.liveliness_lease_duration = first.liveliness_lease_duration
@@ -150,8 +150,8 @@ def _choose_topics(bag: Bag, topics: Collection[str] | None) -> list[str]:
     names = [name if name.startswith("/") else f"/{name}" for name in topics]
     for name in names:
         if name not in bag.topics:
-            known = ", ".join(sorted(bag.topics)) or "none"
-            raise Refusal(str(bag.path), "--topics", "be in the bag", name, known)
+            listed = ", ".join(sorted(bag.topics)) or "none"
+            raise Refusal(str(bag.path), "--topics", "be in the bag", name, listed)
     return names
 
 

@@ -16,7 +16,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
-from arm_emulator.base.warning import given, warn
+from arm_emulator.base.warning import issued, warn
 from arm_emulator.cli.command import command
 from arm_emulator.cli.new_bag import check_new_bag
 from arm_emulator.cli.options import Keep, PageAt, SceneName, Seconds, TargetFile
@@ -53,7 +53,7 @@ def run(
     servo: Annotated[Path | None, Parameter(metavar="LIBRARY")] = None,
     page: PageAt = None,
     bag: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
-    kept: Keep = NOTHING,
+    outputs: Keep = NOTHING,
 ) -> int:
     """Run machine, servo and motion controller in one process, in lock-step.
 
@@ -67,39 +67,41 @@ def run(
         page: serve a page with the run afterwards, until Ctrl-C: [HOST:]PORT (0: any that is free).
         bag: new bag with the run, from any moment of which `fork` leads on; needs ROS 2.
     """
-    kept.check("run")
+    outputs.check("run")
     if targets is not None:
         for option, value in (("--displacement", displacement), ("--page", page), ("--bag", bag)):
             if value is not None:
                 raise Refusal("run", option, "stand without --targets", "both")
-        return _run_table(scene, seconds, targets, servo, kept)
+        return _run_table(scene, seconds, targets, servo, outputs)
     if servo is not None:
         raise Refusal("run", "--servo", "come with --targets, a table of joint targets", "none")
     # A missing package is refused before the run.
     serve = None if page is None else find_page_entry("run").load()
     if bag is not None:
         check_new_bag("run", bag)
-    one = load_offline_run(scene)
-    session, kinematics = one.session, one.true_kinematics
+    offline = load_offline_run(scene)
+    session, kinematics = offline.session, offline.true_kinematics
     machine = session.scene
-    warn_of_loops(machine, one.drives.servo.config)
+    warn_of_loops(machine, offline.drives.servo.config)
     ticks = ticks_of(10.0 if seconds is None else seconds, machine)
     move = MoveTool(displacement or NO_VECTOR)
-    target = move.target(one)
-    line = None if page is None and bag is None else Timeline(one)
+    target = move.target(offline)
+    line = None if page is None and bag is None else Timeline(offline)
     if displacement is not None:
-        move(one) if line is None else move.give(line)
-    with Recorder(session.plant, kept, waits=True, stays=True):
+        move(offline) if line is None else move.give(line)
+    with Recorder(session.plant, outputs, waits=True, stays=True):
         started = time.perf_counter()
         try:
-            (line or one).advance(ticks)
+            (line or offline).advance(ticks)
         except Diverged as fault:
             return _report_divergence(fault, session)
         wall = time.perf_counter() - started
         report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
-    missed = find_missed_order(one) if displacement else find_missed_target(session, machine.start)
+    missed = (
+        find_missed_order(offline) if displacement else find_missed_target(session, machine.start)
+    )
     code = output.judge("run", missed)
-    _name_viewer(kept)
+    _name_viewer(outputs)
     if line is not None and bag is not None:
         from arm_emulator.bags.timeline_bag import write_timeline
 
@@ -111,49 +113,49 @@ def run(
 
 
 def _run_table(
-    scene: str, seconds: float | None, table: Path, library: Path | None, kept: RunOutputs
+    scene: str, seconds: float | None, table: Path, library: Path | None, outputs: RunOutputs
 ) -> int:
     """Run for some logical time, or for that of the table, and print the outcome."""
 
     def work(progress: CData | None = None) -> tuple[int, dict[str, object], list[str]]:
-        one, targets = load_table_run(scene, table, library, progress)
+        table_run, targets = load_table_run(scene, table, library, progress)
         if library is None:
-            warn_of_loops(one.session.scene, load_gains(find_scene(scene)).servo)
+            warn_of_loops(table_run.session.scene, load_gains(find_scene(scene)).servo)
         else:
-            warn(*one.session.scene.warnings)
-        with contextlib.closing(one):
-            return _report_table(one, targets, seconds, kept), output.collected, given
+            warn(*table_run.session.scene.warnings)
+        with contextlib.closing(table_run):
+            return _report_table(table_run, targets, seconds, outputs), output.collected, issued
 
     if library is None:
         return work()[0]
-    code, collected, given[:] = run_guarded(library.name, work)  # of another process
+    code, collected, issued[:] = run_guarded(library.name, work)  # of another process
     output.facts(collected)
     return code
 
 
 def _report_table(
-    one: TableRun, targets: TargetTable, seconds: float | None, kept: RunOutputs
+    table_run: TableRun, targets: TargetTable, seconds: float | None, outputs: RunOutputs
 ) -> int:
-    session = one.session
+    session = table_run.session
     ticks = ticks_of((targets.seconds or 10.0) if seconds is None else seconds, session.scene)
-    with Recorder(session.plant, kept, waits=True, stays=True):
+    with Recorder(session.plant, outputs, waits=True, stays=True):
         started = time.perf_counter()
         try:
             with ctrl_c_ends_at_once():
-                one.advance(ticks)
+                table_run.advance(ticks)
         except Diverged as fault:
             return _report_divergence(fault, session)
         wall = time.perf_counter() - started
-        wanted = find_last_target(session.scene, targets, ticks)
-        report(session, ticks, wall, compute_tool_error(session, wanted))
-    _name_viewer(kept)
-    return output.judge("run", find_missed_target(session, wanted))
+        q_target = find_last_target(session.scene, targets, ticks)
+        report(session, ticks, wall, compute_tool_error(session, q_target))
+    _name_viewer(outputs)
+    return output.judge("run", find_missed_target(session, q_target))
 
 
-def _name_viewer(kept: RunOutputs) -> None:
+def _name_viewer(outputs: RunOutputs) -> None:
     """Print the command that shows the recording of Rerun, where one was written."""
-    if kept.rerun is not None and not kept.is_port:
-        output.line(f"moving arm        {get_viewer_command(str(kept.rerun))}")
+    if outputs.rerun is not None and not outputs.is_port:
+        output.line(f"moving arm        {get_viewer_command(str(outputs.rerun))}")
 
 
 def _report_divergence(fault: Diverged, session: Session) -> int:

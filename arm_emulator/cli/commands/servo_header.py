@@ -87,8 +87,8 @@ def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConf
     Raises:
         Refusal: numbers of a data sheet are out of range.
     """
-    known = {joint.name: joint for joint in config.joints}
-    joints = tuple(known[name] for name in joint_names)
+    by_name = {joint.name: joint for joint in config.joints}
+    joints = tuple(by_name[name] for name in joint_names)
     rows = servo_numbers(joints, config.period, config.supply_voltage).tolist()
     fields = SERVO.dtype("servo_joint").names or ()
     names = ", ".join(escape_c_string(name) for name in joint_names)

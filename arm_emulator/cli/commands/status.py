@@ -52,7 +52,9 @@ def status(
     prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
 
     def take(array: DiagnosticArray) -> None:
-        health.update({one.name.removeprefix(prefix): one for one in array.status})
+        health.update(
+            {diagnostic.name.removeprefix(prefix): diagnostic for diagnostic in array.status}
+        )
 
     sent_at = {"reset": 0, "target": 0}  # of the newest messages, wall time [ns]
 
@@ -72,8 +74,8 @@ def status(
         node.create_subscription(MotionStatus, "motion/status", statuses, EVENT_QOS)
         node.listen("emulator/status", EmulatorStatus, STATE_SUB_QOS)
         node.listen("joint_states", JointState, STATE_SUB_QOS)
-        wanted = {"emulator/status", "joint_states"}
-        node.spin_until(lambda: wanted <= set(node.newest) and set(NODES) <= set(health), timeout)
+        topics = {"emulator/status", "joint_states"}
+        node.spin_until(lambda: topics <= set(node.newest) and set(NODES) <= set(health), timeout)
         # A network without a target publishes no status.
         # Of a network with targets, the kept statuses arrive one after the other.
         if node.spin_until(lambda: "motion/status" in node.newest, min(timeout, TARGET_WITHIN)):
@@ -110,9 +112,9 @@ def status(
         output.line(f"newest target      {facts['target']['state']}{reason}{when}")
     bad = 0
     for name in NODES:
-        one = health.get(name)
-        level = _level(one) if one else "other" if others[name] else "missing"
-        words = _words(one) if one else ", ".join(others[name])
+        diagnostic = health.get(name)
+        level = _level(diagnostic) if diagnostic else "other" if others[name] else "missing"
+        words = _words(diagnostic) if diagnostic else ", ".join(others[name])
         facts["nodes"][name] = {"level": level, "message": words}
         bad += level not in ("ok", "other")
         output.line(f"{name:<18} {level}{f': {words}' if words else ''}")
@@ -124,29 +126,28 @@ def status(
 
 def _others(node: NetworkClient, topic: str) -> list[str]:
     """Return the nodes that publish a topic."""
-    found: list[Any] = []
+    endpoints: list[Any] = []
 
     def all_named() -> bool:
-        found[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-        return all(has_name(one.node_name) for one in found)
+        endpoints[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+        return all(has_name(endpoint.node_name) for endpoint in endpoints)
 
     # The middleware finds a publisher before it knows of which node it is.
     node.spin_until(all_named, NAMED_WITHIN)
-    names = {get_full_name(one) for one in found}
+    names = {get_full_name(endpoint) for endpoint in endpoints}
     return sorted(f"node {name}" for name in names)
 
 
-def _words(one: DiagnosticStatus) -> str:
+def _words(health: DiagnosticStatus) -> str:
     """Return the health of a node in words, with the newest input that it has refused."""
-    values = {pair.key: pair.value for pair in one.values}
+    values = {pair.key: pair.value for pair in health.values}
     refused = sum(int(v) for k, v in values.items() if k.startswith("refused ") and v.isdecimal())
     if not refused:
-        return str(one.message)
-    return (
-        f"{one.message}; refused so far: {refused}, the newest {values.get('newest refusal', '')}"
-    )
+        return str(health.message)
+    newest = values.get("newest refusal", "")
+    return f"{health.message}; refused so far: {refused}, the newest {newest}"
 
 
-def _level(one: DiagnosticStatus) -> str:
+def _level(health: DiagnosticStatus) -> str:
     levels = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning"}
-    return levels.get(one.level, "error")
+    return levels.get(health.level, "error")

@@ -23,15 +23,20 @@ def tcp(
     listen: Annotated[str, Parameter(metavar="[HOST:]PORT")] = "127.0.0.1:50780",
     clock: Clock = "lockstep",
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    outputs: Keep = NOTHING,
 ) -> int:
     """Serve clients by TCP, one after the other, until Ctrl-C.
 
     Args:
         listen: address that clients connect to.
     """
-    kept.check("tcp")
+    outputs.check("tcp")
     host, port = parse_address("tcp", "--listen", listen)
     return serve_clients(
-        "tcp", load_scene(scene), clock, kept, page, lambda one: TcpServer(one, host, port)
+        "tcp",
+        load_scene(scene),
+        clock,
+        outputs,
+        page,
+        lambda on: TcpServer(on, host, port),
     )

@@ -117,12 +117,12 @@ def _print(
     pair: Mapping[str, Tuned],
 ) -> None:
     def gains(label: str, j: int) -> Iterator[str]:
-        one = pair[label].loops.joints[j]
+        servo_joint = pair[label].loops.joints[j]
         yield f"{inertias[j][0]:.3g} .. {inertias[j][1]:.3g}" if label == "present" else ""
-        yield f"{one.position_gain:.3g}"
-        yield f"{one.velocity_gain:.3g}"
-        yield f"{one.integral_time:.3g}"
-        yield f"{one.observer_bandwidth:.3g}"
+        yield f"{servo_joint.position_gain:.3g}"
+        yield f"{servo_joint.velocity_gain:.3g}"
+        yield f"{servo_joint.integral_time:.3g}"
+        yield f"{servo_joint.observer_bandwidth:.3g}"
 
     def margins(label: str, j: int) -> Iterator[str]:
         m, bare = pair[label].margins[j], pair[label].bare
@@ -179,9 +179,9 @@ def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
         loop = tuned.loops.loops[0]
         w, S = loop.sensitivities()
         for j, name in enumerate(scene.joint_names):
-            colour, shown = f"C{j}", name if label == "computed" else None
+            colour, legend = f"C{j}", name if label == "computed" else None
             q = loop.step(j, ROWS, every)[:, j]
-            left.plot(1e3 * period * every * np.arange(ROWS), q, line, color=colour, label=shown)
+            left.plot(1e3 * period * every * np.arange(ROWS), q, line, color=colour, label=legend)
             frequency = w / (2.0 * math.pi * period)
             middle.loglog(frequency, np.abs(S[:, j]), line, color=colour)
             t = period * np.arange(len(tuned.run.off))

@@ -31,7 +31,7 @@ def udp(
     clock: Clock = "lockstep",
     header: bool = False,
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    outputs: Keep = NOTHING,
 ) -> int:
     """Serve clients by UDP until Ctrl-C.
 
@@ -39,7 +39,7 @@ def udp(
         listen: address that commands are sent to.
         header: print the datagrams as structs of C, and end.
     """
-    kept.check("udp")
+    outputs.check("udp")
     host, port = parse_address("udp", "--listen", listen)
     machine = load_scene(scene)
     layout = Datagrams(machine)
@@ -49,6 +49,6 @@ def udp(
         output.facts({"header": text})
         return 0
     return serve_clients(
-        "udp", machine, clock, kept, page, lambda one: UdpServer(one, host, port),
+        "udp", machine, clock, outputs, page, lambda session: UdpServer(session, host, port),
         layout=layout.layout, command=layout.command.descr, measurement=layout.measurement.descr,
     )  # fmt: skip

@@ -23,15 +23,15 @@ def unix_socket(
     listen: Annotated[Path, Parameter(metavar="FILE")] = Path("arm.sock"),
     clock: Clock = "lockstep",
     page: PageAt = None,
-    kept: Keep = NOTHING,
+    outputs: Keep = NOTHING,
 ) -> int:
     """Serve clients by a Unix socket, one after the other, until Ctrl-C.
 
     Args:
         listen: file that clients connect to.
     """
-    kept.check("unix-socket")
+    outputs.check("unix-socket")
     return serve_clients(
-        "unix-socket", load_scene(scene), clock, kept, page,
-        lambda one: UnixSocketServer(one, listen),
+        "unix-socket", load_scene(scene), clock, outputs, page,
+        lambda session: UnixSocketServer(session, listen),
     )  # fmt: skip

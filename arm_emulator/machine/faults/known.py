@@ -14,8 +14,8 @@ from arm_emulator.machine.parts.registry import list_kinds
 
 
 def _list_declared() -> Iterator[Fault]:
-    for one in pkgutil.iter_modules(faults.__path__):
-        module = importlib.import_module(f"{faults.__name__}.{one.name}")
+    for info in pkgutil.iter_modules(faults.__path__):
+        module = importlib.import_module(f"{faults.__name__}.{info.name}")
         yield from getattr(module, "FAULTS", ())
     for kind in list_kinds(Part):
         yield from kind.faults()
@@ -23,11 +23,11 @@ def _list_declared() -> Iterator[Fault]:
 
 def _list_kinds() -> tuple[Fault, ...]:
     """Return all kinds, by their names."""
-    found: dict[str, Fault] = {}
-    for one in _list_declared():
-        if found.setdefault(one.name, one) != one:
-            raise Refusal("faults", f"fault {one.name}", "have one meaning", one.text)
-    return tuple(sorted(found.values(), key=lambda one: one.name))
+    by_name: dict[str, Fault] = {}
+    for fault in _list_declared():
+        if by_name.setdefault(fault.name, fault) != fault:
+            raise Refusal("faults", f"fault {fault.name}", "have one meaning", fault.text)
+    return tuple(sorted(by_name.values(), key=lambda fault: fault.name))
 
 
 FAULTS = _list_kinds()

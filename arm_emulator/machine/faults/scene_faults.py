@@ -49,7 +49,7 @@ def list_scene_faults(
         numbers: all numbers that can be changed, by their places in the scene; None: left out.
         varied: places of numbers that get other values while the machine runs.
     """
-    found = {}
+    faults_by_name = {}
     for kind in kinds:
         for owner in owners.get(kind.of, ("",)):
             of = f"{kind.of}.{owner}." if kind.of else ""
@@ -61,14 +61,16 @@ def list_scene_faults(
                 if value is not None:
                     changes[place] = Change(of + place, value, expression)
             acts = any(
-                one.number in varied or kind.changes(one.value, place)
-                for place, one in changes.items()
+                change.number in varied or kind.changes(change.value, place)
+                for place, change in changes.items()
             )
             if acts and of + kind.needs in {of, *numbers}:
                 name = f"{owner}.{kind.name}" if owner else kind.name
                 number = replace(kind.magnitude, name=f"faults.{name}", text=kind.text)
-                found[name] = SceneFault(kind, Varied(number, 0.0), tuple(changes.values()))
-    return found
+                faults_by_name[name] = SceneFault(
+                    kind, Varied(number, 0.0), tuple(changes.values())
+                )
+    return faults_by_name
 
 
 def put_faults(faults: Iterable[SceneFault], places: dict[str, str]) -> None:

@@ -50,15 +50,15 @@ class Fault:
         return {place.rpartition(".")[0] for place in self.sets}
 
 
-def bound_share(default: float = 1.0, at_most: float = 1.0) -> Number:
+def bound_share(default: float = 1.0, maximum: float = 1.0) -> Number:
     """Return a magnitude that is a share of the sound number."""
-    return Number("magnitude", "1", at_least=0.0, at_most=at_most, default=default)
+    return Number("magnitude", "1", at_least=0.0, at_most=maximum, default=default)
 
 
-def bound_rise(unit: str, default: float, at_most: float, *, signed: bool = False) -> Number:
+def bound_rise(unit: str, default: float, maximum: float, *, signed: bool = False) -> Number:
     """Return a magnitude that is added to a number."""
-    least = -at_most if signed else 0.0
-    return Number("magnitude", unit, at_least=least, at_most=at_most, default=default)
+    minimum = -maximum if signed else 0.0
+    return Number("magnitude", unit, at_least=minimum, at_most=maximum, default=default)
 
 
 RISES = "{x} + {m}"

@@ -20,14 +20,14 @@ KeyedPart = TypeVar("KeyedPart", bound=Gear | Friction)
 AnyFriction = TypeVar("AnyFriction", bound=Friction)
 
 # The first is meant where a scene gives no `motor.kind`.
-MOTORS = tuple(sorted(list_kinds(Motor), key=lambda one: not one.is_default))
+MOTORS = tuple(sorted(list_kinds(Motor), key=lambda kind: not kind.is_default))
 
 # Those that our servo drives, so that an arm can be sized with them.
 SIZED_MOTORS = tuple(motor for motor in MOTORS if motor.rules)
 
 
 def _select_by_keys(kinds: Iterable[type[KeyedPart]]) -> tuple[type[KeyedPart], ...]:
-    return tuple(sorted(kinds, key=lambda one: (-len(one.named_by), one.__module__)))
+    return tuple(sorted(kinds, key=lambda kind: (-len(kind.named_by), kind.__module__)))
 
 
 # A gear is the first of these whose keys it has all.
@@ -41,19 +41,19 @@ LINK_FRICTIONS = _select_by_keys(list_kinds(LinkFriction))
 ROTOR_FRICTIONS = _select_by_keys(list_kinds(OfRotor))
 
 # Parts with an optional section of their own.
-EXTRAS = tuple(sorted(list_kinds(JointEffect), key=lambda one: one.rank))
+EXTRAS = tuple(sorted(list_kinds(JointEffect), key=lambda kind: kind.rank))
 
 # Decorators around a motor, innermost first.
-_DECORATORS = sorted(list_kinds(DriveStage), key=lambda one: one.layer)
-DECORATORS = tuple(one for one in _DECORATORS if not one.around_kind)
+_DECORATORS = sorted(list_kinds(DriveStage), key=lambda kind: kind.layer)
+DECORATORS = tuple(kind for kind in _DECORATORS if not kind.around_kind)
 
 # Those for motors of one kind, in the place of another.
-_OF_ONE_MOTOR = tuple(one for one in _DECORATORS if one.around_kind)
+_OF_SINGLE_MOTOR = tuple(kind for kind in _DECORATORS if kind.around_kind)
 
 PARTS: tuple[type[Part], ...] = (
     *MOTORS,
     *DECORATORS,
-    *_OF_ONE_MOTOR,
+    *_OF_SINGLE_MOTOR,
     *GEARS,
     *GEAR_STAGES,
     *LINK_FRICTIONS,
@@ -76,8 +76,12 @@ def read_motor(section: Section) -> Motor:
 
 def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
     """Return the decorators of a motor's section, innermost first."""
-    given = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
-    return tuple(kind.of(motor).read(one) for kind, one in given if one is not None)
+    sections = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
+    return tuple(
+        kind.of(motor).read(part_section)
+        for kind, part_section in sections
+        if part_section is not None
+    )
 
 
 def read_gear(section: Section) -> Gear:
@@ -94,8 +98,8 @@ def read_gear(section: Section) -> Gear:
 
 def read_gear_stages(joint: Section) -> tuple[GearStage, ...]:
     """Return the parts within the gear of a joint."""
-    given = ((kind, joint.below(kind.section)) for kind in GEAR_STAGES)
-    return tuple(kind.read(section) for kind, section in given if section is not None)
+    sections = ((kind, joint.below(kind.section)) for kind in GEAR_STAGES)
+    return tuple(kind.read(section) for kind, section in sections if section is not None)
 
 
 def find_gear(**numbers: float) -> Gear:
@@ -105,17 +109,17 @@ def find_gear(**numbers: float) -> Gear:
 
 def link_friction_of(**numbers: float) -> LinkFriction:
     """Return the friction of a link that has these numbers."""
-    return next(one for one in LINK_FRICTIONS if set(one.named_by) <= set(numbers))(**numbers)
+    return next(kind for kind in LINK_FRICTIONS if set(kind.named_by) <= set(numbers))(**numbers)
 
 
 def rotor_friction_of(**numbers: float) -> OfRotor:
     """Return the friction of a rotor that has these numbers."""
-    return next(one for one in ROTOR_FRICTIONS if set(one.named_by) <= set(numbers))(**numbers)
+    return next(kind for kind in ROTOR_FRICTIONS if set(kind.named_by) <= set(numbers))(**numbers)
 
 
 def read_friction(section: Section, kinds: Sequence[type[AnyFriction]]) -> AnyFriction:
     """Return the friction that a section describes, of a link or of a rotor."""
-    return next(one for one in kinds if one.is_named_in(section)).read(section)
+    return next(kind for kind in kinds if kind.is_named_in(section)).read(section)
 
 
 def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[JointEffect, ...]:
@@ -125,10 +129,10 @@ def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Joi
         joint: the section of the joint.
         limits: of the joint in the URDF [rad or m], if it has any.
     """
-    found = []
+    effects = []
     for kind in EXTRAS:
         section = joint.below(kind.section)
         if section is not None:
             kind.put_limits(section, limits)
-            found.append(kind.read(section))
-    return tuple(found)
+            effects.append(kind.read(section))
+    return tuple(effects)

@@ -14,13 +14,13 @@ COMMANDED = ("command_", "silent")  # numbers that change no joint without a mot
 
 
 def _declare_probability(symbol: str) -> float | None:
-    found: float | None = number(symbol, "1", ends=(0.0, 1.0), default=None)
-    return found
+    declared: float | None = number(symbol, "1", ends=(0.0, 1.0), default=None)
+    return declared
 
 
 def _declare_lateness(symbol: str) -> float | None:
-    found: float | None = number(symbol, "servo periods", ends=(0.0, LATEST), default=None)
-    return found
+    declared: float | None = number(symbol, "servo periods", ends=(0.0, LATEST), default=None)
+    return declared
 
 
 @register_part
@@ -53,24 +53,24 @@ class Line(Part):
             return Fault(name, text, sets=sets, magnitude=size, absent=0.0)
 
         late = Number("magnitude", "servo periods", at_least=0.0, at_most=LATEST, default=3.0)
-        ways = (
-            one
-            for way, receiver in (("command", "the drive"), ("measurement", "the controller"))
-            for one in (
-                kind(f"{way}_late", f"{receiver} receives each {way} whole periods late",
-                     f"{way}_late", late, RISES),
-                kind(f"{way}_lost", f"{way}s are lost with a probability, and the one before "
-                     "stands", f"{way}_lost", bound_share(0.3)),
-                kind(f"{way}_repeated", f"the {way} before comes once more, behind the newest",
-                     f"{way}_repeated", bound_share(0.3)),
-                kind(f"{way}_overtaken", f"{way}s come a period later, behind the one that follows",
-                     f"{way}_overtaken", bound_share(0.3)),
-                kind(f"{way}_corrupted", f"a bit of a {way} is received wrong",
-                     f"{way}_corrupted", bound_share(0.1)),
+        faults = (
+            fault
+            for flow, receiver in (("command", "the drive"), ("measurement", "the controller"))
+            for fault in (
+                kind(f"{flow}_late", f"{receiver} receives each {flow} whole periods late",
+                     f"{flow}_late", late, RISES),
+                kind(f"{flow}_lost", f"{flow}s are lost with a probability, and the one before "
+                     "stands", f"{flow}_lost", bound_share(0.3)),
+                kind(f"{flow}_repeated", f"the {flow} before comes once more, behind the newest",
+                     f"{flow}_repeated", bound_share(0.3)),
+                kind(f"{flow}_overtaken", f"{flow}s come a period later, behind the one that "
+                     "follows", f"{flow}_overtaken", bound_share(0.3)),
+                kind(f"{flow}_corrupted", f"a bit of a {flow} is received wrong",
+                     f"{flow}_corrupted", bound_share(0.1)),
             )
         )  # fmt: skip
         return (
-            *ways,
+            *faults,
             kind("controller_frozen", "the controller stops, and its last command stands",
                  "command_lost", bound_share()),
             kind("controller_restarts", "no command comes, and the drive is disabled", "silent",

@@ -130,11 +130,11 @@ class Part(Declared):
     def read_numbers(cls, section: Section) -> dict[str, Any]:
         """Return the values of the declared numbers by key."""
         values: dict[str, Any] = {}
-        for key, one in cls.numbers().items():
-            if one.follows is not None:
-                leader = values[one.follows]
-                one = dataclasses.replace(one, default=leader, at_least=leader)
-            values[key] = section.number(one)
+        for key, number in cls.numbers().items():
+            if number.follows is not None:
+                reference = values[number.follows]
+                number = dataclasses.replace(number, default=reference, at_least=reference)
+            values[key] = section.number(number)
         return values
 
     def check(self, section: Section) -> None:
@@ -158,11 +158,11 @@ class Part(Declared):
 
     def with_numbers(self, **values: float) -> Self:
         """Return the part with other numbers; those that follow one keep their ratio to it."""
-        for key, one in self.numbers().items():
-            if one.follows in values and key not in values:
-                leader = getattr(self, one.follows)
-                ratio = getattr(self, key) / leader if leader > 0.0 else 1.0
-                values[key] = ratio * values[one.follows]
+        for key, number in self.numbers().items():
+            if number.follows in values and key not in values:
+                reference = getattr(self, number.follows)
+                ratio = getattr(self, key) / reference if reference > 0.0 else 1.0
+                values[key] = ratio * values[number.follows]
         return dataclasses.replace(self, **values)
 
     def list_variable_numbers(self, joint: str) -> list[Varied]:
@@ -178,8 +178,8 @@ class Part(Declared):
         """Return the numbers that may be data of each machine, by key; None: it is left out."""
         return {
             key: getattr(self, key)
-            for key, one in self.numbers().items()
-            if one.varied and not one.whole and one.follows is None
+            for key, number in self.numbers().items()
+            if number.varied and not number.whole and number.follows is None
         }
 
     def list_fault_numbers(self) -> dict[str, float | None]:
@@ -210,18 +210,18 @@ class Part(Declared):
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
         """Return the members of the C++ part and their values, in C++'s order."""
         members = []
-        for key, one in self.numbers().items():
+        for key, number in self.numbers().items():
             value = getattr(self, key)
-            place = places.get(f"{self.owners}.{joint}.{self.section}.{one.follows or key}")
-            if value is None and (place is None or one.follows is not None):
+            place = places.get(f"{self.owners}.{joint}.{self.section}.{number.follows or key}")
+            if value is None and (place is None or number.follows is not None):
                 continue
             if place is None:
                 text = cxx_literals.format_number(value)
-            elif one.follows is None:
+            elif number.follows is None:
                 text = place
             else:
-                leader = getattr(self, one.follows)
-                ratio = value / leader if leader > 0.0 else 1.0
+                reference = getattr(self, number.follows)
+                ratio = value / reference if reference > 0.0 else 1.0
                 text = f"{cxx_literals.format_number(ratio)} * {place}"
-            members.append((one.symbol, text))
+            members.append((number.symbol, text))
         return members

@@ -15,5 +15,5 @@ register_part = _PARTS.register
 
 def list_kinds(base: type[Kind]) -> list[type[Kind]]:
     """Return the registered parts that inherit a class or are it, by their sections."""
-    found = [kind for kind in _PARTS.kinds().values() if issubclass(kind, base)]
-    return sorted(found, key=lambda kind: kind.section)
+    kinds = [kind for kind in _PARTS.kinds().values() if issubclass(kind, base)]
+    return sorted(kinds, key=lambda kind: kind.section)

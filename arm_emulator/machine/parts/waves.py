@@ -10,7 +10,7 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.parts.key import Key
 
-MOST = 16  # waves of a shaft
+MAX_WAVES = 16  # waves of a shaft
 _ORDER = Number("order", above=0.0, at_most=1e5)
 _PHASE = Number.within("phase", "rad", 1e4)
 
@@ -20,7 +20,7 @@ Wave = tuple[float, float, float]
 
 def declare_waves(name: str, unit: str, rule: str, text: str) -> Key:
     """Return the key of a list of waves; `rule`: of its amplitudes."""
-    lists = f"up to {MOST} lists `[k, a]` or `[k, a, phi]`: k > 0, ≤ 1e5; {rule}; phi ±1e4 rad"
+    lists = f"up to {MAX_WAVES} lists `[k, a]` or `[k, a, phi]`: k > 0, ≤ 1e5; {rule}; phi ±1e4 rad"
     return Key(name, unit=unit, range=lists, absent="`[]`", text=text)
 
 
@@ -31,8 +31,8 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
         Refusal: no list of waves, or numbers out of their range.
     """
     entries = section.entries(key)
-    if len(entries) > MOST:
-        raise section.refusal(key, f"have at most {MOST} waves", len(entries))
+    if len(entries) > MAX_WAVES:
+        raise section.refusal(key, f"have at most {MAX_WAVES} waves", len(entries))
     waves = []
     for entry in entries:
         if not isinstance(entry, list) or len(entry) not in (2, 3):
@@ -40,10 +40,10 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
             raise section.refusal(key, rule, repr(entry))
         numbers = [*entry, 0.0][:3]
         declared = (_ORDER, Number.within("amplitude", unit, 1e3), _PHASE)
-        for one, value in zip(declared, numbers, strict=True):
-            if not one.holds(value):
+        for number, value in zip(declared, numbers, strict=True):
+            if not number.holds(value):
                 raise section.refusal(
-                    key, f"list waves whose {one.name} is a {one.range}", repr(entry)
+                    key, f"list waves whose {number.name} is a {number.range}", repr(entry)
                 )
         waves.append((float(numbers[0]), float(numbers[1]), float(numbers[2])))
     return tuple(waves)
@@ -67,5 +67,5 @@ def compute_wave_slope(waves: tuple[Wave, ...], angle: Array) -> Array:
 
 def write_waves(waves: tuple[Wave, ...]) -> str:
     """Return waves in C++."""
-    numbers = ("{" + ", ".join(map(cxx_literals.format_number, one)) + "}" for one in waves)
+    numbers = ("{" + ", ".join(map(cxx_literals.format_number, wave)) + "}" for wave in waves)
     return "{{" + ", ".join(numbers) + "}}"

@@ -18,7 +18,11 @@ def build_facts(plant: Plant) -> dict[str, str]:
     """Return the facts of a machine's compiled code, by their names."""
     unit = build_machine_unit(plant.scene)
     library = Path(plant.core.file).read_bytes()
-    named = [found[0].decode().strip() for one in _COMPILERS if (found := re.search(one, library))]
+    named = [
+        match[0].decode().strip()
+        for pattern in _COMPILERS
+        if (match := re.search(pattern, library))
+    ]
     return {
         COMPILED_BY: named[0] if named else "unknown",
         COMPILED_WITH: " ".join(unit.flags),
@@ -27,18 +31,18 @@ def build_facts(plant: Plant) -> dict[str, str]:
 
 
 def list_differing_builds(
-    names: tuple[str, str], one: dict[str, str], other: dict[str, str]
+    names: tuple[str, str], left: dict[str, str], right: dict[str, str]
 ) -> list[str]:
     """Return how two builds differ, a sentence each; facts that one lacks are left out.
 
     Args:
         names: of both sides.
-        one: facts of the first, see `build_facts`.
-        other: of the second.
+        left: facts of the first, see `build_facts`.
+        right: of the second.
     """
     sentences = []
     for fact in (COMPILED_BY, COMPILED_WITH, COMPILED_FROM):
-        a, b = one.get(fact), other.get(fact)
+        a, b = left.get(fact), right.get(fact)
         if a is None or b is None or a == b:
             continue
         if fact == COMPILED_WITH:
@@ -47,12 +51,12 @@ def list_differing_builds(
     return sentences
 
 
-def _list_missing(one: str, other: str) -> str:
+def _list_missing(left_flags: str, right_flags: str) -> str:
     """Return the flags that only the first has; in another order, all."""
-    left = list(one.split())
-    for flag in other.split():
+    left = list(left_flags.split())
+    for flag in right_flags.split():
         if flag in left:
             left.remove(flag)
-    if not left and sorted(one.split()) == sorted(other.split()):
-        return one
+    if not left and sorted(left_flags.split()) == sorted(right_flags.split()):
+        return left_flags
     return " ".join(left) or "no further flag"

@@ -21,16 +21,16 @@ PIECE = 2**20  # steps after which a long call checks for Ctrl-C
 Commands = ArrayLike | Mapping[str, ArrayLike]
 
 
-def order_by_joint(given: object, scene: Scene, where: str) -> object:
+def order_by_joint(values: object, scene: Scene, where: str) -> object:
     """Return values given by joint names as columns, base to tool; all else unchanged.
 
     Raises:
         Refusal: other names than those of all joints.
     """
-    if not isinstance(given, Mapping):
-        return given
-    check_joint_names(where, given, scene.joint_names)
-    return [given[name] for name in scene.joint_names]
+    if not isinstance(values, Mapping):
+        return values
+    check_joint_names(where, values, scene.joint_names)
+    return [values[name] for name in scene.joint_names]
 
 
 def build_refusal(
@@ -48,8 +48,8 @@ def build_refusal(
     why = ARM.new("arm_refusal")
     core.arm_why(machine, why)
     joint = f" of {scene.joint_names[why.joint]}" if why.joint >= 0 else ""
-    got = why.got if why.joint >= 0 else otherwise
-    return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), got)
+    actual = why.got if why.joint >= 0 else otherwise
+    return Refusal(where, f"{text(why.quantity)}{joint}", text(why.rule), actual)
 
 
 def make_truth(**places: NDArray[Any]) -> CData:

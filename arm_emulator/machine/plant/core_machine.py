@@ -70,7 +70,7 @@ class CoreMachine(Synchronized):
         self.bounds = bound_state(scene)
 
     def _new(self) -> CData:
-        values = np.array([one.value for one in self.scene.varied], np.float64)
+        values = np.array([number.value for number in self.scene.varied], np.float64)
         return self.core.arm_new(make_options(self.scene, values))
 
     def __del__(self) -> None:
@@ -108,7 +108,7 @@ class CoreMachine(Synchronized):
     @synchronized
     def parameters(self) -> dict[str, float]:
         """The numbers that the scene lists as varied, by name, with this machine's values."""
-        return {one.name: self._parameter(one.name) for one in self.scene.varied}
+        return {number.name: self._parameter(number.name) for number in self.scene.varied}
 
     @synchronized
     def set_parameter(self, name: str, value: float) -> None:
@@ -118,8 +118,8 @@ class CoreMachine(Synchronized):
             Refusal: the scene does not list it as varied, or a value out of its range.
         """
         where = "Plant.set_parameter"
-        one = find_varied(self.scene.varied, name, where)
-        taken = one.number.take(where, value)
+        number = find_varied(self.scene.varied, name, where)
+        taken = number.number.take(where, value)
         if self.core.arm_set_parameter(self.machine, name.encode(), taken) == REFUSED:
             raise self._refusal(where, "another value")
 
@@ -145,8 +145,8 @@ class CoreMachine(Synchronized):
         where = "Plant.set_external_wrench"
         place, wrench = move_to_moving_link(self.scene, where, link, wrench)
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
-        one = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
-        if self.core.arm_set_external_wrench(self.machine, place, one) == REFUSED:
+        raw = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
+        if self.core.arm_set_external_wrench(self.machine, place, raw) == REFUSED:
             raise self._refusal(where, "another one")
 
     @property
@@ -156,10 +156,10 @@ class CoreMachine(Synchronized):
         wrenches = {}
         for place, moved in enumerate(self.scene.chain.links):
             if self.scene.external_wrench:
-                one = ARM.new("arm_wrench")
-                self.core.arm_get_external_wrench(self.machine, place, one)
-                force, moment, point = map(tuple, (one.force, one.moment, one.point))
-                wrenches[moved.link] = ExternalWrench(force, moment, point, AXES[one.axes])
+                raw = ARM.new("arm_wrench")
+                self.core.arm_get_external_wrench(self.machine, place, raw)
+                force, moment, point = map(tuple, (raw.force, raw.moment, raw.point))
+                wrenches[moved.link] = ExternalWrench(force, moment, point, AXES[raw.axes])
         return wrenches
 
     @synchronized
@@ -303,11 +303,11 @@ class LinearDrive(ArrayEquality):
     motor_angle: Array  # (n + 3,), rad
 
     @classmethod
-    def of(cls, row: Array, most: int) -> LinearDrive:
-        """Return the drive from a row of ``arm_linear_drives``, with places for `most` states."""
-        n, D, rows = int(row[0]), row[2 : 2 + most], row[2 + most :].reshape(most + 3, most + 3)
-        rows = rows[:, [*range(n), most, most + 1, most + 2]]
-        G, current, motor_angle = rows[most:]
+    def of(cls, row: Array, size: int) -> LinearDrive:
+        """Return the drive from a row of ``arm_linear_drives``, with places for `size` states."""
+        n, D, rows = int(row[0]), row[2 : 2 + size], row[2 + size :].reshape(size + 3, size + 3)
+        rows = rows[:, [*range(n), size, size + 1, size + 2]]
+        G, current, motor_angle = rows[size:]
         return cls(D[:n], rows[:n], G, float(row[1]), current, motor_angle)
 
 

@@ -68,7 +68,7 @@ def move_to_moving_link(
         )
     )  # fmt: skip
     if wrench.axes == "link" and not (wrench.force is NONE and wrench.moment is NONE):
-        force, moment = (apply_matrix(frame.R, one) + 0.0 for one in (force, moment))
+        force, moment = (apply_matrix(frame.R, vector) + 0.0 for vector in (force, moment))
     if wrench.point is not NONE:
         point = apply_matrix(frame.R, point)
     point = point + frame.p
@@ -92,8 +92,8 @@ def _check_vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int
 
 
 def _find_frame(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
-    for place, one in enumerate(scene.chain.links):
-        if isinstance(link, str) and link in one.links:
-            return place, one.links[link]
-    known = [name for link in scene.chain.links for name in link.links]
-    raise Refusal(where, "link", "be one that moves", link, ", ".join(known))
+    for place, carrier in enumerate(scene.chain.links):
+        if isinstance(link, str) and link in carrier.links:
+            return place, carrier.links[link]
+    names = [name for link in scene.chain.links for name in link.links]
+    raise Refusal(where, "link", "be one that moves", link, ", ".join(names))

@@ -55,19 +55,21 @@ class FormulaRows:
         """Return the row of an input, by its place among those that the caller measures."""
         return self._row("INPUT", place)
 
-    def of(self, what: Expression) -> int:
+    def of(self, expression: Expression) -> int:
         """Return the row of arithmetic."""
-        return fold(what, self._row_of_part)
+        return fold(expression, self._row_of_part)
 
-    def of_formula(self, what: Formula) -> int:
+    def of_formula(self, formula: Formula) -> int:
         """Return the row of the truth value of a formula at one instant, without windows."""
-        assert not isinstance(what, Window), "a window is no row"
-        if isinstance(what, Margin):
-            return self._row("ABOVE" if what.strict else "AT_LEAST", *map(self.of, what.sides))
-        parts = [self.of_formula(part) for part in what.of]
-        if what.sign == "not":
+        assert not isinstance(formula, Window), "a window is no row"
+        if isinstance(formula, Margin):
+            return self._row(
+                "ABOVE" if formula.strict else "AT_LEAST", *map(self.of, formula.sides)
+            )
+        parts = [self.of_formula(part) for part in formula.of]
+        if formula.sign == "not":
             return self._row("NOT", parts[0], parts[0])
-        return self._joined(what.sign.upper(), parts)
+        return self._joined(formula.sign.upper(), parts)
 
     def struct(self) -> NDArray[Any]:
         """Return them as ``formula_row``, one at least."""
@@ -95,11 +97,11 @@ class FormulaRows:
         return self._rows.setdefault((kind, left, right, value), len(self._rows))
 
 
-def is_at_one_instant(what: Formula) -> bool:
+def is_at_one_instant(formula: Formula) -> bool:
     """Return whether a formula has no windows."""
-    if isinstance(what, Combined):
-        return all(map(is_at_one_instant, what.of))
-    return isinstance(what, Margin)
+    if isinstance(formula, Combined):
+        return all(map(is_at_one_instant, formula.of))
+    return isinstance(formula, Margin)
 
 
 FORMULA = Header(BOUNDARY / "formula.h")

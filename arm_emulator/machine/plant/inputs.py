@@ -16,8 +16,8 @@ from arm_emulator.machine.scene.scene import Scene
 
 def list_further_inputs(scene: Scene) -> tuple[str, ...]:
     """Return the names of motors' further inputs, a row each in arm.h."""
-    found = (input.name for joint in scene.joints for input in joint.inputs[1:])
-    return tuple(dict.fromkeys(found))
+    names = (input.name for joint in scene.joints for input in joint.inputs[1:])
+    return tuple(dict.fromkeys(names))
 
 
 def find_input(joint: Joint, name: str) -> Input | None:
@@ -28,8 +28,8 @@ def find_input(joint: Joint, name: str) -> Input | None:
 def list_input_units(scene: Scene, name: str) -> tuple[str, ...]:
     """Return the unit of a further input at each joint; a joint without it has that of another."""
     at = [find_input(joint, name) for joint in scene.joints]
-    other = next(one.unit for one in at if one)
-    return tuple(one.unit if one else other for one in at)
+    unit = next(joint_input.unit for joint_input in at if joint_input)
+    return tuple(joint_input.unit if joint_input else unit for joint_input in at)
 
 
 def list_modes(scene: Scene) -> list[int]:
@@ -37,17 +37,17 @@ def list_modes(scene: Scene) -> list[int]:
     return [ARM.constant(joint.inputs[0].mode) for joint in scene.joints]
 
 
-def check_inputs(where: str, scene: Scene, given: Iterable[str]) -> None:
+def check_inputs(where: str, scene: Scene, names: Iterable[str]) -> None:
     """Refuse names of further inputs that no motor of a scene has.
 
     Raises:
         Refusal: see above.
     """
-    known = list_further_inputs(scene)
-    for name in given:
-        if name not in known:
+    inputs = list_further_inputs(scene)
+    for name in names:
+        if name not in inputs:
             rule = f"be a further input of {scene.name}"
-            raise Refusal(where, "inputs", rule, name, ", ".join(known) or "none")
+            raise Refusal(where, "inputs", rule, name, ", ".join(inputs) or "none")
 
 
 def name_inputs(
@@ -67,29 +67,29 @@ def name_inputs(
 
 
 def arrange_further_rows(
-    where: str, scene: Scene, given: Mapping[str, Array], *shape: int
+    where: str, scene: Scene, row_by_name: Mapping[str, Array], *shape: int
 ) -> Array | None:
     """Return further inputs as rows of arm.h, 0 of those that are not given; None if none are.
 
     Args:
         where: name for refusals.
         scene: of the machine.
-        given: rows by name.
+        row_by_name: rows by name.
         shape: of what stands before the rows, of a fleet.
 
     Raises:
         Refusal: a name that no motor of the scene has, or a joint that is given one which its motor
             has not.
     """
-    if not given:
+    if not row_by_name:
         return None
-    check_inputs(where, scene, given)
+    check_inputs(where, scene, row_by_name)
     names = list_further_inputs(scene)
     rows = np.zeros((*shape, len(names), len(scene.joints)))
-    for name, row in given.items():
+    for name, row in row_by_name.items():
         for j, joint in enumerate(scene.joints):
             if find_input(joint, name) is None and row[..., j].any():
-                rule, got = "be 0, its motor has no such input", row[..., j].tolist()
-                raise Refusal(where, f"{name} of {joint.name}", rule, got)
+                rule, actual = "be 0, its motor has no such input", row[..., j].tolist()
+                raise Refusal(where, f"{name} of {joint.name}", rule, actual)
         rows[..., names.index(name), :] = row
     return rows

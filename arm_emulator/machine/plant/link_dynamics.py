@@ -21,7 +21,7 @@ QUANTITIES = {
     "a": Number.within("a", "rad/s2 or m/s2", math.inf),
     "tau": Number.within("tau", "N m or N", math.inf),
 }
-ANSWERS = {
+RESULTS = {
     name: Number.within(f"what v, tau or a lead to, {name},", unit, math.inf)
     for name, unit in (("a", "rad/s2 or m/s2"), ("tau", "N m or N"), ("nle", "N m or N"))
 }
@@ -91,36 +91,36 @@ class LinkDynamics:
         self._call("arm_link_dynamics", q.size // self._N, *map(pointer, (q, v, M, nle)))
         return M, nle
 
-    def _rows(self, of: str, given: dict[str, ArrayLike]) -> Sequence[Array]:
+    def _rows(self, of: str, arguments: dict[str, ArrayLike]) -> Sequence[Array]:
         # The control code of one arm hands over rows, each period: those are taken at once.
-        usual: list[Array] = []
+        converted: list[Array] = []
         numbers: list[float] = []
-        for value in given.values():
+        for value in arguments.values():
             if not isinstance(value, np.ndarray) or value.dtype is not _FLOAT:
                 break
             if value.shape != self._row or value.strides != _CLOSE:
                 break
-            usual.append(value)
+            converted.append(value)
             numbers += value.tolist()
         else:
             if math.hypot(*numbers) <= POSITION.most:  # the narrowest bound
-                return usual
+                return converted
         where = f"LinkDynamics.{of}"
         rows: list[Array] = []
-        for quantity, values in given.items():
-            known = QUANTITIES[quantity]
-            array = known.numbers(where, values)
+        for quantity, values in arguments.items():
+            bound = QUANTITIES[quantity]
+            array = bound.numbers(where, values)
             shape = array.shape
             if len(shape) not in (1, 2) or shape[-1] != self._N:
                 rule = f"have shape (K, {self._N}) or ({self._N},)"
                 raise Refusal(where, quantity, rule, shape)
             if rows and shape != rows[0].shape:
                 raise Refusal(where, quantity, f"have the shape of q, {rows[0].shape}", shape)
-            known.check(where, array)
+            bound.check(where, array)
             rows.append(array)
         return rows
 
 
 def _check_finite(values: Array, of: str, quantity: str) -> Array:
-    ANSWERS[quantity].check(f"LinkDynamics.{of}", values)
+    RESULTS[quantity].check(f"LinkDynamics.{of}", values)
     return values

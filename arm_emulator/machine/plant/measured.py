@@ -107,11 +107,11 @@ class MeasuredPlace:
 def list_rows(scene: Scene) -> dict[str, tuple[str, ...]]:
     """Return the outputs that are rows of an array, by its name in ``arm_measurement``."""
     of = {
-        find_output_input(scene, one): one.name
-        for one in list_outputs(scene)
-        if one.symbol == FURTHER
+        find_output_input(scene, output): output.name
+        for output in list_outputs(scene)
+        if output.symbol == FURTHER
     }
     return {
-        READINGS: tuple(one.name for one in list_readings(scene)),
+        READINGS: tuple(output.name for output in list_readings(scene)),
         FURTHER: tuple(of[name] for name in list_further_inputs(scene)),
     }

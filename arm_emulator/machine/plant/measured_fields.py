@@ -33,12 +33,12 @@ class MeasuredFields:
     """
 
     def __init__(self, scene: Scene, types: Mapping[str, str]) -> None:
-        self.in_all = tuple(one.name for one in ALWAYS if one.name in types)
+        self.in_all = tuple(output.name for output in ALWAYS if output.name in types)
         further = [part for part in list_reported_by_parts(scene) if part.name not in self.in_all]
-        self.own: tuple[Output, ...] = tuple(one for one in further if one.name in types)
-        self.listed = tuple(one.name for one in further if one.name not in types)
-        self._names = (*self.in_all, *(one.name for one in self.own))
-        self.absent = tuple(one for one in KNOWN if one in types and one not in self._names)
+        self.own: tuple[Output, ...] = tuple(output for output in further if output.name in types)
+        self.listed = tuple(output.name for output in further if output.name not in types)
+        self._names = (*self.in_all, *(output.name for output in self.own))
+        self.absent = tuple(name for name in KNOWN if name in types and name not in self._names)
         self._types = types
 
     def begin(self, message: Any, measured: Measured) -> None:

@@ -41,16 +41,16 @@ class OutputSource(Protocol):
 
 
 def _list_declared(owners: Iterable[type[OutputSource]]) -> list[Output]:
-    found: dict[Output, None] = {}
+    declared: dict[Output, None] = {}
     for owner in owners:
-        found |= dict.fromkeys(owner.outputs)
-    return list(found)
+        declared |= dict.fromkeys(owner.outputs)
+    return list(declared)
 
 
 # All outputs of parts, by name, in the order of all lists.
 KNOWN: dict[str, Output] = {
-    one.name: one
-    for one in (
+    output.name: output
+    for output in (
         *(_COUNTS, _CURRENT),
         *_list_declared(MOTORS),
         *(_APPLIED, FAULTS),
@@ -64,7 +64,9 @@ def _list_symbols() -> Iterator[str]:
         if field.type.kind == "pointer":
             array = field.type.item
             yield from (
-                [f"{name}.{one}" for one, _ in array.fields] if array.kind == "struct" else [name]
+                [f"{name}.{member}" for member, _ in array.fields]
+                if array.kind == "struct"
+                else [name]
             )
 
 
@@ -78,11 +80,11 @@ def list_outputs(scene: Scene) -> tuple[Output, ...]:
         Refusal: an output that is declared without a place in arm.h.
     """
     there = {*ALWAYS, *_list_reported(scene)}
-    for one in there:
-        if KNOWN.get(one.name) != one or one.symbol not in SYMBOLS:
+    for output in there:
+        if KNOWN.get(output.name) != output or output.symbol not in SYMBOLS:
             rule = "be declared by its class, with a place in arm.h as its symbol"
-            got, valid = repr(one.symbol), ", ".join(sorted(SYMBOLS))
-            raise Refusal(scene.where, f"output {one.name}", rule, got, valid)
+            actual, valid = repr(output.symbol), ", ".join(sorted(SYMBOLS))
+            raise Refusal(scene.where, f"output {output.name}", rule, actual, valid)
     return tuple(value for value in KNOWN.values() if value in there)
 
 
@@ -97,12 +99,12 @@ def _list_reported(scene: Scene) -> set[Output]:
 def list_reported_by_parts(scene: Scene) -> tuple[Output, ...]:
     """Return the outputs that a part of a scene declares."""
     there = _list_reported(scene)
-    return tuple(one for one in list_outputs(scene) if one in there)
+    return tuple(output for output in list_outputs(scene) if output in there)
 
 
 def list_readings(scene: Scene) -> tuple[Output, ...]:
     """Return the outputs in ``arm_measurement.readings``, a row each."""
-    return tuple(one for one in list_outputs(scene) if one.symbol == READINGS)
+    return tuple(output for output in list_outputs(scene) if output.symbol == READINGS)
 
 
 def find_output_input(scene: Scene, output: Output) -> str:
@@ -111,7 +113,7 @@ def find_output_input(scene: Scene, output: Output) -> str:
         name
         for name in list_further_inputs(scene)
         for joint in scene.joints
-        if (one := find_input(joint, name)) and one.applied == output.name
+        if (input_ := find_input(joint, name)) and input_.applied == output.name
     )
 
 

@@ -209,7 +209,7 @@ class Plant(CoreMachine):
             came = coerce_flag(came, where, "came")
         if further:
             check_inputs(where, self.scene, further)
-        rows = {name: self._as_further(where, name, given) for name, given in further.items()}
+        rows = {name: self._as_further(where, name, values) for name, values in further.items()}
         others = arrange_further_rows(where, self.scene, rows)
         with self.turn:
             before = self._commands.tobytes(), self._further.tobytes()  # quicker than copies
@@ -231,14 +231,16 @@ class Plant(CoreMachine):
         if isinstance(command, np.ndarray) and command.shape == self._shape:
             if command.dtype == np.float64:
                 return command
-        given = order_by_joint(command, self.scene, where)
-        row = ANY_COMMAND.numbers(where, given)
+        ordered = order_by_joint(command, self.scene, where)
+        row = ANY_COMMAND.numbers(where, ordered)
         if row.shape != self._shape:
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
 
-    def _as_further(self, where: str, name: str, given: Commands) -> Array:
-        return ANY_COMMAND.named(name).row(where, order_by_joint(given, self.scene, where), self._N)
+    def _as_further(self, where: str, name: str, command: Commands) -> Array:
+        return ANY_COMMAND.named(name).row(
+            where, order_by_joint(command, self.scene, where), self._N
+        )
 
     def exchange_in(self, loop: Callable[[], int]) -> None:
         """Go through servo periods in a loop in C, over `ticks`.
@@ -360,11 +362,11 @@ class Plant(CoreMachine):
             v: its link speeds (N,) [rad/s or m/s].
             applied: commands then (N,) [V, N m, A]; None: those of the last `advance`.
         """
-        given = np.array(self._held if applied is None else applied)
+        final = np.array(self._held if applied is None else applied)
         values = self.parameters
-        varied = tuple(replace(one, value=values[one.name]) for one in self.scene.varied)
+        varied = tuple(replace(number, value=values[number.name]) for number in self.scene.varied)
         scene = replace(self.scene, varied=varied)
-        return Diverged(scene.joint_names[joint], t, scene, q, v, given)
+        return Diverged(scene.joint_names[joint], t, scene, q, v, final)
 
     def _diverged(self, applied: ArrayLike) -> Diverged:
         state = self.state
@@ -396,8 +398,8 @@ class Plant(CoreMachine):
         """
         where = "Plant.advance_metered"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
-        given = order_by_joint(command, self.scene, where)
-        self._held[:] = ANY_COMMAND.row(where, given, self._N)
+        ordered = order_by_joint(command, self.scene, where)
+        self._held[:] = ANY_COMMAND.row(where, ordered, self._N)
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
@@ -436,8 +438,8 @@ class Plant(CoreMachine):
             Refusal: wrong shape or not finite.
         """
         where, N = "Plant.equations", self._N
-        given = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), N)
-        u = given.copy()  # to be put within its bounds
+        ordered = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), N)
+        u = ordered.copy()  # to be put within its bounds
         slides = coerce_flag(slides, where, "slides")
         size = N * (self.equation("arm_linear_drives", False, NULL) + 2)
         at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()

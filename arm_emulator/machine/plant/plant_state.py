@@ -65,12 +65,12 @@ def bound_start(scene: Scene) -> tuple[Number, Number]:
 
 def bound_state(scene: Scene) -> dict[str, Number]:
     """Return bounds of values that are set, by their names in `PlantState`."""
-    at_most = compute_largest_position(scene)
+    largest = compute_largest_position(scene)
     ratio = np.abs(scene.gear_ratios)
     return {
         "current": CURRENT,
-        "theta_m": Number.within("motor position", "rad", at_most / ratio),
+        "theta_m": Number.within("motor position", "rad", largest / ratio),
         "omega_m": Number.within("motor velocity", "rad/s", VELOCITY.most / ratio),
-        "q": Number.within("position", "rad", at_most),
+        "q": Number.within("position", "rad", largest),
         "v": VELOCITY,
     }

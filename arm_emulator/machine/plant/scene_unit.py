@@ -53,7 +53,7 @@ def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> s
     around = _write_surroundings(scene, places)
     read, sensors = _write_sensors(scene, places)
     braked = sum(joint.brake is not None for joint in scene.joints)
-    parameters = "".join(f"      {_write_parameter(one)},\n" for one in scene.varied)
+    parameters = "".join(f"      {_write_parameter(number)},\n" for number in scene.varied)
     return f"""\
 {_write_includes(scene, places)}
 
@@ -97,10 +97,10 @@ def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> s
 
 def _name_places(scene: Scene) -> dict[str, str]:
     """Return what stands for the numbers that are data of a machine, by name."""
-    places = {one.name: f"p[{k}]" for k, one in enumerate(scene.varied)}
+    places = {number.name: f"p[{k}]" for k, number in enumerate(scene.varied)}
     braked = [joint for joint in scene.joints if joint.brake]
-    closed = {f"joints.{one.name}.brake.closed": f"p[{len(places) + k}]"
-              for k, one in enumerate(braked)}  # fmt: skip
+    closed = {f"joints.{joint.name}.brake.closed": f"p[{len(places) + k}]"
+              for k, joint in enumerate(braked)}  # fmt: skip
     places |= closed
     put_faults(scene.faults, places)
     return places
@@ -132,7 +132,7 @@ def _write_includes(scene: Scene, places: Mapping[str, str]) -> str:
     threads = {1: "one_thread", 2: "two_threads"}[scene.threads]
     headers += ["parts/device.hpp", "mechanics/scene.hpp"]
     headers += [f"schemes/{scene.integrator.method.header}", f"schemes/{threads}.hpp"]
-    return "\n".join(f'#include "{one}"' for one in headers)
+    return "\n".join(f'#include "{header}"' for header in headers)
 
 
 def _write_sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:
@@ -176,8 +176,10 @@ def _write_inputs(scene: Scene) -> str:
     for name in names:
         at = [find_input(joint, name) for joint in scene.joints]
         pairs = zip(scene.joints, at, strict=True)
-        of = ", ".join(str(joint.inputs[1:].index(one) if one else -1) for joint, one in pairs)
-        units = ", ".join(escape_c_string(one.unit if one else "") for one in at)
+        of = ", ".join(
+            str(joint.inputs[1:].index(input_) if input_ else -1) for joint, input_ in pairs
+        )
+        units = ", ".join(escape_c_string(input_.unit if input_ else "") for input_ in at)
         rows.append(f"      {{{escape_c_string(name)}, {{{of}}}, {{{units}}}}},\n")
     return f"""\
   static constexpr int inputs = {len(names)};
@@ -228,10 +230,10 @@ def _write_matrix(rows: Array) -> str:
     return ", ".join(f"{{{', '.join(map(format_number, row))}}}" for row in rows)
 
 
-def _write_parameter(one: Varied) -> str:
-    least, most = one.number.ends
-    numbers = format_fields({"least": least, "most": most})
-    return f"{{.name = {escape_c_string(one.name)}, {numbers}}}"
+def _write_parameter(number: Varied) -> str:
+    lower, upper = number.number.ends
+    numbers = format_fields({"least": lower, "most": upper})
+    return f"{{.name = {escape_c_string(number.name)}, {numbers}}}"
 
 
 def _write_body(body: Body) -> str:
@@ -299,8 +301,8 @@ def _write_brakes(scene: Scene) -> str:
 
 
 def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> str:
-    def part(one: Part) -> str:
-        return one.write_initialiser(joint.name, places)
+    def part(piece: Part) -> str:
+        return piece.write_initialiser(joint.name, places)
 
     def wrap_law(kind: str, values: str) -> tuple[str, str]:
         for extra in joint.extras:
@@ -321,9 +323,9 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
     motor = CxxMotor("arm::NoMotor", "arm::NoMotor{}")
     if joint.motor is not None:
         motor = CxxMotor(joint.motor.cxx_type, part(joint.motor))
-        for one in joint.decorators:
+        for decorator in joint.decorators:
             supply = Supply(supply_voltage, places.get("supply.share", ""))
-            motor = one.wrap_motor(joint.motor, motor, part(one), supply)
+            motor = decorator.wrap_motor(joint.motor, motor, part(decorator), supply)
         motor = joint.motor.wrap_motor(motor, joint.name, places)
     gear = joint.gear.cxx_type, part(joint.gear)
     for stage in joint.gear_stages:

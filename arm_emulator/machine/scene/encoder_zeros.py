@@ -19,16 +19,20 @@ def put_zeros(joints: tuple[Joint, ...], calibration: Calibration) -> tuple[Join
     Raises:
         Refusal: a joint has no encoder of its own.
     """
-    given = {
-        name: one.encoder_zero for name, one in calibration.deviations.items() if one.encoder_zero
+    zeros = {
+        name: deviation.encoder_zero
+        for name, deviation in calibration.deviations.items()
+        if deviation.encoder_zero
     }
     driven = {joint.name for joint in joints if joint.motor is not None}
-    for name in given:
+    for name in zeros:
         if name not in driven:
-            known = ", ".join(sorted(driven)) or "none"
+            names = ", ".join(sorted(driven)) or "none"
             rule = "belong to a joint with a motor"
-            raise Refusal(calibration.where, name_key(name, "encoder_zero"), rule, name, known)
-    return tuple(_turn_discs(one, given[one.name]) if one.name in given else one for one in joints)
+            raise Refusal(calibration.where, name_key(name, "encoder_zero"), rule, name, names)
+    return tuple(
+        _turn_discs(joint, zeros[joint.name]) if joint.name in zeros else joint for joint in joints
+    )
 
 
 def _turn_discs(joint: Joint, zero: float) -> Joint:

@@ -17,13 +17,13 @@ def list_variable_numbers(
 ) -> list[Varied]:
     """Return the numbers of joints, measurement units and links that may be varied."""
     of_joints = [
-        one
+        number
         for joint in joints
         for part in (*joint.parts, *joint.sensors.parts.values())
-        for one in part.list_variable_numbers(joint.name)
+        for number in part.list_variable_numbers(joint.name)
     ]
-    of_imus = [one for imu in imus for one in imu.list_variable_numbers()]
-    of_links = [one for link in chain.links for one in vary_body(link)]
+    of_imus = [number for imu in imus for number in imu.list_variable_numbers()]
+    of_links = [number for link in chain.links for number in vary_body(link)]
     return of_joints + of_imus + of_links
 
 
@@ -54,8 +54,8 @@ def list_faults(
         *((imu.name, part) for imu in imus for part in imu.parts),
     ]  # fmt: skip
     hidden = {
-        f"joints.{joint.name}.{joint.motor.section}.{one.hides}"
-        for joint in joints if joint.motor for one in joint.decorators if one.hides
+        f"joints.{joint.name}.{joint.motor.section}.{decorator.hides}"
+        for joint in joints if joint.motor for decorator in joint.decorators if decorator.hides
     }  # fmt: skip
     hidden |= {
         f"joints.{joint.name}.{place}"
@@ -67,7 +67,7 @@ def list_faults(
         for key, value in part.list_fault_numbers().items()
         if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
     }
-    numbers |= {one.name: one.value for link in chain.links for one in vary_body(link)}
+    numbers |= {number.name: number.value for link in chain.links for number in vary_body(link)}
     numbers |= list_line_numbers({joint.name: joint.motor is not None for joint in joints})
     if any(joint.motor and joint.motor.has_winding for joint in joints):
         numbers["supply.share"] = 1.0

@@ -84,12 +84,14 @@ class Joint:
     def inputs(self) -> tuple[Input, ...]:
         """Inputs of its motor: the command first, then further ones."""
         of_motor = self.motor.inputs if self.motor else (VOLTAGE,)
-        return next((one.inputs for one in self.decorators[::-1] if one.inputs), of_motor)
+        return next(
+            (decorator.inputs for decorator in self.decorators[::-1] if decorator.inputs), of_motor
+        )
 
     @property
     def stops(self) -> tuple[float, float] | None:
         """Positions between which stops keep its link [rad or m]; None: there are no stops."""
-        return next((one.stops for one in self.extras if one.stops), None)
+        return next((effect.stops for effect in self.extras if effect.stops), None)
 
     @property
     def unit(self) -> str:
@@ -101,7 +103,9 @@ class Joint:
         """Bandwidth of its drive's current loop [Hz]; 0: it has none."""
         if self.motor is None:
             return 0.0
-        return max((one.compute_bandwidth(self.motor) for one in self.decorators), default=0.0)
+        return max(
+            (decorator.compute_bandwidth(self.motor) for decorator in self.decorators), default=0.0
+        )
 
     @property
     def servo_data(self) -> ServoData | None:
@@ -132,7 +136,9 @@ class Joint:
         """Command of the motor itself at rest, per unit of the joint's command."""
         if self.motor is None:
             return 1.0
-        return math.prod(one.convert_unit_command(self.motor) for one in self.decorators)
+        return math.prod(
+            decorator.convert_unit_command(self.motor) for decorator in self.decorators
+        )
 
     @property
     def encoder(self) -> Encoder | None:
@@ -172,8 +178,8 @@ def read_joints(
             )
     joints = []
     for name, kind in names.items():
-        one = section.section(name)
-        if one is None:
+        joint_section = section.section(name)
+        if joint_section is None:
             raise Refusal(
                 root.where,
                 f"joints.{name}",
@@ -181,62 +187,66 @@ def read_joints(
                 "nothing",
                 "a section, or its position under `locked`",
             )
-        joints.append(read_joint(name, kind, one, limits.get(name)))
+        joints.append(read_joint(name, kind, joint_section, limits.get(name)))
     return tuple(joints)
 
 
-def read_joint(name: str, kind: str, one: Section, limits: tuple[float, float] | None) -> Joint:
+def read_joint(name: str, kind: str, section: Section, limits: tuple[float, float] | None) -> Joint:
     """Read the section of a joint.
 
     Args:
         name: of the joint.
         kind: revolute or prismatic.
-        one: its section.
+        section: its section.
         limits: in the description [rad or m]; None: it has none.
 
     Raises:
         Refusal: it breaks a rule.
     """
-    motor, gear, friction = one.section("motor"), one.section("gear"), one.section("friction")
+    motor, gear, friction = (
+        section.section("motor"),
+        section.section("gear"),
+        section.section("friction"),
+    )
     of_rotor = None if motor is None else motor.section("friction")
-    brake = one.section(Brake.section)
+    brake = section.section(Brake.section)
     for key, part in ((Gear.section, gear), (Brake.section, brake)):
         if motor is None and part is not None:
-            raise one.refusal(key, "belong to a joint with a motor", "no motor section")
+            raise section.refusal(key, "belong to a joint with a motor", "no motor section")
     driven = None if motor is None else read_motor(motor)
     joint = Joint(
         name=name,
-        **one.numbers(Joint),
+        **section.numbers(Joint),
         motor=driven,
         gear=find_gear(ratio=1.0) if gear is None else read_gear(gear),
-        gear_stages=read_gear_stages(one),
-        sensors=JointSensors.read(one, kind),
+        gear_stages=read_gear_stages(section),
+        sensors=JointSensors.read(section, kind),
         friction=link_friction_of()
         if friction is None
         else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
         decorators=read_decorators(driven, motor) if driven and motor else (),
         brake=None if brake is None else Brake.read(brake),
-        extras=read_extras(one, limits),
+        extras=read_extras(section, limits),
     )
-    one.finish()
+    section.finish()
     for extra in joint.extras:
-        extra.check_parts(joint.parts, one)
+        extra.check_parts(joint.parts, section)
     for stage in joint.gear_stages:
-        stage.check_gear(joint.gear, one)
+        stage.check_gear(joint.gear, section)
     for law in (joint.friction, joint.rotor_friction):
         if law is not None:
-            law.check_gear(joint.gear if driven else None, one)
+            law.check_gear(joint.gear if driven else None, section)
     if joint.motor is not None:
         for decorator in joint.decorators:
-            decorator.check_motor(joint.motor, one)
-        _check_reflected(joint.motor, joint.gear.ratio, one)
+            decorator.check_motor(joint.motor, section)
+        _check_reflected(joint.motor, joint.gear.ratio, section)
     return joint
 
 
-def _check_reflected(motor: Motor, ratio: float, one: Section) -> None:
+def _check_reflected(motor: Motor, ratio: float, section: Section) -> None:
     """Refuse a gear whose ratio makes numbers at the link too large or too small."""
-    for what, value in motor.reflect_to_link(ratio).items():
+    for quantity, value in motor.reflect_to_link(ratio).items():
         if value > LARGEST:
-            rule = f"make the {what} at the link at most {LARGEST:g}"
-            raise one.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")
+            rule = f"make the {quantity} at the link at most {LARGEST:g}"
+            raise section.refusal("gear.ratio", rule, f"{value:.3g} with {ratio:g}")

@@ -40,8 +40,12 @@ def convert_to_plain(value: object) -> object:
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {key: convert_to_plain(one) for key, one in value.items()}
-    return [convert_to_plain(one) for one in value] if isinstance(value, list | tuple) else value
+        return {key: convert_to_plain(element) for key, element in value.items()}
+    return (
+        [convert_to_plain(element) for element in value]
+        if isinstance(value, list | tuple)
+        else value
+    )
 
 
 def _find_keys(place: dict[str, Any], steps: list[str]) -> list[tuple[str, list[str]]]:

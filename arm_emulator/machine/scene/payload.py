@@ -32,8 +32,8 @@ class Load:
 
 def read_payload(section: Section, mass: float | None = None) -> Body:
     """Return the payload in the frame of the tool; `mass` takes the place of the scene's."""
-    given = section.number(MASS)
-    mass = given if mass is None else mass
+    stated = section.number(MASS)
+    mass = stated if mass is None else mass
     com = section.vector(COM) or (0.0, 0.0, 0.0)
     entries = section.vector(INERTIA, size=6)
     inertia = np.zeros((3, 3))
@@ -47,8 +47,8 @@ def read_payload(section: Section, mass: float | None = None) -> Body:
 
 def load_of(light: Chain, heavy: Chain) -> Load | None:
     """Return the load of 1 and 2 kg in two chains; None where it rests on the base."""
-    for link, (one, two) in enumerate(zip(light.links, heavy.links, strict=True)):
-        if one.body.mass != two.body.mass:
-            per_kg = two.body + one.body.scaled(-1.0)
-            return Load(link, one.body + per_kg.scaled(-1.0), per_kg)
+    for link, (empty, two) in enumerate(zip(light.links, heavy.links, strict=True)):
+        if empty.body.mass != two.body.mass:
+            per_kg = two.body + empty.body.scaled(-1.0)
+            return Load(link, empty.body + per_kg.scaled(-1.0), per_kg)
     return None

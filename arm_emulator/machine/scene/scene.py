@@ -206,17 +206,17 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     return _build(Section(data, file.name), file)
 
 
-def coerce_scene(given: Scene | str | Path, where: str) -> Scene:
+def coerce_scene(scene: Scene | str | Path, where: str) -> Scene:
     """Return a scene, loaded if it is given by its name or its file.
 
     Raises:
         Refusal: as `load_scene`, or it is given by something else.
     """
-    if isinstance(given, Scene):
-        return given
-    if not isinstance(given, str | Path):
-        raise Refusal(where, "scene", "be a Scene, a name or a file", given)
-    return load_scene(given)
+    if isinstance(scene, Scene):
+        return scene
+    if not isinstance(scene, str | Path):
+        raise Refusal(where, "scene", "be a Scene, a name or a file", scene)
+    return load_scene(scene)
 
 
 def _build(root: Section, file: Path) -> Scene:
@@ -240,7 +240,7 @@ def _build(root: Section, file: Path) -> Scene:
     varied = _read_varied(root, variable, mass, numbers["seed"])
     possible: dict[str, SceneFault] = {}
     if root.has("faults"):
-        names = {one.name for one in varied}
+        names = {number.name for number in varied}
         possible = list_faults(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
     faults = choose(root.entries("faults"), possible, where, "faults", rule)
@@ -292,9 +292,9 @@ def _read_varied(
     if mass is not None:
         possible.append(Varied(MASS.named(MASS_NAME), mass))
     if root.has("seed") or "seed" in root.entries("varied"):
-        known = replace(list_numbers(Scene)["seed"], whole=False)  # one is as good as another
-        possible.append(Varied(known, seed))
-    by_name = {one.name: one for one in possible}
+        seed_number = replace(list_numbers(Scene)["seed"], whole=False)  # one is as good as another
+        possible.append(Varied(seed_number, seed))
+    by_name = {number.name: number for number in possible}
     rule = "name numbers of this scene that can be varied"
     return choose(root.entries("varied"), by_name, root.where, "varied", rule)
 
@@ -308,7 +308,7 @@ def _read_varied_load(
         Refusal: they change the link that carries it, too.
     """
     changed = {change.number: fault.name for fault in faults for change in fault.changes}
-    changed |= {one.name: one.name for one in varied}
+    changed |= {number.name: number.name for number in varied}
     load = links.load() if MASS_NAME in changed else None
     if load is None:
         return None
@@ -316,16 +316,16 @@ def _read_varied_load(
     of_link = [by for number, by in sorted(changed.items()) if number.startswith(f"links.{link}.")]
     if of_link:
         rule = f"not change both {MASS_NAME} and numbers of the link that carries it"
-        got = f"{changed[MASS_NAME]} and {of_link[0]}"
-        raise Refusal(where, "varied and faults", rule, got)
+        actual = f"{changed[MASS_NAME]} and {of_link[0]}"
+        raise Refusal(where, "varied and faults", rule, actual)
     return load
 
 
 def _find_links(root: Section, key: str, robot: ET.Element) -> tuple[str, ...]:
     """Return the links of the URDF that a list names."""
-    known = [link.get("name") for link in robot.findall("link")]
+    names = [link.get("name") for link in robot.findall("link")]
     for name in root.entries(key):
-        if name not in known:
+        if name not in names:
             raise root.refusal(key, "name links of the URDF", name)
     return tuple(map(str, root.entries(key)))
 

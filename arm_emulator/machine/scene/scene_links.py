@@ -91,10 +91,10 @@ class SceneLinks:
         """Read the calibration, and put it into the description of the machine."""
         if section is None:
             return Calibration()
-        held = copy.deepcopy(self.robot)
-        lock_joints(held, self._locked, self.urdf_file.name)
-        calibration = read_calibration(section, held, self.tool, find_beside(file.parent))
-        frames = calibration.list_displacements(held, self.tool, zeros=False)
+        locked_robot = copy.deepcopy(self.robot)
+        lock_joints(locked_robot, self._locked, self.urdf_file.name)
+        calibration = read_calibration(section, locked_robot, self.tool, find_beside(file.parent))
+        frames = calibration.list_displacements(locked_robot, self.tool, zeros=False)
         self._true_robot = displace_joints(self.robot, frames, file.name)
         return calibration
 
@@ -120,7 +120,7 @@ def _remove_payload(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
         return tuple(link.body for link in chain.links)
     # Bodies are linear in the payload: two with one payload, less one with two, have none.
     pairs = zip(chain.links, twice.links, strict=True)
-    return tuple(one.body.scaled(2.0) + two.body.scaled(-1.0) for one, two in pairs)
+    return tuple(single.body.scaled(2.0) + two.body.scaled(-1.0) for single, two in pairs)
 
 
 def _apply_coupling(section: Section | None, robot: ET.Element) -> None:

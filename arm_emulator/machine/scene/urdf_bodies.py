@@ -30,17 +30,17 @@ def read_bodies(robot: ET.Element, where: str) -> Bodies:
         inertial = link.find("inertial")
         if inertial is None:
             continue
-        what = f"link {link.get('name')}"
+        label = f"link {link.get('name')}"
         mass, tensor = inertial.find("mass"), inertial.find("inertia")
         if mass is None or tensor is None:
-            raise Refusal(where, f"{what}: inertial", "hold <mass> and <inertia>", "only a part")
+            raise Refusal(where, f"{label}: inertial", "hold <mass> and <inertia>", "only a part")
         texts = [mass.get("value"), *map(tensor.get, _TENSOR)]
         try:
             rows.append([float(text) for text in texts])  # type: ignore[arg-type]
         except (TypeError, ValueError):
             for key, text in zip(("mass", *_TENSOR), texts, strict=True):
-                parse_numbers(text, 1, f"{what}: {key}", where)
-        whats.append(what)
+                parse_numbers(text, 1, f"{label}: {key}", where)
+        whats.append(label)
         origins.append(inertial.find("origin"))
         places.append(place)
     values = np.array(rows).reshape(-1, 7)
@@ -63,11 +63,11 @@ def read_bodies(robot: ET.Element, where: str) -> Bodies:
     return everywhere
 
 
-def check_inertia(inertia: Array, what: str, where: str) -> None:
+def check_inertia(inertia: Array, label: str, where: str) -> None:
     """Refuse a tensor (3, 3) [kg m2] about the centre of mass that is not positive definite."""
     moments = np.linalg.eigvalsh(inertia)
     if moments[0] <= 1e-12 * moments[2]:
-        shown = ", ".join(f"{moment:.3g}" for moment in moments)
+        text = ", ".join(f"{moment:.3g}" for moment in moments)
         raise Refusal(
-            where, what, "be positive definite, principal moments > 0 kg m2", f"({shown})"
+            where, label, "be positive definite, principal moments > 0 kg m2", f"({text})"
         )

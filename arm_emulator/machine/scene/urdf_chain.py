@@ -29,7 +29,7 @@ from arm_emulator.base.urdf.urdf_text import complete_limits
 from arm_emulator.machine.chain import Body, Chain, ChainJoint
 from arm_emulator.machine.scene.urdf_bodies import read_bodies
 
-MOST_JOINTS = 200  # more are no arm, and would compile for hours
+MAX_JOINTS = 200  # more are no arm, and would compile for hours
 # Below these, moved by a joint, what is divided by them may overflow.
 SMALLEST_MASS = 1e-12  # kg
 SMALLEST_INERTIA = 1e-24  # kg m2
@@ -61,8 +61,8 @@ def read_chain(
     """
     moving = _add_bodies(robot, where, asks, locked, tool, payload)
     of_joints = followers(robot, where, list(locked))
-    coupling = read_coupling([one.joint.name for one in moving], of_joints, where, locked)
-    faults = [fault for one in moving if (fault := _explain_bad_body(one, where)) is not None]
+    coupling = read_coupling([moved.joint.name for moved in moving], of_joints, where, locked)
+    faults = [fault for moved in moving if (fault := _explain_bad_body(moved, where)) is not None]
     if faults:
         raise _collect_links(faults, where)
     return _assemble(moving, coupling)
@@ -90,25 +90,27 @@ def collect_moved_bodies(
         Refusal: it is no URDF, or its machine is no tree.
     """
     moving = _add_bodies(robot, where, asks, locked, tool, None)
-    tips = [max((frame.p for frame in one.frames), key=lambda p: float(p @ p)) for one in moving]
-    for one in moving[::-1]:
-        if one.parent >= 0:
-            tips[one.parent] = one.placement.p
+    tips = [
+        max((frame.p for frame in moved.frames), key=lambda p: float(p @ p)) for moved in moving
+    ]
+    for moved in moving[::-1]:
+        if moved.parent >= 0:
+            tips[moved.parent] = moved.placement.p
     return [
-        MovedBody(one.joint.name, tuple(one.links), tip, _explain_bad_body(one, where))
-        for one, tip in zip(moving, tips, strict=True)
+        MovedBody(moved.joint.name, tuple(moved.links), tip, _explain_bad_body(moved, where))
+        for moved, tip in zip(moving, tips, strict=True)
     ]
 
 
 def _collect_links(faults: list[Refusal], where: str) -> Refusal:
     """Return one refusal of several bodies, with all causes and the remedy."""
-    way_out = "`arm_emulator new` assumes bodies from shapes, or give links an <inertial>"
+    remedy = "`arm_emulator new` assumes bodies from shapes, or give links an <inertial>"
     if len(faults) == 1:
-        one = faults[0]
-        return Refusal(where, one.quantity, one.rule, one.got, way_out)
+        fault = faults[0]
+        return Refusal(where, fault.quantity, fault.rule, fault.got, remedy)
     causes = "; ".join(f"{fault.quantity} {fault.got}" for fault in faults)
     rule = "have mass and inertia"
-    return Refusal(where, f"bodies of {len(faults)} joints", rule, causes, f"{way_out}: {causes}")
+    return Refusal(where, f"bodies of {len(faults)} joints", rule, causes, f"{remedy}: {causes}")
 
 
 def _add_bodies(
@@ -122,9 +124,9 @@ def _add_bodies(
     """Return the moving joints with what they move."""
     links = list_element_names(robot, "link", where)
     joints = read_joints(robot, links, where)
-    known = {joint.name for joint in joints}
+    names = {joint.name for joint in joints}
     for name in locked:
-        if name not in known:
+        if name not in names:
             raise Refusal(
                 asks, f"locked.{name}", "be a joint of the URDF", name, list_names(joints)
             )
@@ -134,17 +136,17 @@ def _add_bodies(
         raise Refusal(asks, "tool", "be a link of the URDF", tool, ", ".join(links))
     moving = _find_moving_joints(find_root(links, joints, where), links, joints, locked, where)
     bodies = read_bodies(robot, where)
-    for one in moving:
-        one.body = (
-            bodies.some([links[link] for link in one.links])
+    for moved in moving:
+        moved.body = (
+            bodies.some([links[link] for link in moved.links])
             .seen_from(
-                np.array([frame.R for frame in one.frames]),
-                np.array([frame.p for frame in one.frames]),
+                np.array([frame.R for frame in moved.frames]),
+                np.array([frame.p for frame in moved.frames]),
             )
             .sum()
         )
-        if payload is not None and tool in one.links:
-            one.body += payload.seen_from(one.frames[one.links.index(tool)])
+        if payload is not None and tool in moved.links:
+            moved.body += payload.seen_from(moved.frames[moved.links.index(tool)])
     return moving
 
 
@@ -152,11 +154,11 @@ def _check_kind(joint: UrdfJoint, locked: Mapping[str, float], where: str) -> No
     """Refuse a joint that an arm cannot move, with a hint at how it can be locked."""
     if joint.kind not in FREE_KINDS:
         return
-    held = "locked: {" + joint.name + ": 0.0}"
+    example = "locked: {" + joint.name + ": 0.0}"
     if joint.name not in locked:
         raise Refusal(
             where, f"joint {joint.name}: type", "be supported", joint.kind,
-            f"revolute, continuous, prismatic, fixed, or held where it is in the scene: {held}",
+            f"revolute, continuous, prismatic, fixed, or held where it is in the scene: {example}",
         )  # fmt: skip
     if locked[joint.name] != 0.0:
         rule = f"be 0, where a {joint.kind} joint is held"
@@ -171,12 +173,12 @@ def lock_joints(robot: ET.Element, locked: Mapping[str, float], where: str) -> b
     """
     elements = [e for e in robot.findall("joint") if e.get("name") in locked]
     for element, joint in zip(elements, parse_joints(elements, where), strict=True):
-        held = joint.place_at(locked[joint.name])
+        frame = joint.place_at(locked[joint.name])
         for tag in _OF_MOVING:
             for old in element.findall(tag):
                 element.remove(old)
         element.set("type", "fixed")
-        xyz, rpy = (" ".join(map(repr, map(float, a))) for a in (held.p, rpy_of(held.R)))
+        xyz, rpy = (" ".join(map(repr, map(float, a))) for a in (frame.p, rpy_of(frame.R)))
         ET.SubElement(element, "origin", xyz=xyz, rpy=rpy)
     return complete_limits(robot, where) or bool(locked)
 
@@ -225,8 +227,8 @@ def _find_moving_joints(
         raise Refusal(where, f"link {lost[0]}", "hang on the base (it is in a loop)", lost[0])
     if not moving:
         raise Refusal(where, "robot", "have a moving joint", "none")
-    if len(moving) > MOST_JOINTS:
-        rule = f"have at most {MOST_JOINTS} moving joints that are not locked"
+    if len(moving) > MAX_JOINTS:
+        rule = f"have at most {MAX_JOINTS} moving joints that are not locked"
         raise Refusal(where, "robot", rule, len(moving))
     return _sort_joints(moving)
 
@@ -234,8 +236,8 @@ def _find_moving_joints(
 def _sort_joints(moving: list[_Moving]) -> list[_Moving]:
     """Return the joints with all that each carries directly behind it, siblings as found."""
     carried: dict[int, list[int]] = {}
-    for place, one in enumerate(moving):
-        carried.setdefault(one.parent, []).append(place)
+    for place, moved in enumerate(moving):
+        carried.setdefault(moved.parent, []).append(place)
     order: list[int] = []
     left = carried[-1][::-1]
     while left:
@@ -254,30 +256,30 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
     joints a turn about z comes before it, as in that of Khalil and Kleinfinger for trees.
     """
     # E: rotation of each link's core frame in its URDF frame, at gamma = 0.
-    E = [_build_frame_with_z(one.joint.axis) for one in moving]
+    E = [_build_frame_with_z(moved.joint.axis) for moved in moving]
     gammas: list[float] = []
     for index, here in enumerate(E):
         if index + 1 == len(E) or moving[index + 1].parent != index:
             gammas.append(0.0)
             continue
-        one = moving[index + 1]
-        z_next = clean(apply_matrix(multiply_matrices(here.T, one.placement.R), one.joint.axis))
+        moved = moving[index + 1]
+        z_next = clean(apply_matrix(multiply_matrices(here.T, moved.placement.R), moved.joint.axis))
         gammas.append(compute_atan2(float(z_next[0]), -float(z_next[1])))
     turned = [
         clean(multiply_matrices(e, turn(2, gamma))) for e, gamma in zip(E, gammas, strict=True)
     ]
     R_WB = clean(multiply_matrices(moving[0].placement.R, E[0]))
     joints = []
-    for index, one in enumerate(moving):
+    for index, moved in enumerate(moving):
         cos_gamma, sin_gamma = 1.0, 0.0
         if index == 0:
             # The base's turn is free: with z along the first joint, that joint needs no tilt.
-            R, p = turn(2, gammas[0]), apply_matrix(R_WB.T, one.placement.p)
+            R, p = turn(2, gammas[0]), apply_matrix(R_WB.T, moved.placement.p)
         else:
-            before = turned[one.parent] if one.parent >= 0 else R_WB
-            R = clean(multiply_matrices(before.T, one.placement.R, turned[index]))
-            p = apply_matrix(before.T, one.placement.p)
-            if one.parent != index - 1:
+            before = turned[moved.parent] if moved.parent >= 0 else R_WB
+            R = clean(multiply_matrices(before.T, moved.placement.R, turned[index]))
+            p = apply_matrix(before.T, moved.placement.p)
+            if moved.parent != index - 1:
                 x, y = float(R[0, 2]), -float(R[1, 2])
                 if (length := math.hypot(x, y)) > 0.0:
                     cos_gamma, sin_gamma = y / length, x / length
@@ -287,53 +289,55 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
         # (cos theta_0, -sin theta_0, 0).
         joints.append(
             ChainJoint(
-                name=one.joint.name,
-                kind=MOVING_KINDS[one.joint.kind],
-                parent=one.parent,
+                name=moved.joint.name,
+                kind=MOVING_KINDS[moved.joint.kind],
+                parent=moved.parent,
                 cos_gamma=cos_gamma,
                 sin_gamma=sin_gamma,
                 cos_alpha=float(R[2, 2]),
                 sin_alpha=float(-R[1, 2]),
                 theta_0=compute_atan2(-float(R[0, 1]), float(R[0, 0])),
                 p=p,
-                body=one.body.seen_from(Frame(turned[index].T)),
+                body=moved.body.seen_from(Frame(turned[index].T)),
                 axes=turned[index].T,
-                links=dict(zip(one.links, one.frames, strict=True)),
+                links=dict(zip(moved.links, moved.frames, strict=True)),
             )
         )
     carried = {
         link: (index, frame)
-        for index, one in enumerate(moving)
-        for link, frame in zip(one.links, one.frames, strict=True)
+        for index, moved in enumerate(moving)
+        for link, frame in zip(moved.links, moved.frames, strict=True)
     }
     return Chain(tuple(joints), coupling, R_WB.T, np.array([R.T for R in turned]), carried)
 
 
-def _explain_bad_body(one: _Moving, where: str) -> Refusal | None:
+def _explain_bad_body(moved: _Moving, where: str) -> Refusal | None:
     """Return why the equations of motion are not solvable with what a joint moves.
 
     The mass matrix is positive definite in every pose if no body has a negative principal moment
     and each has inertia about its own joint's axis (mass, along the axis of a prismatic one). So a
     thin rod or a point mass may be moved, though not a rod about its own length.
     """
-    body, what = one.body, f"moved by joint {one.joint.name} (links {', '.join(one.links)})"
+    body, label = moved.body, f"moved by joint {moved.joint.name} (links {', '.join(moved.links)})"
     if not body.mass >= SMALLEST_MASS:
         rule = "be > 0 kg" if body.mass <= 0.0 else f"be >= {SMALLEST_MASS:g} kg"
-        return Refusal(where, f"mass {what}", rule, body.mass)
+        return Refusal(where, f"mass {label}", rule, body.mass)
     com_x = compute_cross(body.moment / body.mass)
     moments = np.linalg.eigvalsh(body.inertia + body.mass * com_x @ com_x)
     rounding = 1e-12 * np.abs(body.inertia).max()
     thin = moments[0] <= 1e-9 * moments[2] + rounding
-    shown = "(" + ", ".join(f"{moment:.3g}" for moment in moments) + ")"
+    text = "(" + ", ".join(f"{moment:.3g}" for moment in moments) + ")"
     if moments[0] < -1e-9 * moments[2] - rounding:
-        return Refusal(where, f"inertia {what}", "have principal moments >= 0 kg m2", shown)
+        return Refusal(where, f"inertia {label}", "have principal moments >= 0 kg m2", text)
     if thin and moments[2] - moments[1] > 1e-3 * moments[2] + rounding:
         rule = "be positive definite (of a thin rod: with two equal principal moments)"
-        return Refusal(where, f"inertia {what}", rule, shown)
-    about = float(one.joint.axis @ body.inertia @ one.joint.axis)
-    least = max(SMALLEST_INERTIA, float(rounding))
-    if MOVING_KINDS[one.joint.kind] == "revolute" and about < least:
-        return Refusal(where, f"inertia about the axis {what}", f"be >= {least:.2g} kg m2", about)
+        return Refusal(where, f"inertia {label}", rule, text)
+    about = float(moved.joint.axis @ body.inertia @ moved.joint.axis)
+    smallest = max(SMALLEST_INERTIA, float(rounding))
+    if MOVING_KINDS[moved.joint.kind] == "revolute" and about < smallest:
+        return Refusal(
+            where, f"inertia about the axis {label}", f"be >= {smallest:.2g} kg m2", about
+        )
     return None
 
 

@@ -25,11 +25,11 @@ class Extrapolated(Scheme):
     @staticmethod
     def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
         n = len(J)
-        one = np.eye(n)
-        W = one - GAMMA * dt * A
+        unit = np.eye(n)
+        W = unit - GAMMA * dt * A
         k1 = np.linalg.solve(W, J)
         d = np.linalg.solve(W, J - A)  # what J - A has changed since the last step
         k2 = math.sqrt(2.0) * np.linalg.solve(W, k1) + d
         return np.block(
-            [[one + dt * (GAMMA * k1 + 0.5 * k2), -0.5 * dt * d], [one, np.zeros((n, n))]]
+            [[unit + dt * (GAMMA * k1 + 0.5 * k2), -0.5 * dt * d], [unit, np.zeros((n, n))]]
         )

@@ -20,6 +20,6 @@ class Implicit(Scheme):
 
     @staticmethod
     def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
-        one = np.eye(len(J))
-        step: Array = one + dt * np.linalg.solve(one - dt * A, J)
+        unit = np.eye(len(J))
+        step: Array = unit + dt * np.linalg.solve(unit - dt * A, J)
         return step

@@ -26,9 +26,9 @@ class Rosenbrock(Scheme):
 
     @staticmethod
     def build_step_matrix(J: Array, A: Array, motors: int, dt: float) -> Array:  # noqa: D102
-        one = np.eye(len(J))
-        W = one - GAMMA * dt * A
+        unit = np.eye(len(J))
+        W = unit - GAMMA * dt * A
         k1 = np.linalg.solve(W, J)
-        k2 = np.linalg.solve(W, J @ (one + dt * k1) - 2.0 * k1)
-        step: Array = one + dt * (1.5 * k1 + 0.5 * k2)
+        k2 = np.linalg.solve(W, J @ (unit + dt * k1) - 2.0 * k1)
+        step: Array = unit + dt * (1.5 * k1 + 0.5 * k2)
         return step

@@ -20,7 +20,7 @@ from arm_emulator.toolchain.c_header import pointer
 NEW, BEFORE_RESET, FUTURE, STALE = (
     ANSWERS.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
 )
-_KNOWN = ("left", "known", "tick", "tick_before")  # fields beside the commands
+_SAVED_FIELDS = ("left", "known", "tick", "tick_before")  # fields beside the commands
 
 
 class DuplicateCommand(Refusal):
@@ -30,8 +30,8 @@ class DuplicateCommand(Refusal):
         kind: in two or three words.
     """
 
-    def __init__(self, kind: str, rule: str, got: str) -> None:
-        super().__init__("motor_commands", "tick", rule, f"{got} ({kind})")
+    def __init__(self, kind: str, rule: str, actual: str) -> None:
+        super().__init__("motor_commands", "tick", rule, f"{actual} ({kind})")
         self.kind = kind
 
 
@@ -84,15 +84,15 @@ class CommandBuffer:
 
     def save(self) -> tuple[object, ...]:
         """Return the commands that are known now, for `restore`."""
-        known = tuple(getattr(self.pointer, name) for name in _KNOWN)
-        return *known, self._newest.tobytes(), self._before.tobytes()
+        fields = tuple(getattr(self.pointer, name) for name in _SAVED_FIELDS)
+        return *fields, self._newest.tobytes(), self._before.tobytes()
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Know the commands that were known when `save` returned this."""
-        *known, newest, before = saved
+        *fields, newest, before = saved
         for row, numbers in ((self._newest, newest), (self._before, before)):
             row[:] = np.frombuffer(numbers).reshape(row.shape)
-        for name, value in zip(_KNOWN, known, strict=True):
+        for name, value in zip(_SAVED_FIELDS, fields, strict=True):
             setattr(self.pointer, name, value)
 
     @property
@@ -121,20 +121,25 @@ class CommandBuffer:
         """Take a command at the tick `now`, and return it arranged; see `Session.offer`."""
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
         rows = self.arranged(joint_names, command, further)
-        known = self.pointer.tick
+        newest_tick = self.pointer.tick
         # Messages have room for ticks that the core's integer has not: they are of the future.
         result = self._take(self.pointer, now, min(tick, LARGEST), pointer(rows))
         if result == NEW:
             return rows
-        at_most, at_least = f"be at most {now}", f"be at least {now if self._lockstep else known}"
+        not_after, not_before = (
+            f"be at most {now}",
+            f"be at least {now if self._lockstep else newest_tick}",
+        )
         if result == BEFORE_RESET:
-            raise DuplicateCommand("before the reset", at_most, f"{tick}")
+            raise DuplicateCommand("before the reset", not_after, f"{tick}")
         if result == FUTURE:
-            raise Refusal("motor_commands", "tick", at_most, f"{tick} (future)")
+            raise Refusal("motor_commands", "tick", not_after, f"{tick} (future)")
         if result == STALE:
-            raise Refusal("motor_commands", "tick", at_least, f"{tick} (stale)")
-        is_newest = tick == known and not (self._lockstep and tick < now)
-        raise DuplicateCommand("repeated", "be answered once" if is_newest else at_least, f"{tick}")
+            raise Refusal("motor_commands", "tick", not_before, f"{tick} (stale)")
+        is_newest = tick == newest_tick and not (self._lockstep and tick < now)
+        raise DuplicateCommand(
+            "repeated", "be answered once" if is_newest else not_before, f"{tick}"
+        )
 
     def arranged(
         self,
@@ -150,9 +155,9 @@ class CommandBuffer:
         row = self._order.arrange(joint_names, command, COMMAND)
         if not further and not self.inputs:
             return row[np.newaxis]
-        given = {
+        inputs = {
             name: self._order.arrange(joint_names, values, COMMAND.named(name))
             for name, values in further.items()
         }
-        others = arrange_further_rows("motor_commands", self._scene, given)
+        others = arrange_further_rows("motor_commands", self._scene, inputs)
         return np.vstack([row, self._zero[1:] if others is None else others])

@@ -190,9 +190,9 @@ class LibraryMemory:
         at: address of that in memory.
     """
 
-    def __init__(self, name: str, content: bytes, known: str, at: int) -> None:
+    def __init__(self, name: str, content: bytes, symbol: str, at: int) -> None:
         self._name = name
-        base = at - find_address(content, known)
+        base = at - find_address(content, symbol)
         self._pieces = [(base + begin, size) for begin, size in list_written_memory(content)]
         self._others = list_called_functions(content) - _FORGETFUL
 
@@ -203,10 +203,10 @@ class LibraryMemory:
             Refusal: the library may remember more than its variables.
         """
         if self._others or not self._pieces:
-            got = ", ".join(sorted(self._others)) if self._pieces else "variables of threads"
+            actual = ", ".join(sorted(self._others)) if self._pieces else "variables of threads"
             rule = "remember nothing but its variables, to be saved"
             valid = "control code that calls mathematics and memcpy alone; or a run from its start"
-            raise Refusal(self._name, "the library", rule, got, valid)
+            raise Refusal(self._name, "the library", rule, actual, valid)
         return b"".join(ctypes.string_at(begin, size) for begin, size in self._pieces)
 
     def restore(self, saved: bytes) -> None:

@@ -52,12 +52,12 @@ class RealTimeLoop(Clock, Synchronized):
 
     def __init__(self, plant: Plant, period_ns: int, core: int, readers: int = 1) -> None:
         Synchronized.__init__(self)
-        for quantity, value, least, largest in (
+        for quantity, value, smallest, largest in (
             ("period_ns", period_ns, 1, LONGEST_PERIOD),
             ("core", core, -1, LARGEST_CORE),
             ("readers", readers, 1, 2),
         ):
-            check_count("RealTimeLoop", quantity, value, least, largest)
+            check_count("RealTimeLoop", quantity, value, smallest, largest)
         self._period_ns = period_ns
         super().__init__(plant)  # which must outlive the loop
         self.running, self._spent_ns = False, 0

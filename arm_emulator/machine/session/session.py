@@ -77,9 +77,9 @@ class Session(Synchronized):
         *,
         standing: bool = False,
     ) -> None:
-        for quantity, value, known in (("clock", clock, CLOCKS), ("start", start, STARTS)):
-            if not isinstance(value, str) or value not in known:
-                raise Refusal("Session", quantity, "be known", value, ", ".join(known))
+        for quantity, value, choices in (("clock", clock, CLOCKS), ("start", start, STARTS)):
+            if not isinstance(value, str) or value not in choices:
+                raise Refusal("Session", quantity, "be known", value, ", ".join(choices))
         self.scene = scene = coerce_scene(scene, "Session")
         self.plant = Plant(scene)
         super().__init__(self.plant)
@@ -99,7 +99,7 @@ class Session(Synchronized):
     def __getstate__(self) -> dict[str, Any]:
         if self.is_self_clocked:
             raise Refusal("Session", "its clock", "be advanced by its owner for a copy", "a loop")
-        return {name: one for name, one in vars(self).items() if name not in ("turn", "_clock")}
+        return {name: value for name, value in vars(self).items() if name not in ("turn", "_clock")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__init__(state["plant"])
@@ -120,10 +120,10 @@ class Session(Synchronized):
 
     def __deepcopy__(self, memo: dict[int, object]) -> Session:
         memo[id(self.scene)] = self.scene  # nothing changes it
-        other = Session.__new__(Session)
-        memo[id(self)] = other
-        other.__setstate__(copy.deepcopy(self.__getstate__(), memo))
-        return other
+        copied = Session.__new__(Session)
+        memo[id(self)] = copied
+        copied.__setstate__(copy.deepcopy(self.__getstate__(), memo))
+        return copied
 
     @property
     def step_wall_ns(self) -> int:
@@ -224,9 +224,9 @@ class Session(Synchronized):
     def save(self) -> dict[str, Any]:
         """Return all that decides how the session goes on, its tick included, for `return_to`."""
         with self.between_ticks():
-            kept = {name: getattr(self, name) for name in _PLACE}
+            fields = {name: getattr(self, name) for name in _PLACE}
             saved = {"machine": self.plant.save(), "answers": self._answers.save()}
-            return kept | saved | {"tick": self.tick}
+            return fields | saved | {"tick": self.tick}
 
     @synchronized
     def return_to(self, saved: dict[str, Any]) -> None:
@@ -261,9 +261,9 @@ class Session(Synchronized):
             Refusal: no or other names, another number of values, values that are not finite, too
                 large or contradict each other; nothing has changed.
         """
-        wanted = StateOfJoints(self.plant, joint_names, given)
+        state = StateOfJoints(self.plant, joint_names, given)
         with self.between_ticks():
-            self.plant.put(wanted.where, wanted.rows())
+            self.plant.put(state.where, state.rows())
             self.take_note()
 
     @synchronized
@@ -402,9 +402,9 @@ class Session(Synchronized):
                 `measured.applied` reports it: faults of their lines then leave them.
         """
         self._check_open()
-        rows, most = np.atleast_2d(command), 1 + len(self._answers.inputs)
-        if len(rows) > most:
-            rule = f"be a row for the command, and at most {most - 1} for further inputs"
+        rows, max_rows = np.atleast_2d(command), 1 + len(self._answers.inputs)
+        if len(rows) > max_rows:
+            rule = f"be a row for the command, and at most {max_rows - 1} for further inputs"
             raise Refusal("Session.advance_under", "command", rule, np.shape(command))
         if self.logical_ns + self.period_ns >= END_OF_TIME:
             self.fault = EndOfTime()
@@ -491,8 +491,8 @@ class Session(Synchronized):
         self.plant.ticks.tick = reached.tick
         state = self._read.take(reached)
         if reached.fault >= 0:
-            given = reached.measured.applied
-            self.fault = self.plant.fault(reached.fault, state.t, state.q, state.v, given)
+            applied = reached.measured.applied
+            self.fault = self.plant.fault(reached.fault, state.t, state.q, state.v, applied)
         return True
 
     def _follow_phase(self) -> None:

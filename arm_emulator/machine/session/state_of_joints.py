@@ -28,17 +28,17 @@ class StateOfJoints:
     def __init__(
         self, plant: Plant, joint_names: Sequence[str], given: Mapping[str, Sequence[float]]
     ) -> None:
-        where, known = self.where, plant.scene.joint_names
+        where, joints = self.where, plant.scene.joint_names
         names = list(joint_names) if isinstance(joint_names, Iterable) else [joint_names]
-        count = sum(isinstance(name, str) and name in known for name in names)
+        count = sum(isinstance(name, str) and name in joints for name in names)
         if not names or count < len(names) or len(set(names)) < len(names):
-            rule, got = "name joints, each once", ", ".join(map(str, names)) or "none"
-            raise Refusal(where, "joint names", rule, got, ", ".join(known))
+            rule, actual = "name joints, each once", ", ".join(map(str, names)) or "none"
+            raise Refusal(where, "joint names", rule, actual, ", ".join(joints))
         self._plant = plant
-        self._places = [known.index(name) for name in names]
+        self._places = [joints.index(name) for name in names]
         if not isinstance(given, Mapping):
             raise Refusal(where, "given", "be values by names of quantities", given)
-        unknown = [one for one in given if one not in plant.bounds]
+        unknown = [name for name in given if name not in plant.bounds]
         if unknown:
             rule, valid = "name quantities of the state", ", ".join(plant.bounds)
             raise Refusal(where, "given", rule, ", ".join(map(str, unknown)), valid)

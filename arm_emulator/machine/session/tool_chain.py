@@ -34,11 +34,11 @@ class ToolChain:
     def __init__(self, scene: Scene, values: Mapping[str, float] | None = None) -> None:
         chain = scene.chain
         last, frame = chain.place_of(scene.tool)
-        way = chain.way_to(last)[::-1]
-        self._shares = np.ascontiguousarray(chain.coupling.C[way])
-        self._joints = TOOL_POSITION.rows("tool_joint", len(way))
+        path = chain.way_to(last)[::-1]
+        self._shares = np.ascontiguousarray(chain.coupling.C[path])
+        self._joints = TOOL_POSITION.rows("tool_joint", len(path))
         first, stride = self._shares.__array_interface__["data"][0], self._shares.strides[0]
-        for place, (row, number) in enumerate(zip(self._joints, way, strict=True)):
+        for place, (row, number) in enumerate(zip(self._joints, path, strict=True)):
             link = displace_joint(chain.links[number], scene.calibration, values or {})
             row["share"] = first + place * stride
             row["q_0"] = chain.coupling.offset[number]
@@ -47,7 +47,7 @@ class ToolChain:
             row["slides"] = link.kind == "prismatic"
         self.struct = TOOL_POSITION.new(
             "tool_chain",
-            joints=len(way),
+            joints=len(path),
             joint=self._joints,
             drives=self._shares.shape[1],
             p=frame.p.tolist(),

@@ -83,10 +83,12 @@ class CurrentLoop(DriveStage):
 
     def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:
         """Return a motor with it in C++, set up for the motor's winding."""
-        *known, most = map(cxx_literals.format_number, motor.read_data_sheet(supply.voltage))
-        most = f"{most} * {supply.share}" if supply.share else most
+        *sheet, max_voltage = map(cxx_literals.format_number, motor.read_data_sheet(supply.voltage))
+        max_voltage = f"{max_voltage} * {supply.share}" if supply.share else max_voltage
         kind = f"arm::{self.loop}<{inner.type}>"
-        return CxxMotor(kind, f"{kind}{{{inner.value}, {own}, {{{', '.join([*known, most])}}}}}")
+        return CxxMotor(
+            kind, f"{kind}{{{inner.value}, {own}, {{{', '.join([*sheet, max_voltage])}}}}}"
+        )
 
 
 def _get_circuit(motor: Motor) -> Circuit:

@@ -42,7 +42,7 @@ class DriveStage(Part):
         """Return the kind of it that goes around a motor, which may be for such motors alone."""
         from arm_emulator.machine.parts.registry import list_kinds
 
-        return next((one for one in list_kinds(cls) if one.around_kind == motor.kind), cls)
+        return next((kind for kind in list_kinds(cls) if kind.around_kind == motor.kind), cls)
 
     @classmethod
     def size_part(cls, motor: Motor, rating: Rating) -> Self | None:

@@ -51,9 +51,11 @@ class TorqueRipple(DriveStage):
 
     def check(self, section: Section) -> None:  # noqa: D102
         # More would turn the torque about at some angles.
-        most = sum(abs(amplitude) for _, amplitude, _ in self.waves)
-        if most > 0.9:
-            raise section.refusal("waves", "have amplitudes that sum up to at most 0.9", most)
+        amplitude_sum = sum(abs(amplitude) for _, amplitude, _ in self.waves)
+        if amplitude_sum > 0.9:
+            raise section.refusal(
+                "waves", "have amplitudes that sum up to at most 0.9", amplitude_sum
+            )
 
     def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
         if motor.follows_speed_at_once:

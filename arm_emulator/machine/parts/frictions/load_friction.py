@@ -157,9 +157,9 @@ class LoadFriction(Friction):
                 )
             torque: Array = dry + self.load * np.abs(motion.gear_torque)
             return torque
-        way = np.where(motion.speed < 0.0, -1.0, 1.0)
-        T = way * motion.gear_torque
-        A = way * motion.motor_torque if self.shaft == "rotor" else T
+        sign = np.where(motion.speed < 0.0, -1.0, 1.0)
+        T = sign * motion.gear_torque
+        A = sign * motion.motor_torque if self.shaft == "rotor" else T
         torque = dry + self._under_load(A, T, self.load, self.back_load, self.motor_load)
         if self.stribeck is not None:
             torque += self._fading(A, T) * self._remaining(motion.speed)
@@ -199,7 +199,7 @@ class LoadFriction(Friction):
     @property
     def sticks(self) -> bool:  # noqa: D102
         numbers = (self.coulomb, self.load, *(getattr(self, key) for key in DIRECTED[:-1]))
-        return any(one is not None and one > 0.0 for one in numbers)
+        return any(value is not None and value > 0.0 for value in numbers)
 
 
 @register_part

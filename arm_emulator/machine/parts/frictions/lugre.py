@@ -40,13 +40,13 @@ class LuGre(JointEffect):
         w = motion.speed
         g = compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
         rate = self.bristle_stiffness * np.abs(w) / g  # 1/s, at which they let go
-        kept = np.exp(-np.gradient(motion.t) * rate)
+        decay = np.exp(-np.gradient(motion.t) * rate)
         # Limit for bristles that slip at once.
         end = np.sign(w) * g / self.bristle_stiffness
-        step = np.where(rate > 0.0, (1.0 - kept) * end, 0.0)
+        step = np.where(rate > 0.0, (1.0 - decay) * end, 0.0)
         z = np.empty_like(w)
         bent = 0.0
-        for k, (share, more) in enumerate(zip(kept.tolist(), step.tolist(), strict=True)):
+        for k, (share, more) in enumerate(zip(decay.tolist(), step.tolist(), strict=True)):
             bent = share * bent + more
             z[k] = bent
         torque: Array = self.bristle_stiffness * z + self.bristle_damping * (w - rate * z)

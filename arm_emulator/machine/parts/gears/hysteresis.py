@@ -28,8 +28,8 @@ def follow_at_distance(path: Array, distance: float) -> Array:
     From one reversal of the path to the next it only goes the path's way.
     """
     followed, at = np.empty_like(path), 0.0
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(path)))) + 2  # behind the reversal itself
-    for begin, end in zip([0, *turns], [*turns, len(path)], strict=True):
+    reversals = np.flatnonzero(np.diff(np.sign(np.diff(path)))) + 2  # behind the reversal itself
+    for begin, end in zip([0, *reversals], [*reversals, len(path)], strict=True):
         rows = path[begin:end]
         followed[begin:end] = np.minimum(np.maximum(at, rows - distance), rows + distance)
         at = followed[end - 1] if end > begin else at

@@ -11,7 +11,13 @@ from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from arm_emulator.machine.parts.waves import MOST, Wave, compute_wave_slope, read_waves, write_waves
+from arm_emulator.machine.parts.waves import (
+    MAX_WAVES,
+    Wave,
+    compute_wave_slope,
+    read_waves,
+    write_waves,
+)
 
 
 @register_part
@@ -27,7 +33,7 @@ class KinematicErrorGear(ElasticGear):
         Key(
             f"kinematic_error.{shaft}",
             unit=f"1{slide}, rad (m), rad",
-            range=f"at most {MOST} waves",
+            range=f"at most {MAX_WAVES} waves",
             text=f"waves [order, amplitude at the link, phase] of the {shaft}'s angle",
         )
         for shaft, slide in (("motor", ""), ("link", " (1/m)"))
@@ -52,11 +58,11 @@ class KinematicErrorGear(ElasticGear):
 
     def check(self, section: Section) -> None:  # noqa: D102
         # A steeper error would turn the gear back at some angles.
-        for shaft, most in (("motor", abs(self.ratio)), ("link", 1.0)):
+        for shaft, limit in (("motor", abs(self.ratio)), ("link", 1.0)):
             waves: tuple[Wave, ...] = getattr(self, shaft)
             steepest = sum(abs(order * amplitude) for order, amplitude, _ in waves)
-            if steepest > 0.9 * most:
-                rule = f"have order times amplitude sum up to at most {0.9 * most:g}"
+            if steepest > 0.9 * limit:
+                rule = f"have order times amplitude sum up to at most {0.9 * limit:g}"
                 raise section.refusal(f"kinematic_error.{shaft}", rule, f"{steepest:g}")
 
     @property

@@ -88,9 +88,9 @@ class Counterbalance(JointEffect):
         )
 
     def check(self, section: Section) -> None:  # noqa: D102
-        least = 0.01 * self.base_distance
-        if abs(self.link_distance - self.base_distance) < least:
-            rule = f"differ by {least:g} m from base_distance, so that the spring keeps a length"
+        smallest = 0.01 * self.base_distance
+        if abs(self.link_distance - self.base_distance) < smallest:
+            rule = f"differ by {smallest:g} m from base_distance, so that the spring keeps a length"
             raise section.refusal("link_distance", rule, self.link_distance)
         if not self.gas_column:
             return
@@ -100,7 +100,7 @@ class Counterbalance(JointEffect):
         shortest = abs(self.base_distance - self.link_distance)
         longest = self.base_distance + self.link_distance
         # Largest compression of the gas beyond `length`.
-        most = longest - self.length if self.force < 0.0 else self.length - shortest
-        if self.gas_column < 1.01 * most:
-            rule = f"be >= {1.01 * most:g} m, so that some gas is left wherever the link is"
+        stroke = longest - self.length if self.force < 0.0 else self.length - shortest
+        if self.gas_column < 1.01 * stroke:
+            rule = f"be >= {1.01 * stroke:g} m, so that some gas is left wherever the link is"
             raise section.refusal("gas_column", rule, self.gas_column)

@@ -17,7 +17,7 @@ from arm_emulator.machine.parts.key import Key
 from arm_emulator.machine.parts.registry import register_part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
-LEAST, MOST = 4, 256  # points
+MIN_POINTS, MAX_POINTS = 4, 256  # points
 CLOSEST = 1e-6  # rad (m)
 _ANGLES = Number.within("angles", "rad", 1e4)
 _TORQUES = Number.within("torques", "N m", LARGEST)
@@ -37,7 +37,7 @@ class TorqueTable(JointEffect):
         Key(
             "angles",
             unit="rad (m)",
-            range=f"{LEAST} to {MOST} numbers, size ≤ 10000, "
+            range=f"{MIN_POINTS} to {MAX_POINTS} numbers, size ≤ 10000, "
             f"each ≥ {CLOSEST:g} above the one before",
             absent="refused",
             text="angles of the joint",
@@ -73,10 +73,10 @@ class TorqueTable(JointEffect):
         if len(self.torques) != len(self.angles):
             rule = f"have as many numbers as angles, {len(self.angles)}"
             raise section.refusal("torques", rule, len(self.torques))
-        for one, following in pairwise(self.angles):
-            if following - one < CLOSEST:
+        for angle, following in pairwise(self.angles):
+            if following - angle < CLOSEST:
                 rule = f"increase by at least {CLOSEST:g} rad each"
-                raise section.refusal("angles", rule, f"{following!r} after {one!r}")
+                raise section.refusal("angles", rule, f"{following!r} after {angle!r}")
         if self.periodic and self.torques[0] != self.torques[-1]:
             rule = "end with the torque that they begin with, as the table is periodic"
             raise section.refusal("torques", rule, f"{self.torques[0]!r} and {self.torques[-1]!r}")
@@ -130,16 +130,16 @@ class TorqueTable(JointEffect):
             q = np.concatenate([[q[0] - 1.0], q, [q[-1] + 1.0]])
             T = np.concatenate([T[:1], T, T[-1:]])
         with np.errstate(over="ignore"):  # of slopes that are next to 0
-            found: Array = PchipInterpolator(q, T).c[::-1]
-        return found[:, before : before + len(self.angles) - 1]
+            cubics: Array = PchipInterpolator(q, T).c[::-1]
+        return cubics[:, before : before + len(self.angles) - 1]
 
 
-def _read(section: Section, one: Number) -> tuple[float, ...]:
-    entries = section.entries(one.name)
-    rule = f"have {LEAST} to {MOST} {one.range.replace('number', 'numbers')}"
-    if not LEAST <= len(entries) <= MOST:
-        raise section.refusal(one.name, rule, len(entries))
+def _read(section: Section, number: Number) -> tuple[float, ...]:
+    entries = section.entries(number.name)
+    rule = f"have {MIN_POINTS} to {MAX_POINTS} {number.range.replace('number', 'numbers')}"
+    if not MIN_POINTS <= len(entries) <= MAX_POINTS:
+        raise section.refusal(number.name, rule, len(entries))
     for entry in entries:
-        if not one.holds(entry):
-            raise section.refusal(one.name, rule, repr(entry))
+        if not number.holds(entry):
+            raise section.refusal(number.name, rule, repr(entry))
     return tuple(map(float, entries))  # type: ignore[arg-type]

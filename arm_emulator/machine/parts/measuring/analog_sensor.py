@@ -22,7 +22,7 @@ from arm_emulator.machine.parts.measuring.encoder import DELAY
 from arm_emulator.machine.parts.part import Part, PartNumber, number
 
 JOINT_CHANNELS = 4  # of the encoders, the current sensor and the torque sensor of a joint
-MOST_JOINTS = 4096  # that draws keep apart
+MAX_JOINTS = 4096  # that draws keep apart
 LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 
@@ -66,8 +66,8 @@ class Converter(Part):
         """Return the declared numbers by key; without a unit they are in that of the quantity."""
         units = {"": cls.unit, "/s": f"{cls.unit}/s"}
         return {
-            key: dataclasses.replace(one, unit=units.get(one.unit, one.unit))
-            for key, one in super().numbers().items()
+            key: dataclasses.replace(number, unit=units.get(number.unit, number.unit))
+            for key, number in super().numbers().items()
         }
 
     @classmethod
@@ -111,7 +111,7 @@ class AnalogSensor(Converter):
         if cls.channel is not None:
             return cls.channel, JOINT_CHANNELS
         # By its name, so that other sensors in a scene or a later version change nothing.
-        return MOST_JOINTS * (1 + zlib.crc32(cls.section.encode()) % 2**18), 1
+        return MAX_JOINTS * (1 + zlib.crc32(cls.section.encode()) % 2**18), 1
 
     offset: float | None = number(
         "offset",

@@ -80,7 +80,7 @@ class Encoder(Part):
     keys = (
         Key(
             "kind",
-            range=", ".join(f"`{one}`" for one in KINDS),
+            range=", ".join(f"`{kind}`" for kind in KINDS),
             absent=f"`{KINDS[0]}`",
             text="see above",
         ),
@@ -250,7 +250,7 @@ class Encoder(Part):
         return 2**self.bits if self.bits is not None else 0
 
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
-        whole = {
+        integers = {
             "kind": f"arm::EncoderKind::{self.kind}",
             "counts_per_turn": cxx_literals.format_number(self.counts_per_turn),
             "counts_per_rad": cxx_literals.format_number(self.counts_per_rad),
@@ -260,7 +260,7 @@ class Encoder(Part):
             "delay": str(self.delay),
             "ripple_order": cxx_literals.format_number(self.ripple_order),
         }
-        return [*whole.items(), *super().list_members(joint, places)]
+        return [*integers.items(), *super().list_members(joint, places)]
 
 
 @register_part

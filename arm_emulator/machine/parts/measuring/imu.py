@@ -148,12 +148,12 @@ class Imu:
 
     def list_variable_numbers(self) -> list[Varied]:
         """Return the numbers that a scene may list as varied."""
-        return [one for three in self.parts for one in three.list_variable_numbers(self.name)]
+        return [number for three in self.parts for number in three.list_variable_numbers(self.name)]
 
     @property
     def parts(self) -> tuple[Axes, ...]:
         """Its sensors that are not ideal."""
-        return tuple(one for one in (self.accelerometer, self.gyroscope) if one is not None)
+        return tuple(part for part in (self.accelerometer, self.gyroscope) if part is not None)
 
     def write_initialiser(self, places: Mapping[str, str]) -> str:
         """Return the unit in C++; `places` as for a part."""

@@ -18,7 +18,7 @@ from arm_emulator.machine.parts.registry import list_kinds
 def _list_analog() -> tuple[type[AnalogSensor], ...]:
     """Return the kinds of analog sensors, which are those that are registered."""
     last = math.inf  # behind those that have a channel of their own
-    return tuple(sorted(list_kinds(AnalogSensor), key=lambda one: one.channel or last))
+    return tuple(sorted(list_kinds(AnalogSensor), key=lambda kind: kind.channel or last))
 
 
 ANALOG = _list_analog()
@@ -50,25 +50,30 @@ class JointSensors:
         Raises:
             Refusal: a value breaks its rule, or a sensor of a motor that is not there.
         """
-        for key, needed in {"encoder": "motor", **{one.section: one.of for one in ANALOG}}.items():
+        for key, needed in {
+            "encoder": "motor",
+            **{kind.section: kind.of for kind in ANALOG},
+        }.items():
             if needed and joint.has(key) and joint.below(needed) is None:
                 rule = f"belong to a joint with a {needed.replace('.', ' with a ')}"
                 raise joint.refusal(key, rule, f"no {needed} section")
         motor, link = joint.section("encoder"), joint.section("link_encoder")
-        given = ((one, joint.section(one.section)) for one in ANALOG)
+        sections = ((kind, joint.section(kind.section)) for kind in ANALOG)
         turn = 1.0 if kind == "prismatic" else 2.0 * math.pi
         return cls(
             encoder=None if motor is None else Encoder.read(motor),
             link_encoder=None if link is None else LinkEncoder.read(link, turn),
-            analog=tuple(one.read(section) for one, section in given if section is not None),
+            analog=tuple(kind.read(section) for kind, section in sections if section is not None),
         )
 
     @property
     def parts(self) -> dict[str, Part]:
         """The sensors that are present, by their sections."""
         encoders = {"encoder": self.encoder, "link_encoder": self.link_encoder}
-        there: dict[str, Part] = {name: one for name, one in encoders.items() if one is not None}
-        return there | {one.section: one for one in self.analog}
+        there: dict[str, Part] = {
+            name: encoder for name, encoder in encoders.items() if encoder is not None
+        }
+        return there | {sensor.section: sensor for sensor in self.analog}
 
     @classmethod
     def add_counts(cls, counts_per_turn: int) -> JointSensors:
@@ -88,7 +93,7 @@ class JointSensors:
     @property
     def current(self) -> CurrentSensor | None:
         """Sensor of its motor's current, which servos use."""
-        return next((one for one in self.analog if isinstance(one, CurrentSensor)), None)
+        return next((sensor for sensor in self.analog if isinstance(sensor, CurrentSensor)), None)
 
     @property
     def plain(self) -> bool:
