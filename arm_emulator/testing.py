@@ -104,7 +104,7 @@ def network(
     if keep is not None and "record" in emulator:
         raise Refusal("testing.network", "keep", "be given without record", keep)
     only = tuple(name for name in NODES if name not in without)
-    given = dict(emulator) if keep is None else {**emulator, "record": keep}
+    parameters = dict(emulator) if keep is None else {**emulator, "record": keep}
     again = f"arm_emulator check-bag {keep}"
     if faults:
         folder = log or (keep.parent if keep is not None else None)
@@ -115,7 +115,7 @@ def network(
     try:
         with (
             own_domain(),
-            Bringup(str(scene), emulator=given, log=log, only=only, forked=True) as nodes,
+            Bringup(str(scene), emulator=parameters, log=log, only=only, forked=True) as nodes,
         ):
             with joined(only, nodes.ended) as user:
                 yield user
@@ -185,15 +185,15 @@ def assert_settles(q: ArrayLike, target: ArrayLike, within: float, last: int) ->
         Refusal: shapes differ, or there are fewer rows.
         AssertionError: names the joint, its error and the time.
     """
-    where, rows, wanted = "testing.assert_settles", coerce_array(q), coerce_array(target)
-    if rows is None or wanted is None:
+    where, rows, expected = "testing.assert_settles", coerce_array(q), coerce_array(target)
+    if rows is None or expected is None:
         raise Refusal(where, "q and target", "be numbers", q if rows is None else target)
     within = Number("within", at_least=0.0).take(where, within)
-    if rows.ndim != 2 or wanted.shape != rows.shape[1:]:
+    if rows.ndim != 2 or expected.shape != rows.shape[1:]:
         rule = "have shapes (K, N) and (N,)"
-        raise Refusal(where, "q and target", rule, f"{rows.shape} and {wanted.shape}")
+        raise Refusal(where, "q and target", rule, f"{rows.shape} and {expected.shape}")
     last = check_count(where, "last", last, 1, len(rows))
-    off = np.abs(rows[-last:] - wanted)
+    off = np.abs(rows[-last:] - expected)
     row, joint = np.unravel_index(int(np.argmax(off)), off.shape)
     worst = float(off[row, joint])
     assert worst <= within, (

@@ -32,7 +32,7 @@ def floors() -> list[list[str]]:
     """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = project["tool"]["importlinter"]["contracts"]
-    layers = next(one["layers"] for one in contracts if one["type"] == "layers")
+    layers = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
     rooms = [[name.strip() for name in re.split("[|:]", layer)] for layer in layers]
     inside = (k for k, floor in enumerate(rooms) if floor[0].startswith(f"{NAMESPACE}."))
     rooms.insert(next(inside), [NAMESPACE])
@@ -69,17 +69,17 @@ def _imported(file: Path) -> Iterator[str]:
 def imports_of_rooms() -> dict[str, set[str]]:
     """Return the rooms that each room imports."""
     rooms = [room for floor in floors() for room in floor]
-    found: dict[str, set[str]] = {}
+    imports: dict[str, set[str]] = {}
     for room in rooms:
-        found[room] = set()
+        imports[room] = set()
         for file in sources(room):
             for name in _imported(file):
                 parts = name.split(".")
                 prefixes = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
-                target = next((one for one in prefixes if one in rooms), None)
+                target = next((prefix for prefix in prefixes if prefix in rooms), None)
                 if target and target != room:
-                    found[room].add(target)
-    return found
+                    imports[room].add(target)
+    return imports
 
 
 def rooms_picture() -> str:
@@ -100,9 +100,9 @@ def rooms_picture() -> str:
         y += deep
     for k, room in enumerate(rooms):
         across, down = left + cell * k + cell // 2, top + cell * k + 15
-        shown = "public names" if room == NAMESPACE else room
-        parts.append(_text(left - 8, down, shown, 12, anchor="end"))
-        short = shown.removeprefix(f"{NAMESPACE}.")
+        label = "public names" if room == NAMESPACE else room
+        parts.append(_text(left - 8, down, label, 12, anchor="end"))
+        short = label.removeprefix(f"{NAMESPACE}.")
         parts.append(
             f'<text x="{across + 4}" y="{top - 8}" font-size="12" fill="{INK}" '
             f'transform="rotate(-60 {across + 4} {top - 8})">{escape(short)}</text>'
@@ -260,12 +260,12 @@ def check_stations(bands: Sequence[Band] = (*TICK, NEWTON_EULER)) -> None:
         Missing: a file or a function does not exist.
     """
     for band in bands:
-        for one in (*band.down, *band.up):
-            file = ROOT / one.file
+        for station in (*band.down, *band.up):
+            file = ROOT / station.file
             if not file.is_file():
-                raise Missing(f"file {one.file} of the station '{one.text}'")
-            if not defines(file.read_text(encoding="utf-8"), one.function, file.suffix):
-                raise Missing(f"definition of {one.function} in {one.file}")
+                raise Missing(f"file {station.file} of the station '{station.text}'")
+            if not defines(file.read_text(encoding="utf-8"), station.function, file.suffix):
+                raise Missing(f"definition of {station.function} in {station.file}")
 
 
 def tick_picture() -> str:
@@ -283,15 +283,15 @@ def tick_picture() -> str:
         parts.append(_rect(10, y, 980, deep, BANDS[k % 2], FAINT))
         parts.append(_text(20, y + 18, band.title, 12, weight="bold"))
         for x, column in ((left, band.down), (right, tuple(reversed(band.up)))):
-            for i, one in enumerate(column):
-                at = tops[one] = y + 28 + i * (high + gap)
+            for i, station in enumerate(column):
+                at = tops[station] = y + 28 + i * (high + gap)
                 parts.append(_rect(x, at, box, high, PAPER, "#00695c"))
-                parts.append(_text(x + 10, at + 16, one.text, 12))
-                called = f"{one.file}: {one.function}"
+                parts.append(_text(x + 10, at + 16, station.text, 12))
+                called = f"{station.file}: {station.function}"
                 parts.append(_text(x + 10, at + 32, called, 10.5, family="monospace"))
         y += deep
-    down = [one for band in TICK for one in band.down]
-    up = [one for band in reversed(TICK) for one in band.up]
+    down = [station for band in TICK for station in band.down]
+    up = [station for band in reversed(TICK) for station in band.up]
     at = left + box - 30
     for above, below in pairwise(down):
         parts.append(_arrow(at, tops[above] + high, at, tops[below]))
@@ -299,7 +299,7 @@ def tick_picture() -> str:
     for below, above in pairwise(up):
         parts.append(_arrow(at, tops[below], at, tops[above] + high))
     (takes,), (links,) = NEWTON_EULER.down, NEWTON_EULER.up
-    by_name = {one.function: one for one in (*down, *up)}
+    by_name = {station.function: station for station in (*down, *up)}
     across = (  # from the right column to the left, or the other way
         (by_name["servo_measure"], by_name["servo_command"]),
         (down[-1], up[0]),
@@ -319,13 +319,13 @@ def tick_table() -> str:
     check_stations()
     rows = ["| way | station | file | function |", "|---|---|---|---|"]
     for name, stations in (
-        ("down", [one for band in TICK for one in band.down]),
-        ("up", [one for band in reversed(TICK) for one in band.up]),
+        ("down", [station for band in TICK for station in band.down]),
+        ("up", [station for band in reversed(TICK) for station in band.up]),
         ("beside", [*NEWTON_EULER.down, *NEWTON_EULER.up]),
     ):
-        for one in stations:
-            link = f"[{one.file}](../../{one.file})"
-            rows.append(f"| {name} | {one.text} | {link} | `{one.function}` |")
+        for station in stations:
+            link = f"[{station.file}](../../{station.file})"
+            rows.append(f"| {name} | {station.text} | {link} | `{station.function}` |")
     return "\n".join(rows)
 
 

@@ -24,18 +24,18 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 def _distributions() -> str:
     rows = []
     for name, function in KINDS.items():
-        given = [
+        arguments = [
             str(value).partition(":")[0]
             for value in inspect.signature(function).parameters.values()
         ]
-        rows.append((f"`{name}({', '.join(given)})`", (function.__doc__ or "").strip()))
+        rows.append((f"`{name}({', '.join(arguments)})`", (function.__doc__ or "").strip()))
     return _table(("distribution", "values"), rows)
 
 
 def _faults() -> str:
     rows = []
     for kind, fault in list_faults().items():
-        numbers = [f"`{name}`: {one.described}" for name, one in list_numbers(fault).items()]
+        numbers = [f"`{name}`: {number.described}" for name, number in list_numbers(fault).items()]
         others = [
             f"`{field.name}`" for field in fields(fault) if field.name not in list_numbers(fault)
         ]
@@ -47,7 +47,7 @@ def _faults() -> str:
 def _methods() -> str:
     rows = []
     for kind, method in METHODS.items():
-        numbers = [f"`{name}`: {one.described}" for name, one in list_numbers(method).items()]
+        numbers = [f"`{name}`: {number.described}" for name, number in list_numbers(method).items()]
         about = (method.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join(numbers)))
     return _table(("method", "what it does", "keys"), rows)
@@ -64,18 +64,20 @@ def _numbers() -> str:
         "scenario.targets.N.at, scenario.moves.N.at": AT,
         "correlate.N.by": CORRELATION,
     }
-    return _table(("key", "what it is"), ((f"`{name}`", one.described) for name, one in of.items()))
+    return _table(
+        ("key", "what it is"), ((f"`{name}`", number.described) for name, number in of.items())
+    )
 
 
 def _signals() -> str:
     from arm_emulator_campaign.signals import list_signal_units
 
     scene = load_scene("three_axis")
-    known: dict[str, str] = {}
+    units: dict[str, str] = {}
     for name, unit in list_signal_units(scene).items():
         head, _, tail = name.rpartition(".")
-        known[f"{head}.*" if tail in scene.joint_names else name] = unit
-    return _table(("signal", "unit"), ((f"`{name}`", unit) for name, unit in known.items()))
+        units[f"{head}.*" if tail in scene.joint_names else name] = unit
+    return _table(("signal", "unit"), ((f"`{name}`", unit) for name, unit in units.items()))
 
 
 TABLES: dict[str, Callable[[], str]] = {

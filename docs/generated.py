@@ -44,14 +44,20 @@ def _help(_: str) -> str:
     from arm_emulator.cli.arguments import page_of
     from arm_emulator.cli.command import command_names, load_command
 
-    pages = ((name, page_of(one)) for name in command_names() if (one := load_command(name)))
+    pages = (
+        (name, page_of(command)) for name in command_names() if (command := load_command(name))
+    )
     return "\n\n".join(f"## {name}\n\n```text\n{page.rstrip()}\n```" for name, page in pages)
 
 
 def _command_keys(_: str) -> str:
     from arm_emulator.cli.command import command_names, load_command
 
-    rows = (f"| `{name}` | {one.keys} |" for name in command_names() if (one := load_command(name)))
+    rows = (
+        f"| `{name}` | {command.keys} |"
+        for name in command_names()
+        if (command := load_command(name))
+    )
     return "\n".join(("| command | keys |", "|---|---|", *rows))
 
 
@@ -79,35 +85,35 @@ def _doors(which: str) -> str:
             rows.append([f"[{stated[1]}]({at})", *stated[2].split(" | ")])
     if len(rows) < 3:
         raise Missing("pages of doors")
-    shown = ([row[0], row[-1]] if which == "needs" else row[:-1] for row in rows)
-    return "\n".join(f"| {' | '.join(row)} |" for row in shown)
+    cells = ([row[0], row[-1]] if which == "needs" else row[:-1] for row in rows)
+    return "\n".join(f"| {' | '.join(row)} |" for row in cells)
 
 
 def _faults_at_doors(_: str) -> str:
     """Return what each door does about the same faults (packages/test/faults_at_doors.json)."""
-    kept = json.loads((ROOT / "packages/test/faults_at_doors.json").read_text())
+    faults = json.loads((ROOT / "packages/test/faults_at_doors.json").read_text())
     words: dict[str, int] = {}  # of refusals, numbered
 
-    def cell(found: str) -> str:
-        if not found.startswith("refused: "):
-            return found
-        line = found.removeprefix("refused: ")
+    def cell(outcome: str) -> str:
+        if not outcome.startswith("refused: "):
+            return outcome
+        line = outcome.removeprefix("refused: ")
         return f"refused ({words.setdefault(line, len(words) + 1)})"
 
     rows = [["door", *FAULT_HEADS.values()], ["---"] * (1 + len(FAULT_HEADS))]
-    for door in sorted(kept, key=lambda one: one.strip("`").lower()):
-        rows.append([door, *(cell(kept[door][fault]) for fault in FAULT_HEADS)])
-    shown = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([*shown, "", *(f"{number}. `{line}`" for line, number in words.items())])
+    for door in sorted(faults, key=lambda door: door.strip("`").lower()):
+        rows.append([door, *(cell(faults[door][fault]) for fault in FAULT_HEADS)])
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([*lines, "", *(f"{number}. `{line}`" for line, number in words.items())])
 
 
-def _of_campaigns(what: str) -> str:
+def _of_campaigns(table: str) -> str:
     """Return a table of what a campaign's file may have, from its declaration."""
     from docs.campaign_tables import TABLES
 
-    if what not in TABLES:
-        raise Missing(f"{what} of campaigns; valid: {', '.join(TABLES)}")
-    return TABLES[what]()
+    if table not in TABLES:
+        raise Missing(f"{table} of campaigns; valid: {', '.join(TABLES)}")
+    return TABLES[table]()
 
 
 def _parameters(_: str) -> str:
@@ -180,8 +186,8 @@ def main(check: bool) -> int:
     """
     outdated = dict(outdated_pages())
     for path, text in outdated.items():
-        found = "behind the code; run make tables" if check else "written"
-        print(f"{path.relative_to(ROOT)}: {found}")
+        state = "behind the code; run make tables" if check else "written"
+        print(f"{path.relative_to(ROOT)}: {state}")
         if not check:
             path.write_text(text, encoding="utf-8")
     return int(check and bool(outdated))

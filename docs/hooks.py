@@ -55,10 +55,10 @@ def code_block(place: str) -> str:
     return f"```````{LANGUAGES.get(file.suffix, 'text')}\n{file.read_text().rstrip()}\n```````"
 
 
-def shown_at(target: str) -> str:
+def published_path(target: str) -> str:
     """Return the page of the site for a file or folder of the repository."""
-    if found := PAGE.match(target):
-        return found[1]
+    if match := PAGE.match(target):
+        return match[1]
     return TOP.get(target) or f"source/{target}.md"
 
 
@@ -72,14 +72,14 @@ def relink(text: str, at: str, page: str) -> tuple[str, set[str]]:
     """
     outside: set[str] = set()
 
-    def link(found: re.Match[str]) -> str:
-        if "://" in found[1] or found[1].startswith("mailto:"):
-            return found[0]
-        target = posixpath.normpath(posixpath.join(posixpath.dirname(at), found[1]))
+    def link(match: re.Match[str]) -> str:
+        if "://" in match[1] or match[1].startswith("mailto:"):
+            return match[0]
+        target = posixpath.normpath(posixpath.join(posixpath.dirname(at), match[1]))
         if not PAGE.match(target) and target not in TOP:
             outside.add(target)
-        shown = posixpath.relpath(shown_at(target), posixpath.dirname(page) or ".")
-        return f"{shown}{found[2] or ''}"
+        path = posixpath.relpath(published_path(target), posixpath.dirname(page) or ".")
+        return f"{path}{match[2] or ''}"
 
     parts = re.split(r"(^```.*?^```[^\n]*$)", text, flags=re.M | re.S)
     parts[::2] = [LINK.sub(link, part) for part in parts[::2]]
@@ -105,30 +105,30 @@ def with_pages(nav: Any) -> Any:
     """Return a navigation in which a pattern is the list of its pages that no other entry names."""
     named, pages = set(_entries(nav)), sorted(page_files())
 
-    def listed(one: Any) -> Any:
-        if isinstance(one, dict):
-            return {title: listed(below) for title, below in one.items()}
-        if isinstance(one, list):
-            return [page for below in one for page in _as_list(listed(below))]
-        if "*" in one:
-            return [page for page in fnmatch.filter(pages, one) if page not in named]
-        return one
+    def listed(entry: Any) -> Any:
+        if isinstance(entry, dict):
+            return {title: listed(below) for title, below in entry.items()}
+        if isinstance(entry, list):
+            return [page for below in entry for page in _as_list(listed(below))]
+        if "*" in entry:
+            return [page for page in fnmatch.filter(pages, entry) if page not in named]
+        return entry
 
     return listed(nav)
 
 
-def _as_list(one: Any) -> list[Any]:
-    return one if isinstance(one, list) else [one]
+def _as_list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def _entries(nav: Any) -> Iterator[str]:
     """Yield the pages and patterns of a navigation."""
     below = nav.values() if isinstance(nav, dict) else _as_list(nav)
-    for one in below:
-        if isinstance(one, str):
-            yield one
+    for entry in below:
+        if isinstance(entry, str):
+            yield entry
         else:
-            yield from _entries(one)
+            yield from _entries(entry)
 
 
 def on_config(config: Any) -> Any:
@@ -152,7 +152,7 @@ def on_files(files: Any, config: Any) -> Any:
             files.append(File.generated(config, page, content=text))
             linked |= outside
     for target in sorted(linked):
-        source = File.generated(config, shown_at(target), content=source_page(target))
+        source = File.generated(config, published_path(target), content=source_page(target))
         source.inclusion = InclusionLevel.NOT_IN_NAV
         files.append(source)
     return files

@@ -59,9 +59,11 @@ def _numbers(kind: type[Any], prefix: str, settable: tuple[str, ...]) -> Rows:
             yield _number(prefix + field.name, numbers[field.name], field.name in settable)
 
 
-def _number(name: str, one: Number, settable: bool) -> list[str]:
-    default = "required" if one.default is REQUIRED else f"{one.default:g}".replace("inf", "none")
-    return _row(name, default, one.range.removeprefix("number "), one.text, settable)
+def _number(name: str, number: Number, settable: bool) -> list[str]:
+    default = (
+        "required" if number.default is REQUIRED else f"{number.default:g}".replace("inf", "none")
+    )
+    return _row(name, default, number.range.removeprefix("number "), number.text, settable)
 
 
 def _row(name: str, default: str, valid: str, text: str, settable: bool) -> list[str]:

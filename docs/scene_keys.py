@@ -23,14 +23,16 @@ Keys = dict[str, Key | Number]
 
 def _choice(values: Sequence[str], text: str) -> Key:
     """Return a key whose value is one of several; the first holds without it."""
-    known = ", ".join(f"`{value}`" for value in values)
-    return Key("", range=known, absent=f"`{values[0]}`", text=text)
+    choices = ", ".join(f"`{value}`" for value in values)
+    return Key("", range=choices, absent=f"`{values[0]}`", text=text)
 
 
-def _row_of(one: Number, size: int, absent: str, text: str) -> Key:
+def _row_of(number: Number, size: int, absent: str, text: str) -> Key:
     """Return a key with several numbers."""
-    ends = f"each ±{one.most:g}" if one.in_size else f"each {one.least:g} to {one.most:g}"
-    return Key("", unit=one.unit, range=f"{size} numbers, {ends}", absent=absent, text=text)
+    ends = (
+        f"each ±{number.most:g}" if number.in_size else f"each {number.least:g} to {number.most:g}"
+    )
+    return Key("", unit=number.unit, range=f"{size} numbers, {ends}", absent=absent, text=text)
 
 
 def _flag(text: str) -> Key:
@@ -51,9 +53,9 @@ MACHINE: Keys = {
                 text="the links. A path relative to the scene file, or `example-robot-data:PATH`"
                 " for a file below `robots/` of that package"),
     **{
-        one: Key("", range="file", absent=f"`{one}/NAME.yaml` beside `NAME.yaml`",
+        folder: Key("", range="file", absent=f"`{folder}/NAME.yaml` beside `NAME.yaml`",
                  text="what belongs to the scene, see [A new scene](#a-new-scene)")
-        for one in BESIDE
+        for folder in BESIDE
     },
     "tool": Key("", range="a link of the URDF", absent="refused",
                 text="carries the payload; its path is drawn"),
@@ -84,7 +86,8 @@ MACHINE: Keys = {
     "calibration.joints": Key("", range="a section per joint of the URDF, fixed ones too",
                               text="deviations, each in the place of the file's:"),
     **{
-        f"calibration.joints.JOINT.{name}": one for name, one in list_numbers(Deviation).items()
+        f"calibration.joints.JOINT.{key}": number
+        for key, number in list_numbers(Deviation).items()
     },
     "external_wrench": _flag("whether forces and moments may act on the links from outside, see"
                              " [External wrenches](parts/external_wrench.md)"),

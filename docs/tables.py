@@ -32,7 +32,7 @@ OWNERS: tuple[type[Part] | type[Imu], ...] = (*PARTS, *SENSORS)
 SHARED = {
     Motor.section,
     Gear.section,
-    *(one.section for one in (*LINK_FRICTIONS, *ROTOR_FRICTIONS)),
+    *(friction.section for friction in (*LINK_FRICTIONS, *ROTOR_FRICTIONS)),
 }
 SLIDES = {
     "rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m",
@@ -53,12 +53,12 @@ def parts(scene_page: str) -> str:
     folder = f"{scene_page.rpartition('/')[0]}/parts"
     rows: dict[str, list[str]] = {}
     for kind in PARTS:
-        found = _page(kind)
-        page = f"{folder}/{found[1]}" if found else scene_page
-        title = f"[{found[0] if found else _file(kind).capitalize()}]({page})"
+        part_page = _page(kind)
+        page = f"{folder}/{part_page[1]}" if part_page else scene_page
+        title = f"[{part_page[0] if part_page else _file(kind).capitalize()}]({page})"
         rows.setdefault(title, []).append(_section(kind))
     return "\n".join(
-        _table(("part", "section of a joint"), ((one, ", ".join(at)) for one, at in rows.items()))
+        _table(("part", "section of a joint"), ((part, ", ".join(at)) for part, at in rows.items()))
     )
 
 
@@ -66,21 +66,23 @@ def sensors(_: str) -> str:
     """Return all sensors, with their pages in the folder of the page."""
     rows = []
     for kind in SENSORS:
-        found = _page(kind)
-        assert found, f"{kind.__name__} has a page"
+        page = _page(kind)
+        assert page, f"{kind.__name__} has a page"
         place = _section(kind) if issubclass(kind, Imu) else _code(f"joints.NAME.{kind.section}")
-        rows.append((place, _first_line(kind), f"[{found[0]}]({found[1]})"))
+        rows.append((place, _first_line(kind), f"[{page[0]}]({page[1]})"))
     return "\n".join(_table(("section", "measures", "page"), rows))
 
 
 def schemes(folder: str) -> str:
     """Return all schemes, with their pages in a folder."""
     rows = []
-    for k, one in enumerate(SCHEMES.values()):
-        name = f"[`{one.name}`]({folder}/{one.name}.md)" + ("" if k else ", the default")
-        threads = "1" if one.evaluations > 1 else "1 or 2"
-        located = "yes" if one.locates else "no"
-        rows.append((name, one.text, str(one.order), str(one.evaluations), threads, located))
+    for k, scheme in enumerate(SCHEMES.values()):
+        name = f"[`{scheme.name}`]({folder}/{scheme.name}.md)" + ("" if k else ", the default")
+        threads = "1" if scheme.evaluations > 1 else "1 or 2"
+        located = "yes" if scheme.locates else "no"
+        rows.append(
+            (name, scheme.text, str(scheme.order), str(scheme.evaluations), threads, located)
+        )
     head = ("scheme", "what", "order", "evaluations of the links", "threads", "locates events")
     return "\n".join(_table(head, rows))
 
@@ -93,13 +95,13 @@ def faults(_: str) -> str:
     return "\n".join(_table(head, rows))
 
 
-def _changes(one: Fault) -> tuple[str, str]:
+def _changes(fault: Fault) -> tuple[str, str]:
     """Return the magnitude of a fault, and the changes of numbers by it."""
-    number = one.magnitude
+    number = fault.magnitude
     unit = "" if number.unit == "1" else f" {number.unit}"
     low, high = number.ends
     by_change: dict[str, list[str]] = {}
-    for place, expression in one.sets.items():
+    for place, expression in fault.sets.items():
         by_change.setdefault(expression.format(x="x", m="m"), []).append(_code(place))
     sets = (f"{', '.join(places)}: {_code(to)}" for to, places in by_change.items())
     return f"{number.default:g}{unit}, from {low:g} to {high:g}", "; ".join(sets)
@@ -108,8 +110,15 @@ def _changes(one: Fault) -> tuple[str, str]:
 def inputs(_: str) -> str:
     """Return all inputs of motors."""
     rows = [
-        [_code(one.name), one.about, _sections(owners), one.unit, _in_c(one), _object(one)]
-        for one, owners in _taken().items()
+        [
+            _code(input_.name),
+            input_.about,
+            _sections(owners),
+            input_.unit,
+            _in_c(input_),
+            _object(input_),
+        ]
+        for input_, owners in _taken().items()
     ]
     return "\n".join(_table(("input", "what", "of", "unit", "`arm.h`", "CiA 402"), rows))
 
@@ -122,7 +131,7 @@ def outputs(_: str) -> str:
 
 def keys(module: str) -> str:
     """Return the keys of the parts of a file, by their sections."""
-    kinds = [one for one in OWNERS if one.__module__.rpartition(".")[2] == module]
+    kinds = [owner for owner in OWNERS if owner.__module__.rpartition(".")[2] == module]
     if not kinds:
         raise KeyError(f"parts in {module}.py")
     owners = "imus" if issubclass(kinds[0], Imu) else kinds[0].owners
@@ -135,13 +144,13 @@ def joint_keys(folder: str) -> str:
     Args:
         folder: of the pages of parts.
     """
-    rows = [_row(key, one) for key, one in list_numbers(Joint).items()]
+    rows = [_row(key, number) for key, number in list_numbers(Joint).items()]
     kinds = ", ".join(_code(motor.kind) for motor in MOTORS)
     rows.append(_row("motor.kind", Key(
         name="", range=kinds, absent=_code(MOTORS[0].kind),
         text="which motor; those with a page of their own have other keys",
     )))  # fmt: skip
-    of_joints = [one for one in OWNERS if not issubclass(one, Imu)]
+    of_joints = [owner for owner in OWNERS if not issubclass(owner, Imu)]
     for kind in of_joints:
         rows += [] if _page(kind) else _keys(kind)
     for kind in of_joints:
@@ -155,9 +164,9 @@ def joint_keys(folder: str) -> str:
 
 def scene_keys(which: str) -> str:
     """Return the keys of a scene outside its joints: of the machine, or of time."""
-    known = {"machine": scene_keys_of.MACHINE, "time": scene_keys_of.TIME}[which]
+    keys = {"machine": scene_keys_of.MACHINE, "time": scene_keys_of.TIME}[which]
     head = ("key", "unit", "range", "if absent", "effect")
-    return "\n".join(_table(head, (_row(key, one) for key, one in known.items())))
+    return "\n".join(_table(head, (_row(key, key_row) for key, key_row in keys.items())))
 
 
 def _keys_table(owners: str, rows: Iterable[list[str]]) -> str:
@@ -182,10 +191,10 @@ def _keys(kind: type[Part] | type[Imu]) -> list[list[str]]:
         rows.append(_row(kind.section, own_section))
     rows += [_row(f"{kind.section}.{key.name}", key) for key in kind.keys]
     moves = kind.owners == Part.owners and (kind.shaft == "link" or issubclass(kind, Gear))
-    for key, one in kind.numbers().items():
+    for key, number in kind.numbers().items():
         if key in getattr(kind, "named_by", ()):
-            one = replace(one, default=None)  # the part is another one then
-        rows.append(_row(f"{kind.section}.{key}", one, moves))
+            number = replace(number, default=None)  # the part is another one then
+        rows.append(_row(f"{kind.section}.{key}", number, moves))
     return rows
 
 
@@ -194,43 +203,43 @@ def _sentence(kind: type[Part] | type[Imu]) -> str:
     return line[0].lower() + line[1:] if line[:2] in ("A ", "An", "Th") else line
 
 
-def _row(place: str, one: Key | Number, moves: bool = False) -> list[str]:
+def _row(place: str, key: Key | Number, moves: bool = False) -> list[str]:
     """Return a row; `moves`: of a quantity that is another one of a sliding joint."""
-    if isinstance(one, Key):
-        return [_code(place), _raised(one.unit), one.range, one.absent, one.text]
-    fall = "/s" * one.unit.endswith("/s/s")  # of a drift
-    slide = SLIDES.get(one.unit.removesuffix(fall) if fall else one.unit)
-    shown = f"{one.unit} ({slide}{fall})" if moves and slide else one.unit
-    return [_code(place), _raised(shown), _range(one), _absent(one), one.text]
+    if isinstance(key, Key):
+        return [_code(place), _raised(key.unit), key.range, key.absent, key.text]
+    fall = "/s" * key.unit.endswith("/s/s")  # of a drift
+    slide = SLIDES.get(key.unit.removesuffix(fall) if fall else key.unit)
+    unit = f"{key.unit} ({slide}{fall})" if moves and slide else key.unit
+    return [_code(place), _raised(unit), _range(key), _absent(key), key.text]
 
 
-def _range(one: Number) -> str:
-    if one.whole:
-        return f"whole, {one.least:g} to {one.most:.16g}"
+def _range(number: Number) -> str:
+    if number.whole:
+        return f"whole, {number.least:g} to {number.most:.16g}"
     words = []
-    if one.above is not None:
-        words.append(f"> {one.above:g}")
-    if one.at_least is not None:
-        words.append(f"≥ {one.at_least:g}")
-    if isinstance(one, PartNumber) and one.follows is not None:
-        words.append(f"≥ `{one.follows}`")
-    if one.at_most is not None:
-        words.append(f"≤ {one.at_most:g}")
-    return ("size " if one.in_size else "") + ", ".join(words)
+    if number.above is not None:
+        words.append(f"> {number.above:g}")
+    if number.at_least is not None:
+        words.append(f"≥ {number.at_least:g}")
+    if isinstance(number, PartNumber) and number.follows is not None:
+        words.append(f"≥ `{number.follows}`")
+    if number.at_most is not None:
+        words.append(f"≤ {number.at_most:g}")
+    return ("size " if number.in_size else "") + ", ".join(words)
 
 
-def _absent(one: Number) -> str:
-    if isinstance(one, PartNumber) and one.follows is not None:
-        return _code(one.follows)
-    if one.default is REQUIRED:
+def _absent(number: Number) -> str:
+    if isinstance(number, PartNumber) and number.follows is not None:
+        return _code(number.follows)
+    if number.default is REQUIRED:
         return "refused"
-    if one.default is None:
-        return one.absent if isinstance(one, PartNumber) else "none"
-    return f"{one.default:g}"
+    if number.default is None:
+        return number.absent if isinstance(number, PartNumber) else "none"
+    return f"{number.default:g}"
 
 
 def _raised(unit: str) -> str:
-    return re.sub(r"(?<=[a-z])[23]\b", lambda found: "²³"[int(found[0]) - 2], unit)
+    return re.sub(r"(?<=[a-z])[23]\b", lambda match: "²³"[int(match[0]) - 2], unit)
 
 
 def _page(kind: type[Part] | type[Imu]) -> tuple[str, str] | None:
@@ -252,41 +261,41 @@ def _first_line(kind: type[Part] | type[Imu]) -> str:
 def _taken() -> dict[Input, list[type[Part]]]:
     taken: dict[Input, list[type[Part]]] = {}
     for kind in PARTS:
-        for one in getattr(kind, "inputs", ()):
-            taken.setdefault(one, []).append(kind)
+        for input_ in getattr(kind, "inputs", ()):
+            taken.setdefault(input_, []).append(kind)
     return taken
 
 
-def _in_c(one: Input) -> str:
-    return f"`{one.mode}`" if one.mode else "`further`, a row"
+def _in_c(input_: Input) -> str:
+    return f"`{input_.mode}`" if input_.mode else "`further`, a row"
 
 
-def _object(one: Input) -> str:
-    return "" if one.mode else f"0x{find_index(one):04X}"
+def _object(input_: Input) -> str:
+    return "" if input_.mode else f"0x{find_index(input_):04X}"
 
 
-def _output(one: Output) -> list[str]:
-    always = "every machine" if one in ALWAYS else ""
-    unit = "that of the input" if one.symbol == FURTHER else UNITS.get(one.unit, one.unit)
-    if one.kind != "number":
-        unit = {"count": "counts", "flag": "0 or 1", "bits": "bits"}[one.kind]
-    elif one.unit_of_slides:
-        unit += f" ({one.unit_of_slides} of a slide)"
+def _output(output: Output) -> list[str]:
+    always = "every machine" if output in ALWAYS else ""
+    unit = "that of the input" if output.symbol == FURTHER else UNITS.get(output.unit, output.unit)
+    if output.kind != "number":
+        unit = {"count": "counts", "flag": "0 or 1", "bits": "bits"}[output.kind]
+    elif output.unit_of_slides:
+        unit += f" ({output.unit_of_slides} of a slide)"
     return [
-        _code(one.name),
-        one.about,
-        always or _sections(kind for kind in OWNERS if one in kind.outputs),
+        _code(output.name),
+        output.about,
+        always or _sections(kind for kind in OWNERS if output in kind.outputs),
         unit,
-        IN_C.get(one.symbol, _code(one.symbol)),
-        _code(one.name) if one.name in FIELDS else "`readings`",
-        _code(f"{one.name}.UNIT" if one.per_unit else one.name),
-        f"0x{find_index(one):04X}",
+        IN_C.get(output.symbol, _code(output.symbol)),
+        _code(output.name) if output.name in FIELDS else "`readings`",
+        _code(f"{output.name}.UNIT" if output.per_unit else output.name),
+        f"0x{find_index(output):04X}",
     ]
 
 
 def _sections(owners: Iterable[type[Part] | type[Imu]]) -> str:
     """Return where parts stand in a scene; motors by their kinds."""
-    return ", ".join(dict.fromkeys(_section(one) for one in owners))
+    return ", ".join(dict.fromkeys(_section(owner) for owner in owners))
 
 
 def _section(owner: type[Part] | type[Imu]) -> str:

@@ -66,15 +66,15 @@ class Entities:
         except re.error as error:
             rule = "be a regular expression"
             raise Refusal("filters", "filter", rule, f"{filters.filter!r}: {error}") from None
-        categories = {one.category for one in filters.categories}
-        wanted = set(filters.tags.tags)
-        enough = wanted.issubset if filters.tags.filter_mode == ALL_OF_THEM else wanted.intersection
+        categories = {category.category for category in filters.categories}
+        tags = set(filters.tags.tags)
+        enough = tags.issubset if filters.tags.filter_mode == ALL_OF_THEM else tags.intersection
         return [
             name
             for name in self.names
             if expression.search(name)
             and (not categories or self.get_category(name) in categories)
-            and (not wanted or enough(self.get_tags(name)))
+            and (not tags or enough(self.get_tags(name)))
         ]
 
     def place(self) -> None:

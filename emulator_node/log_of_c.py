@@ -27,7 +27,7 @@ def compute_log_room(ticks: int, outgoing: Sequence[Outgoing], commands: int) ->
         outgoing: messages of a tick.
         commands: largest size of the commands that answer it [bytes].
     """
-    sizes = [commands, *(one.layout.size for one in outgoing)]
+    sizes = [commands, *(message.layout.size for message in outgoing)]
     return ticks * sum(HEAD + size for size in sizes)
 
 
@@ -42,7 +42,7 @@ def record_log(record: RunRecord, log: CData, outgoing: Sequence[Outgoing], comm
         commands: topic of the commands, whose number is the next one.
     """
     data = MIDDLEWARE.ffi.buffer(log.data, log.used)
-    topics = [*(one.publisher.topic_name for one in outgoing), commands]
+    topics = [*(message.publisher.topic_name for message in outgoing), commands]
     tick_at = outgoing[0].layout.places["tick"]
     at = 0
     while at < len(data):

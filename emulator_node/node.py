@@ -129,13 +129,13 @@ class EmulatorNode(ManagedNode):
         """Create the machine, which stands, and its topics and services."""
         config = self._config
         check_pace(config)
-        outbox = OutgoingMessages()
-        self.cleanup.callback(outbox.close)
+        outgoing = OutgoingMessages()
+        self.cleanup.callback(outgoing.close)
         diagnostics = self._diagnostics
         self._session = session = self._new_session()
         scene = session.scene
-        watched = self._watch(session)
-        self.cleanup.callback(watched.close)
+        page = self._watch(session)
+        self.cleanup.callback(page.close)
         view = View(session, config.rerun_file, config.rerun_port)
         self.cleanup.callback(view.close)
         self.cleanup.callback(session.close)
@@ -143,19 +143,19 @@ class EmulatorNode(ManagedNode):
         gate = RecorderGate(recorders, session.lockstep, self._report_recorder)
         pace = Pace(scene.servo_period)
         pace.factor = config.real_time_factor
-        self._own = own = Context(self, session, diagnostics, gate, outbox, view, pace)
+        self._own = own = Context(self, session, diagnostics, gate, outgoing, view, pace)
         self._reports = reports = Reports(own, config.report_period)
         self._status = status = Status(own, reports)
-        health = Health(own, lambda: self._config.timeout, lambda: watched.trouble)
+        health = Health(own, lambda: self._config.timeout, lambda: page.trouble)
         breaks = Breakpoints(own, lambda: self._pacer.catch_up())  # noqa: PLW0108 - it is made below
         loop = LoopPacer(own, reports, health, breaks) if session.is_self_clocked else None
         self._pacer: Pacer = loop or LockstepPacer(own, reports, health, breaks)
         self.cleanup.callback(self._pacer.close)
-        changes = Changes(session, self._pacer, reports, watched, breaks)
+        changes = Changes(session, self._pacer, reports, page, breaks)
         subscriptions = Subscriptions(own, self._pacer, changes, breaks)
         if config.record:
             publishers = [*reports.publishers, status.publisher, diagnostics.publisher]
-            self._begin_record(outbox, publishers, subscriptions.commands.topic_name)
+            self._begin_record(outgoing, publishers, subscriptions.commands.topic_name)
         self.hot = (
             RealTimeCommands(own, loop.ticks, subscriptions.commands)
             if loop
@@ -196,14 +196,14 @@ class EmulatorNode(ManagedNode):
         return session
 
     def _begin_record(
-        self, outbox: OutgoingMessages, publishers: list[Publisher], commands: str
+        self, outgoing: OutgoingMessages, publishers: list[Publisher], commands: str
     ) -> None:
         """Record what is published, commands, and messages between others, until the node ends."""
         folder, diagnostics = Path(self._config.record), self._diagnostics
-        self._others = subscribe_to_others(self, outbox.record_message_of_others)
-        taken = [commands, *(one.topic_name for one in self._others)]
-        outbox.record = create_record(self, folder, publishers, taken, self._session.lockstep)
-        diagnostics.send = lambda message: outbox.put(diagnostics.publisher, message)
+        self._others = subscribe_to_others(self, outgoing.record_message_of_others)
+        taken = [commands, *(subscription.topic_name for subscription in self._others)]
+        outgoing.record = create_record(self, folder, publishers, taken, self._session.lockstep)
+        diagnostics.send = lambda message: outgoing.put(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
 
     def _watch(self, session: Session) -> PageProcess:
@@ -215,10 +215,10 @@ class EmulatorNode(ManagedNode):
         from emulator_node.page_controls import RosControls
 
         of_run = session.scene.servo_period, session.lockstep, self._config.real_time_factor
-        hands = partial(RosControls, self.get_namespace(), *of_run)
-        watched = PageProcess(session.plant, f"{host}:{port}", hands)
-        print(f"page: {watched.url}", flush=True)
-        return watched
+        controls = partial(RosControls, self.get_namespace(), *of_run)
+        page = PageProcess(session.plant, f"{host}:{port}", controls)
+        print(f"page: {page.url}", flush=True)
+        return page
 
     def activate(self) -> None:
         """Publish this tick, and let time pass."""

@@ -75,9 +75,12 @@ def create_record(
     ]
     ends += [(name, node.get_subscriptions_info_by_topic(name)) for name in taken]
     topics = []
-    for name, known in ends:
-        kind, offered = known[0].topic_type, tuple(one.qos_profile for one in known)
-        kind_hash = str(known[0].topic_type_hash)
+    for name, endpoints in ends:
+        kind, offered = (
+            endpoints[0].topic_type,
+            tuple(endpoint.qos_profile for endpoint in endpoints),
+        )
+        kind_hash = str(endpoints[0].topic_type_hash)
         topics.append(Topic(name, kind, read_definition(kind), offered, kind_hash))
     return RunRecord(folder, topics, lockstep)
 

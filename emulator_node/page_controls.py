@@ -125,16 +125,19 @@ class RosControls(Controls):
         self._add_event(self._tick_at(status.header.stamp), describe_motion(status))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for one in message.status:
-            for pair in one.values:
+        for diagnostic in message.status:
+            for pair in diagnostic.values:
                 if pair.key == "newest breakpoint" and self._refusals.get(pair.key) != pair.value:
                     self._refusals[pair.key] = pair.value
                     tick, _, why = pair.value.removeprefix("stopped at tick ").partition(": ")
                     self._add_event(int(tick), f"stopped: {why}")
-                if pair.key == "newest refusal" and self._refusals.get(one.name) != pair.value:
-                    self._refusals[one.name] = pair.value
+                if (
+                    pair.key == "newest refusal"
+                    and self._refusals.get(diagnostic.name) != pair.value
+                ):
+                    self._refusals[diagnostic.name] = pair.value
                     tick = self._tick_at(message.header.stamp)
-                    self._add_event(tick, f"{one.name} refused: {pair.value}")
+                    self._add_event(tick, f"{diagnostic.name} refused: {pair.value}")
 
     def _tick_at(self, stamp: Time) -> int:
         return round(1e-9 * to_nanoseconds(stamp) / self._period)
@@ -218,9 +221,9 @@ class RosControls(Controls):
         ).descriptors
         return {
             name: value.double_value
-            for name, value, one in zip(names, values, about, strict=True)
+            for name, value, descriptor in zip(names, values, about, strict=True)
             if value.type == ParameterType.PARAMETER_DOUBLE
-            and SETTABLE in one.additional_constraints
+            and SETTABLE in descriptor.additional_constraints
         }
 
     def set_gain(self, name: str, value: float) -> str:
@@ -241,8 +244,8 @@ class RosControls(Controls):
             Refusal: the node does not take it.
         """
         kind = ParameterType.PARAMETER_DOUBLE
-        one = Parameter(name=name, value=ParameterValue(type=kind, double_value=value))
-        request = SetParametersAtomically.Request(parameters=[one])
+        parameter = Parameter(name=name, value=ParameterValue(type=kind, double_value=value))
+        request = SetParametersAtomically.Request(parameters=[parameter])
         service = f"{node}/set_parameters_atomically"
         result = self._call_service(service, SetParametersAtomically, request).result
         if not result.successful:
@@ -305,4 +308,4 @@ class RosControls(Controls):
 
 
 def _words(vector: Vector) -> str:
-    return ", ".join(f"{one:.4g}" for one in vector)
+    return ", ".join(f"{component:.4g}" for component in vector)

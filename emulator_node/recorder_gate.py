@@ -62,7 +62,7 @@ class RecorderGate:
     @property
     def names(self) -> list[str]:
         """Recorders for which the machine waits when they are behind."""
-        return [name for name, one in self._recorders.items() if not one.let_go]
+        return [name for name, recorder in self._recorders.items() if not recorder.let_go]
 
     def take_report(self, name: str, written: int, leaving: bool) -> None:
         """Take a recorder's report; a recorder with an impossible report is not waited for.
@@ -77,12 +77,12 @@ class RecorderGate:
             return
         if name not in self._recorders:
             self._recorders[name] = _Recorder(local=name in self._present())
-        one = self._recorders[name]
-        if one.let_go:
+        recorder = self._recorders[name]
+        if recorder.let_go:
             self._report(f"recorder {name} is back; its bag has a gap")
-            one.let_go = False
-        if written > one.written:
-            one.written, one.behind_since = written, None
+            recorder.let_go = False
+        if written > recorder.written:
+            recorder.written, recorder.behind_since = written, None
 
     def is_closed(self, at_start: bool) -> bool:
         """Return whether a recorder has to catch up before the machine may leave this tick.
@@ -97,19 +97,19 @@ class RecorderGate:
             for name in self._present():
                 self._recorders.setdefault(name, _Recorder()).local = True
         needed, now = self._begin if at_start else self.published - AHEAD, self._now()
-        for name, one in list(self._recorders.items()):
+        for name, recorder in list(self._recorders.items()):
             # A recorder that comes later cannot lose the start: it counts from its first message
             # on.
-            late = one.written == 0 and not at_start
-            if one.let_go or late or one.written >= needed:
+            late = recorder.written == 0 and not at_start
+            if recorder.let_go or late or recorder.written >= needed:
                 continue
-            if one.behind_since is None:
-                one.behind_since = now
-            if one.local and name not in self._present():
+            if recorder.behind_since is None:
+                recorder.behind_since = now
+            if recorder.local and name not in self._present():
                 del self._recorders[name]
                 self._report(f"recorder {name} has ended; its bag may need `repair`")
-            elif now - one.behind_since > PATIENCE:
-                one.let_go = True
+            elif now - recorder.behind_since > PATIENCE:
+                recorder.let_go = True
                 self._report(
                     f"recorder {name} has written nothing for {PATIENCE:g} s; the machine does not "
                     "wait for it any more"
@@ -129,8 +129,8 @@ class RecorderGate:
 
     def find_full_recorder(self) -> str:
         """Return the recorder that would lose one more motor state, or ""."""
-        for name, one in self._recorders.items():
-            is_full = one.written and self.published - one.written >= QUEUE_DEPTH
-            if self._waits and is_full and not one.let_go:
+        for name, recorder in self._recorders.items():
+            is_full = recorder.written and self.published - recorder.written >= QUEUE_DEPTH
+            if self._waits and is_full and not recorder.let_go:
                 return name
         return ""

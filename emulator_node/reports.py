@@ -166,7 +166,7 @@ class Reports:
         message = MotorState(
             joint_names=list(scene.joint_names),
             machine=get_start_time(),
-            imu_names=[one.name for one in scene.imus],
+            imu_names=[imu.name for imu in scene.imus],
         )
         self._fields.begin(message, measured)
         return message

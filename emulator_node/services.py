@@ -95,14 +95,14 @@ class Services:
         return self._change_machine(MachineEvent.KIND_RESTORE, restore)
 
     def _set_state(self, request: SetState.Request, response: SetState.Response) -> str:
-        given = {
+        values = {
             "current": request.current,
             "theta_m": request.motor_position,
             "omega_m": request.motor_velocity,
             "q": request.position,
             "v": request.velocity,
         }
-        change = partial(self._session.set_state, request.joint_names, given)
+        change = partial(self._session.set_state, request.joint_names, values)
         return self._change_machine(MachineEvent.KIND_SET_STATE, change)
 
     def _set_varied(self, request: SetVaried.Request, response: SetVaried.Response) -> str:

@@ -106,8 +106,8 @@ class SimulationServices:
         session, state = self._session, msg.SimulationState
         if session.phase is Phase.PAUSED and session.tick == 0 and not self._waits_at_start:
             return int(state.STATE_STOPPED)
-        held = session.phase in (Phase.PAUSED, Phase.STOPPED)
-        return int(state.STATE_PAUSED if held else state.STATE_PLAYING)
+        is_paused = session.phase in (Phase.PAUSED, Phase.STOPPED)
+        return int(state.STATE_PAUSED if is_paused else state.STATE_PLAYING)
 
     def _on_get_state(self, request: Any, response: Any) -> Any:
         with self._lock:
@@ -116,22 +116,22 @@ class SimulationServices:
             return _done(response, "" if fault is None else f"stopped: {fault}")
 
     def _on_set_state(self, request: Any, response: Any) -> Any:
-        wanted, state = request.state.state, msg.SimulationState
+        target, state = request.state.state, msg.SimulationState
         with self._lock:
-            if wanted == self._state:
+            if target == self._state:
                 return _refuse(response, "the simulation is in this state", ALREADY)
-            if wanted == state.STATE_QUITTING:
+            if target == state.STATE_QUITTING:
                 self._node.get_logger().info("a client lets the simulation quit")
                 end = partial(os.kill, os.getpid(), signal.SIGTERM)
                 create_wall_timer(self._node, QUIT_AFTER, end)
-            elif wanted == state.STATE_STOPPED:
+            elif target == state.STATE_STOPPED:
                 self._stepper.end("the simulation was stopped")
                 self._waits_at_start = False
                 self._control.reset(paused=True)
-            elif wanted == state.STATE_PAUSED:
+            elif target == state.STATE_PAUSED:
                 self._waits_at_start = self._session.tick == 0
                 self._control.pause(True)
-            elif wanted == state.STATE_PLAYING:
+            elif target == state.STATE_PLAYING:
                 if self._session.fault is not None:
                     reason = f"stopped, reset first: {self._session.fault}"
                     return _refuse(response, reason, FAILED)
@@ -139,7 +139,7 @@ class SimulationServices:
                 self._waits_at_start = False
                 self._control.pause(False)
             else:
-                rule, actual = "be STOPPED, PLAYING, PAUSED or QUITTING", wanted
+                rule, actual = "be STOPPED, PLAYING, PAUSED or QUITTING", target
                 reason = str(Refusal("set_simulation_state", "state", rule, actual))
                 return _refuse(response, reason, INCORRECT)
             return _done(response)
@@ -188,8 +188,8 @@ class SimulationServices:
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         scope = request.scope or ALL
-        known = scope == ALL or not scope & ~(TIME | STATE | SPAWNED)
-        parts = scope & (TIME | STATE) if known else 0  # nothing is ever spawned
+        is_valid = scope == ALL or not scope & ~(TIME | STATE | SPAWNED)
+        parts = scope & (TIME | STATE) if is_valid else 0  # nothing is ever spawned
         with self._lock:
             if parts == TIME | STATE:
                 stopped = self._session.paused
@@ -252,17 +252,17 @@ class SimulationServices:
         return _done(response)
 
     def _is_known_entity(self, name: str, response: Any) -> bool:
-        known = self._entities.names
-        if name not in known:
-            reason = str(Refusal("simulation", "entity", "be known", name, ", ".join(known)))
+        names = self._entities.names
+        if name not in names:
+            reason = str(Refusal("simulation", "entity", "be known", name, ", ".join(names)))
             _refuse(response, reason, msg.Result.RESULT_NOT_FOUND)
-        return name in known
+        return name in names
 
 
 def _features(response: Any) -> Any:
     features = response.features
-    known = (getattr(msg.SimulatorFeatures, name, None) for name in FEATURES)
-    features.features = [one for one in known if one is not None]
+    numbers = (getattr(msg.SimulatorFeatures, name, None) for name in FEATURES)
+    features.features = [number for number in numbers if number is not None]
     features.custom_info = "arm_emulator: one arm; machines are saved, restored and set by ~/"
     return response
 

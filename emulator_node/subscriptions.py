@@ -78,8 +78,8 @@ class Subscriptions:
             return
         try:
             names = command.joint_names
-            given = (command.input_names, command.inputs)
-            further = name_inputs("motor_commands", *given, len(names))
+            inputs = (command.input_names, command.inputs)
+            further = name_inputs("motor_commands", *inputs, len(names))
             self._session.offer(command.tick, names, command.command, further)
         except DuplicateCommand as reason:
             self._diagnostics.count(f"motor_commands {reason.kind}")

@@ -142,9 +142,9 @@ class OrderTopics:
             stamp_ns = check_time("tool_path", message.header.stamp)
             times = [check_time("tool_path", pose.header.stamp) for pose in message.poses]
             # Planners put one stamp on all poses, or none: such stamps carry no times.
-            given = times if len(set(times)) > 1 else None
+            distinct_times = times if len(set(times)) > 1 else None
             poses = [_read_pose(pose.pose, "tool_path") for pose in message.poses]
-            self._motion.add_path(self._now()[0], poses, stamp_ns, given)
+            self._motion.add_path(self._now()[0], poses, stamp_ns, distinct_times)
 
         self.take(Kind.TOOL_PATH, message.header, take)
 
@@ -194,8 +194,8 @@ def _read_trajectory_point(i: int, point: JointTrajectoryPoint) -> TrajectoryPoi
     """Return a point of a trajectory from its message."""
     time = point.time_from_start
     if time.nanosec >= NANOSECONDS:
-        where, got = f"points[{i}].time_from_start", f"{time.nanosec} ns"
-        raise Refusal("joint_trajectory", where, "have less than 1e9 ns", got)
+        where, actual = f"points[{i}].time_from_start", f"{time.nanosec} ns"
+        raise Refusal("joint_trajectory", where, "have less than 1e9 ns", actual)
     return TrajectoryPoint(
         int(time.sec) * NANOSECONDS + int(time.nanosec),
         point.positions,

@@ -576,8 +576,8 @@ MUTANTS = (
     ),
     Mutant(
         "motion_controller_node/order_topics.py",
-        "given = times if len(set(times)) > 1 else None",
-        "given = times if times else None",
+        "distinct_times = times if len(set(times)) > 1 else None",
+        "distinct_times = times if times else None",
         "test_motion_node.py",
     ),
     # Input.

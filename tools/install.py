@@ -44,13 +44,13 @@ WITHOUT_EFFECT = {
 def pip_options(listed: str) -> dict[str, str]:
     """Return what `pip config list` lists, as it counts for `pip install`: the last one wins."""
     rank = {"global": 0, "install": 1, ":env:": 2}
-    found: dict[str, tuple[int, str]] = {}
+    options: dict[str, tuple[int, str]] = {}
     for line in listed.splitlines():
         key, sign, value = line.partition("=")
         section, _, option = key.rpartition(".")
-        if sign and section in rank and rank[section] >= found.get(option, (0, ""))[0]:
-            found[option] = rank[section], str(ast.literal_eval(value))
-    return {option: value for option, (_, value) in found.items()}
+        if sign and section in rank and rank[section] >= options.get(option, (0, ""))[0]:
+            options[option] = rank[section], str(ast.literal_eval(value))
+    return {option: value for option, (_, value) in options.items()}
 
 
 def uv_variables(options: dict[str, str]) -> tuple[dict[str, str], list[str]]:

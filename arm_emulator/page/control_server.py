@@ -31,8 +31,8 @@ class ControlServer:
         near: end of the pipe; None: there is no page.
     """
 
-    def __init__(self, hands: MachineControls, near: Connection | None = None) -> None:
-        self._hands, self._near, self._closing = hands, near, threading.Event()
+    def __init__(self, controls: MachineControls, near: Connection | None = None) -> None:
+        self._hands, self._near, self._closing = controls, near, threading.Event()
         self._served = near is not None
 
     def poll(self) -> bool:
@@ -81,24 +81,24 @@ class ControlServer:
             return
         try:
             while self._near.poll(timeout):
-                number, what, given = self._near.recv()
-                self._near.send((number, self._hands.tick, self._answer(what, given)))
+                number, action, arguments = self._near.recv()
+                self._near.send((number, self._hands.tick, self._answer(action, arguments)))
                 timeout = 0.0
         except (OSError, EOFError):
             self._near = None
             if not self._closing.is_set():
                 self._go_on_alone()
 
-    def _answer(self, what: str, given: tuple[Any, ...]) -> Any:
+    def _answer(self, action: str, arguments: tuple[Any, ...]) -> Any:
         """Return the answer to a request, which a browser may have filled with anything."""
         try:
-            if what not in Controls.can(self._hands):
-                raise Refusal("page", "action", "be possible here", what)
-            return getattr(self._hands, what)(*given)
+            if action not in Controls.can(self._hands):
+                raise Refusal("page", "action", "be possible here", action)
+            return getattr(self._hands, action)(*arguments)
         except Refusal as reason:
             return reason
         except (TypeError, ValueError, LookupError, ArithmeticError) as error:
-            return Refusal("page", what, "have values that it can take", repr(error))
+            return Refusal("page", action, "have values that it can take", repr(error))
 
     def _go_on_alone(self) -> None:
         """Let time pass again, since the page that may have stopped it has ended."""
@@ -126,28 +126,28 @@ def watched(
     Raises:
         Refusal: see `PageProcess`.
     """
-    hands = MachineControls(machine, steps)
+    controls = MachineControls(machine, steps)
     if at is None:
-        yield ControlServer(hands)
+        yield ControlServer(controls)
         return
     near, far = Pipe()
     plant = machine.plant if isinstance(machine, Session) else machine
     with contextlib.closing(near):
         with contextlib.closing(far):
-            there = partial(_PipedControls, far.fileno(), hands.can())
+            there = partial(_PipedControls, far.fileno(), controls.can())
             page = PageProcess(plant, at, there, (far.fileno(),), waits)
-        desk = ControlServer(hands, near)
-        hands.changed = page.take
+        server = ControlServer(controls, near)
+        controls.changed = page.take
         with page:
             print(f"page: {page.url}", flush=True)
             thread = None
             if isinstance(machine, Session):
-                thread = threading.Thread(target=desk.attend_always, args=[machine], daemon=True)
+                thread = threading.Thread(target=server.attend_always, args=[machine], daemon=True)
                 thread.start()
             try:
-                yield desk
+                yield server
             finally:
-                desk.close()
+                server.close()
                 if thread is not None:
                     thread.join()
 
@@ -174,7 +174,7 @@ class _PipedControls(Controls):
         self._events = []
         return news
 
-    def ask(self, what: str, *given: Any) -> Any:
+    def ask(self, action: str, *arguments: Any) -> Any:
         """Return the answer of the server.
 
         Raises:
@@ -183,7 +183,7 @@ class _PipedControls(Controls):
         with self._turn:
             self._number += 1
             try:
-                self._pipe.send((self._number, what, given))
+                self._pipe.send((self._number, action, arguments))
                 number = 0
                 while number != self._number:  # others came too late for their requests
                     if not self._pipe.poll(PATIENCE):
@@ -196,11 +196,11 @@ class _PipedControls(Controls):
             raise answer
         return answer
 
-    def do(self, what: str, *given: Any) -> str:
-        answer = str(self.ask(what, *given))
-        if what == "pause":
-            self._paused = given[0]
-        elif what != "step":
+    def do(self, action: str, *arguments: Any) -> str:
+        answer = str(self.ask(action, *arguments))
+        if action == "pause":
+            self._paused = arguments[0]
+        elif action != "step":
             self._events.append((self._tick, answer))
         return answer
 

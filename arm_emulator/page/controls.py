@@ -55,11 +55,11 @@ class Controls:
 
     def can(self) -> frozenset[str]:
         """Return the names of the actions that are there."""
-        return frozenset(one for one in ACTIONS if hasattr(self, one))
+        return frozenset(action for action in ACTIONS if hasattr(self, action))
 
-    def do(self, what: str, *given: Any) -> Any:
+    def do(self, action: str, *arguments: Any) -> Any:
         """Do an action, and return its answer."""
-        return getattr(self, what)(*given)
+        return getattr(self, action)(*arguments)
 
     def news(self) -> News:
         """Return what has happened since the last call."""

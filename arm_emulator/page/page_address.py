@@ -89,5 +89,5 @@ def new_token() -> str:
 
 def page_token() -> str:
     """Return the token of the page of this process: that of its launcher, or a new one."""
-    given = os.environ.pop(VARIABLE, "")
-    return given if re.fullmatch(r"[A-Za-z0-9_-]{20,}", given) else new_token()
+    token = os.environ.pop(VARIABLE, "")
+    return token if re.fullmatch(r"[A-Za-z0-9_-]{20,}", token) else new_token()

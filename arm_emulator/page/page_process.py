@@ -44,7 +44,7 @@ class PageProcess:
         self,
         plant: Plant,
         at: str | int | None,
-        hands: Callable[[], Controls] = Controls,
+        controls: Callable[[], Controls] = Controls,
         files: tuple[int, ...] = (),
         waits: bool = False,
     ) -> None:
@@ -55,7 +55,7 @@ class PageProcess:
         task = {
             "scene": plant.scene,
             "at": at,
-            "hands": hands,
+            "hands": controls,
             "varied": dict(plant.parameters),
         }
         module = find_page_entry("live").module

@@ -8,7 +8,7 @@ from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.machine.plant.formula_rows import CONDITION, formula_library
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.session.listeners import leave, listen
-from arm_emulator.runs.condition import Condition, WatchedCondition
+from arm_emulator.runs.condition import Condition, MonitoredCondition
 
 
 class Breakpoint:
@@ -30,7 +30,7 @@ class Breakpoint:
     def __init__(self, plant: Plant, text: str, where: str = "breakpoint") -> None:
         plant = coerce_kind(plant, Plant, where, "plant", "be a Plant")
         self.condition = Condition(text, plant.scene, where)
-        self._plant, self._watched = plant, WatchedCondition(self.condition.formula, plant)
+        self._plant, self._watched = plant, MonitoredCondition(self.condition.formula, plant)
         self.struct = CONDITION.new("breakpoint", what=self._watched.struct, tick=-1)
         with plant.turn:  # it stops where it begins to hold
             self.struct.held = self._watched.holds()

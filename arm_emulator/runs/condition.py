@@ -52,12 +52,12 @@ class Condition:
             raise Refusal(where, "condition", "be text", text)
         scene = coerce_kind(scene, Scene, where, "scene", "be a Scene")
         self.text = text
-        known = [*(one.name for one in list_columns(scene)), *list_tool_signals(scene)]
+        signals = [*(column.name for column in list_columns(scene)), *list_tool_signals(scene)]
         self.formula = bind_signals(
-            parse_formula(text, where, "condition"), known, where, "condition"
+            parse_formula(text, where, "condition"), signals, where, "condition"
         )
         _check_without_time(self.formula, where)
-        self._watched: WatchedCondition | None = None
+        self._watched: MonitoredCondition | None = None
 
     def __repr__(self) -> str:
         return f"<Condition {self.text}>"
@@ -66,11 +66,11 @@ class Condition:
         """Return whether it holds at the tick at which a session is."""
         plant = session.plant
         if self._watched is None or self._watched.plant is not plant:
-            self._watched = WatchedCondition(self.formula, plant)
+            self._watched = MonitoredCondition(self.formula, plant)
         return self._watched.holds()
 
 
-class WatchedCondition:
+class MonitoredCondition:
     """The formula of a condition over the row of a plant, see tick/c/condition.h.
 
     Attributes:
@@ -84,7 +84,7 @@ class WatchedCondition:
 
     def __init__(self, formula: Formula, plant: Plant) -> None:
         self.plant, self._record = plant, RecordRow(plant)
-        self._columns = {one.name: one for one in list_columns(plant.scene)}
+        self._columns = {column.name: column for column in list_columns(plant.scene)}
         self._inputs: list[tuple[str, int]] = []
         self._rows = FormulaRows(self._row_of_signal)
         self._rows.of_formula(formula)  # whose row is the last one
@@ -135,9 +135,9 @@ class WatchedCondition:
         return int(place.__array_interface__["data"][0]) - base
 
 
-def _check_without_time(what: Formula, where: str) -> None:
-    if isinstance(what, Window):
+def _check_without_time(formula: Formula, where: str) -> None:
+    if isinstance(formula, Window):
         rule = "be about one moment, without always, eventually and until"
-        raise Refusal(where, "condition", rule, what.sign)
-    for one in what.of if isinstance(what, Combined) else ():
-        _check_without_time(one, where)
+        raise Refusal(where, "condition", rule, formula.sign)
+    for part in formula.of if isinstance(formula, Combined) else ():
+        _check_without_time(part, where)

@@ -44,8 +44,8 @@ def check_fit(scene: Scene, servo: ServoConfig, motion: MotionConfig) -> None:
     """
     check_servo(scene, servo)
     where = scene.where
-    other = "motion_controller.period"
-    _check_same(where, "servo.motion_period", servo.motion_period, other, motion.period)
+    controller_key = "motion_controller.period"
+    _check_same(where, "servo.motion_period", servo.motion_period, controller_key, motion.period)
 
 
 def check_servo(scene: Scene, servo: ServoConfig) -> None:
@@ -91,15 +91,15 @@ def check_joints(scene: Scene, servo: ServoConfig) -> None:
 
 def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
     """Warn of torques given to the servo for another gravity than the scene's."""
-    given = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
+    gravity = (motion.gravity_x, motion.gravity_y, motion.gravity_z)
     real = scene.gravity or (0.0, 0.0, 0.0)
-    if motion.gives in ("torque", "full") and given != tuple(real):
+    if motion.gives in ("torque", "full") and gravity != tuple(real):
         warn(
-            f"{scene.where}: the motion controller gives torques for a gravity of {given} "
+            f"{scene.where}: the motion controller gives torques for a gravity of {gravity} "
             f"m/s2 (gravity_x, _y, _z), but the scene's is {real}"
         )
 
 
-def _check_same(where: str, one: str, value: float, other: str, expected: float) -> None:
+def _check_same(where: str, key: str, value: float, other_key: str, expected: float) -> None:
     if round(value * 1e9) != round(expected * 1e9):
-        raise Refusal(where, one, f"be {other}, {expected:g} s", f"{value:g} s")
+        raise Refusal(where, key, f"be {other_key}, {expected:g} s", f"{value:g} s")

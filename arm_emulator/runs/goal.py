@@ -23,11 +23,11 @@ def find_last_target(scene: Scene, targets: TargetTable, ticks: int) -> Array:
     return np.asarray(targets.q[begun - 1] if begun else scene.start)
 
 
-def find_missed_target(session: Session, wanted: Array) -> str:
+def find_missed_target(session: Session, q_target: Array) -> str:
     """Return as text which joint is not at its target (N,) [rad or m]; empty: all are near."""
     scene = session.scene
     scale = Kinematics(scene.urdf, scene.joint_names, scene.tool).joint_scale
-    off = np.abs(session.state.q - wanted)
+    off = np.abs(session.state.q - q_target)
     j = int(np.argmax(off / scale))
     if off[j] <= NEAR * scale[j]:
         return ""
@@ -40,14 +40,14 @@ def find_missed_target(session: Session, wanted: Array) -> str:
 
 def find_missed_order(run: OfflineRun) -> str:
     """Return as text why the motion controller's newest order is not reached; empty: it is."""
-    instructor = run.instructor
-    newest, now = instructor.reports.newest, instructor.progress
+    executor = run.instructor
+    newest, now = executor.reports.newest, executor.progress
     if newest is None:
         return "it was not taken"
     if newest.state is not State.REACHED:
         is_unfinished = not newest.state.is_final
-        if is_unfinished and instructor.waits_for:
-            return f"{newest.state.name.lower()}: {instructor.waits_for}"
+        if is_unfinished and executor.waits_for:
+            return f"{newest.state.name.lower()}: {executor.waits_for}"
         return _describe(newest.state, now if is_unfinished else newest)
     if now.state is State.REACHED:
         return ""

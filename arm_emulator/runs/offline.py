@@ -57,9 +57,9 @@ class OfflineRun(NonCopyable):
 
     def __init__(self, scene: Scene | str | Path, servo: ServoConfig, motion: MotionConfig) -> None:
         scene = coerce_scene(scene, "OfflineRun")
-        for name, given, kind in (("servo", servo, ServoConfig), ("motion", motion, MotionConfig)):
-            if not isinstance(given, kind):
-                raise Refusal("OfflineRun", name, "be that of `load_gains`", given)
+        for name, config, kind in (("servo", servo, ServoConfig), ("motion", motion, MotionConfig)):
+            if not isinstance(config, kind):
+                raise Refusal("OfflineRun", name, "be that of `load_gains`", config)
         check_fit(scene, servo, motion)
         self.session = Session(scene, "lockstep", "first_answer")
         self.drives = ServoArm(servo)
@@ -168,10 +168,10 @@ class OfflineRun(NonCopyable):
         )
 
 
-def _places(topic: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> list[int]:
-    """Return what to index an array in the order `given` with, to get it in the order `wanted`."""
+def _places(topic: str, names: tuple[str, ...], targets: tuple[str, ...]) -> list[int]:
+    """Return what to index an array in the order `names` with, to get it in the order `targets`."""
     place = Number.within("place", "", math.inf)
-    places = JointOrder(topic, wanted).arrange(given, range(len(given)), place)
+    places = JointOrder(topic, targets).arrange(names, range(len(names)), place)
     return [int(place) for place in places]
 
 

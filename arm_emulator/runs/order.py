@@ -66,7 +66,7 @@ class MoveTool(Order):
     @property
     def name(self) -> str:
         """The change in words."""
-        return f"tool by {', '.join(f'{one:g}' for one in self.by)} m"
+        return f"tool by {', '.join(f'{distance:g}' for distance in self.by)} m"
 
     def __call__(self, run: OfflineRun) -> None:
         """Give the target to the motion controller."""
@@ -152,7 +152,7 @@ class Push(Order):
     @property
     def name(self) -> str:
         """The change in words."""
-        return f"{self.link} is pushed with {', '.join(f'{one:.3g}' for one in self.force)} N"
+        return f"{self.link} is pushed with {', '.join(f'{force:.3g}' for force in self.force)} N"
 
     @property
     def change(self) -> WrenchChange:
@@ -180,22 +180,22 @@ def of_data(where: str, data: Any, further: Sequence[type[Order]] = ()) -> Order
     Raises:
         Refusal: it is not an order.
     """
-    kinds = {one.kind: one for one in (*ORDERS, *further)}
+    kinds = {order.kind: order for order in (*ORDERS, *further)}
     kind = kinds.get(data.get("kind", "")) if isinstance(data, Mapping) else None
     if kind is None:
         raise Refusal(where, "order", "be of a known kind", data, ", ".join(kinds))
-    given = {name: value for name, value in data.items() if name != "kind"}
+    values = {name: value for name, value in data.items() if name != "kind"}
     fields = {field.name: str(field.type) for field in dataclasses.fields(kind)}
-    if given.keys() != fields.keys():
-        raise Refusal(where, f"order {kind.kind}", f"have {', '.join(fields)}", ", ".join(given))
-    taken = {name: _check_value(where, name, fields[name], value) for name, value in given.items()}
+    if values.keys() != fields.keys():
+        raise Refusal(where, f"order {kind.kind}", f"have {', '.join(fields)}", ", ".join(values))
+    taken = {name: _check_value(where, name, fields[name], value) for name, value in values.items()}
     return kind(**taken)
 
 
 def _check_value(where: str, name: str, kind: str, value: Any) -> Any:
     """Return a field's value if it is of its kind."""
     if kind == "Vector" and isinstance(value, Sequence) and len(value) == 3:
-        if all(_is_number(one) for one in value):
+        if all(_is_number(element) for element in value):
             return tuple(map(float, value))
     elif kind == "float" and _is_number(value):
         return float(value)

@@ -38,11 +38,11 @@ class Recorder:
             missing.
     """
 
-    def __init__(self, plant: Plant, kept: RunOutputs, waits: bool, stays: bool = False) -> None:
-        self._kept, self._stays = kept, stays and kept.is_port
+    def __init__(self, plant: Plant, outputs: RunOutputs, waits: bool, stays: bool = False) -> None:
+        self._kept, self._stays = outputs, stays and outputs.is_port
         self._process: RowProcess | None = None
-        if kept != NOTHING:
-            task = {"record": kept.record, "rerun": kept.rerun}
+        if outputs != NOTHING:
+            task = {"record": outputs.record, "rerun": outputs.rerun}
             self._process = RowProcess(
                 plant, PROCESS, task, "record", waits=waits, patience=PATIENCE
             )

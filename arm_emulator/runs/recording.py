@@ -112,7 +112,7 @@ class Recording(NonCopyable):
     def _rows(self) -> Rows:
         if len(self._taken) > 1:
             # As bytes: NumPy joins records field by field, in more time than their steps took.
-            joined = bytearray().join(one.tobytes() for one in self._taken)
+            joined = bytearray().join(record.tobytes() for record in self._taken)
             self._taken = [np.frombuffer(joined, self._taken[0].dtype)]
         return self._taken[0]
 
@@ -134,9 +134,9 @@ class Recording(NonCopyable):
     @property
     def _columns(self) -> list[Column]:
         """Columns of the requested quantities."""
-        known = list_columns(self._plant.scene)
-        wanted = [("t",), *(tuple(name.split(".")) for name in self._names)]
-        return [one for path in wanted for one in known if one.path[: len(path)] == path]
+        columns = list_columns(self._plant.scene)
+        paths = [("t",), *(tuple(name.split(".")) for name in self._names)]
+        return [column for path in paths for column in columns if column.path[: len(path)] == path]
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all quantities as columns (K,): ``q.elbow``, ``measured.current.elbow``."""

@@ -34,8 +34,8 @@ class RowEnd:
     """
 
     def __init__(self, niceness: int, grace: float) -> None:
-        answers, run = map(int, sys.argv[1:3])
-        self._answers = os.fdopen(answers, "wb", buffering=0)
+        descriptor, run = map(int, sys.argv[1:3])
+        self._answers = os.fdopen(descriptor, "wb", buffering=0)
         self._run, self._grace = run, grace
         self.stopped = False
         for number in (signal.SIGINT, signal.SIGHUP):
@@ -51,12 +51,12 @@ class RowEnd:
         """Return whether the process has to end, after a wait of at most `timeout` [s]."""
         return self.stopped or bool(select.select([sys.stdin], [], [], timeout)[0])
 
-    def answer(self, what: Any) -> None:
+    def answer(self, value: Any) -> None:
         """Hand the run an answer, see `RowProcess`."""
         with contextlib.suppress(BrokenPipeError):  # the run was killed
-            self._answers.write(pickle.dumps(what))
+            self._answers.write(pickle.dumps(value))
 
-    def leave(self, what: Any) -> NoReturn:
+    def leave(self, value: Any) -> NoReturn:
         """Hand the run the last answer, and end.
 
         Python's own end has nothing to save here. On a busy machine it takes seconds.
@@ -64,7 +64,7 @@ class RowEnd:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
-        self.answer(what)
+        self.answer(value)
         os._exit(0)
 
     def end_in_time(self) -> None:

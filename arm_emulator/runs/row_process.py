@@ -30,9 +30,9 @@ _all: weakref.WeakSet[RowProcess] = weakref.WeakSet()
 
 def dismiss_all(plant: Plant) -> None:
     """Dismiss every process that takes rows of a plant, before one of them is awaited."""
-    for one in list(_all):
-        if one.plant is plant:
-            one.dismiss()
+    for process in list(_all):
+        if process.plant is plant:
+            process.dismiss()
 
 
 class RowProcess:
@@ -80,8 +80,8 @@ class RowProcess:
             os.ftruncate(memory, SharedRing.size(row.rows.dtype))
             self._ring = ring = SharedRing(memory, row.rows.dtype)
             about = _describe_plant(plant, memory)
-            process, answers = _start_process(module, about | dict(task), (memory, *files))
-            self._process, self._answers = process, answers
+            process, responses = _start_process(module, about | dict(task), (memory, *files))
+            self._process, self._answers = process, responses
         finally:
             os.close(memory)
         assert process.stdin is not None

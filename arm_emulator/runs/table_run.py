@@ -160,10 +160,10 @@ def load_table_run(
     return TableRun(scene, targets, ServoStep(ServoArm(config), place)), targets
 
 
-def compute_tool_error(session: Session, wanted: Array) -> Array:
+def compute_tool_error(session: Session, q_target: Array) -> Array:
     """Return what the tool lacks to joint targets (N,) [rad or m], in the world (3,) [m]."""
     scene = session.scene
     nominal, true = (
         Kinematics(urdf, scene.joint_names, scene.tool) for urdf in (scene.urdf, scene.true_urdf)
     )
-    return np.asarray(nominal.forward(wanted)[1] - true.forward(session.state.q)[1])
+    return np.asarray(nominal.forward(q_target)[1] - true.forward(session.state.q)[1])

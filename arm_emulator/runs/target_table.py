@@ -62,17 +62,17 @@ def load_target_table(
         Refusal: no such file, other columns, a row with a gap, a value that is no number or too
             large, times that do not ascend from 0 s or later, or what `check` refuses.
     """
-    wanted = ["t", *joint_names]
+    names = ["t", *joint_names]
     units = {name: "rad or m" for name in joint_names} | {"t": "s"}
     table = read_table(file, units)
-    if sorted(table.columns) != sorted(wanted):
+    if sorted(table.columns) != sorted(names):
         rule = "be t and every joint of the scene once"
         actual = ", ".join(table.columns) or "none"
-        raise Refusal(table.where, "columns", rule, actual, ", ".join(wanted))
-    numbers = table.values[:, [table.columns.index(name) for name in wanted]]
+        raise Refusal(table.where, "columns", rule, actual, ", ".join(names))
+    numbers = table.values[:, [table.columns.index(name) for name in names]]
     if not len(numbers):
         raise Refusal(table.where, "table", "have a row of targets", "none")
-    _check(numbers, table, wanted)
+    _check(numbers, table, names)
     if check is not None:
         check(table.where, [f"line {line}" for line in table.lines], numbers[:, 0], numbers[:, 1:])
     return TargetTable(numbers[:, 0], numbers[:, 1:])
@@ -82,9 +82,9 @@ def _check(numbers: Array, table: Table, names: Sequence[str]) -> None:
     """Refuse gaps, times that do not ascend and angles that are not finite, with their lines."""
     t, q = numbers[:, 0], numbers[:, 1:]
     for row, column in np.argwhere(np.isnan(numbers))[:1]:
-        what = f"line {table.lines[row]}, {names[column]}"
+        cell = f"line {table.lines[row]}, {names[column]}"
         unit = "rad or m" if column else "s"
-        raise Refusal(table.where, what, f"be a number [{unit}]", "nothing")
+        raise Refusal(table.where, cell, f"be a number [{unit}]", "nothing")
     for row in np.flatnonzero((t < 0.0) | (t > LATEST))[:1]:
         rule = f"be from 0 to {LATEST:g} s"
         raise Refusal(table.where, f"line {table.lines[row]}, t", rule, t[row])
@@ -93,14 +93,14 @@ def _check(numbers: Array, table: Table, names: Sequence[str]) -> None:
         raise Refusal(table.where, f"line {table.lines[row]}, t", rule, f"{t[row]:g} s")
     for row, column in np.argwhere(np.abs(q) > POSITION.most)[:1]:
         rule = f"be within +-{POSITION.most:g} rad or m"
-        what = f"line {table.lines[row]}, {names[column + 1]}"
-        raise Refusal(table.where, what, rule, q[row, column])
+        cell = f"line {table.lines[row]}, {names[column + 1]}"
+        raise Refusal(table.where, cell, rule, q[row, column])
 
 
 DEGREE = math.pi / 180.0
 MILLI = 1e-3
-USUAL = 1.0  # rad/s, or reaches per second: the largest speed of a joint that states none
-_WHOLE_ROWS, _WHOLE_SHARE = 10, 1e-2  # rows at whole seconds, as milliseconds would be
+REGULAR_SPEED = 1.0  # rad/s, or reaches per second: the largest speed of a joint that states none
+_SECONDS_ROWS, _SECONDS_SHARE = 10, 1e-2  # rows at whole seconds, as milliseconds would be
 _FAR_TOO_FAST = 5.0  # times the limit: a slip of a unit more probably than a fast motion
 
 
@@ -149,15 +149,20 @@ def _check_speed(where: str, rows: Sequence[str], t: Array, q: Array, arm: Kinem
 
 def _warn_of_units(where: str, t: Array, q: Array, arm: Kinematics) -> None:
     """Warn of numbers that no limit excludes; `q` begins with the start (K + 1, N)."""
-    turns = np.ptp(q, axis=0) / (2.0 * math.pi)
-    turns[arm.joint_scale != 1.0] = 0.0
-    if turns.size and turns.max() > 1.0:
-        name = arm.joint_names[int(np.argmax(turns))]
-        warn(f"{where}: {name} turns {turns.max():.3g} times; targets must be in rad, not degrees")
-    usual = np.where(np.isfinite(arm.velocity_limit), arm.velocity_limit, arm.joint_scale * USUAL)
-    share = float(np.max(np.abs(np.diff(q[1:], axis=0) / np.diff(t)[:, None]) / usual, initial=0.0))
-    whole = len(t) >= _WHOLE_ROWS and bool((t == np.round(t)).all())
-    if 0.0 < share <= (_WHOLE_SHARE if whole else MILLI):
+    revolutions = np.ptp(q, axis=0) / (2.0 * math.pi)
+    revolutions[arm.joint_scale != 1.0] = 0.0
+    if revolutions.size and revolutions.max() > 1.0:
+        name = arm.joint_names[int(np.argmax(revolutions))]
+        times = f"{revolutions.max():.3g} times"
+        warn(f"{where}: {name} turns {times}; targets must be in rad, not degrees")
+    regular = np.where(
+        np.isfinite(arm.velocity_limit), arm.velocity_limit, arm.joint_scale * REGULAR_SPEED
+    )
+    share = float(
+        np.max(np.abs(np.diff(q[1:], axis=0) / np.diff(t)[:, None]) / regular, initial=0.0)
+    )
+    in_seconds = len(t) >= _SECONDS_ROWS and bool((t == np.round(t)).all())
+    if 0.0 < share <= (_SECONDS_SHARE if in_seconds else MILLI):
         warn(
             f"{where}: no joint moves at more than {100.0 * share:.2g} % of its largest speed; "
             "t must be in s, not ms"

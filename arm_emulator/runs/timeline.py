@@ -103,7 +103,7 @@ class Timeline(NonCopyable, Generic[R]):
     @property
     def bytes(self) -> int:
         """Memory of the checkpoints [B]."""
-        return sum(len(one.saved) for one in self._checkpoints)
+        return sum(len(checkpoint.saved) for checkpoint in self._checkpoints)
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods, in the past as in the run's first time.
@@ -133,7 +133,7 @@ class Timeline(NonCopyable, Generic[R]):
         here = self._place.visitor is self
         if here and self.tick == tick:
             return
-        after = bisect.bisect_right(self._checkpoints, tick, key=lambda one: one.tick)
+        after = bisect.bisect_right(self._checkpoints, tick, key=lambda checkpoint: checkpoint.tick)
         nearest = self._checkpoints[after - 1]
         if not here or not nearest.tick <= self.tick < tick:
             self.run.restore(nearest.saved)
@@ -194,13 +194,15 @@ class Timeline(NonCopyable, Generic[R]):
     def fork(self) -> Timeline[R]:
         """Return a timeline with the same past up to this tick, to go on in another way."""
         self._enter()
-        other: Timeline[R] = Timeline.__new__(Timeline)
-        other.run, other.every, other.parent = self.run, self.every, self
-        other.begins = other.tick = other.newest = self.tick
-        other.changes = [change for change in self.changes if change.tick <= self.tick]
-        other._checkpoints = [one for one in self._checkpoints if one.tick <= self.tick]
-        other._place = self._place
-        return other
+        forked: Timeline[R] = Timeline.__new__(Timeline)
+        forked.run, forked.every, forked.parent = self.run, self.every, self
+        forked.begins = forked.tick = forked.newest = self.tick
+        forked.changes = [change for change in self.changes if change.tick <= self.tick]
+        forked._checkpoints = [
+            checkpoint for checkpoint in self._checkpoints if checkpoint.tick <= self.tick
+        ]
+        forked._place = self._place
+        return forked
 
     def _enter(self) -> None:
         """Bring the run to this timeline's tick."""

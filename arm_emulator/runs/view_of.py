@@ -19,5 +19,5 @@ def get_view(scene: Scene) -> dict[str, Any]:
         "q_start": scene.start,
         "tool": scene.tool,
         "package_dirs": [robots.parents[1]] if robots else [],
-        "further": {one.name: one.unit for one in quantities},
+        "further": {quantity.name: quantity.unit for quantity in quantities},
     }

@@ -220,8 +220,8 @@ class _Text:
                 lines.append(line)
             elif include[1]:
                 beside = (path.parent, *folders)
-                found = next(at / include[1] for at in beside if (at / include[1]).is_file())
-                self.included.append(Header(found, folders))
+                file = next(at / include[1] for at in beside if (at / include[1]).is_file())
+                self.included.append(Header(file, folders))
         self.text = "\n".join(lines)
         for header in self.included:
             self._digest.update(_DIGESTS[header.path.resolve()])

@@ -13,7 +13,7 @@ from pathlib import Path
 from arm_emulator.base.refusal import Refusal
 
 LONGEST_RUN = 900.0  # s; the largest scenes take a minute, more on a busy machine
-MOST_WORDS = 65536  # bytes of a compiler's output that are read
+MAX_OUTPUT = 65536  # bytes of a compiler's output that are read
 
 
 def run_compiler(command: list[str], folder: Path, where: str, part: str) -> None:
@@ -51,7 +51,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
         words.seek(0)
-        text = words.read(MOST_WORDS).decode(errors="replace")
+        text = words.read(MAX_OUTPUT).decode(errors="replace")
     if process.returncode == 0:
         return
     if process.returncode < 0:
@@ -75,5 +75,5 @@ def _hold_signals() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _refuse_run(where: str, part: str, command: list[str], got: str) -> Refusal:
-    return Refusal(where, f"compiler {command[0]}", f"compile {part}", got)
+def _refuse_run(where: str, part: str, command: list[str], actual: str) -> Refusal:
+    return Refusal(where, f"compiler {command[0]}", f"compile {part}", actual)

@@ -70,13 +70,13 @@ def list_written_memory(content: bytes) -> list[tuple[int, int]]:
         for segment in segments
         if segment[0] == READ_ONLY
     ]
-    found = []
+    regions = []
     for kind, flags, _, begin, _, _, size, _ in segments:
         if kind == LOADED and flags & WRITABLE:
             end = begin + size
             begin = max([begin, *(till for since, till in fixed if begin <= since < end)])
-            found.append((begin, end - begin))
-    return found
+            regions.append((begin, end - begin))
+    return regions
 
 
 def list_called_functions(content: bytes) -> set[str]:
@@ -123,10 +123,10 @@ def _read_symbols(
 
     A library has one such table.
     """
-    found = next((section for section in table if section[1] == DYNAMIC_SYMBOLS), None)
-    if found is None:
+    symbols = next((section for section in table if section[1] == DYNAMIC_SYMBOLS), None)
+    if symbols is None:
         return
-    _, _, _, _, at, size, link, *_ = found
+    _, _, _, _, at, size, link, *_ = symbols
     strings_at = table[link][4]
     for symbol in range(at, at + size, SYMBOL.size):
         name, info, _, section, address, room = SYMBOL.unpack_from(content, symbol)

@@ -104,15 +104,15 @@ def list_writable_caches() -> Iterator[Path]:
     reasons = []
     for folder in list_named_folders():
         try:
-            found = check_folder(folder, make=OURS)
-            with tempfile.TemporaryFile(dir=found):
+            checked = check_folder(folder, make=OURS)
+            with tempfile.TemporaryFile(dir=checked):
                 pass
         except Untrusted as error:
             _report_passed_over(folder, error)
         except OSError as error:
             reasons.append(f"{folder}: {error.strerror}")
         else:
-            yield found
+            yield checked
             reasons.append(f"{folder}: see above")
     raise Refusal(
         "arm_emulator",
@@ -258,10 +258,10 @@ def _lock(file: Path, wait: bool) -> int:
 def _clear_invalid_lock(file: Path) -> None:
     """Leave at `file` nothing, or a lock that no other user can hold indefinitely."""
     with contextlib.suppress(FileNotFoundError):
-        found = os.lstat(file)
-        if stat.S_ISDIR(found.st_mode):
+        status = os.lstat(file)
+        if stat.S_ISDIR(status.st_mode):
             os.rmdir(file)
-        elif found.st_mode != stat.S_IFREG | LOCK or found.st_uid != os.geteuid():
+        elif status.st_mode != stat.S_IFREG | LOCK or status.st_uid != os.geteuid():
             os.unlink(file)
 
 
@@ -280,17 +280,17 @@ class Entry:
 
 def list_entries(folder: Path) -> list[Entry]:
     """Return the libraries in a folder, the least recently used first."""
-    found = []
+    entries = []
     with contextlib.suppress(OSError), os.scandir(folder) as items:
         for item in items:
             name = LIBRARY.fullmatch(item.name)
             with contextlib.suppress(OSError):  # another process may just have removed it
                 at = item.stat(follow_symlinks=False)
                 if name and not item.is_dir(follow_symlinks=False):
-                    found.append(
+                    entries.append(
                         Entry(Path(folder, item.name), name["scene"], at.st_size, at.st_mtime)
                     )
-    return sorted(found, key=lambda entry: entry.used)
+    return sorted(entries, key=lambda entry: entry.used)
 
 
 def read_largest_size() -> float:
@@ -319,16 +319,16 @@ def make_room(library: Path, allowed: float) -> None:
         allowed: largest size of its folder [bytes].
     """
     folder = library.parent
-    found = list_entries(folder)
-    size = sum(entry.size for entry in found)
-    for entry in found:
+    entries = list_entries(folder)
+    size = sum(entry.size for entry in entries)
+    for entry in entries:
         if size <= allowed:
             break
         if entry.file != library and remove_library(entry.file):
             size -= entry.size
-    for other in list_left_over(folder):
-        with contextlib.suppress(OSError), lock_library(other, wait=False):
-            _clear_left_over(other)
+    for left_over in list_left_over(folder):
+        with contextlib.suppress(OSError), lock_library(left_over, wait=False):
+            _clear_left_over(left_over)
 
 
 def remove_library(library: Path) -> bool:

@@ -9,7 +9,7 @@ import pwd
 import stat
 from pathlib import Path
 
-MOST_LINKS = 40  # as the kernel
+MAX_LINKS = 40  # as the kernel
 GROUP_OR_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -42,28 +42,28 @@ def check_folder(folder: Path, make: int | None = None) -> Path:
     left = _split_path(os.path.join(os.getcwd(), folder))  # the next part is the last of these
     while True:
         try:
-            found = os.lstat(at)
+            status = os.lstat(at)
         except FileNotFoundError:
             if make is None:
                 raise
             with contextlib.suppress(FileExistsError):
                 os.mkdir(at, make)
-            found = os.lstat(at)
-        _check_owner(at, found)
-        if stat.S_ISLNK(found.st_mode):
+            status = os.lstat(at)
+        _check_owner(at, status)
+        if stat.S_ISLNK(status.st_mode):
             links += 1
             if not left:
                 raise Untrusted(f"{at} is a link (name the folder it leads to)")
-            if links > MOST_LINKS:
+            if links > MAX_LINKS:
                 raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), at)
             target = os.readlink(at)
             left += _split_path(target)
             at = "/" if target.startswith("/") else os.path.dirname(at)
             continue
-        if not stat.S_ISDIR(found.st_mode):
+        if not stat.S_ISDIR(status.st_mode):
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), at)
-        if not (left and found.st_mode & stat.S_ISVTX):
-            _check_mode(at, found)
+        if not (left and status.st_mode & stat.S_ISVTX):
+            _check_mode(at, status)
         if not left:
             return Path(at)
         part = left.pop()
@@ -97,14 +97,14 @@ def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:
             raise Untrusted("it is a link or a socket") from None
         raise
     try:
-        found = os.fstat(opened)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(opened)
+        if not stat.S_ISREG(status.st_mode):
             raise Untrusted("it is no file")
         if not anybodys:
-            _check_owner(str(file), found)
-            _check_mode(str(file), found)
-        if found.st_size > largest:
-            raise Untrusted(f"it holds {found.st_size} bytes")
+            _check_owner(str(file), status)
+            _check_mode(str(file), status)
+        if status.st_size > largest:
+            raise Untrusted(f"it holds {status.st_size} bytes")
         with contextlib.suppress(OSError):  # owned by root, or on a read-only file system
             os.utime(opened)
         with open(opened, "rb", closefd=False) as handle:
@@ -113,14 +113,14 @@ def read_file(file: Path, largest: int, anybodys: bool = False) -> bytes:
         os.close(opened)
 
 
-def _check_owner(at: str, found: os.stat_result) -> None:
-    if found.st_uid not in (0, os.geteuid()):
-        raise Untrusted(f"{at} belongs to {_name_user(found.st_uid)}")
+def _check_owner(at: str, status: os.stat_result) -> None:
+    if status.st_uid not in (0, os.geteuid()):
+        raise Untrusted(f"{at} belongs to {_name_user(status.st_uid)}")
 
 
-def _check_mode(at: str, found: os.stat_result) -> None:
-    if found.st_mode & GROUP_OR_OTHERS:
-        who = "others" if found.st_mode & stat.S_IWOTH else "its group"
+def _check_mode(at: str, status: os.stat_result) -> None:
+    if status.st_mode & GROUP_OR_OTHERS:
+        who = "others" if status.st_mode & stat.S_IWOTH else "its group"
         raise Untrusted(f"{at} can be written by {who} (chmod go-w {at})")
 
 

@@ -281,9 +281,9 @@ def _ensure_compiled(
         Refusal: the compiler is missing or fails, or the folder cannot store its output.
     """
     library = folder / _name_library(unit, target, compiler)
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as locks:
         try:
-            held.enter_context(library_cache.lock_library(library))
+            locks.enter_context(library_cache.lock_library(library))
             try:
                 library_cache.read_library(library)
             except (library_cache.Damaged, FileNotFoundError):

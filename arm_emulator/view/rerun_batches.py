@@ -65,10 +65,10 @@ class RerunBatches:
         arm_rate: int,
         further: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        known = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
+        moving = [joint.name for joint in tree.joints() if joint.joint_type != "fixed"]
         for name in shafts.joints:
-            if name not in known:
-                raise Refusal("URDF", "joint", "be a moving joint of it", name, ", ".join(known))
+            if name not in moving:
+                raise Refusal("URDF", "joint", "be a moving joint of it", name, ", ".join(moving))
         self._tree = tree
         self._names = shafts.names
         self._shafts = shafts
@@ -119,8 +119,8 @@ class RerunBatches:
         q = self._shafts.of_joints(q)
         links = np.array([self._positions(name, q)[0] for name in self._links])
         tool = None if self._tool is None else links[self._links.index(self._tool)]
-        known = self._tree.name, self._links[0], links, tool, self._further
-        return blueprint(*known, targets=targets)
+        about = self._tree.name, self._links[0], links, tool, self._further
+        return blueprint(*about, targets=targets)
 
     def send_static(self, recording: rr.RecordingStream) -> None:
         """Send the static data: geometry, names and colours of the curves."""
@@ -150,10 +150,10 @@ class RerunBatches:
                 (f"{DEVIATION}/{axis}", axis, colour, False)
                 for axis, colour in zip("xyz", COLOURS, strict=False)
             ]
-        for path, name, colour, held in curves:
+        for path, name, colour, is_stepped in curves:
             mode = rr.components.InterpolationMode
-            drawn = mode.StepAfter if held else mode.Linear
-            curve = rr.SeriesLines(names=name, colors=colour, interpolation_mode=drawn)
+            interpolation = mode.StepAfter if is_stepped else mode.Linear
+            curve = rr.SeriesLines(names=name, colors=colour, interpolation_mode=interpolation)
             recording.log(path, curve, static=True)
 
     # Each of these yields wherever Python's lock may be given up.
@@ -252,11 +252,11 @@ class RerunBatches:
         points = np.vstack((self._path_end, p_WT))
         self._path_time, self._path_end = times[-1:], points[-1:]
         pieces = np.stack((points[:-1], points[1:]), axis=1)
-        whole = np.ones(len(pieces), bool)
+        uncut = np.ones(len(pieces), bool)
         for cut in self._cuts:  # the tool did not travel through a reset
-            whole &= (times[1:] < cut) | (cut <= times[:-1])
+            uncut &= (times[1:] < cut) | (cut <= times[:-1])
         self._cuts = []
-        return times[1:][whole], pieces[whole]
+        return times[1:][uncut], pieces[uncut]
 
     def _send_deviation(
         self, recording: rr.RecordingStream, times: Times, p_WT: Array
@@ -265,15 +265,15 @@ class RerunBatches:
 
         starts = [start for start, _ in self._targets]
         current = np.searchsorted(starts, times, side="right") - 1
-        given = current >= 0
-        if not given.any():
+        has_target = current >= 0
+        if not has_target.any():
             return
-        deviation = np.array([p for _, p in self._targets])[current[given]] - p_WT[given]
+        deviation = np.array([p for _, p in self._targets])[current[has_target]] - p_WT[has_target]
         self._targets = self._targets[int(current[-1]) :]
         for axis, values in zip("xyz", deviation.T, strict=True):
             recording.send_columns(
                 f"{DEVIATION}/{axis}",
-                [_make_time_column(times[given])],
+                [_make_time_column(times[has_target])],
                 rr.Scalars.columns(scalars=np.ascontiguousarray(values)),
                 strict=True,
             )
@@ -412,11 +412,11 @@ class LinkPositions:
         import pinocchio as pin
 
         frame, neutral = self._model.getFrameId(link, pin.FrameType.BODY), pin.neutral(self._model)
-        p, way = np.empty((len(q), 3)), np.zeros(self._model.nv)
+        p, positions = np.empty((len(q), 3)), np.zeros(self._model.nv)
         for k, row in enumerate(q):
-            way[self._places] = row
+            positions[self._places] = row
             pin.framesForwardKinematics(
-                self._model, self._data, pin.integrate(self._model, neutral, way)
+                self._model, self._data, pin.integrate(self._model, neutral, positions)
             )
             p[k] = self._data.oMf[frame].translation
         return p

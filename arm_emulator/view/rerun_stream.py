@@ -372,14 +372,14 @@ def _read_urdf(urdf_xml: str, package_dirs: Iterable[str | Path]) -> UrdfTree:
 
     folders = [Path(folder).resolve() for folder in package_dirs]
 
-    def found(match: re.Match[str]) -> str:
+    def locate(match: re.Match[str]) -> str:
         package = match.group(1)
         at = next((folder for folder in folders if (folder / package).is_dir()), None)
         return match.group(0) if at is None else str(at / package)
 
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "robot.urdf")
-        Path(path).write_text(re.sub(r"package://([^/\"'<>]+)", found, urdf_xml))
+        Path(path).write_text(re.sub(r"package://([^/\"'<>]+)", locate, urdf_xml))
         try:
             return rerun.urdf.UrdfTree.from_file_path(path)
         except Exception as error:  # the binding raises bare exceptions

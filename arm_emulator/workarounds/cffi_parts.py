@@ -28,9 +28,9 @@ def read_parts(parser: Any) -> dict[str, Any]:
     call = ast.parse(source.getvalue()).body[-1]
     assert isinstance(call, ast.Assign) and isinstance(call.value, ast.Call)
     parts: dict[str, Any] = {
-        one.arg: ast.literal_eval(one.value)
-        for one in call.value.keywords
-        if one.arg and one.arg != "_includes"
+        keyword.arg: ast.literal_eval(keyword.value)
+        for keyword in call.value.keywords
+        if keyword.arg and keyword.arg != "_includes"
     }
     names = parts.get("_globals", ())[::2]  # an opcode, of which the last byte is the kind
     parts["functions"] = tuple(name[4:].decode() for name in names if name[3] == OP_DLOPEN_FUNC)

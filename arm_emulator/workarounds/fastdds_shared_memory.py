@@ -67,7 +67,7 @@ def find_left_over(shared: Path = SHARED) -> Iterator[list[Path]]:
                 with contextlib.suppress(OSError), _hold_lock(file) as old:
                     if old:
                         yield [shared / lock["segment"], file]
-            elif _PORT.fullmatch(name) and _is_half_made(file):
+            elif _PORT.fullmatch(name) and _is_incomplete(file):
                 yield [file]
 
 
@@ -88,10 +88,10 @@ def _mark_as_broken(port: Path, number: int) -> None:
                 memory[at + _NODE.size] &= ~_SOUND
 
 
-def _is_half_made(port: Path) -> bool:
-    with contextlib.suppress(OSError), _open_file(port) as (opened, found):
-        mine = found.st_uid == os.geteuid()
-        if mine and time.time() - found.st_mtime > SLOWEST:
+def _is_incomplete(port: Path) -> bool:
+    with contextlib.suppress(OSError), _open_file(port) as (opened, status):
+        mine = status.st_uid == os.geteuid()
+        if mine and time.time() - status.st_mtime > SLOWEST:
             return os.read(opened, len(PORT_MAGIC)) != PORT_MAGIC
     return False
 
@@ -108,8 +108,8 @@ def _open_file(file: Path, how: int = os.O_RDONLY) -> Iterator[tuple[int, os.sta
 @contextlib.contextmanager
 def _hold_lock(lock: Path) -> Iterator[bool]:
     """Hold a lock for a block; False: it is not ours, or too new. OSError: its owner lives."""
-    with _open_file(lock) as (opened, found):
-        if found.st_uid != os.geteuid() or time.time() - found.st_mtime < YOUNG:
+    with _open_file(lock) as (opened, status):
+        if status.st_uid != os.geteuid() or time.time() - status.st_mtime < YOUNG:
             yield False
             return
         fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)

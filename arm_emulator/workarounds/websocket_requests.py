@@ -26,11 +26,11 @@ def answer_requests(answer: Callable[[Any, Any, Answer], Any]) -> Iterator[None]
     server: Any = importlib.import_module("websockets.asyncio.server")
     plain = server.serve
 
-    def serve(*given: Any, process_request: Answer, **named: Any) -> Any:
+    def serve(*arguments: Any, process_request: Answer, **named: Any) -> Any:
         def process(connection: Any, request: Any) -> Any:
             return answer(connection, request, process_request)
 
-        return plain(*given, process_request=process, **named)
+        return plain(*arguments, process_request=process, **named)
 
     server.serve = serve
     try:

@@ -14,11 +14,11 @@ from arm_emulator.base.validation.count import LARGEST, check_count
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.machine.plant.inputs import arrange_further_rows, list_further_inputs
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.tick.c import ANSWERS, tick_calls
+from arm_emulator.tick.c import COMMAND_BUFFER, tick_calls
 from arm_emulator.toolchain.c_header import pointer
 
 NEW, BEFORE_RESET, FUTURE, STALE = (
-    ANSWERS.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
+    COMMAND_BUFFER.constant(f"ANSWER_{name}") for name in ("NEW", "BEFORE_RESET", "FUTURE", "STALE")
 )
 _SAVED_FIELDS = ("left", "known", "tick", "tick_before")  # fields beside the commands
 
@@ -54,7 +54,7 @@ class CommandBuffer:
         shape = 1 + len(self.inputs), len(scene.joint_names)
         self._zero, self._newest, self._before = np.zeros((3, *shape))
         self._take = tick_calls().tick_answers_take
-        self.pointer = ANSWERS.new(
+        self.pointer = COMMAND_BUFFER.new(
             "tick_answers",
             lockstep=lockstep,
             numbers=self._zero.size,

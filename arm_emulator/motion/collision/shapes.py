@@ -60,7 +60,7 @@ class CollisionShapes(SharedObject):
         self._neutral = pin.neutral(self.model)
         self._turning = np.array([joint.nq == 2 for joint in joints])  # cosine and sine
         self._places = np.array([joint.idx_q for joint in joints])
-        self.moved_by = [frozenset(numbers) & {*way} for way in self.model.supports]
+        self.moved_by = [frozenset(numbers) & {*path} for path in self.model.supports]
         """The joints commanded that move each of the model's joints."""
         shapes = self.hulls.geometryObjects
         leads = [[self._bound_lead(number, shape) for number in numbers] for shape in shapes]

@@ -43,8 +43,8 @@ class Controllers:
         self._braking: JerkLimitedVelocity | None = None
         self.shaped = ShapedReference(config.design_shaper(), config.period)
         self.feedforward = Feedforward(controller.kinematics, config)
-        watched = config.has_collision_stop
-        self.guard = CollisionGuard(controller.kinematics, config) if watched else None
+        has_stop = config.has_collision_stop
+        self.guard = CollisionGuard(controller.kinematics, config) if has_stop else None
         if self._planner is not None:
             self._planner.guard = self.guard
 

@@ -104,8 +104,8 @@ class AcceptedGoal:
         """Progress of an order in whose place this one comes."""
         if not self.number:
             return Progress(State.ABORTED, CANCELLED)
-        what = self.order.kind.name.lower().replace("_", " ")
-        return Progress(State.REPLACED, f"by {what} {self.number}")
+        name = self.order.kind.name.lower().replace("_", " ")
+        return Progress(State.REPLACED, f"by {name} {self.number}")
 
     def report(self, reports: Reports, progress: Progress, always: bool = False) -> None:
         """Take over the state of a progress, and report what is new, or anything if `always`.

@@ -76,8 +76,8 @@ class GoalStatus(Progress):
 def describe_left(distance: float, angle: float) -> str:
     """Return the remaining way in words, empty if neither distance [m] nor angle [rad] is known."""
     parts = ((1e3 * distance, "mm"), (angle, "rad"))
-    known = ", ".join(f"{value:.3g} {unit}" for value, unit in parts if math.isfinite(value))
-    return f", {known} left" if known else ""
+    parts_text = ", ".join(f"{value:.3g} {unit}" for value, unit in parts if math.isfinite(value))
+    return f", {parts_text} left" if parts_text else ""
 
 
 class Reports:

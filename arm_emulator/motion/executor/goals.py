@@ -272,8 +272,8 @@ class TrajectoryGoal(Goal):
 
     def planned(self) -> Planned | None:
         """See `Goal`."""
-        gone = self._time(self._at_ns) + self._period
-        return None if self.trajectory.is_stop else Planned(self._motion, gone)
+        elapsed = self._time(self._at_ns) + self._period
+        return None if self.trajectory.is_stop else Planned(self._motion, elapsed)
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
         """See `Goal`."""

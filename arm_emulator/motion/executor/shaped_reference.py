@@ -158,7 +158,7 @@ class ShapedReference:
     def _sum_effort(self) -> Array | None:
         """Return the shaped torques; None where some of them are not known."""
         parts = [self._past[place].tau for place in self._places]
-        known = [tau for tau in parts if tau is not None]
-        if len(known) < len(parts):
+        declared = [tau for tau in parts if tau is not None]
+        if len(declared) < len(parts):
             return None
-        return np.asarray(self._shaper.shares @ np.array(known))
+        return np.asarray(self._shaper.shares @ np.array(declared))

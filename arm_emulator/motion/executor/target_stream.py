@@ -125,8 +125,8 @@ def _compute_rotations(R: Array) -> Array:
     across = 0.5 * np.stack([R[:, i, j] - R[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     sines = np.linalg.norm(across, axis=1, keepdims=True)
     cosines = 0.5 * (np.trace(R, axis1=1, axis2=2)[:, None] - 1.0)
-    turns: Array = across * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
-    return turns
+    rotations: Array = across * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
+    return rotations
 
 
 def _compute_step(before: Pose, after: Pose) -> Array:

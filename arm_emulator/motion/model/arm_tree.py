@@ -80,18 +80,18 @@ class ArmTree(SharedObject):
         self._arrays = {  # which the struct points to
             "parent": np.array(parent, dtype=np.int32),
             "slides": np.array(slides, dtype=np.int32),
-            "axis": _copy_doubles(axis),
-            "rotation": _copy_doubles(rotation),
-            "place": _copy_doubles(place),
+            "axis": _copy_array(axis),
+            "rotation": _copy_array(rotation),
+            "place": _copy_array(place),
             "coupling": self._coupling,
             "offset": self._offset,
-            "scale": _copy_doubles(kinematics.step_scale),
-            "mass": _copy_doubles(mass),
-            "centre": _copy_doubles(centre),
-            "inertia": _copy_doubles(inertia),
-            "gravity": _copy_doubles(gravity),
-            "tool_rotation": _copy_doubles(frame.placement.rotation),
-            "tool_place": _copy_doubles(frame.placement.translation),
+            "scale": _copy_array(kinematics.step_scale),
+            "mass": _copy_array(mass),
+            "centre": _copy_array(centre),
+            "inertia": _copy_array(inertia),
+            "gravity": _copy_array(gravity),
+            "tool_rotation": _copy_array(frame.placement.rotation),
+            "tool_place": _copy_array(frame.placement.translation),
         }
         self.struct: CData = PATH_HEADER.new(
             "path_arm",
@@ -125,7 +125,7 @@ class ArmTree(SharedObject):
         p: Array,
         R: Array,
         goal: Array | None = None,
-        turns: bool = True,
+        rotates_evenly: bool = True,
     ) -> Array:
         """Return joint angles along poses of the tool, (1 + those that were reached, N).
 
@@ -134,7 +134,7 @@ class ArmTree(SharedObject):
             p: positions (K, 3) [m].
             R: rotations (K, 3, 3).
             goal: angles (N,) of joints that the poses leave free, or None if any will do.
-            turns: whether the rotations are asked for.
+            rotates_evenly: whether the rotations are asked for.
         """
         q = np.empty((len(p) + 1, len(start)))
         q[0] = start
@@ -142,7 +142,7 @@ class ArmTree(SharedObject):
         p, R = np.ascontiguousarray(p), np.ascontiguousarray(R)
         reached = self._library.path_trace(
             self.struct,
-            self.kinematics.rows if turns else POSITION_ROWS,
+            self.kinematics.rows if rotates_evenly else POSITION_ROWS,
             len(p),
             pointer(p),
             pointer(R),
@@ -156,7 +156,7 @@ class ArmTree(SharedObject):
         return np.ascontiguousarray(q @ self._coupling.T + self._offset)
 
 
-def _copy_doubles(values: Any) -> Array:
+def _copy_array(values: Any) -> Array:
     return np.ascontiguousarray(np.array(values, dtype=np.float64))
 
 

@@ -27,7 +27,7 @@ from arm_emulator.base.validation.parameters import read_numbers, split_tables
 
 MODES = "modes"  # the section of the motion controller's parameter file
 KINDS = ("none", "zv", "zvd")
-MOST_MODES = 4
+MAX_MODES = 4
 LONGEST = 5.0  # s of delay
 
 
@@ -46,8 +46,8 @@ def read_modes(section: object, where: str) -> tuple[ShapedMode, ...]:
         Refusal: a table or number that is not taken, or too many modes.
     """
     tables: Mapping[str, Mapping[str, object]] = split_tables(section, where, MODES)
-    if len(tables) > MOST_MODES:
-        raise Refusal(where, MODES, f"be at most {MOST_MODES}", len(tables))
+    if len(tables) > MAX_MODES:
+        raise Refusal(where, MODES, f"be at most {MAX_MODES}", len(tables))
     return tuple(
         ShapedMode(**read_numbers(table, ShapedMode, where, f"{MODES}.{name}"))
         for name, table in tables.items()

@@ -146,7 +146,7 @@ class CandidatePaths:
         if np.linalg.norm(turn) < MIN_TURN:
             return
         ends = self._begin, self._target
-        curve = trace_line(self._arm, self._start, *ends, None, other_way=True)
+        curve = trace_line(self._arm, self._start, *ends, None, long_rotation=True)
         if isinstance(curve, JointCurve):
             words = f"along the tool's line, turning the other way round: {why}"
             yield CandidatePath(self._limit_tool(self._time_curve(curve)), words, curve.end)

@@ -57,8 +57,8 @@ class JerkLimitedVelocity:
         return (*limits, self._period), self.now
 
     def __setstate__(self, state: tuple[tuple[Any, ...], Reference]) -> None:
-        given, now = state
-        JerkLimitedVelocity.__init__(self, *given)
+        arguments, now = state
+        JerkLimitedVelocity.__init__(self, *arguments)
         for name, values in zip(_NOW, (now.q, now.v, now.a), strict=True):
             setattr(self._in, name, values.tolist())
 

@@ -107,8 +107,8 @@ class TimedPath(SharedObject):
         self._arm = arm if len(self._loaded) else None
         ramp, pieces = self._choose_ramp()
         self._ramps = Ramps(ramp)
-        given = self._make_arguments()
-        self._timing = self._find_timing(pieces, given, where)
+        arguments = self._make_arguments()
+        self._timing = self._find_timing(pieces, arguments, where)
         self.duration = self._timing.duration
 
     def at(self, time: float) -> Reference:
@@ -145,7 +145,7 @@ class TimedPath(SharedObject):
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _find_timing(self, pieces: int, given: tuple[Any, ...], where: str) -> Timing:
+    def _find_timing(self, pieces: int, arguments: tuple[Any, ...], where: str) -> Timing:
         """Return the quickest timing found that keeps every limit at every check.
 
         Where one exceeds limits between the places for which it was found, it is found again with
@@ -156,37 +156,39 @@ class TimedPath(SharedObject):
         # Once more with as many: now what is exceeded is known from more looks.
         for count in (pieces, pieces, min(FINER * pieces, max(pieces, MAX_PIECES))):
             sigma, keeps, coefficients = compute_places(count), np.empty(count), np.empty(count + 2)
-            most, firsts, thirds = self._compute_rows(sigma, given)
+            max_rates, firsts, thirds = self._compute_rows(sigma, arguments)
             for _ in range(MAX_TIMINGS):
-                rows = (pointer(most), firsts.shape[2], pointer(firsts), thirds.shape[2])
+                rows = (pointer(max_rates), firsts.shape[2], pointer(firsts), thirds.shape[2])
                 fault = law.path_time(count, *rows, pointer(thirds), _GAP, pointer(coefficients))
                 if fault >= 0:
                     raise self._refuse_torque(sigma[fault], where)
                 looks = _CHECKED_AGAIN if timings else _CHECKED
                 law.path_keeps(
-                    *given, count, pointer(coefficients), looks, JERK_MARGIN, pointer(keeps)
+                    *arguments, count, pointer(coefficients), looks, JERK_MARGIN, pointer(keeps)
                 )
-                least = float(keeps.min())
-                first = first or least
-                timings.append(Timing(coefficients * least / MARGIN**2))
-                if least > CLOSE:
+                smallest = float(keeps.min())
+                first = first or smallest
+                timings.append(Timing(coefficients * smallest / MARGIN**2))
+                if smallest > CLOSE:
                     break
                 k = np.repeat(keeps, len(POINTS))
-                most, thirds = most * k, thirds / (k**1.5)[:, None]
+                max_rates, thirds = max_rates * k, thirds / (k**1.5)[:, None]
                 firsts[1:] /= k[:, None]
             if first > FAR:
                 break
         return min(timings, key=lambda timing: timing.duration)
 
-    def _compute_rows(self, sigma: Array, given: tuple[Any, ...]) -> tuple[Array, Array, Array]:
+    def _compute_rows(self, sigma: Array, arguments: tuple[Any, ...]) -> tuple[Array, Array, Array]:
         """Return the limits at places (P,), as path_time takes them: (P,), (3, P, F), (3, P, G)."""
         joints, along = len(self._limits.speed), self._along is not None
         torques = 0 if self._arm is None else len(self._loaded)
-        most = np.empty(len(sigma))
+        max_rates = np.empty(len(sigma))
         firsts = np.empty((3, len(sigma), joints + torques + along))
         thirds = np.empty((3, len(sigma), joints + along))
-        path_library().path_rows(*given, len(sigma), *map(pointer, (sigma, most, firsts, thirds)))
-        return most, firsts, thirds
+        path_library().path_rows(
+            *arguments, len(sigma), *map(pointer, (sigma, max_rates, firsts, thirds))
+        )
+        return max_rates, firsts, thirds
 
     def _make_arguments(self) -> tuple[Any, ...]:
         """Return arm, curve, limits and ramp as path.h takes them."""

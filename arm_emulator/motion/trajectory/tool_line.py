@@ -23,8 +23,8 @@ def trace_line(
     begin: Pose,
     end: Pose,
     goal: Array | None,
-    turns: bool = True,
-    other_way: bool = False,
+    rotates_evenly: bool = True,
+    long_rotation: bool = False,
 ) -> JointCurve | str:
     """Return the joints' curve along a line of the tool, or why no such curve exists.
 
@@ -34,15 +34,15 @@ def trace_line(
         begin: pose of the tool there.
         end: pose of the tool at the end.
         goal: angles of the joints at the end (N,); None: those that the line reaches.
-        turns: whether the tool turns evenly; else it turns as the joints go to the goal.
-        other_way: whether it turns the other way round, by more than half a turn.
+        rotates_evenly: whether the tool turns evenly; else it turns as the joints go to the goal.
+        long_rotation: whether it turns the other way round, by more than half a turn.
     """
     why = ""
     for nodes in NODES:
         halves = np.arange(1, 2 * nodes + 1) / (2 * nodes)  # and nodes, in turns
-        every = sample_line(begin, end, halves, other_way)
+        every = sample_line(begin, end, halves, long_rotation)
         poses, expected = every[1::2], every[::2]
-        q = arm.trace(start, poses.p, poses.R, goal, turns)
+        q = arm.trace(start, poses.p, poses.R, goal, rotates_evenly)
         if len(q) <= nodes:
             why = f"the arm cannot follow it at {(len(q) - 1) / nodes:.0%} of its length"
             if nodes < NODES[-1] and len(q) > 1:
@@ -54,19 +54,19 @@ def trace_line(
             name = arm.kinematics.joint_names[beyond[1]]
             return f"{name} would leave its limits at {beyond[0]:.0%} of its length"
         between = halves[::2]
-        off = measure_errors(arm, curve.derivatives(between)[0], expected, turns)
+        off = measure_errors(arm, curve.derivatives(between)[0], expected, rotates_evenly)
         if float(off.max()) <= OFF_THE_LINE:
             return curve
         why = f"the joints would jump at {between[int(np.argmax(off))]:.0%} of its length"
     return why
 
 
-def measure_errors(arm: ArmTree, q: Array, expected: Poses, turns: bool = True) -> Array:
+def measure_errors(arm: ArmTree, q: Array, expected: Poses, rotates_evenly: bool = True) -> Array:
     """Return the tool's distances from poses at joint angles (K, N), scaled, (K,) [rad]."""
     kinematics = arm.kinematics
     p, R = arm.forward(q)
     off: Array = _measure_rows(p - expected.p) / kinematics.reach
-    if turns and kinematics.has_orientation:
+    if rotates_evenly and kinematics.has_orientation:
         # |R - 1| is 2 sqrt(2) sin(angle / 2).
         off += _measure_rows((R - expected.R).reshape(-1, 9)) / np.sqrt(2.0)
     return off
@@ -90,7 +90,7 @@ class Poses:
         return Poses(self.p[places], self.R[places])
 
 
-def sample_line(begin: Pose, end: Pose, parts: Array, other_way: bool = False) -> Poses:
+def sample_line(begin: Pose, end: Pose, parts: Array, long_rotation: bool = False) -> Poses:
     """Return poses at shares (K,) of a straight way that turns evenly about one axis.
 
     Half a turn at most, or the other way round: what is left of a whole one.
@@ -99,7 +99,7 @@ def sample_line(begin: Pose, end: Pose, parts: Array, other_way: bool = False) -
     turn = pin.log3(end.R_WT @ begin.R_WT.T)
     angle = math.hypot(*turn)
     axis = pin.skew(turn / angle if angle > 0.0 else turn)
-    if other_way:
+    if long_rotation:
         angle -= 2.0 * math.pi
     once, angles = axis @ begin.R_WT, parts[:, None, None] * angle
     twice = axis @ once

@@ -28,6 +28,6 @@ def describe_change(kind: int, powered: bool) -> str:
 
 def describe_motion(status: MotionStatus) -> str:
     """Return the state of a target, trajectory or path."""
-    what = f"{_MOTIONS.get(status.kind, status.kind)} {status.number}"
+    goal = f"{_MOTIONS.get(status.kind, status.kind)} {status.number}"
     reason = f": {status.reason}" if status.reason else ""
-    return f"{what} {STATES.get(status.state, status.state)}{reason}"
+    return f"{goal} {STATES.get(status.state, status.state)}{reason}"

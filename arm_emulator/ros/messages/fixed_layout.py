@@ -39,11 +39,11 @@ def list_typed_fields(message: Any, within: str = "") -> Iterator[tuple[str, str
         if hasattr(value, "get_fields_and_field_types"):
             yield from list_typed_fields(value, f"{path}.")
             continue
-        found = _KIND.fullmatch(kind)
-        base = found and (found["many"] or found["one"])
-        if found is None or base not in (*CODES, "string"):
+        match = _KIND.fullmatch(kind)
+        base = match and (match["many"] or match["one"])
+        if match is None or base not in (*CODES, "string"):
             raise TypeError(f"{path} is a {kind}, which has no fixed layout")
-        yield path, str(base), -1 if found["many"] else int(found["count"] or 0), value
+        yield path, str(base), -1 if match["many"] else int(match["count"] or 0), value
 
 
 class FixedLayout:
@@ -98,16 +98,16 @@ class FixedLayout:
         return True
 
     def _lay_out(self, message: Any) -> SimpleNamespace:
-        whole = SimpleNamespace()
+        root = SimpleNamespace()
         for path, kind, count, value in list_typed_fields(message):
             *within, name = path.split(".")
-            owner = whole
-            for one in within:
-                owner = vars(owner).setdefault(one, SimpleNamespace())
+            owner = root
+            for group in within:
+                owner = vars(owner).setdefault(group, SimpleNamespace())
             if count < 0:
                 self._add_length(len(value))
             setattr(owner, name, self._add_field(owner, path, kind, count, value))
-        return whole
+        return root
 
     def _add_field(
         self, owner: SimpleNamespace, path: str, kind: str, count: int, value: Any

@@ -102,7 +102,7 @@ class MessageReader:
         self._joints = new("char *[]", encoded)
         self._place = np.zeros(N, np.int64)
         # A length, then of each name its length, its bytes and their end, to a multiple of 4.
-        self._known_bytes = np.zeros(4 + sum(4 + len(one) + 3 for one in encoded), np.uint8)
+        self._known_bytes = np.zeros(4 + sum(4 + len(name) + 3 for name in encoded), np.uint8)
         self._referenced += encoded
         self.struct = MESSAGE_READER.new(
             "message_reader",
@@ -146,9 +146,9 @@ class MessageReader:
         bound = row.bound
         assert bound.in_size and bound.above is bound.at_least is None and not bound.whole
         largest = LARGEST if bound.at_most is None else bound.at_most
-        most = np.array(np.broadcast_to(largest, N), np.float64)
-        self._referenced += [row.to, most]
-        MESSAGE_READER.fill(field, most=most, is_optional=row.is_optional)
+        maxima = np.array(np.broadcast_to(largest, N), np.float64)
+        self._referenced += [row.to, maxima]
+        MESSAGE_READER.fill(field, most=maxima, is_optional=row.is_optional)
         field.to = MESSAGE_READER.ffi.cast("void *", row.to.ctypes.data)
 
 

@@ -36,19 +36,19 @@ def read_definition(kind: str) -> str:
     """
     waiting, texts = [kind.replace("/msg/", "/")], {}
     while waiting:
-        one = waiting.pop(0)
-        if one in texts:
+        contained = waiting.pop(0)
+        if contained in texts:
             continue
-        package, name = one.split("/")
+        package, name = contained.split("/")
         try:
             file = Path(get_package_share_directory(package)) / "msg" / f"{name}.msg"
-            texts[one] = file.read_text(encoding="utf-8")
+            texts[contained] = file.read_text(encoding="utf-8")
         except (PackageNotFoundError, OSError):
             return ""
-        waiting += _list_contained_types(texts[one], package)
+        waiting += _list_contained_types(texts[contained], package)
     root, *rest = texts.items()
     separator = "=" * 80
-    return root[1] + "".join(f"\n{separator}\nMSG: {one}\n{text}" for one, text in rest)
+    return root[1] + "".join(f"\n{separator}\nMSG: {kind}\n{text}" for kind, text in rest)
 
 
 def list_fields(definition: str) -> list[str]:

@@ -41,7 +41,7 @@ class Guarded(Protocol):
         """Return the log of the node."""
 
 
-def convert_to_refusal(node: Guarded, where: str, error: Exception, answers: bool) -> Refusal:
+def convert_to_refusal(node: Guarded, where: str, error: Exception, is_service: bool) -> Refusal:
     """Return what a callback has raised as a refusal; report it where the sender gets no answer.
 
     Raises:
@@ -51,7 +51,7 @@ def convert_to_refusal(node: Guarded, where: str, error: Exception, answers: boo
     if ends or is_out_of_memory(error):
         raise error
     if isinstance(error, Refusal):
-        if not answers:
+        if not is_service:
             node.refuse(where, error)
         return error
     actual = f"{type(error).__name__}: {error}"
@@ -81,13 +81,13 @@ def guard(
     """
 
     @wraps(callback)
-    def guarded(*given: Any) -> Any:
+    def guarded(*arguments: Any) -> Any:
         try:
             check()
-            return callback(*given)
+            return callback(*arguments)
         except Exception as error:
             reason = convert_to_refusal(node, where, error, refused is not None)
-            return refused(reason, *given) if refused is not None else None
+            return refused(reason, *arguments) if refused is not None else None
 
     return guarded
 
@@ -102,12 +102,12 @@ def guard_later(
     """Return a coroutine function that does not fail, see `guard`."""
 
     @wraps(callback)
-    async def guarded(*given: Any) -> Any:
+    async def guarded(*arguments: Any) -> Any:
         try:
             check()
-            return await callback(*given)
+            return await callback(*arguments)
         except Exception as error:
-            return refused(convert_to_refusal(node, where, error, answers=True), *given)
+            return refused(convert_to_refusal(node, where, error, is_service=True), *arguments)
 
     return guarded
 

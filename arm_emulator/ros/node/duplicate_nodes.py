@@ -114,7 +114,7 @@ class DuplicateNodes:
         late = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         # Time at which a node of each kind was heard last, by its start time.
         self._heard: dict[str, dict[str, float]] = {kind: {} for kind in KINDS}
-        self._signs = {one: node.resolve_topic_name(signs[0]) for one, signs in KINDS.items()}
+        self._signs = {kind: node.resolve_topic_name(signs[0]) for kind, signs in KINDS.items()}
         if isinstance(node, ManagedNode):
             node.has_lost = self._has_lost
         node.create_subscription(DiagnosticArray, "diagnostics", self._take_diagnostics, late)
@@ -124,8 +124,8 @@ class DuplicateNodes:
         """Identify this node as one that works."""
         self._works = True
         self._diagnostics.values.update(self._mine)
-        for started, one in self._duplicates.items():
-            self._report_duplicate(started, one.words)
+        for started, duplicate in self._duplicates.items():
+            self._report_duplicate(started, duplicate.words)
 
     def end(self) -> None:
         """Count this node as idle: no double of any other."""
@@ -186,25 +186,27 @@ class DuplicateNodes:
         return self._duplicates[first] if first < self._started else None
 
     def _take_diagnostics(self, array: DiagnosticArray) -> None:
-        for name, one in read_identities(array):
-            if one.topic != self._signs[one.kind]:
+        for name, identity in read_identities(array):
+            if identity.topic != self._signs[identity.kind]:
                 continue
-            self._record_sign_of_life(one.kind, one.started)
-            started = int(one.started)
-            if one.kind != self._kind or started == self._started:
+            self._record_sign_of_life(identity.kind, identity.started)
+            started = int(identity.started)
+            if identity.kind != self._kind or started == self._started:
                 continue
-            known = self._duplicates.get(started)
-            if known is not None:
-                known.heard_at = time.monotonic()
+            duplicate = self._duplicates.get(started)
+            if duplicate is not None:
+                duplicate.heard_at = time.monotonic()
                 continue
-            self._duplicates[started] = _Duplicate(name, one.words, time.monotonic())
-            self._report_duplicate(started, one.words)
+            self._duplicates[started] = _Duplicate(name, identity.words, time.monotonic())
+            self._report_duplicate(started, identity.words)
 
     def _record_sign_of_life(self, kind: str, started: str) -> None:
         heard, now = self._heard[kind], time.monotonic()
         heard[started] = now
         if len(heard) > HEARD_LIMIT:
-            self._heard[kind] = {one: at for one, at in heard.items() if now - at < KILLED_AFTER}
+            self._heard[kind] = {
+                begun: at for begun, at in heard.items() if now - at < KILLED_AFTER
+            }
 
     def _has_lost(self, kind: str, there: int) -> bool:
         """Return whether of so many publishers of a kind of nodes one was killed.
@@ -241,16 +243,18 @@ class DuplicateNodes:
             return
         now, node = time.monotonic(), self._node
         there = [
-            get_full_name(one)
-            for one in node.get_publishers_info_by_topic(node.resolve_topic_name("diagnostics"))
+            get_full_name(endpoint)
+            for endpoint in node.get_publishers_info_by_topic(
+                node.resolve_topic_name("diagnostics")
+            )
         ]
         mine = node.get_fully_qualified_name()
         if mine in there:
             there.remove(mine)
-        for started, one in list(self._duplicates.items()):
-            left = one.seen and one.node not in there
-            one.seen = one.node in there
-            if left or now - one.heard_at > SILENCE:
+        for started, duplicate in list(self._duplicates.items()):
+            left = duplicate.seen and duplicate.node not in there
+            duplicate.seen = duplicate.node in there
+            if left or now - duplicate.heard_at > SILENCE:
                 del self._duplicates[started]
-                node.get_logger().info(f"the other {self._kind} is gone: {one.words}")
+                node.get_logger().info(f"the other {self._kind} is gone: {duplicate.words}")
                 self._publish_duplicates()

@@ -41,8 +41,8 @@ class Entities:
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        for one in (*self.subscriptions, *self.timers, *self.services):
-            self._stack.enter_context(one.handle)
+        for entity in (*self.subscriptions, *self.timers, *self.services):
+            self._stack.enter_context(entity.handle)
         self._stack.enter_context(self.context)
         counts = len(self.subscriptions), 1, len(self.timers), 0, len(self.services), 0
         self._all: Any = new_wait_set(counts, self.context)
@@ -83,7 +83,7 @@ class Entities:
         others = ("subscription", "service", "guard_condition")
         if any(self._all.get_ready_entities(kind) for kind in others):
             return False
-        return all(one in timers for one in self._list_ready("timer", self.timers))
+        return all(timer in timers for timer in self._list_ready("timer", self.timers))
 
     def serve_timers(self) -> None:
         """Call back for each timer that is due."""
@@ -102,7 +102,9 @@ class Entities:
 
     def _list_ready(self, kind: str, entities: list[Any]) -> list[Any]:
         pointers = self._all.get_ready_entities(kind)
-        return [one for one in entities if one.handle.pointer in pointers] if pointers else []
+        return (
+            [entity for entity in entities if entity.handle.pointer in pointers] if pointers else []
+        )
 
 
 def take_message(subscription: Any, sole: SolePublisher | None = None) -> bool:

@@ -194,10 +194,10 @@ class Arrivals:
         if rclpy.get_rmw_implementation_identifier() not in CALL_BACK_UNLOCKED:
             raise LookupError
         self._hot = hot
-        self._subscriptions = [one for one, _, _ in hot.takes]
+        self._subscriptions = [subscription for subscription, _, _ in hot.takes]
         self._stack = ExitStack()
-        for one in self._subscriptions:
-            self._stack.enter_context(one.handle)
+        for subscription in self._subscriptions:
+            self._stack.enter_context(subscription.handle)
         for message in hot.outgoing:
             self._stack.enter_context(message.bind())
         self.guard: Any = new_guard_condition(context)
@@ -205,11 +205,11 @@ class Arrivals:
         ffi, self._calls = ARRIVALS.ffi, get_middleware()
         guard = ffi.cast("void *", self.guard.pointer)
         self._topics = ffi.new("ros_topic[]", len(hot.takes))
-        for k, (one, take, argument) in enumerate(hot.takes):
-            handle: Any = one.handle
+        for k, (subscription, take, argument) in enumerate(hot.takes):
+            handle: Any = subscription.handle
             self._topics[k].subscription = ffi.cast("void *", handle.pointer)
-            if one in soles:
-                self._topics[k].owner = soles[one].owner
+            if subscription in soles:
+                self._topics[k].owner = soles[subscription].owner
             MIDDLEWARE.fill(self._topics + k, take=take, **{"with": argument})
         self._all = self._calls.ros_arrivals_new(self._topics, len(self._subscriptions), guard)
         self._arrived = ARRIVALS.new("ros_arrived", left=-1)

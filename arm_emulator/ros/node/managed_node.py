@@ -66,8 +66,8 @@ class ManagedNode(LifecycleNode):
         self.sole_publishers: dict[Any, SolePublisher] = {}
         # `Diagnostics` and `DuplicateNodes` put their own in the places of these.
         self.refuse: Callable[..., None] = self._log_refusal
-        self.count: Callable[..., None] = lambda what, times=1: None
-        self.note: Callable[[str, object], None] = lambda what, value: None
+        self.count: Callable[..., None] = lambda counter, times=1: None
+        self.note: Callable[[str, object], None] = lambda quantity, value: None
         self.has_lost: Callable[[str, int], bool] = lambda kind, there: False
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         replace_transition_callback(self, self._handle_change_state)
@@ -78,10 +78,10 @@ class ManagedNode(LifecycleNode):
         self._permanent: list[Any] = []  # entities of the constructor
         self._stopped: list[Any] = []  # timers that go on when it is active
         self._error: Exception | None = None  # of the newest transition
-        what = "whether the node configures and activates itself at its start"
+        text = "whether the node configures and activates itself at its start"
         if not self.has_parameter("autostart"):
             self.declare_parameter("autostart", True)
-        descriptor = ParameterDescriptor(description=what, dynamic_typing=True)
+        descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
         self.set_descriptor("autostart", descriptor)
 
     # Work of a subclass
@@ -217,8 +217,8 @@ class ManagedNode(LifecycleNode):
 
     def _stop_timers(self) -> None:
         self.active = False
-        own = [one for one in self.timers if one not in self._permanent]
-        self._stopped = [one for one in own if not one.is_canceled()]
+        own = [timer for timer in self.timers if timer not in self._permanent]
+        self._stopped = [timer for timer in own if not timer.is_canceled()]
         for timer in self._stopped:
             timer.cancel()
 
@@ -229,7 +229,9 @@ class ManagedNode(LifecycleNode):
             self.cleanup.close()
         finally:
             # Entities of `configure`, and later ones.
-            for one in (one for one in self._list_entities() if one not in self._permanent):
+            for one in (
+                entity for entity in self._list_entities() if entity not in self._permanent
+            ):
                 for many, destroy in (
                     (self.publishers, self.destroy_publisher),
                     (self.subscriptions, self.destroy_subscription),
@@ -271,20 +273,20 @@ class ManagedNode(LifecycleNode):
         }
         triggers.get(number, self.trigger_shutdown)()
 
-    def _check_transition(self, asked: Transition) -> int:
+    def _check_transition(self, requested: Transition) -> int:
         """Return the number of a transition that may begin now.
 
         Raises:
             Refusal: it cannot; nothing has changed.
         """
         here = get_transitions(self)
-        known = {label: number for label, number in here.items() if number in TRANSITIONS}
-        if asked.label in known:
-            return known[asked.label]
-        if not asked.label and asked.id in known.values():
-            return int(asked.id)
+        transitions = {label: number for label, number in here.items() if number in TRANSITIONS}
+        if requested.label in transitions:
+            return transitions[requested.label]
+        if not requested.label and requested.id in transitions.values():
+            return int(requested.id)
         rule = f"be one that leads from {self.state}"
-        actual, valid = asked.label or asked.id, ", ".join(known) or "none"
+        actual, valid = requested.label or requested.id, ", ".join(transitions) or "none"
         raise Refusal("change_state", "transition", rule, actual, valid)
 
     def _log_result(self) -> None:
@@ -335,11 +337,11 @@ class ManagedNode(LifecycleNode):
 
         if topic == CLOCK:  # rclpy's own, of `use_sim_time`
             only_from = "emulator"
-        given = guard(self, topic.strip("/"), gated if self._configuring else callback)
+        guarded = guard(self, topic.strip("/"), gated if self._configuring else callback)
         if only_from is None:
-            return super().create_subscription(msg_type, topic, given, *more, **named)
+            return super().create_subscription(msg_type, topic, guarded, *more, **named)
         named["callback_group"] = OwnExecutorOnly()
-        subscription = super().create_subscription(msg_type, topic, given, *more, **named)
+        subscription = super().create_subscription(msg_type, topic, guarded, *more, **named)
         keeps = subscription.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
         self.sole_publishers[subscription] = SolePublisher(self, topic, only_from, keeps)
         return subscription
@@ -380,7 +382,7 @@ class ManagedNode(LifecycleNode):
 
         needs_active = self._configuring
         wrap = guard_later if inspect.iscoroutinefunction(callback) else guard
-        given: Callable[..., Any] = wrap(self, name, callback, refused, check_active)
+        guarded: Callable[..., Any] = wrap(self, name, callback, refused, check_active)
         if srv_type is SetParameters:
-            given = set_singly(given)
-        return super().create_service(srv_type, srv_name, given, **named)
+            guarded = set_singly(guarded)
+        return super().create_service(srv_type, srv_name, guarded, **named)

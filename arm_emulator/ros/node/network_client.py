@@ -86,9 +86,9 @@ class NetworkClient(Node):
             by: topic on which that node, and no other, publishes.
         """
         kinds = self.get_publishers_info_by_topic(self.resolve_topic_name(by))
-        acting = {(one.node_namespace, one.node_name) for one in kinds}
+        acting = {(endpoint.node_namespace, endpoint.node_name) for endpoint in kinds}
         readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
-        there = {(one.node_namespace, one.node_name) for one in readers}
+        there = {(endpoint.node_namespace, endpoint.node_name) for endpoint in readers}
         matched = publisher.get_subscription_count()
         return bool(acting) and acting <= there and matched >= len(readers)
 

@@ -53,14 +53,14 @@ class NetworkUnderTest:
     def __init__(self, context: Context, ended: Callable[[], object], ours: Sequence[str]) -> None:
         self._ended, self._ours = ended, ours
         self._health: dict[str, DiagnosticStatus] = {}
-        self._client = guest = NetworkClient("test", "", context)
+        self._client = client = NetworkClient("test", "", context)
         self.statuses: list[MotionStatus] = []
         self._targets: list[tuple[int, int]] = []  # kind and time [ns] of each target sent
-        guest.listen("emulator/joint_states", JointState, STATE_PUB_QOS)
-        guest.listen("emulator/status", EmulatorStatus, STATE_PUB_QOS)
-        guest.create_subscription(MotionStatus, "motion/status", self.statuses.append, EVENT_QOS)
-        guest.create_subscription(DiagnosticArray, "diagnostics", self._take_health, HEALTH_QOS)
-        create = guest.create_publisher
+        client.listen("emulator/joint_states", JointState, STATE_PUB_QOS)
+        client.listen("emulator/status", EmulatorStatus, STATE_PUB_QOS)
+        client.create_subscription(MotionStatus, "motion/status", self.statuses.append, EVENT_QOS)
+        client.create_subscription(DiagnosticArray, "diagnostics", self._take_health, HEALTH_QOS)
+        create = client.create_publisher
         self._tool_targets = create(PoseStamped, "tool_target", COMMAND_QOS)
         self._trajectories = create(JointTrajectory, "joint_trajectory", COMMAND_QOS)
 
@@ -152,8 +152,8 @@ class NetworkUnderTest:
         if not (math.isfinite(seconds) and seconds > 0.0):
             raise Refusal("testing.network", "seconds", "be > 0 and finite", seconds)
         point = JointTrajectoryPoint(positions=[float(value) for value in angles.values()])
-        whole = round(seconds * NANOSECONDS)
-        point.time_from_start.sec, point.time_from_start.nanosec = divmod(whole, NANOSECONDS)
+        total_ns = round(seconds * NANOSECONDS)
+        point.time_from_start.sec, point.time_from_start.nanosec = divmod(total_ns, NANOSECONDS)
         message = JointTrajectory(joint_names=list(angles), points=[point])
         return self._send(self._trajectories, message, MotionStatus.KIND_JOINT_TRAJECTORY, at)
 
@@ -161,9 +161,9 @@ class NetworkUnderTest:
         """Return the newest state of a target: "accepted", "moving", "reached", ...; "": none."""
         kind, time_ns = self._targets[number]
         states = [
-            STATES.get(one.state, f"state {one.state}")
-            for one in self.statuses
-            if one.kind == kind and to_nanoseconds(one.stamp) == time_ns
+            STATES.get(status.state, f"state {status.state}")
+            for status in self.statuses
+            if status.kind == kind and to_nanoseconds(status.stamp) == time_ns
         ]
         return states[-1] if states else ""
 
@@ -185,7 +185,7 @@ class NetworkUnderTest:
 
     def _find_reason(self, number: int) -> str:
         kind, time_ns = self._targets[number]
-        of = [one for one in self.statuses if one.kind == kind]
+        of = [status for status in self.statuses if status.kind == kind]
         return next((o.reason for o in of[::-1] if to_nanoseconds(o.stamp) == time_ns), "")
 
     def _send(self, publisher: Publisher, message: Any, kind: int, at: float | None) -> int:
@@ -226,8 +226,8 @@ class NetworkUnderTest:
         self._client.destroy_client(client)
         return answer
 
-    def _wait(self, what: str, condition: Callable[[], bool]) -> None:
+    def _wait(self, event: str, condition: Callable[[], bool]) -> None:
         deadline = time.monotonic() + PATIENCE
         while not self._client.spin_until(condition, 0.5):
-            assert (ended := self._ended()) is None, f"{ended} ended, no {what}"
-            assert time.monotonic() < deadline, f"no {what} within {PATIENCE:g} s of wall time"
+            assert (ended := self._ended()) is None, f"{ended} ended, no {event}"
+            assert time.monotonic() < deadline, f"no {event} within {PATIENCE:g} s of wall time"

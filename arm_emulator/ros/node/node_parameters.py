@@ -69,12 +69,12 @@ def refuse_unknown_parameters(
     Raises:
         Refusal: a parameter is unknown, for example misspelt.
     """
-    known = [*list_parameters(type(config)), *beside]
+    names = [*list_parameters(type(config)), *beside]
     for name in node.get_parameters_by_prefix(""):
-        if name.split(".")[0] not in (*known, *ROS_PARAMETERS):
+        if name.split(".")[0] not in (*names, *ROS_PARAMETERS):
             where = f"node {node.get_name()}"
-            actual = f"an unknown one{suggest_nearest_name(name, known)}"
-            raise Refusal(where, f"parameter {name}", "be a known one", actual, ", ".join(known))
+            actual = f"an unknown one{suggest_nearest_name(name, names)}"
+            raise Refusal(where, f"parameter {name}", "be a known one", actual, ", ".join(names))
 
 
 def accept_changes(
@@ -95,7 +95,7 @@ def accept_changes(
             for parameter in parameters
             if parameter.name.split(".")[0] not in ROS_PARAMETERS
         )
-        return {one.name: one.value for one in own}
+        return {parameter.name: parameter.value for parameter in own}
 
     def check(parameters: list[RosParameter]) -> SetParametersResult:
         try:
@@ -109,8 +109,8 @@ def accept_changes(
         return SetParametersResult(successful=True)
 
     def on_change(parameters: list[RosParameter]) -> None:
-        if given := changes(parameters):
-            take(prepare(given))
+        if changed := changes(parameters):
+            take(prepare(changed))
 
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(on_change)
@@ -125,12 +125,12 @@ def replace_parameters(
         Refusal: a value of the wrong type or out of its range.
     """
     fields, where = list_parameters(type(config)), f"node {node.get_name()}"
-    given = {name: check_parameter(value, fields[name], where) for name, value in changes.items()}
-    return dataclasses.replace(config, **given)  # type: ignore[type-var]
+    checked = {name: check_parameter(value, fields[name], where) for name, value in changes.items()}
+    return dataclasses.replace(config, **checked)  # type: ignore[type-var]
 
 
 def describe(
-    node: ManagedNode, name: str, descriptor: ParameterDescriptor, one: Number | None
+    node: ManagedNode, name: str, descriptor: ParameterDescriptor, number: Number | None
 ) -> None:
     """Set a parameter's descriptor, with its range; None: it is not a number.
 
@@ -138,11 +138,11 @@ def describe(
     """
     if name in node.settable:
         descriptor.additional_constraints = SETTABLE
-    if one is not None:
-        first, last = one.ends
-        if one.whole:
-            whole = IntegerRange(from_value=round(first), to_value=round(last), step=1)
-            descriptor.integer_range = [whole]
+    if number is not None:
+        first, last = number.ends
+        if number.whole:
+            steps = IntegerRange(from_value=round(first), to_value=round(last), step=1)
+            descriptor.integer_range = [steps]
         else:
             any_ = FloatingPointRange(from_value=float(first), to_value=float(last))
             descriptor.floating_point_range = [any_]

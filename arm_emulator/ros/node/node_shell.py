@@ -133,11 +133,11 @@ class Diagnostics:
         if first:
             self.publish()
 
-    def count(self, what: str, times: int = 1) -> None:
-        """Count under `what` an input that was not needed, without a warning."""
-        before = self.values.get(what, 0)
+    def count(self, counter: str, times: int = 1) -> None:
+        """Count under `counter` an input that was not needed, without a warning."""
+        before = self.values.get(counter, 0)
         assert isinstance(before, int)
-        self.values[what] = before + times
+        self.values[counter] = before + times
         if not before:
             self.publish()
 

@@ -101,7 +101,7 @@ class SolePublisher:
 
     def __init__(self, node: Receiver, topic: str, kind: str, keeps: bool) -> None:
         self._node, self._topic, self._full = node, topic, node.resolve_topic_name(topic)
-        self._signs = [node.resolve_topic_name(one) for one in KINDS[kind]]
+        self._signs = [node.resolve_topic_name(sign) for sign in KINDS[kind]]
         self._kind, self._keeps = kind, keeps
         self.owner = MIDDLEWARE.new("ros_publisher")
         self._owner = _NO_PUBLISHER
@@ -141,14 +141,14 @@ class SolePublisher:
         if not has_name(self._refused_name):  # else it may have left since
             self._refused_name = nodes.get(self._refused, "")
         name, owner = self._refused_name, nodes.get(self._owner) or self._find_first_of_kind(nodes)
-        known = has_name(name) and has_name(owner)
-        if not known and now - self._refused_at < IDENTIFY:
+        identified = has_name(name) and has_name(owner)
+        if not identified and now - self._refused_at < IDENTIFY:
             return
         dropped, self.owner.dropped, self._refused_at = self.owner.dropped, 0, 0.0
         if self._refused == self._owner:
             self._node.count(f"{self._topic} before the graph had their node", dropped)
             return
-        if known and name == owner:
+        if identified and name == owner:
             self._node.count(f"{self._topic} of another node of the same name", dropped)
             return
         owner_words = f"node {owner}," if has_name(owner) else "the one"
@@ -173,7 +173,11 @@ class SolePublisher:
             if publisher != self._owner and self._judge(publisher, nodes)[0]:
                 self._take_over(publisher)
         released = [data for data, publisher in self.withheld if publisher == self._owner]
-        self.withheld = [one for one in self.withheld if one[1] != self._owner and one[1] in nodes]
+        self.withheld = [
+            message
+            for message in self.withheld
+            if message[1] != self._owner and message[1] in nodes
+        ]
         return released
 
     def _take_over(self, publisher: bytes) -> None:
@@ -184,12 +188,12 @@ class SolePublisher:
     def _list_nodes(self) -> dict[bytes, str]:
         """Return the full name of the node of each publisher of the topic."""
         endpoints = self._node.get_publishers_info_by_topic(self._full)
-        return {bytes(one.endpoint_gid): get_full_name(one) for one in endpoints}
+        return {bytes(endpoint.endpoint_gid): get_full_name(endpoint) for endpoint in endpoints}
 
     def _judge(self, publisher: bytes, nodes: dict[bytes, str]) -> tuple[bool, bool]:
         """Return whether a publisher is the one, and whether it stays so while it publishes."""
         of_kind = self._list_nodes_of_kind()
-        ours = [one for one, name in nodes.items() if name in of_kind]
+        ours = [gid for gid, name in nodes.items() if name in of_kind]
         has_lost, kind = self._node.has_lost, self._kind
         if publisher in ours:
             is_owner = publisher == self._owner or self._owner not in ours
@@ -202,7 +206,7 @@ class SolePublisher:
     def _list_nodes_of_kind(self) -> set[str]:
         endpoints = self._node.get_publishers_info_by_topic
         return set.intersection(
-            *({get_full_name(one) for one in endpoints(sign)} for sign in self._signs)
+            *({get_full_name(endpoint) for endpoint in endpoints(sign)} for sign in self._signs)
         )
 
     def _find_first_of_kind(self, nodes: dict[bytes, str]) -> str:

@@ -135,14 +135,14 @@ class Bringup:
 
     def process(self, name: str) -> subprocess.Popen[bytes] | ForkedNode:
         """Return the process of a running node."""
-        return next(one.process for one in reversed(self._running) if one.name == name)
+        return next(node.process for node in reversed(self._running) if node.name == name)
 
     def ended(self) -> tuple[str, int] | None:
         """Return name and exit code of a node that has ended, None while all run."""
-        for one in self._running:
-            code = one.process.poll()
+        for node in self._running:
+            code = node.process.poll()
             if code is not None:
-                return one.name, code
+                return node.name, code
         return None
 
     def stop(self) -> dict[str, int]:
@@ -152,15 +152,15 @@ class Bringup:
             (STOP_PATIENCE, signal.SIGTERM),
             (STOP_PATIENCE, signal.SIGKILL),
         ):
-            alive = [one for one in self._running if one.process.poll() is None]
-            for one in alive:
-                one.process.send_signal(how)
+            alive = [node for node in self._running if node.process.poll() is None]
+            for node in alive:
+                node.process.send_signal(how)
             deadline = time.monotonic() + patience
             # Another Ctrl-C ends the nodes faster.
             with contextlib.suppress(subprocess.TimeoutExpired, KeyboardInterrupt):
-                for one in alive:
-                    one.process.wait(max(0.0, deadline - time.monotonic()))
-        return {one.name: one.process.wait() for one in self._running}
+                for node in alive:
+                    node.process.wait(max(0.0, deadline - time.monotonic()))
+        return {node.name: node.process.wait() for node in self._running}
 
 
 def _list_common_arguments(

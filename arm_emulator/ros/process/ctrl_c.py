@@ -103,8 +103,8 @@ class CtrlC:
         try:
             yield
         finally:
-            cls._delays, came, cls._delayed = False, cls._delayed, False
-            if came:
+            cls._delays, interrupted, cls._delayed = False, cls._delayed, False
+            if interrupted:
                 raise KeyboardInterrupt
 
     def __enter__(self) -> CtrlC:

@@ -135,14 +135,14 @@ def _start_forks(modules: tuple[str, ...], process: int, attempt: int) -> Forks:
 def get_forks(modules: Sequence[str]) -> Forks:
     """Return this process's forks of nodes, started again if they have ended."""
     attempt = 0
-    while not (found := _start_forks(tuple(modules), os.getpid(), attempt)).is_running:
+    while not (forks := _start_forks(tuple(modules), os.getpid(), attempt)).is_running:
         attempt += 1
-    return found
+    return forks
 
 
 def get_python_path() -> dict[str, str]:
     """Return the module path of nodes: that of this process without its working folder."""
-    folders = [one for one in os.environ.get("PYTHONPATH", "").split(os.pathsep) if one]
+    folders = [folder for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep) if folder]
     return {"PYTHONPATH": os.pathsep.join([*folders, str(Path(__file__).resolve().parents[3])])}
 
 
@@ -157,9 +157,9 @@ def _serve(control: socket.socket) -> dict[str, Any]:
     ] = {}  # by descriptor: process, and its waiting client
     while True:
         ready, _, _ = select.select([asks, *running], [], [])
-        for one in running.keys() & set(ready):
-            process, waits = running.pop(one)
-            os.close(one)
+        for descriptor in running.keys() & set(ready):
+            process, waits = running.pop(descriptor)
+            os.close(descriptor)
             code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
             _send(waits, code)
             waits.close()
@@ -171,14 +171,14 @@ def _serve(control: socket.socket) -> dict[str, Any]:
         parent, process = os.getpid(), os.fork()
         if process == 0:
             control.close()
-            for held, (_, waits) in running.items():
-                os.close(held)
+            for sibling, (_, waits) in running.items():
+                os.close(sibling)
                 waits.close()
             _set_up_process(json.loads(packet), descriptors, parent)
             return dict(json.loads(packet))
         waits = socket.socket(fileno=descriptors[0])
-        for one in descriptors[1:]:
-            os.close(one)
+        for descriptor in descriptors[1:]:
+            os.close(descriptor)
         running[os.pidfd_open(process)] = process, waits
         _send(waits, process)
 
@@ -193,10 +193,10 @@ def _send(waits: socket.socket, number: int) -> None:
 def _set_up_process(request: dict[str, Any], descriptors: Sequence[int], parent: int) -> None:
     """Give the forked process what a started one has of its own."""
     os.setpgid(0, 0)  # takes no signals from the terminal
-    for at, one in enumerate(descriptors):
+    for at, descriptor in enumerate(descriptors):
         if at:
-            os.dup2(one, at)
-        os.close(one)
+            os.dup2(descriptor, at)
+        os.close(descriptor)
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update({**request["environment"], VARIABLE: str(parent)})

@@ -71,8 +71,8 @@ class Bag:
         with contextlib.suppress(Refusal):  # no metadata, or damaged ones
             body = read_yaml(self.path / "metadata.yaml").get("rosbag2_bagfile_information")
             facts = body.get("custom_data") if isinstance(body, dict) else None
-        given = {str(k): str(v) for k, v in facts.items()} if isinstance(facts, dict) else {}
-        return self._facts | given
+        stated = {str(k): str(v) for k, v in facts.items()} if isinstance(facts, dict) else {}
+        return self._facts | stated
 
     def _scan(self, file: Path) -> Span:
         begin, end, count = 2**63 - 1, 0, 0

@@ -211,13 +211,13 @@ class BagWriter:
                 os.truncate(self.folder / UNFINISHED, SHORT_METADATA)
                 repair(self.folder)
             self.whole = True
-        kept: dict[str, Topic] = {}
+        repaired: dict[str, Topic] = {}
         with contextlib.suppress(OSError, Refusal, MemoryError):
             bag = Bag(self.folder)
-            kept = bag.topics
+            repaired = bag.topics
             self._begin, self._end = bag.spans[0].begin, bag.spans[0].end
         for topic in self.topics:
-            topic.count = kept[topic.name].count if topic.name in kept else 0
+            topic.count = repaired[topic.name].count if topic.name in repaired else 0
 
 
 def repair(path: Path) -> bool:
@@ -227,12 +227,12 @@ def repair(path: Path) -> bool:
         Refusal: not a bag, or a damaged one.
         OSError: it cannot be written.
     """
-    given = [recover_mcap(file) for file in list_bag_files(path)]
+    recovered = [recover_mcap(file) for file in list_bag_files(path)]
     if not path.is_dir():
-        return any(given)
+        return any(recovered)
     bag = Bag(path)
     metadata = build_metadata(list(bag.topics.values()), bag.spans, bag.about)
-    if any(given) or _count_in(path / METADATA) != metadata["message_count"]:
+    if any(recovered) or _count_in(path / METADATA) != metadata["message_count"]:
         _write_metadata(path, metadata)
         return True
     return False

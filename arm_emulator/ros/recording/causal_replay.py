@@ -64,10 +64,10 @@ class ReplayResult:
 class _Stamped:
     """Recorded messages of a topic, found by their keys in the order of the bag."""
 
-    def __init__(self, kept: list[tuple[int, bytes]]) -> None:
-        self._messages, self._next = kept, 0
+    def __init__(self, messages: list[tuple[int, bytes]]) -> None:
+        self._messages, self._next = messages, 0
         self._places: dict[int, list[int]] = {}
-        for place, (key, _) in enumerate(kept):
+        for place, (key, _) in enumerate(messages):
             self._places.setdefault(key, []).append(place)
 
     @property
@@ -134,7 +134,7 @@ class CausalReplay:
         Raises:
             Refusal: no such node is in the network, or another node publishes what is replayed.
         """
-        topics, answers = self._topics, self._result
+        topics, result = self._topics, self._result
         self._connect(wait, report)
         begin = next(self._read_recorded(topics.asked)).published
         recorded = self._index_by_stamp(topics.answered, attrgetter("key"), begin)
@@ -142,8 +142,8 @@ class CausalReplay:
         beside = self._index_by_stamp(topics.beside, attrgetter("stamp"), begin)
         before: int | None = None
         end = math.inf  # stamp [ns] from which on the node waits for what the bag does not have
-        for one in self._read_recorded(topics.asked):
-            key, stamp = one.key, one.stamp
+        for request in self._read_recorded(topics.asked):
+            key, stamp = request.key, request.stamp
             if key == before:
                 continue  # it was published again
             if before is None or key < before:
@@ -155,24 +155,24 @@ class CausalReplay:
                 self._publishers[topics.beside].publish(data)
             # No motion period begins here, or the recorder ended before the answer.
             if expected is None and (recorded.over if topics.granted else True):
-                self._publishers[topics.asked].publish(one.data)
+                self._publishers[topics.asked].publish(request.data)
                 continue
             if end <= stamp < end + granted.period:
                 continue
-            answers.asked += 1
-            if len(answers.missing) < MISSING_LIMIT:
+            result.asked += 1
+            if len(result.missing) < MISSING_LIMIT:
                 grant = granted.take(stamp)
                 # The recorder may end before the last message for which the node waits.
                 ends = grant is None and granted.over
-                answer = self._ask_node(one, grant, ends)
+                answer = self._ask_node(request, grant, ends)
                 if answer is None and ends and stamp in self._prompts:
                     end = stamp
-                    answers.asked -= 1
+                    result.asked -= 1
                 else:
-                    self._judge(one, answer, expected)
-            self._give_orders(stamp, one.published)
-        answers.digest = self._digest.hexdigest()[:16]
-        return answers
+                    self._judge(request, answer, expected)
+            self._give_orders(stamp, request.published)
+        result.digest = self._digest.hexdigest()[:16]
+        return result
 
     # Bag
 
@@ -180,18 +180,18 @@ class CausalReplay:
         return self._namespace + topic
 
     def _count(self, topic: str) -> int:
-        known = self._bag.topics.get(self._get_full_name(topic))
-        return 0 if known is None else known.count
+        topic_info = self._bag.topics.get(self._get_full_name(topic))
+        return 0 if topic_info is None else topic_info.count
 
     def _read_recorded(self, topic: str) -> Iterator[_Message]:
         kind = get_message_class(TYPES[topic])
-        for one in self._bag.read_as_published([self._get_full_name(topic)]):
+        for record in self._bag.read_as_published([self._get_full_name(topic)]):
             try:
-                message = deserialize_message(one.data, kind)
+                message = deserialize_message(record.data, kind)
             except RuntimeError as error:
                 rule = "be readable"
                 raise Refusal(self._where, f"messages on {topic}", rule, error) from None
-            yield _Message(message, one)
+            yield _Message(message, record)
 
     def _index_by_stamp(self, topic: str, key: Callable[[_Message], int], begin: int) -> _Stamped:
         """Return the messages of a topic from the first question on, by their keys.
@@ -203,11 +203,11 @@ class CausalReplay:
             key: of a message.
             begin: when the first question was published, wall time [ns].
         """
-        kept = list(self._read_recorded(topic)) if topic else []
-        earlier = bisect.bisect_left(kept, begin, key=lambda one: one.published)
+        messages = list(self._read_recorded(topic)) if topic else []
+        earlier = bisect.bisect_left(messages, begin, key=lambda message: message.published)
         # Some of them, since the clocks of two computers differ.
-        kept = kept[max(0, earlier - AHEAD // 2) :]
-        return _Stamped([(key(one), one.data) for one in kept])
+        messages = messages[max(0, earlier - AHEAD // 2) :]
+        return _Stamped([(key(message), message.data) for message in messages])
 
     def _place_orders(self) -> list[_Order]:
         """Return the orders, with the stamp of the joint states after which each was taken.
@@ -219,25 +219,25 @@ class CausalReplay:
             return []
         starts: list[int] = []  # of the runs, wall time [ns]
         before = math.inf
-        for one in self._read_recorded(self._topics.asked):
-            if one.key < before:
-                starts.append(one.published)
-            before = one.key
+        for request in self._read_recorded(self._topics.asked):
+            if request.key < before:
+                starts.append(request.published)
+            before = request.key
 
-        def run_of(one: _Message) -> int:
-            return max(0, bisect.bisect_right(starts, one.published) - 1)
+        def run_of(message: _Message) -> int:
+            return max(0, bisect.bisect_right(starts, message.published) - 1)
 
         taken: dict[int, deque[tuple[int, int, bool]]] = {k: deque() for k in self._topics.orders}
         statuses = list(self._read_recorded(STATUS))
         at_first = {
-            (one.message.kind, one.message.number)
-            for one in statuses
-            if one.message.state == MotionStatus.STATE_MOVING and one.stamp == 0
+            (status.message.kind, status.message.number)
+            for status in statuses
+            if status.message.state == MotionStatus.STATE_MOVING and status.stamp == 0
         }
-        for one in statuses:
-            kind, number = one.message.kind, one.message.number
-            if kind in taken and one.message.state in _TAKEN:
-                taken[kind].append((run_of(one), one.stamp, (kind, number) in at_first))
+        for status in statuses:
+            kind, number = status.message.kind, status.message.number
+            if kind in taken and status.message.state in _TAKEN:
+                taken[kind].append((run_of(status), status.stamp, (kind, number) in at_first))
         orders = []
         for kind, topic in self._topics.orders.items():
             places = taken[kind]
@@ -245,9 +245,9 @@ class CausalReplay:
                 rule = f"have the {len(places)} orders that motion/status reports"
                 actual = f"{self._count(topic)}, the others were goals of an action or are lost"
                 raise Refusal(self._where, topic, rule, actual)
-            for one in self._read_recorded(topic):
-                run, after, first = places.popleft() if places else (run_of(one), None, False)
-                orders.append(_Order(topic, one.data, one.published, run, after, first, kind))
+            for order in self._read_recorded(topic):
+                run, after, first = places.popleft() if places else (run_of(order), None, False)
+                orders.append(_Order(topic, order.data, order.published, run, after, first, kind))
         for topic in self._topics.jogs:
             if self._count(topic):
                 orders += [
@@ -276,7 +276,7 @@ class CausalReplay:
         answered = self._get_full_name(topics.answered)
 
         def ready() -> bool:
-            there = all(one.get_subscription_count() for one in needed)
+            there = all(publisher.get_subscription_count() for publisher in needed)
             return there and node.count_publishers(answered) > 0
 
         reported = False
@@ -289,11 +289,11 @@ class CausalReplay:
             if not reported:
                 report(f"waiting for a {self._name}")
                 reported = True
-        for one in needed:
-            others = node.count_publishers(one.topic_name) - 1
+        for publisher in needed:
+            others = node.count_publishers(publisher.topic_name) - 1
             if others > 0:
                 rule = "be published by the replay alone"
-                raise Refusal("replay", one.topic_name, rule, f"{others} more publishers")
+                raise Refusal("replay", publisher.topic_name, rule, f"{others} more publishers")
 
     def _subscribe(self, topic: str, take: Callable[[Any], Any]) -> None:
         kind = get_message_class(TYPES[topic])
@@ -313,25 +313,25 @@ class CausalReplay:
         while self._orders and self._orders[0].first and self._orders[0].run == self._run:
             self._give_order(self._orders.popleft())
 
-    def _ask_node(self, one: _Message, granted: bytes | None, ends: bool) -> Any:
+    def _ask_node(self, request: _Message, granted: bytes | None, ends: bool) -> Any:
         """Publish a message; return the answer to it, or None after some time.
 
         Args:
-            one: the message.
+            request: the message.
             granted: what the node waits for before it answers, or None.
             ends: the bag has nothing more that the node could wait for, so None is returned as soon
                 as it waits.
         """
-        topics, key, stamp = self._topics, one.key, one.stamp
-        asked, given, again = self._publishers[topics.asked], False, False
+        topics, key, stamp = self._topics, request.key, request.stamp
+        publisher, granted_once, again = self._publishers[topics.asked], False, False
         self._received.clear()
 
         def answered() -> bool:
-            nonlocal given
+            nonlocal granted_once
             # A servo of another kind may not report that it waits.
-            if granted is not None and not given and (stamp in self._prompts or again):
+            if granted is not None and not granted_once and (stamp in self._prompts or again):
                 self._publishers[topics.granted].publish(granted)
-                given = True
+                granted_once = True
             while self._received:
                 if _get_key(self._received[0]) == key:
                     return True
@@ -339,30 +339,30 @@ class CausalReplay:
             return False
 
         for _ in range(round(PATIENCE / RESEND)):
-            asked.publish(one.data)
+            publisher.publish(request.data)
             if self._node.spin_until(answered, RESEND):
                 self._prompts.clear()
                 return self._received.pop(0)
             if ends and stamp in self._prompts:
                 break
-            given, again = False, True
+            granted_once, again = False, True
         return None
 
-    def _judge(self, one: _Message, answer: Any, wanted: bytes | None) -> None:
-        answers, where = self._result, f"t = {one.stamp * 1e-9:g} s"
+    def _judge(self, request: _Message, answer: Any, expected: bytes | None) -> None:
+        result, where = self._result, f"t = {request.stamp * 1e-9:g} s"
         if answer is None:
-            answers.missing.append(where)
+            result.missing.append(where)
             return
-        answers.answered += 1
+        result.answered += 1
         numbers = _get_numbers(answer)
-        self._digest.update(one.key.to_bytes(8, "little") + numbers)
-        if wanted is None:
+        self._digest.update(request.key.to_bytes(8, "little") + numbers)
+        if expected is None:
             return
         kind = get_message_class(TYPES[self._topics.answered])
-        if numbers == _get_numbers(deserialize_message(wanted, kind)):
-            answers.alike += 1
+        if numbers == _get_numbers(deserialize_message(expected, kind)):
+            result.alike += 1
         else:
-            answers.first_difference = answers.first_difference or where
+            result.first_difference = result.first_difference or where
 
     def _give_orders(self, stamp: int, published: int) -> None:
         """Give the orders that came after this message."""
@@ -384,7 +384,9 @@ class CausalReplay:
             return
 
         def taken() -> bool:
-            return any(one.kind == order.kind and one.state in _TAKEN for one in self._statuses)
+            return any(
+                status.kind == order.kind and status.state in _TAKEN for status in self._statuses
+            )
 
         self._node.spin_until(taken, PATIENCE)
 
@@ -409,8 +411,8 @@ class _Message:
         published: wall time [ns].
     """
 
-    def __init__(self, message: Any, one: BagMessage) -> None:
-        self.message, self.data, self.published = message, one.data, one.published
+    def __init__(self, message: Any, record: BagMessage) -> None:
+        self.message, self.data, self.published = message, record.data, record.published
 
     @property
     def stamp(self) -> int:

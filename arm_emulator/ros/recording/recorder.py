@@ -125,13 +125,13 @@ class _Recorder(Node):
         topics: Collection[str] | None,
         name: str,
         from_start: bool,
-        asked_to_end: threading.Event,
+        end_requested: threading.Event,
     ) -> None:
         super().__init__("recorder", enable_rosout=False, start_parameter_services=False)
         self._bag = bag
         self._name = name
         self._from_start = from_start
-        self._end_requested = asked_to_end
+        self._end_requested = end_requested
         self._selected = None if topics is None else {self.resolve_topic_name(t) for t in topics}
         self._seen_topics: set[str] = set()
         self._numbered: dict[str, Numbered] = {}  # by topic
@@ -151,7 +151,7 @@ class _Recorder(Node):
         for name, numbered in self._numbered.items():
             if numbered.lost and name not in missing:
                 missing[name] = f"{numbered.lost} messages"
-        return ", ".join(f"{what} of {name}" for name, what in sorted(missing.items()))
+        return ", ".join(f"{count} of {name}" for name, count in sorted(missing.items()))
 
     def _forget_losses(self) -> None:
         """Count losses from the run on that was asked for: a machine does not wait before it."""
@@ -194,7 +194,9 @@ class _Recorder(Node):
             ):
                 continue
             publishers = [
-                one for one in self.get_publishers_info_by_topic(name) if one.topic_type == types[0]
+                endpoint
+                for endpoint in self.get_publishers_info_by_topic(name)
+                if endpoint.topic_type == types[0]
             ]
             others = [
                 publisher for publisher in publishers if publisher.node_name != self.get_name()
@@ -246,8 +248,8 @@ class _Recorder(Node):
 
 def choose_qos(offered: Collection[QoSProfile]) -> QoSProfile:
     """Return the strongest QoS that every publisher offers."""
-    reliable = all(one.reliability == ReliabilityPolicy.RELIABLE for one in offered)
-    latched = all(one.durability == DurabilityPolicy.TRANSIENT_LOCAL for one in offered)
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
+    latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in offered)
     return QoSProfile(
         depth=DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -371,13 +373,13 @@ class RecordedRuns:
     def _report_first(self, tick: int) -> None:
         print(f"{self.topic}: the first state has arrived, tick {tick}", flush=True)
         if tick > 0:
-            what = (
+            cause = (
                 "it is reset now" if self._reset is not None
                 else f"call {self._emulator}/reset, or record with --from-start"
             )  # fmt: skip
             print(
                 f"{self.topic}: the machine is at tick {tick} already, and `check-bag` needs a run "
-                f"from tick 0 on: {what}",
+                f"from tick 0 on: {cause}",
                 flush=True,
             )
 

@@ -39,9 +39,9 @@ class RecorderPresence:
             name = f"{_get_prefix()}{self.recorder}/{topic.lstrip('/')}"
             if len(name.encode()) > LONGEST:
                 name = f"{_get_prefix()}{self.recorder}{ALL}"
-            one = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            self._sockets.append(one)
-            one.bind(name)
+            opened = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self._sockets.append(opened)
+            opened.bind(name)
 
     def __enter__(self) -> RecorderPresence:
         return self
@@ -51,8 +51,8 @@ class RecorderPresence:
 
     def close(self) -> None:
         """End the announcement."""
-        for one in self._sockets:
-            one.close()
+        for opened in self._sockets:
+            opened.close()
 
 
 def list_recorders(states: str) -> set[str]:

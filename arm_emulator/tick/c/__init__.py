@@ -9,7 +9,7 @@ from arm_emulator.toolchain.unit import Unit, compile_once
 
 FOLDER = Path(__file__).resolve().parent
 FOLDERS = (FOLDER, BOUNDARY)
-ANSWERS = Header(FOLDER / "answers.h", FOLDERS)
+COMMAND_BUFFER = Header(FOLDER / "answers.h", FOLDERS)
 TICK = Header(FOLDER / "tick.h", FOLDERS)
 FIRMWARE_CONTROLLER = Header(FOLDER / "firmware_controller.h", FOLDERS)
 REAL_TIME = Header(FOLDER / "real_time.h", FOLDERS)
@@ -19,7 +19,7 @@ def tick_unit() -> Unit:
     """Return periods, their loop and control code as what is compiled."""
     parts = ("tick.c", "answers.c", "firmware_controller.c")
     source = "".join(f'#include "{part}"\n' for part in parts)
-    headers, about = (TICK, ANSWERS, FIRMWARE_CONTROLLER), "servo periods"
+    headers, about = (TICK, COMMAND_BUFFER, FIRMWARE_CONTROLLER), "servo periods"
     return Unit("tick", source, C_FLAGS, FOLDERS, headers, "tick", about, "tick.c")
 
 
