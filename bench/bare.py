@@ -46,5 +46,5 @@ def odd_parts(scene: Scene) -> list[str]:
         f"joints.{joint.name}.{part.section}"
         for joint in scene.joints
         for part in joint.parts
-        if type(part) not in PLAIN or (isinstance(part, LinkFriction) and part.sticks)
+        if type(part) not in PLAIN or (isinstance(part, LinkFriction) and part.can_stick)
     ]

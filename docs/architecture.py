@@ -239,7 +239,7 @@ NEWTON_EULER = Band(
 )
 
 
-def defines(text: str, function: str, suffix: str) -> bool:
+def has_definition(text: str, function: str, suffix: str) -> bool:
     """Return whether a source defines a function, not merely calls or declares it."""
     name = re.escape(function)
     if suffix == ".py":
@@ -264,7 +264,7 @@ def check_stations(bands: Sequence[Band] = (*TICK, NEWTON_EULER)) -> None:
             file = ROOT / station.file
             if not file.is_file():
                 raise Missing(f"file {station.file} of the station '{station.text}'")
-            if not defines(file.read_text(encoding="utf-8"), station.function, file.suffix):
+            if not has_definition(file.read_text(encoding="utf-8"), station.function, file.suffix):
                 raise Missing(f"definition of {station.function} in {station.file}")
 
 

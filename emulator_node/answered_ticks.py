@@ -50,7 +50,7 @@ class AnsweredTicks:
         breaks: Breakpoints,
     ) -> None:
         self._breaks = breaks
-        self._session, self._gate, self._view, self._outbox = (
+        self._session, self._gate, self._view, self._outgoing = (
             own.session, own.gate, own.view, own.outgoing,
         )  # fmt: skip
         self._reports, self._health = reports, health
@@ -63,7 +63,7 @@ class AnsweredTicks:
         self._struct = ANSWERED_TICKS.new(
             "answered_ticks",
             at=plant.ticks,
-            answers=own.session.answers,
+            answers=own.session.command_buffer,
             joint=plant.command.joint,
             command=plant.command,
             truth=reports.truth,
@@ -85,12 +85,12 @@ class AnsweredTicks:
         ticks, session = self._struct, self._session
         ticks.last = self._begun = session.tick
         ticks.result = 0
-        if self._view.is_open or session.last_tick == session.tick or session.held[1:].any():
+        if self._view.is_open or session.last_tick == session.tick or session.zoh_rows[1:].any():
             return
         room = min(self._gate.count_free_ticks(), self._pace.room(session.tick))
         ticks.last = min(session.last_tick, session.tick + room)
         self._reports.refresh()
-        if self._outbox.record is not None:
+        if self._outgoing.record is not None:
             self._begin_log()
 
     def end(self) -> None:
@@ -101,8 +101,8 @@ class AnsweredTicks:
         self._session.take_note()
         self._gate.published += passed
         self._reports.published_at = self._reports.repeated_at = time.monotonic()
-        if self._outbox.record is not None:
-            record_log(self._outbox.record, self._log, self.outgoing, self._topic)
+        if self._outgoing.record is not None:
+            record_log(self._outgoing.record, self._log, self.outgoing, self._topic)
         self._health.report_fault()
         self._breaks.look()
 

@@ -20,7 +20,7 @@ class Changes:
         reports: publishes the change.
 
     Args:
-        watched: shows the change on a page.
+        page: shows the change on a page.
         breaks: may stop there.
     """
 
@@ -29,11 +29,11 @@ class Changes:
         session: Session,
         pacer: Pacer,
         reports: Reports,
-        watched: PageProcess,
+        page: PageProcess,
         breaks: Breakpoints,
     ) -> None:
         self._session, self.pacer, self.reports = session, pacer, reports
-        self._watched, self._breaks = watched, breaks
+        self._page, self._breaks = page, breaks
 
     @contextmanager
     def between_ticks(self) -> Iterator[None]:
@@ -55,7 +55,7 @@ class Changes:
         with self.between_ticks():
             change()
             saved = self._session.plant.save()
-            self._watched.take()
+            self._page.take()
             self.reports.publish_event(kind, saved)
             self._breaks.changed()
 
@@ -64,5 +64,5 @@ class Changes:
         with self.between_ticks():
             self.make(kind, change)
             self.reports.publish_change()
-        if self._session.answered:
+        if self._session.is_answered:
             self.pacer.go_on()

@@ -25,7 +25,7 @@ class Health:
     """
 
     def __init__(self, own: Context, timeout: Callable[[], float], page: Callable[[], str]) -> None:
-        self._session, self._gate, self._outbox = own.session, own.gate, own.outgoing
+        self._session, self._gate, self._outgoing = own.session, own.gate, own.outgoing
         self._logger, self._diagnostics = own.node.get_logger(), own.diagnostics
         self._view = own.view
         self._timeout, self._page = timeout, page
@@ -45,7 +45,7 @@ class Health:
 
     def report(self, waited: float) -> None:
         """Publish the machine's health; `waited`: since this tick was published [s]."""
-        session, diagnostics, record = self._session, self._diagnostics, self._outbox.record
+        session, diagnostics, record = self._session, self._diagnostics, self._outgoing.record
         late, page = waited > self._timeout(), self._page()
         if session.phase is Phase.STOPPED:
             diagnostics.error(str(session.fault))
@@ -88,7 +88,7 @@ class Status:
 
     def __init__(self, own: Context, reports: Reports) -> None:
         self._session, self._diagnostics, self._reports = own.session, own.diagnostics, reports
-        self._outbox, self._view = own.outgoing, own.view
+        self._outgoing, self._view = own.outgoing, own.view
         self.publisher = own.node.create_publisher(EmulatorStatus, "emulator/status", STATE_PUB_QOS)
         self.begin()
 
@@ -111,7 +111,7 @@ class Status:
         status = EmulatorStatus(
             tick=session.tick,
             phase=int(phase),
-            answered=session.answered,
+            answered=session.is_answered,
             powered=session.powered,
             logical_time=session.logical_ns / NANOSECONDS,
             real_time_factor=new_ticks * session.period_ns / (now - since),
@@ -129,4 +129,4 @@ class Status:
             memory_locked=bool(figures.locked),
         )
         status.header.stamp = to_stamp(session.logical_ns)
-        self._outbox.put(self.publisher, status)
+        self._outgoing.put(self.publisher, status)

@@ -186,9 +186,9 @@ class EmulatorNode(ManagedNode):
             self.get_logger().warning(line)
         self._diagnostics.hardware_id = scene.name
         session = (
-            open_real_time_session(scene, config.start, standing=True, readers=READERS)
+            open_real_time_session(scene, config.start, inactive=True, readers=READERS)
             if config.clock == "realtime"
-            else Session(scene, config.clock, config.start, standing=True)
+            else Session(scene, config.clock, config.start, inactive=True)
         )
         self._diagnostics.values |= build_facts(session.plant)
         if session.is_self_clocked:
@@ -227,13 +227,13 @@ class EmulatorNode(ManagedNode):
         with self._own.lock:
             self._reports.publish_description()
             self._reports.publish_tick()
-            self._session.standing = False
+            self._session.inactive = False
             self._pacer.start()
 
     def deactivate(self) -> None:
         """Let the machine stand at this tick, once it is published."""
         with self._own.lock:
-            self._session.standing = True
+            self._session.inactive = True
             self._pacer.catch_up()
         self._pacer.close()
         self._duplicate_nodes.end()

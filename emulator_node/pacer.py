@@ -81,7 +81,7 @@ class LockstepPacer(Pacer):
         """Go on with the free run if the machine has returned to it, and at another pace."""
         if self._free_run.is_canceled() and self._session.phase is Phase.FREE_RUNNING:
             self._free_run.reset()
-        if self._session.answered:
+        if self._session.is_answered:
             self.go_on()
 
     def catch_up(self) -> None:
@@ -182,12 +182,12 @@ class Retransmitter:
     def look(self) -> None:
         """Publish an unanswered state again; report a partner that stays silent."""
         session, gate, now = self._session, self._gate, time.monotonic()
-        unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.answered
+        unanswered = session.phase in (Phase.WAITING, Phase.PAUSED) and not session.is_answered
         if session.lockstep and (gate.waited_for or session.tick == 0):
             # A recorder may have ended meanwhile, or have joined a paused machine.
             if gate.is_closed(session.tick == 0):
                 unanswered = unanswered or session.tick == 0  # the recorder may lack this state
-            elif session.answered:
+            elif session.is_answered:
                 self._pacer.go_on()
         late = now - self._reports.repeated_at >= REPEAT_AFTER
         if unanswered and late and not gate.find_full_recorder():

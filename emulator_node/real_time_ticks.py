@@ -71,7 +71,7 @@ class RealTimeTicks:
             report_ticks=reports.ticks,
             joint=REAL_TIME_TICKS.ffi.cast("arm_joint_command *", self._joint.ctypes.data),
             command=self._command,
-            answers=own.session.answers,
+            answers=own.session.command_buffer,
         )
         commands = REAL_TIME_TICKS.ffi.addressof(self.at, "commands")
         self._commands = CommandReader(scene, commands, len(self._messages))
@@ -155,7 +155,7 @@ class RealTimeCommands:
     def begin(self) -> None:
         """Prepare, see `HotPath`."""
         running = self._session.phase is Phase.RUNNING
-        self._ticks.at.open = running and not self._session.held[1:].any()
+        self._ticks.at.open = running and not self._session.zoh_rows[1:].any()
 
     def end(self) -> None:
         """Leave commands to Python, see `HotPath`."""

@@ -43,7 +43,7 @@ class Reports:
     """
 
     def __init__(self, own: Context, period: float) -> None:
-        self._session, self._outbox = own.session, own.outgoing
+        self._session, self._outgoing = own.session, own.outgoing
         self._gate, self._view = own.gate, own.view
         session = own.session
         self.ticks = max(1, round(period / session.scene.servo_period))
@@ -85,7 +85,7 @@ class Reports:
 
     def publish_description(self) -> None:
         """Publish the robot's description."""
-        self._outbox.put(self._descriptions, String(data=self._session.scene.urdf))
+        self._outgoing.put(self._descriptions, String(data=self._session.scene.urdf))
 
     def publish_tick(self) -> None:
         """Publish this tick's state."""
@@ -95,7 +95,7 @@ class Reports:
         if session.tick % self.ticks == 0:
             self._put_truth()
             self._set_time()
-            self._outbox.put(self.clock.publisher, self.clock.layout.data())
+            self._outgoing.put(self.clock.publisher, self.clock.layout.data())
         self._view.show_tick()
 
     def publish_change(self) -> None:
@@ -138,7 +138,7 @@ class Reports:
             machine=get_start_time(),
         )
         event.header.stamp = to_stamp(session.logical_ns)
-        self._outbox.put(self._events, event)
+        self._outgoing.put(self._events, event)
         self._view.show_event(describe_change(kind, session.powered))
 
     def _set_time(self) -> None:
@@ -151,7 +151,7 @@ class Reports:
         set_stamp(truth.header.stamp, self._session.logical_ns)
         for name, values in zip(TRUTH, (state.q, state.v, state.gear_torque), strict=True):
             getattr(truth, name)[:] = values
-        self._outbox.put(self.joint_state.publisher, self.joint_state.layout.data())
+        self._outgoing.put(self.joint_state.publisher, self.joint_state.layout.data())
 
     def _empty_truth(self) -> JointState:
         """Return a true state with all its names and lengths."""
@@ -178,6 +178,6 @@ class Reports:
         message.powered = session.powered
         self._fields.fill(message, session.measured)
         self._gate.published += 1
-        if self._outbox.record is not None:
-            self._outbox.record.count(session.tick)
-        self._outbox.put(self.motor_state.publisher, self.motor_state.layout.data())
+        if self._outgoing.record is not None:
+            self._outgoing.record.count(session.tick)
+        self._outgoing.put(self.motor_state.publisher, self.motor_state.layout.data())

@@ -228,7 +228,7 @@ class SimulationServices:
         return _done(response)
 
     def _on_get_entity_state(self, request: Any, response: Any) -> Any:
-        if not self._is_known_entity(request.entity, response):
+        if not self._has_entity(request.entity, response):
             return response
         with self._lock:
             self._entities.place()
@@ -236,14 +236,14 @@ class SimulationServices:
         return _done(response)
 
     def _on_set_entity_state(self, request: Any, response: Any) -> Any:
-        if not self._is_known_entity(request.entity, response):
+        if not self._has_entity(request.entity, response):
             return response
         reason = "links move with their joints: set those with ~/set_state"
         return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
 
     def _on_get_entity_info(self, request: Any, response: Any) -> Any:
         name, entities = request.entity, self._entities
-        if not self._is_known_entity(name, response):
+        if not self._has_entity(name, response):
             return response
         response.info.category.category = entities.get_category(name)
         of, scene = self._session.scene.name, f"arm of {len(self._session.scene.joints)} joints"
@@ -251,7 +251,7 @@ class SimulationServices:
         response.info.tags = entities.get_tags(name)
         return _done(response)
 
-    def _is_known_entity(self, name: str, response: Any) -> bool:
+    def _has_entity(self, name: str, response: Any) -> bool:
         names = self._entities.names
         if name not in names:
             reason = str(Refusal("simulation", "entity", "be known", name, ", ".join(names)))

@@ -38,7 +38,7 @@ class Subscriptions:
         self._breaks = breaks
         self._session, self._pacer, self._changes = own.session, pacer, changes
         self.answered: Callable[[], None] = lambda: None
-        self._gate, self._outbox, self._lock = own.gate, own.outgoing, own.lock
+        self._gate, self._outgoing, self._lock = own.gate, own.outgoing, own.lock
         self._diagnostics = own.diagnostics
         subscribe, qos = own.node.create_subscription, COMMAND_SUB_QOS
         self.commands = subscribe(
@@ -84,15 +84,15 @@ class Subscriptions:
         except DuplicateCommand as reason:
             self._diagnostics.count(f"motor_commands {reason.kind}")
             return
-        if self._outbox.record is not None:
-            self._outbox.record.put(self.commands.topic_name, data)
+        if self._outgoing.record is not None:
+            self._outgoing.record.put(self.commands.topic_name, data)
         self._pacer.go_on()
         self.answered()
 
     def _take_report(self, report: RecorderReport) -> None:
         self._gate.take_report(report.recorder, report.written, report.leaving)
         self._diagnostics.values["recorders"] = len(self._gate.names)
-        if self._gate.waited_for and self._session.answered:
+        if self._gate.waited_for and self._session.is_answered:
             self._pacer.go_on()
 
     def _take_wrench(self, topic: str, axes: str, message: WrenchStamped) -> None:
@@ -100,7 +100,7 @@ class Subscriptions:
         f, n = message.wrench.force, message.wrench.torque
         wrench = ExternalWrench((f.x, f.y, f.z), (n.x, n.y, n.z), axes=axes)
         session, link = self._session, message.header.frame_id
-        if session.acts_already(link, wrench):
+        if session.is_acting(link, wrench):
             return
         if behind := self._gate.find_full_recorder():
             rule = f"come when recorder {behind} has caught up"

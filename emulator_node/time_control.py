@@ -28,7 +28,7 @@ class TimeControl:
         self._session.paused = paused
         if paused:
             self._pacer.catch_up()
-        if self._session.answered:
+        if self._session.is_answered:
             self._pacer.go_on()
 
     def step(self) -> str:

@@ -38,7 +38,7 @@ class View:
     @property
     def is_open(self) -> bool:
         """Whether ticks are shown."""
-        return self._stream.open
+        return self._stream.is_open
 
     def show_tick(self) -> None:
         """Show this tick."""

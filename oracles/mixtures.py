@@ -254,8 +254,8 @@ def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarr
     for k, row in enumerate(rows):
         plant.powered = not BRAKED.start <= k < BRAKED.stop  # which brakes follow
         flow = plant.advance_metered(row, steps)
-        supplied += float((flow.given - flow.dissipated).sum())
-        exchanged += float(np.abs(flow.given).sum() + np.abs(flow.dissipated).sum())
+        supplied += float((flow.supplied - flow.dissipated).sum())
+        exchanged += float(np.abs(flow.supplied).sum() + np.abs(flow.dissipated).sum())
         q.append(plant.state.q)
     return np.array(q), abs(plant.energy - began - supplied) / exchanged
 

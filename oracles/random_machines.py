@@ -209,8 +209,8 @@ def run(scene: Scene, voltages: Array, steps: int) -> tuple[Array, float]:
     before, supplied, dissipated, exchanged, q = plant.energy, 0.0, 0.0, 0.0, []
     for row in voltages:
         flow = plant.advance_metered(row, steps)
-        supplied += float(flow.given.sum())
+        supplied += float(flow.supplied.sum())
         dissipated += float(flow.dissipated.sum())
-        exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
+        exchanged += float(np.abs(flow.supplied).sum() + flow.dissipated.sum())
         q.append(plant.state.q)
     return np.array(q), abs(plant.energy - before - supplied + dissipated) / exchanged

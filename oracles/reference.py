@@ -300,7 +300,7 @@ def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.M
     Raises:
         Refusal: the masses are not the scene's: its payload was not given.
     """
-    if not scene.chain.coupling.plain:
+    if not scene.chain.coupling.is_identity:
         rule = "have a drive for each joint, to be solved independently"
         raise Refusal("reference", scene.where, rule, "couplings or mimic joints")
     robot = ET.fromstring(scene.true_urdf)

@@ -113,7 +113,7 @@ class ServoNode(ManagedNode):
         self._next_config: ServoConfig | None = None  # from the next tick on
         accept_changes(self, self._changed, self._take_parameters)
         self._diagnostics = Diagnostics(self, "servo drives")
-        self._doubles = DuplicateNodes(
+        self._duplicates = DuplicateNodes(
             self,
             self._diagnostics,
             "servo",
@@ -187,7 +187,7 @@ class ServoNode(ManagedNode):
 
     def activate(self) -> None:
         """Answer motor states. In lock-step time has stood, and the servo goes on."""
-        self._doubles.begin()
+        self._duplicates.begin()
         if not self._lockstep:
             self._start_over()
         self._diagnostics.report_ok("active")
@@ -196,7 +196,7 @@ class ServoNode(ManagedNode):
         """Answer no more; in real time the power is cut at last, since the arm goes on moving."""
         if not self._lockstep and self._at.tick >= 0:
             self._cut()
-        self._doubles.end()
+        self._duplicates.end()
         self._diagnostics.report_ok("inactive: no commands")
 
     def _read_servo_parameters(self, changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,8 +25,8 @@ def balance_of(plant: Plant, rows: Array, steps: int) -> Balance:
     before, supplied, dissipated, exchanged = plant.energy, 0.0, np.zeros(rows.shape[1]), 0.0
     for row in rows:
         flow = plant.advance_metered(row, steps)
-        supplied += float(flow.given.sum())
+        supplied += float(flow.supplied.sum())
         dissipated += flow.dissipated
-        exchanged += float(np.abs(flow.given).sum() + flow.dissipated.sum())
+        exchanged += float(np.abs(flow.supplied).sum() + flow.dissipated.sum())
     left = plant.energy - before - supplied + float(dissipated.sum())
     return Balance(abs(left), supplied, dissipated, exchanged)

@@ -65,7 +65,7 @@ class Doors:
         return {
             name: bits(value)
             for name, value in vars(self.nodes[node]).items()
-            if name not in (*self._of_every_node, "_diagnostics", "_doubles")
+            if name not in (*self._of_every_node, "_diagnostics", "_duplicates")
             and not name.endswith("_at")
         }
 

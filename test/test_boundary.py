@@ -155,7 +155,7 @@ def test_a_state_that_is_set_is_the_state(
         )
     assert now.t == t, "time goes on"
     counts_per_rad = np.array([joint.counts_per_turn for joint in scene.joints]) / (2 * math.pi)
-    plain = [joint.encoder is None or joint.encoder.plain for joint in scene.joints]
+    plain = [joint.encoder is None or joint.encoder.is_ideal for joint in scene.joints]
     counts = np.floor(now.theta_m * counts_per_rad)
     np.testing.assert_array_equal(plant.measured.encoder_counts[plain], counts[plain])
 

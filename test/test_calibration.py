@@ -419,8 +419,8 @@ def test_our_files_are_read_and_changed_by_the_scene(tmp_path: Path) -> None:
     keys = {"file": "mine.yaml", "joints": {"elbow": {"x": 3e-3}}}
     scene = load_scene(own_three_axis(tmp_path, ""), {"calibration": keys})
     elbow = scene.calibration.deviations["elbow"]
-    assert elbow.given == {"x": 3e-3, "encoder_zero": 0.01}
-    assert scene.calibration.deviations["waist"].given == {"delta_theta": 2e-3}
+    assert elbow.nonzero == {"x": 3e-3, "encoder_zero": 0.01}
+    assert scene.calibration.deviations["waist"].nonzero == {"delta_theta": 2e-3}
 
 
 def test_encoders_report_their_zeros(tmp_path: Path) -> None:

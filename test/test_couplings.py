@@ -218,7 +218,7 @@ def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
     lower = draw.uniform(-2.0, -0.5, L)
     upper = draw.uniform(0.5, 2.0, L)
     low, high = shafts.positions(lower, upper)
-    largest = shafts.most(upper)
+    largest = shafts.bound(upper)
     assert (low <= high).all()
     for corner in draw.choice([0.0, 1.0], (50, len(names))):
         q = shafts.of_joints(low + corner * (high - low))
@@ -332,7 +332,7 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     file = tmp_path / "arm.urdf"
     file.write_text(text)
     written = write_new(file, tmp_path / "new")
-    assert written.choice.joints == ("j1", "j2", "j3") and not written.choice.held
+    assert written.choice.joints == ("j1", "j2", "j3") and not written.choice.locked
     assert written.choice.tool == "tool0"
     scene, gains = load_scene(written.file), load_gains(written.file)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)

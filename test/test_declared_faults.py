@@ -72,7 +72,7 @@ def test_magnitude_and_changes_of_a_fault_are_those_of_the_table(name: str) -> N
     m = fault.magnitude
     assert (fault.of, m.unit, m.default, m.ends) == written[:4]
     assert fault.sets.keys() == written.changes.keys()
-    assert m.holds(0.0) and m.holds(m.default) and m.default
+    assert m.is_in_range(0.0) and m.is_in_range(m.default) and m.default
     for place, changed in written.changes.items():
         assert changed(0.7, 0.0) == 0.7 != changed(0.7, m.default), place
         for x, size in np.random.default_rng(5).uniform(0.1, 0.9, (3, 2)).tolist():

@@ -79,7 +79,7 @@ def test_a_link_rebounds_as_in_closed_form(tmp_path: Path, events: str, order: f
             q, lost = [], 0.0
             for _ in range(rows):
                 flow = plant.advance_metered([0.0], steps)
-                lost += float(flow.dissipated[0] - flow.given[0])
+                lost += float(flow.dissipated[0] - flow.supplied[0])
                 q.append(plant.state.q[0])
             errors.append(float(np.abs(np.array(q) - truth).max()) / (v0 * hit.ends))
             kinetic = 0.5 * LINK_INERTIA * v0**2
@@ -122,8 +122,8 @@ def test_a_hit_at_full_speed_is_accounted_for(tmp_path: Path) -> None:
         before = plant.energy
         for k in range(600):
             metered = plant.advance_metered([48.0 if k // 150 % 2 == 0 else -48.0], steps)
-            flow += float((metered.given - metered.dissipated).sum())
-            inputs += float(np.abs(metered.given).sum())
+            flow += float((metered.supplied - metered.dissipated).sum())
+            inputs += float(np.abs(metered.supplied).sum())
             fastest = max(fastest, abs(plant.state.v[0]))
             deepest = max(deepest, plant.state.q[0] - STOPS["upper"])
         left.append(abs(plant.energy - before - flow) / inputs)

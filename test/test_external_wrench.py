@@ -180,9 +180,9 @@ def test_work_of_wrenches_closes_the_energy_balance(tmp_path: Path, seed: int) -
         for row, wrenches in zip(voltages, pushes, strict=True):
             push(plant, wrenches)
             metered = plant.advance_metered(row, steps)
-            flow += float(metered.given.sum() - metered.dissipated.sum())
-            exchanged += float(np.abs(metered.given).sum() + metered.dissipated.sum())
-            inputs += abs(metered.given[2])  # of the joint without a motor
+            flow += float(metered.supplied.sum() - metered.dissipated.sum())
+            exchanged += float(np.abs(metered.supplied).sum() + metered.dissipated.sum())
+            inputs += abs(metered.supplied[2])  # of the joint without a motor
         left.append(abs(plant.energy - before - flow) / exchanged)
     assert inputs > 0.01, "the wrenches do work"
     # The order is at least 2; by chance a coefficient may be small.

@@ -127,7 +127,7 @@ def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene)
         m, by_hand = magnitude_of(fault), {}
         for change in fault.changes:
             value = eval(change.expression.format(x=repr(change.value), m=repr(m)))
-            if change.number in numbers and numbers[change.number].holds(value):
+            if change.number in numbers and numbers[change.number].is_in_range(value):
                 by_hand[change.number] = value
         if len(by_hand) < len(fault.changes):
             continue  # a number that the scene leaves out, or nothing is left of it

@@ -228,7 +228,7 @@ def test_small_motions_hold_up_to_the_step_that_is_reported(overrides: dict[str,
     low, high = 1e-7, 1e-2
     while high / low > 1.001:
         middle = (low * high) ** 0.5
-        low, high = (middle, high) if motions.holds("paper", middle) else (low, middle)
+        low, high = (middle, high) if motions.is_stable("paper", middle) else (low, middle)
     assert low > 1e-6 and high < 1e-2, f"the largest step is looked for up to {low:.2g} s"
     largest = motions.largest_step("paper")
     assert largest is not None and largest <= low, "the step that is reported, and the largest"

@@ -87,7 +87,7 @@ def without_mimics(urdf: str) -> str:
 @pytest.mark.parametrize("seed", some(range(200), 20))
 def test_new_holds_those_that_follow_where_their_joint_takes_them(seed: int) -> None:
     urdf, mimics = robot(seed)
-    holding = choose_joints(ET.fromstring(urdf), "robot", joints=ARM).held
+    holding = choose_joints(ET.fromstring(urdf), "robot", joints=ARM).locked
     low = float(ET.fromstring(urdf).findall("joint")[3].find("limit").get("lower"))  # type: ignore
     expected = positions(mimics, max(0.0, low))
     # Sums of four products, in another order.

@@ -51,7 +51,7 @@ def test_a_locked_rotor_has_the_current_of_the_remaining_voltage(file: Path, sig
     copper = np.array([DC["resistance"], 1.5 * PMSM["resistance"], DC["resistance"]]) * i**2
     flow = plant.advance_metered(sign * COMMAND, 500)
     assert flow.dissipated == pytest.approx(0.01 * (copper + lost), rel=1e-9)
-    assert flow.given == pytest.approx(flow.dissipated, rel=1e-9), "nothing is stored"
+    assert flow.supplied == pytest.approx(flow.dissipated, rel=1e-9), "nothing is stored"
 
 
 def test_the_power_of_motors_that_move_is_balanced(file: Path) -> None:

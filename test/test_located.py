@@ -160,5 +160,5 @@ def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
         applied = 2.0 * i + 0.05 * wm if at_limit else volts
         inputs = applied * i + (0.06 - 0.05) * wm * i
         lost = 2.0 * i**2 + 5.0 * (0.02 * wm - v) ** 2 + 0.5 * v**2 + 1.0 * abs(v)
-        assert power.given[0] == pytest.approx(inputs, rel=1e-12), "power given [W]"
+        assert power.supplied[0] == pytest.approx(inputs, rel=1e-12), "power given [W]"
         assert power.dissipated[0] == pytest.approx(lost, rel=1e-12), "power dissipated [W]"

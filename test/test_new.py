@@ -79,13 +79,13 @@ def test_a_gripper_is_distinguished_from_the_arm(seed: int) -> None:
     text, arm, fingers = robot_with_gripper(np.random.default_rng(seed))
     choice = choose_joints(ET.fromstring(text), "robot")
     assert list(choice.joints) == arm
-    assert sorted(choice.held) == sorted(fingers)
+    assert sorted(choice.locked) == sorted(fingers)
     to_tool = choose_joints(ET.fromstring(text), "robot", tool="f00")
     assert list(to_tool.joints) == [*arm, "f00"], "the tool that is named decides"
     some = sorted(np.random.default_rng(seed).permutation(arm)[:2].tolist(), key=arm.index)
     chosen = choose_joints(ET.fromstring(text), "robot", joints=some[::-1])
     assert list(chosen.joints) == some, "base to tool, however they are named"
-    assert set(chosen.held) == {*arm, *fingers} - {*some}
+    assert set(chosen.locked) == {*arm, *fingers} - {*some}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -98,10 +98,10 @@ def test_a_tree_has_arm_and_fingers(seed: int) -> None:
         joint.get("name") for joint in robot.findall("joint") if joint.find("mimic") is not None
     }
     assert {*full_tree.joints} == {*arm, *fingers} - follow
-    assert not full_tree.held and full_tree.tool == alone.tool
-    assert set(alone.held) == {*fingers}
+    assert not full_tree.locked and full_tree.tool == alone.tool
+    assert set(alone.locked) == {*fingers}
     named = choose_joints(robot, "robot", joints=[*arm, *({*fingers} - follow)], tool=alone.tool)
-    assert named.joints == full_tree.joints and not named.held, "by name"
+    assert named.joints == full_tree.joints and not named.locked, "by name"
 
 
 @pytest.mark.parametrize("joints", [5, 6, 7])
@@ -116,7 +116,7 @@ def test_rods_of_a_palletizer_beside_its_wrist_are_no_gripper(joints: int) -> No
     text = serial("arm", parts).replace("</robot>", f"{rods}</robot>")
     choice = choose_joints(ET.fromstring(text), "robot")
     assert choice.joints == tuple(f"j{k + 1}" for k in range(joints))
-    assert choice.tool == "tool0" and set(choice.held) == {"r2", "r3"}
+    assert choice.tool == "tool0" and set(choice.locked) == {"r2", "r3"}
 
 
 def test_joints_that_cannot_move_are_refused() -> None:

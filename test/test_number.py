@@ -54,7 +54,7 @@ def test_words_and_range_agree() -> None:
         near = [x for x in near if not 0.0 < abs(x) < SMALLEST]
         values = [*ends, *rng.uniform(-15.0, 15.0, 5).tolist(), 0.0, 3, -4]
         for value in [*values, *(-x for x in values), *near]:
-            within = number.holds(value)
+            within = number.is_in_range(value)
             assert value in near or within == fits(number.rule, value), (number, value)
             taken += within
             if within:
@@ -72,7 +72,7 @@ def test_a_bound_of_a_row_holds_if_it_holds_for_every_number() -> None:
     for _ in range(2000):
         number = draw_number(rng)
         row = rng.choice([0.0, 1.0, -3.5, 9.0, 1e16, math.nan, -math.inf], int(rng.integers(1, 5)))
-        holds = all(map(number.holds, row))
+        holds = all(map(number.is_in_range, row))
         verdicts.add(holds)
         for values in (row.tolist(), row[np.newaxis]):
             if holds:

@@ -193,7 +193,7 @@ class ReadSection(Section):
 
     @property
     def keys_asked(self) -> set[str]:
-        return self._known
+        return self._read_keys
 
 
 def supply(part: type[Part], rng: np.random.Generator) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
             refused(session.offer, count, names, zero)
             refused(loop.command, -2 if isinstance(count, int) else count, zero)
     assert as_bytes(plant) == before
-    assert (session.tick, session.answered, offline.session.tick) == (0, False, 0)
+    assert (session.tick, session.is_answered, offline.session.tick) == (0, False, 0)
 
 
 def test_rows_times_steps_beyond_the_counter_are_refused(plant: Plant) -> None:
@@ -202,7 +202,7 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
         for call in calls:
             refused(call, wrong)
     assert as_bytes(plant) == before
-    assert not session.answered
+    assert not session.is_answered
 
 
 @pytest.mark.parametrize("exponent", [7, 20, 100, 200, 308])

@@ -23,7 +23,7 @@ def rows(plant: Plant, V: Array) -> None:
 
 def metered(plant: Plant, V: Array) -> None:
     flow = plant.advance_metered(V, 40)
-    assert plant.powered or not flow.given.any(), "nothing is given without power"
+    assert plant.powered or not flow.supplied.any(), "nothing is given without power"
 
 
 def exchanged(plant: Plant, V: Array) -> None:
@@ -57,7 +57,7 @@ def test_without_power_commands_are_nothing(
     assert np.abs(moved(scene, drive, True, V) - off).max() > 1e-3
     plant = Plant(scene)
     plant.powered = False
-    assert not plant.powers(V).given.any()
+    assert not plant.powers(V).supplied.any()
 
 
 def test_arms_of_a_fleet_have_independent_power() -> None:

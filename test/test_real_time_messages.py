@@ -52,22 +52,22 @@ def test_only_commands_that_are_due_are_in_force(seed: int) -> None:
         session, look = session_of(nodes), nodes.nodes["emulator"]._pacer.look
         go_on(nodes, 20, look)
         for _ in range(200):
-            while session.tick <= session.answers.tick + 2:
+            while session.tick <= session.command_buffer.tick + 2:
                 go_on(nodes, 1, look)
             answered, newest, refused = (
-                session.answers.tick, session.tick, nodes.refused("emulator"),
+                session.command_buffer.tick, session.tick, nodes.refused("emulator"),
             )  # fmt: skip
-            command_before, in_c = session.held[0].tolist(), done[0]
+            command_before, in_c = session.zoh_rows[0].tolist(), done[0]
             command = draw_message(draw, answered, newest)
             nodes.send("motor_commands", command)
             if is_due(command, answered, newest):
                 place = dict(zip(command.joint_names, command.command, strict=True))
-                assert session.held[0].tolist() == [place[name] for name in JOINTS]
-                assert session.answers.tick == command.tick
+                assert session.zoh_rows[0].tolist() == [place[name] for name in JOINTS]
+                assert session.command_buffer.tick == command.tick
                 taken_in_c += done[0] - in_c
             elif command.tick <= newest:  # later ones: time has gone on since
-                assert session.held[0].tolist() == command_before
-                assert session.answers.tick == answered
+                assert session.zoh_rows[0].tolist() == command_before
+                assert session.command_buffer.tick == answered
                 assert done[0] == in_c
                 elsewhere = command.machine not in (0, get_start_time())
                 assert nodes.refused("emulator") == refused + (not elsewhere)

@@ -194,7 +194,7 @@ def record_until_full(
                     (bag.folder.parent / "other").unlink(missing_ok=True)
                     raise
     except OSError as error:
-        reported[bag.folder] = error.errno, bag.whole, bag.topics[0].count
+        reported[bag.folder] = error.errno, bag.is_complete, bag.topics[0].count
 
 
 @pytest.mark.parametrize("seed", some(range(40), 6))

@@ -66,7 +66,7 @@ def test_the_shipped_arms_stick_and_are_located(
 ) -> None:
     scene = load_scene(name)
     for joint in scene.joints:
-        assert any(part.sticks for part in joint.parts), f"{joint.name}: real joints stick"
+        assert any(part.can_stick for part in joint.parts), f"{joint.name}: real joints stick"
     assert scene.warnings == []
     check_scene(name)
     assert "stick" not in capsys.readouterr().err

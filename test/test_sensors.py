@@ -172,7 +172,7 @@ def test_without_sensors_the_core_has_none(scene: Scene, tmp_path: Path) -> None
     plain = bare | {"joints.*.encoder": {"counts_per_turn": 1000}}
     scenes = [load_scene(file, overrides) for overrides in (plain, bare)]
     units = [write_scene_unit(scene) for scene in scenes]
-    assert [scene.sensed for scene in scenes] == [False, True]
+    assert [scene.has_sensor_errors for scene in scenes] == [False, True]
     assert ["ensor" in unit for unit in units] == [False, True], units[0]
     kinds = {"kind": "incremental", "index": "none", "delay": 0, "counts_per_turn": 1000}
     reported = write_scene_unit(load_scene(file, bare | {"joints.*.encoder": kinds}))

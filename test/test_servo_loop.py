@@ -218,7 +218,7 @@ def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
         plant = joint_plant(axis.motor, axis.gear, inertia, 0.0, axis.period)
         for delay in (0, 1):
             loop = SampledLoop(plant, [servo], delay)
-            assert loop.stable, f"grows by {loop.radius} with {inertia:g} kg m2"
+            assert loop.is_stable, f"grows by {loop.radius} with {inertia:g} kg m2"
             margins = loop.margins()[0]
             # docs/how_to/gains.md promises 2 and 10 %. The design looks at fewer frequencies.
             assert margins.sensitivity < 1.1 * 2.0, f"{margins}"
@@ -279,11 +279,11 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
     def stable(factor: float, delay: int = 0) -> bool:
         scaled = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
         scaled.C, scaled.D = servo.C * factor, servo.D * factor
-        return SampledLoop(plant, [scaled], delay).stable
+        return SampledLoop(plant, [scaled], delay).is_stable
 
     loop = SampledLoop(plant, [servo])
     margins: Margins = loop.margins()[0]
-    assert loop.stable
+    assert loop.is_stable
     if margins.gain_up < 1e3:
         # The observer receives the voltage that was applied, as by a drive whose gain is off.
         assert stable(0.97 * margins.gain_up), f"below the gain margin {margins.gain_up:g}"

@@ -23,7 +23,7 @@ def test_lockstep_leaves_a_tick_only_with_its_answer() -> None:
     run = session()
     assert run.phase is Phase.FREE_RUNNING and run.may_advance
     run.offer(0, NAMES, [1.0, 2.0, 3.0])
-    assert run.phase is Phase.RUNNING and run.may_advance and run.answered
+    assert run.phase is Phase.RUNNING and run.may_advance and run.is_answered
     run.advance()
     assert run.tick == 1 and run.plant.t == 1e-3
     assert run.phase is Phase.WAITING and not run.may_advance
@@ -67,7 +67,7 @@ def test_bad_commands_change_nothing(
     run = session(clock)
     with pytest.raises(Refusal, match=f"motor_commands: {words}"):
         run.offer(tick, names, voltage)
-    assert run.phase is Phase.FREE_RUNNING and not run.answered
+    assert run.phase is Phase.FREE_RUNNING and not run.is_answered
     run.offer(0, NAMES, [4.0, 5.0, 6.0])
     with pytest.raises(Refusal):
         run.offer(tick, names, voltage)
@@ -106,7 +106,7 @@ def test_reset_restarts() -> None:
     run.offer(0, NAMES, [40.0, 40.0, 40.0])
     run.advance()
     run.reset()
-    assert run.tick == 0 and run.phase is Phase.PAUSED and not run.answered
+    assert run.tick == 0 and run.phase is Phase.PAUSED and not run.is_answered
     assert np.array_equal(run.state.q, first) and run.plant.t == 0.0
 
 

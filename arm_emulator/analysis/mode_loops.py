@@ -78,7 +78,7 @@ class LoopFigure:
     """The worst pose [rad or m]."""
 
     @property
-    def holds(self) -> bool:
+    def is_stable(self) -> bool:
         """Whether small motions decay, or fall."""
         return self.beyond <= HARMLESS
 
@@ -194,7 +194,7 @@ class ModeLoops:
                 bad = [
                     figure
                     for figure in self.figures
-                    if figure.joint == j and figure.loop in mode.loops and not figure.holds
+                    if figure.joint == j and figure.loop in mode.loops and not figure.is_stable
                 ]
                 if bad:
                     worst = max(bad, key=lambda unstable: unstable.beyond)

@@ -111,7 +111,7 @@ class SampledLoop:
         self.radius = float(np.abs(self.poles).max())
 
     @property
-    def stable(self) -> bool:
+    def is_stable(self) -> bool:
         """Whether every small motion decays."""
         return self.radius < 1.0
 

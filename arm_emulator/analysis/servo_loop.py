@@ -154,7 +154,7 @@ class ServoLoops:
             return None
         loop = self._all[worst]
         pose = worst % len(self.poses)
-        return Unstable(loop.loudest(), pose, loop.radius, *self._what_holds(loop.loudest()))
+        return Unstable(loop.loudest(), pose, loop.radius, *self._find_stable_gains(loop.loudest()))
 
     def _beyond(self, loops: list[SampledLoop], period: float) -> list[float]:
         """Return how fast small motions grow [1/s], beyond the fall of links that hang in play."""
@@ -162,23 +162,23 @@ class ServoLoops:
         falls = [motion.fastest if k >= loaded else 0.0 for k, motion in enumerate(self._motions)]
         return [growth(loop, period) - fall for loop, fall in zip(loops, falls, strict=True)]
 
-    def _what_holds(self, joint: int) -> tuple[JointServo | None, float | None]:
+    def _find_stable_gains(self, joint: int) -> tuple[JointServo | None, float | None]:
         softer = self.joints[joint]
         stable_gains = None
         for _ in range(_TRIALS):
             softer = slower(softer, 0.5, self.servo.period)
             joints = [*self.joints[:joint], softer, *self.joints[joint + 1 :]]
-            if self._holds(joints, self.servo.period):
+            if self._is_stable(joints, self.servo.period):
                 stable_gains = softer
                 break
         period = self.servo.period
         for _ in range(_TRIALS):
             period /= 2.0
-            if self._holds(self.joints, period):
+            if self._is_stable(self.joints, period):
                 return stable_gains, period
         return stable_gains, None
 
-    def _holds(self, joints: list[JointServo], period: float) -> bool:
+    def _is_stable(self, joints: list[JointServo], period: float) -> bool:
         try:
             loops = self.closed(joints, period, self.delay)
         except Refusal:
@@ -200,7 +200,7 @@ class Unstable:
     period: float | None
     """A servo period that holds [s]."""
 
-    def what_holds(self) -> str:
+    def describe_remedies(self) -> str:
         """Return gain and period in words."""
         remedies = []
         if self.softer is not None:
@@ -266,10 +266,12 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
         actual = f"small motions that grow {bad.growth:.4g}-fold per servo period"
         if bad.pose == 0 or growth(loops.loops[0], servo.period) > HARMLESS:
             rule = f"be stable at a period of {servo.period:g} s"
-            raise Refusal(where, quantity, rule, actual, bad.what_holds())
+            raise Refusal(where, quantity, rule, actual, bad.describe_remedies())
         pose = np.array2string(loops.poses[bad.pose], precision=2, separator=", ")
         pose = " ".join(pose.split())
-        return [f"{where}: {quantity}: {actual} at q = {pose}; what holds: {bad.what_holds()}"]
+        return [
+            f"{where}: {quantity}: {actual} at q = {pose}; what holds: {bad.describe_remedies()}"
+        ]
     lines = []
     for j, margins in enumerate(loops.margins()):
         little = too_little(margins)

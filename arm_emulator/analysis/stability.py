@@ -166,7 +166,7 @@ class SmallMotions:
         """Return the factor by which the fastest growing small motion grows per step."""
         return float(np.abs(np.linalg.eigvals(self.step(scheme, dt))).max())
 
-    def holds(self, scheme: str, dt: float) -> bool:
+    def is_stable(self, scheme: str, dt: float) -> bool:
         """Whether a scheme makes no motion grow that the machine itself does not make grow."""
         # Rounding splits the double eigenvalue 1 of a free turn by the root of the last place.
         rate = (math.log(self.growth(scheme, dt)) - 1e-7) / dt
@@ -179,16 +179,16 @@ class SmallMotions:
         """
         period, dt = self.scene.servo_period, self.scene.integrator.dt
         low = self.scene.steps_per_period  # too few, as far as is known
-        if self.holds(scheme, dt):
+        if self.is_stable(scheme, dt):
             return dt
         high = 2 * low
-        while not self.holds(scheme, period / high):
+        while not self.is_stable(scheme, period / high):
             low, high = high, 2 * high
             if period / high < SMALLEST_STEP:
                 return None
         while high - low > max(1, high // 50):
             middle = (low + high) // 2
-            low, high = (low, middle) if self.holds(scheme, period / middle) else (middle, high)
+            low, high = (low, middle) if self.is_stable(scheme, period / middle) else (middle, high)
         return period / high
 
 
@@ -220,7 +220,7 @@ def why(fault: Diverged) -> str:
     scene, now = fault.scene, fault.scene.integrator
     try:
         motions = SmallMotions(Plant(scene), fault.q)
-        if not motions.holds(now.scheme, now.dt):
+        if not motions.is_stable(now.scheme, now.dt):
             growth, dt = motions.growth(now.scheme, now.dt), motions.largest_step(now.scheme)
             words = f"each step multiplies a small motion about rest in this pose by {growth:.3g}"
             return words if dt is None else f"{words}, with dt = {dt:.3g} s none grows"

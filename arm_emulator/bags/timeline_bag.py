@@ -42,7 +42,7 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
         raise Refusal("write_timeline", "the timeline", "begin at tick 0", f"tick {line.first}")
     about = {CHANGES: ", ".join(f"{change.name} at tick {change.tick}" for change in line.changes)}
     orders = [
-        (change.tick, change.made) for change in line.changes if isinstance(change.made, Order)
+        (change.tick, change.action) for change in line.changes if isinstance(change.action, Order)
     ]
     if len(orders) == len(line.changes):
         about[ORDERS] = json.dumps([{"tick": tick, **as_data(order)} for tick, order in orders])
@@ -74,7 +74,7 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
             for kind, saved in line.run.changes_here:
                 bag.changed(kind, saved)
         changes_here = changed.get(tick, [])
-        orders = [change.made for change in changes_here if isinstance(change.made, Order)]
+        orders = [change.action for change in changes_here if isinstance(change.action, Order)]
         if len(orders) == len(changes_here):
             for order in orders:
                 order(line.run)

@@ -24,7 +24,7 @@ class Registry(Generic[Kind]):
     """
 
     def __init__(self, kind_name: str, package: str, name_of: Callable[[Any], str]) -> None:
-        self._what = kind_name
+        self._kind_name = kind_name
         self._package = package
         self._name_of = name_of
         self._kinds: dict[str, type[Kind]] = {}
@@ -40,10 +40,10 @@ class Registry(Generic[Kind]):
         owner = self._kinds.get(name)
         if owner is not None:
             actual = f"a second beside {owner.__module__}.{owner.__qualname__}"
-            raise Refusal(where, f"{self._what} {name}", "have one owner", actual)
+            raise Refusal(where, f"{self._kind_name} {name}", "have one owner", actual)
         if self._complete:
-            rule = f"be registered before the {self._what}s are read for the first time"
-            raise Refusal(where, f"{self._what} {name}", rule, "a class that comes later")
+            rule = f"be registered before the {self._kind_name}s are read for the first time"
+            raise Refusal(where, f"{self._kind_name} {name}", rule, "a class that comes later")
         self._kinds[name] = kind
         return kind
 

@@ -32,12 +32,12 @@ class SavedObjects:
     """Saves objects, all but the `SharedObject` ones among their parts, and restores them."""
 
     def __init__(self) -> None:
-        self._lasting: dict[int, SharedObject] = {}
+        self._shared: dict[int, SharedObject] = {}
 
     def save(self, objects: Any) -> Saved:
         """Return the objects as they are now."""
         into = io.BytesIO()
-        _Pickler(into, self._lasting).dump(objects)
+        _Pickler(into, self._shared).dump(objects)
         return Saved(into.getvalue(), self)
 
     def restore(self, saved: Saved, where: str) -> Any:
@@ -48,25 +48,25 @@ class SavedObjects:
         """
         if not isinstance(saved, Saved) or saved.owner is not self:
             raise Refusal(where, "saved", "be what `save` of the same run returned", saved)
-        return _Unpickler(io.BytesIO(saved.data), self._lasting).load()
+        return _Unpickler(io.BytesIO(saved.data), self._shared).load()
 
 
 class _Pickler(pickle.Pickler):
     def __init__(self, into: io.BytesIO, shared: dict[int, SharedObject]) -> None:
         super().__init__(into, pickle.HIGHEST_PROTOCOL)
-        self._lasting = shared
+        self._shared = shared
 
     def persistent_id(self, value: Any) -> int | None:
         if not isinstance(value, SharedObject):
             return None
-        self._lasting[id(value)] = value
+        self._shared[id(value)] = value
         return id(value)
 
 
 class _Unpickler(pickle.Unpickler):
     def __init__(self, source: io.BytesIO, shared: dict[int, SharedObject]) -> None:
         super().__init__(source)
-        self._lasting = shared
+        self._shared = shared
 
     def persistent_load(self, number: int) -> SharedObject:
-        return self._lasting[number]
+        return self._shared[number]

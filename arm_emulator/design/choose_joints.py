@@ -38,7 +38,7 @@ class Choice:
     """Link that is the tool."""
     joints: tuple[str, ...]
     """Moving joints."""
-    held: dict[str, LockedJoint]
+    locked: dict[str, LockedJoint]
     """All other joints that could move."""
     guesses: tuple[str, ...]
     """Choices made, as text."""
@@ -54,7 +54,7 @@ class _Joint:
     limits: tuple[float, float]
 
     @property
-    def moves(self) -> bool:
+    def can_move(self) -> bool:
         return self.kind in MOVING and not self.follows
 
 
@@ -155,7 +155,7 @@ def choose_joints(
         path = max(rows, key=len) if tool is None else limbs.path(_find_tip(limbs, tool))
     else:
         path = limbs.path(_find_tip(limbs, tool))
-        chosen = [joint for joint in path if joint.moves]
+        chosen = [joint for joint in path if joint.can_move]
         if tool is None:
             chosen = _remove_gripper(limbs, chosen, [] if tree else guesses)
     if not chosen:
@@ -166,7 +166,7 @@ def choose_joints(
         tool = _find_tool_link(limbs, last.child)
         guesses.append(f"tool: {tool} (--tool names another)")
     if tree:
-        chosen = [joint for joint in limbs.list_ordered() if joint.moves]
+        chosen = [joint for joint in limbs.list_ordered() if joint.can_move]
     along = _find_along(path if joints is None and not tree else limbs.joints, chosen)
     guesses[:0] = [f"{joint.name} moves along with {', '.join(joint.follows)}" for joint in along]
     names = tuple(joint.name for joint in chosen)
@@ -178,7 +178,7 @@ def choose_joints(
     }
     beside = [
         joint.name for joint in limbs.joints
-        if joint.moves and joint.name in locked and joint not in path
+        if joint.can_move and joint.name in locked and joint not in path
     ]  # fmt: skip
     if beside and joints is None and not tree:
         guesses.append(f"held beside the arm: {', '.join(beside)} (--tree moves them, too)")
@@ -259,7 +259,7 @@ def _find_tip(tree: _Tree, tool: str | None) -> str:
     tips = [link for link in tree.links if link not in tree.below]
     if not tips:
         raise Refusal(tree.where, "the robot", "have a link at which it ends", "none")
-    return max(tips, key=lambda link: sum(joint.moves for joint in tree.path(link)))
+    return max(tips, key=lambda link: sum(joint.can_move for joint in tree.path(link)))
 
 
 def _find_along(path: Sequence[_Joint], chosen: Sequence[_Joint]) -> list[_Joint]:
@@ -279,7 +279,7 @@ def _find_named(tree: _Tree, joints: Sequence[str], tool: str | None) -> list[_J
         if name not in by_name:
             rule = "be joints of the robot that can move"
             raise Refusal("new", "--joints", rule, name, ", ".join(by_name))
-        if not by_name[name].moves:
+        if not by_name[name].can_move:
             others = ", ".join(by_name[name].follows)
             kind = f"one that follows {others}" if others else by_name[name].kind
             raise Refusal("new", f"--joints: {name}", "move on its own", kind, ", ".join(MOVING))

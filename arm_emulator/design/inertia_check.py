@@ -74,10 +74,10 @@ def doubtful_inertias(
     for joint in chain.links:
         own: list[Doubt] = []
         parts = [name for name in joint.links if name not in unchecked]
-        alone = {name: bodies.one(places[name]) for name in parts}
+        alone = {name: bodies.body(places[name]) for name in parts}
         arm_body = Body()
         for name, frame in joint.links.items():
-            arm_body = arm_body + bodies.one(places[name]).seen_from(frame)
+            arm_body = arm_body + bodies.body(places[name]).transform(frame)
         for name, body in alone.items():
             if elements[name].find("inertial") is not None:
                 shape = _read_shape(elements[name], folder)

@@ -207,7 +207,7 @@ class _Trial:
         self.period = period
         self.patience = patience  # s
         self.kick = kick  # A per count at most
-        self.found: list[_Outcome] = []
+        self.outcomes: list[_Outcome] = []
         self.fastest = math.inf  # s, of those that hold everything
 
     def run(self, gains: ServoGains) -> None:
@@ -224,7 +224,7 @@ class _Trial:
         for plant in reversed(self.plants):  # the heaviest link is the hardest
             for delay in reversed(_DELAYS):
                 loop = SampledLoop(plant, [servo], delay)
-                if not loop.stable:
+                if not loop.is_stable:
                     return
                 rows = loop.step(0, _ROWS, every)[:, 0]
                 off = np.flatnonzero(np.abs(rows - 1.0) > 0.02)
@@ -235,15 +235,15 @@ class _Trial:
                 if delay:
                     _, S = loop.sensitivities(_FREQUENCIES)
                     sensitivity = max(sensitivity, float(np.abs(S).max()))
-        self.found.append(_Outcome(gains, kick, sensitivity, overshoot, settling))
+        self.outcomes.append(_Outcome(gains, kick, sensitivity, overshoot, settling))
         if sensitivity <= SENSITIVITY and overshoot <= OVERSHOOT and kick <= self.kick:
             self.fastest = min(self.fastest, settling)
 
     def choose_best(self) -> ServoGains | None:
         """Return the best of what was tried; None where nothing holds."""
-        quiet = [outcome for outcome in self.found if outcome.kick <= self.kick]
+        quiet = [outcome for outcome in self.outcomes if outcome.kick <= self.kick]
         for sensitivity, overshoot in ((SENSITIVITY, OVERSHOOT), *_IF_NEED_BE):
-            for among in (quiet, self.found):
+            for among in (quiet, self.outcomes):
                 good = [
                     outcome
                     for outcome in among

@@ -222,7 +222,7 @@ def _replace(
 
 def _find_moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
     """Return what each moving joint of a choice moves."""
-    locked = {name: joint.position for name, joint in choice.held.items()}
+    locked = {name: joint.position for name, joint in choice.locked.items()}
     return collect_moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
 
 
@@ -253,7 +253,7 @@ def _load_links(text: str, where: str, choice: Choice, payload: float = 0.0) -> 
             "tool": choice.tool,
             "gravity": [0.0, 0.0, -9.81],
             "supply_voltage": 1.0,
-            "locked": {name: joint.position for name, joint in choice.held.items()},
+            "locked": {name: joint.position for name, joint in choice.locked.items()},
             "joints": {name: {} for name in choice.joints},
             "integrator": {"dt": SERVO_PERIOD},
             "servo_period": SERVO_PERIOD,
@@ -449,7 +449,7 @@ def _choose_collisions(tested: Collisions | None, start: Array) -> tuple[str, st
     if touching := tested.first(start):
         return "off", f"{touching} touch wherever it could start"
     rng = np.random.default_rng(0)
-    share = np.mean([bool(tested.first(tested.drawn(rng))) for _ in range(_SAMPLES)])
+    share = np.mean([bool(tested.first(tested.sample(rng))) for _ in range(_SAMPLES)])
     if share > _MAX_SHARE:
         return "off", f"parts of the arm touch in {share:.0%} of its poses"
     return "stop", "before parts of the arm touch each other"

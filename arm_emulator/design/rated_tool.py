@@ -66,12 +66,12 @@ def rated_tools(
     on_paths = set[int]()
     if tool in chain.carried:
         at, frame = chain.carried[tool]
-        path = chain.way_to(at)
+        path = chain.find_path(at)
         on_paths.update(path)
         mass = _estimate_mass(chain, path, speeds) if payload is None else payload
         tools.append(_place_tool(chain, at, tool, frame, mass))
     for end in range(len(chain.links)):
-        branch = [joint for joint in chain.way_to(end) if joint not in on_paths]
+        branch = [joint for joint in chain.find_path(end) if joint not in on_paths]
         if end in carriers or len(branch) < MIN_ARM:
             continue
         link, frame = list(chain.links[end].links.items())[-1]

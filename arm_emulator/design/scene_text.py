@@ -110,9 +110,9 @@ def scene_text(
             "trusted_inertias:  # as in the description, though no body of its shape has them",
         ]
         lines += [f"  - {_quote_text(link)}" for link in sources.trusted]
-    if choice.held:
+    if choice.locked:
         lines += ["", "locked:"]
-        for joint, locked in choice.held.items():
+        for joint, locked in choice.locked.items():
             lines.append(
                 f"  {_quote_text(joint)}: {locked.position!r}  # {escape_to_line(locked.reason)}"
             )

@@ -25,7 +25,7 @@ class Body:
     @classmethod
     def from_center(cls, mass: float, com: Array, inertia: Array) -> Body:
         """Return the body of `mass` whose `inertia` is given about its centre of mass `com`."""
-        return Bodies.from_center(np.array([mass]), com[None], inertia[None]).one(0)
+        return Bodies.from_center(np.array([mass]), com[None], inertia[None]).body(0)
 
     def __add__(self, other: Body) -> Body:
         return Body(
@@ -36,11 +36,11 @@ class Body:
         """Return a body of that many times this one."""
         return Body(factor * self.mass, factor * self.moment, factor * self.inertia)
 
-    def seen_from(self, frame: Frame) -> Body:
+    def transform(self, frame: Frame) -> Body:
         """Return this body in the frame from which its own is seen as `frame`."""
         mass, moment = np.array([self.mass]), self.moment[None]
         alone = Bodies(mass, moment, self.inertia[None])
-        return alone.seen_from(frame.R[None], frame.p[None]).one(0)
+        return alone.transform(frame.R[None], frame.p[None]).body(0)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Bodies:
         c, m = compute_cross(com), mass[:, None, None]
         return cls(mass, mass[:, None] * com, inertia - multiply_matrices(m * c, c))
 
-    def seen_from(self, R: Array, p: Array) -> Bodies:
+    def transform(self, R: Array, p: Array) -> Bodies:
         """Return them in frames from which their own are seen as R (K, 3, 3), p (K, 3)."""
         h = apply_matrix(R, self.moment)
         p_x, h_x = compute_cross(p), compute_cross(h)
@@ -66,7 +66,7 @@ class Bodies:
         inertia = multiply_matrices(R, self.inertia, R.transpose(0, 2, 1)) - shift
         return Bodies(self.mass, h + self.mass[:, None] * p, inertia)
 
-    def one(self, index: int) -> Body:
+    def body(self, index: int) -> Body:
         """Return one of them."""
         return Body(float(self.mass[index]), self.moment[index], self.inertia[index])
 
@@ -160,11 +160,11 @@ class Chain:
         return tuple(map(names.index, self.coupling.shafts))
 
     @property
-    def forks(self) -> bool:
+    def is_branched(self) -> bool:
         """Whether a joint is not carried by the one before."""
         return any(link.parent != k - 1 for k, link in enumerate(self.links))
 
-    def way_to(self, joint: int) -> list[int]:
+    def find_path(self, joint: int) -> list[int]:
         """Return the joints from the base to one of them, which is the last."""
         path: list[int] = []
         while joint >= 0:

@@ -83,7 +83,7 @@ def read_body_numbers(body: Body) -> dict[str, float]:
 
 def vary_child(joint: ChainJoint, body: Body | None = None) -> dict[str, float]:
     """Return the numbers of what a joint moves, in the frame of its child link in the URDF."""
-    return read_body_numbers((body or joint.body).seen_from(Frame(joint.axes.T)))
+    return read_body_numbers((body or joint.body).transform(Frame(joint.axes.T)))
 
 
 def vary_body(joint: ChainJoint) -> list[Varied]:

@@ -32,7 +32,7 @@ class ControlServer:
     """
 
     def __init__(self, controls: MachineControls, near: Connection | None = None) -> None:
-        self._hands, self._near, self._closing = controls, near, threading.Event()
+        self._controls, self._near, self._closing = controls, near, threading.Event()
         self._served = near is not None
 
     def poll(self) -> bool:
@@ -42,7 +42,7 @@ class ControlServer:
             True, for the conditions of loops.
         """
         self._fulfil(0.0)
-        while self._hands.stands and not self._closing.is_set():
+        while self._controls.is_waiting and not self._closing.is_set():
             self._fulfil(LOOK)
         return True
 
@@ -52,11 +52,11 @@ class ControlServer:
             advance(ticks)
             return
         while ticks > 0 and self.poll():
-            piece = min(ticks, self._hands.due or PIECE)
+            piece = min(ticks, self._controls.due or PIECE)
             advance(piece)
             ticks -= piece
-            self._hands.due = max(0, self._hands.due - piece)
-        self._hands.changed()
+            self._controls.due = max(0, self._controls.due - piece)
+        self._controls.changed()
 
     def attend_always(self, session: Session) -> None:
         """Answer requests in a thread, while its owner lets the session's time pass."""
@@ -82,7 +82,7 @@ class ControlServer:
         try:
             while self._near.poll(timeout):
                 number, action, arguments = self._near.recv()
-                self._near.send((number, self._hands.tick, self._answer(action, arguments)))
+                self._near.send((number, self._controls.tick, self._answer(action, arguments)))
                 timeout = 0.0
         except (OSError, EOFError):
             self._near = None
@@ -92,9 +92,9 @@ class ControlServer:
     def _answer(self, action: str, arguments: tuple[Any, ...]) -> Any:
         """Return the answer to a request, which a browser may have filled with anything."""
         try:
-            if action not in Controls.can(self._hands):
+            if action not in Controls.can(self._controls):
                 raise Refusal("page", "action", "be possible here", action)
-            return getattr(self._hands, action)(*arguments)
+            return getattr(self._controls, action)(*arguments)
         except Refusal as reason:
             return reason
         except (TypeError, ValueError, LookupError, ArithmeticError) as error:
@@ -103,8 +103,8 @@ class ControlServer:
     def _go_on_alone(self) -> None:
         """Let time pass again, since the page that may have stopped it has ended."""
         words = "the machine goes on"
-        if self._hands.paused:
-            self._hands.pause(False)
+        if self._controls.paused:
+            self._controls.pause(False)
             words = "the machine, which it had paused, goes on"
         print(f"page: its process has ended; {words}", file=sys.stderr, flush=True)
 
@@ -240,7 +240,7 @@ class MachineControls(Controls):
         return round(machine.t / machine.scene.servo_period)
 
     @property
-    def stands(self) -> bool:
+    def is_waiting(self) -> bool:
         """Whether no tick may pass now."""
         return self.paused and not self.due
 

@@ -44,7 +44,7 @@ class PageAddress:
         host = socket.gethostname() if self.host in EVERY else self.host
         return f"[{host}]" if ":" in host else host
 
-    def is_asked_by(self, host: str | None) -> bool:
+    def is_requested_by(self, host: str | None) -> bool:
         """Return whether browsers may ask for the page by a name or an address.
 
         A name of someone else's may resolve to this machine; an address can not be forged so.

@@ -30,17 +30,17 @@ class Breakpoint:
     def __init__(self, plant: Plant, text: str, where: str = "breakpoint") -> None:
         plant = coerce_kind(plant, Plant, where, "plant", "be a Plant")
         self.condition = Condition(text, plant.scene, where)
-        self._plant, self._watched = plant, MonitoredCondition(self.condition.formula, plant)
-        self.struct = CONDITION.new("breakpoint", what=self._watched.struct, tick=-1)
+        self._plant, self._monitored = plant, MonitoredCondition(self.condition.formula, plant)
+        self.struct = CONDITION.new("breakpoint", what=self._monitored.struct, tick=-1)
         with plant.turn:  # it stops where it begins to hold
-            self.struct.held = self._watched.holds()
+            self.struct.held = self._monitored.is_met()
             listen(plant, formula_library().breakpoint_take, self.struct)
 
     def __repr__(self) -> str:
         return f"<Breakpoint {self.condition.text}>"
 
     @property
-    def hit(self) -> bool:
+    def is_hit(self) -> bool:
         """Whether it began to hold and this has not been seen yet."""
         return bool(self.struct.hit)
 
@@ -56,7 +56,7 @@ class Breakpoint:
 
     def take_hit(self) -> bool:
         """Return whether it has begun to hold since the last call."""
-        hit, self.struct.hit = self.hit, 0
+        hit, self.struct.is_hit = self.is_hit, 0
         return hit
 
     def close(self) -> None:

@@ -57,7 +57,7 @@ class Condition:
             parse_formula(text, where, "condition"), signals, where, "condition"
         )
         _check_without_time(self.formula, where)
-        self._watched: MonitoredCondition | None = None
+        self._monitored: MonitoredCondition | None = None
 
     def __repr__(self) -> str:
         return f"<Condition {self.text}>"
@@ -65,9 +65,9 @@ class Condition:
     def holds(self, session: Session) -> bool:
         """Return whether it holds at the tick at which a session is."""
         plant = session.plant
-        if self._watched is None or self._watched.plant is not plant:
-            self._watched = MonitoredCondition(self.formula, plant)
-        return self._watched.holds()
+        if self._monitored is None or self._monitored.plant is not plant:
+            self._monitored = MonitoredCondition(self.formula, plant)
+        return self._monitored.is_met()
 
 
 class MonitoredCondition:
@@ -112,7 +112,7 @@ class MonitoredCondition:
             self._tool = ToolChain(plant.scene, plant.parameters)
             self.struct.tool = self._tool.struct
 
-    def holds(self) -> bool:
+    def is_met(self) -> bool:
         """Return whether it holds for the plant as it is now."""
         with self.plant.turn:
             return bool(formula_library().condition_holds(self.struct, self.plant.machine))

@@ -100,6 +100,6 @@ def warn_of_gravity(scene: Scene, motion: MotionConfig) -> None:
         )
 
 
-def _check_same(where: str, key: str, value: float, other_key: str, expected: float) -> None:
+def _check_same(where: str, key: str, value: float, expected_key: str, expected: float) -> None:
     if round(value * 1e9) != round(expected * 1e9):
-        raise Refusal(where, key, f"be {other_key}, {expected:g} s", f"{value:g} s")
+        raise Refusal(where, key, f"be {expected_key}, {expected:g} s", f"{value:g} s")

@@ -102,7 +102,7 @@ class OfflineRun(NonCopyable):
             session.advance_in(self._loop, min(self.motion_ticks - begun, end - session.tick))
             if session.fault is not None:
                 raise session.fault
-            if self._loop.stopped:
+            if self._loop.is_stopped:
                 return
 
     def restart(self, machine: bytes) -> None:

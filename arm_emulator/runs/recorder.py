@@ -39,7 +39,7 @@ class Recorder:
     """
 
     def __init__(self, plant: Plant, outputs: RunOutputs, waits: bool, stays: bool = False) -> None:
-        self._kept, self._stays = outputs, stays and outputs.is_port
+        self._outputs, self._stays = outputs, stays and outputs.is_port
         self._process: RowProcess | None = None
         if outputs != NOTHING:
             task = {"record": outputs.record, "rerun": outputs.rerun}
@@ -57,7 +57,7 @@ class Recorder:
 
     def _stay(self) -> None:
         """Let viewers look at what has ended, until Ctrl-C."""
-        show = get_viewer_command(f"rerun+http://127.0.0.1:{self._kept.rerun}/proxy")
+        show = get_viewer_command(f"rerun+http://127.0.0.1:{self._outputs.rerun}/proxy")
         print(f"rerun: until Ctrl-C a viewer may connect: {show}", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()
@@ -75,7 +75,7 @@ class Recorder:
         if not trouble and process.dropped:
             trouble = f"{process.dropped} rows were dropped, the disk is too slow"
         if trouble:
-            where = str(self._kept.record or self._kept.rerun)
+            where = str(self._outputs.record or self._outputs.rerun)
             raise Refusal("record", where, "accept every row", trouble)
 
 

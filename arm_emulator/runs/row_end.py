@@ -35,7 +35,7 @@ class RowEnd:
 
     def __init__(self, niceness: int, grace: float) -> None:
         descriptor, run = map(int, sys.argv[1:3])
-        self._answers = os.fdopen(descriptor, "wb", buffering=0)
+        self._responses = os.fdopen(descriptor, "wb", buffering=0)
         self._run, self._grace = run, grace
         self.stopped = False
         for number in (signal.SIGINT, signal.SIGHUP):
@@ -54,7 +54,7 @@ class RowEnd:
     def answer(self, value: Any) -> None:
         """Hand the run an answer, see `RowProcess`."""
         with contextlib.suppress(BrokenPipeError):  # the run was killed
-            self._answers.write(pickle.dumps(value))
+            self._responses.write(pickle.dumps(value))
 
     def leave(self, value: Any) -> NoReturn:
         """Hand the run the last answer, and end.

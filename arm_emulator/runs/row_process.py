@@ -81,7 +81,7 @@ class RowProcess:
             self._ring = ring = SharedRing(memory, row.rows.dtype)
             about = _describe_plant(plant, memory)
             process, responses = _start_process(module, about | dict(task), (memory, *files))
-            self._process, self._answers = process, responses
+            self._process, self._responses = process, responses
         finally:
             os.close(memory)
         assert process.stdin is not None
@@ -137,16 +137,16 @@ class RowProcess:
     def _end(self) -> None:
         """End the process, which has given its last answer."""
         self._close_input()
-        self._answers.close()
+        self._responses.close()
         self._process.kill()
         self._process.wait()
 
     def _answer(self, deadline: float) -> Any:
         """Return the next answer; kill the process if none comes until a deadline."""
-        if not select.select([self._answers], [], [], max(0.0, deadline - time.monotonic()))[0]:
+        if not select.select([self._responses], [], [], max(0.0, deadline - time.monotonic()))[0]:
             self._process.kill()
         try:
-            return pickle.load(self._answers)
+            return pickle.load(self._responses)
         except (EOFError, pickle.UnpicklingError):
             words = _describe_exit(self._process.wait())
             return Refusal(self._where, "its process", "go on", f"one that has ended, {words}")

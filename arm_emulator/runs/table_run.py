@@ -102,7 +102,7 @@ class TableRun:
                 raise session.fault
             if self._servo.ended is not None:
                 raise self._servo.ended
-            if self._loop.stopped:
+            if self._loop.is_stopped:
                 return
 
     @property

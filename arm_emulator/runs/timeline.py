@@ -37,7 +37,7 @@ class Change(NamedTuple):
 
     tick: int
     name: str
-    made: Callable[[Any], object]
+    action: Callable[[Any], object]
 
 
 class _Checkpoint(NamedTuple):

@@ -74,11 +74,11 @@ class Servo(Synchronized):
         self.state: Rows = SERVO.rows("servo_state", self._N)
         self.arm = SERVO.new("servo", joints=self._N, joint=self._joint, state=self.state)
         self._counts = config.counts.named("counts")
-        self._is_known = self.state["known"]
+        self._is_measured = self.state["known"]
         # Fixed arrays for the law's inputs and outputs: finding an array's address costs time.
-        self._whole = np.zeros(self._N, np.int64)
+        self._integer_counts = np.zeros(self._N, np.int64)
         self._rows = np.zeros((6, self._N))
-        self.places = (pointer(self._whole), *map(pointer, self._rows))
+        self.places = (pointer(self._integer_counts), *map(pointer, self._rows))
         self._measured, self._movable = np.zeros((3, self._N)), np.zeros(self._N, np.int64)
         self._reported = (*map(pointer, self._measured), pointer(self._movable))
         self._law.servo_reset(self.arm)
@@ -90,7 +90,10 @@ class Servo(Synchronized):
     def __getstate__(self) -> dict[str, Any]:
         scalars = {name: copy.copy(getattr(self.arm, name)) for name in _SCALARS}
         watchdog = bytes(SERVO.ffi.buffer(SERVO.ffi.addressof(self.arm, "watchdog")))
-        rows = {name: getattr(self, name).copy() for name in ("state", "_whole", "_rows", "_joint")}
+        rows = {
+            name: getattr(self, name).copy()
+            for name in ("state", "_integer_counts", "_rows", "_joint")
+        }
         return {"config": self.config, "scalars": scalars, "watchdog": watchdog, "rows": rows}
 
     def __setstate__(self, of: dict[str, Any]) -> None:
@@ -161,7 +164,7 @@ class Servo(Synchronized):
     def _read_at_links(self, row: int) -> Array:
         self._law.servo_report(self.arm, 1, *self._reported)
         measured: Array = self._measured[row]
-        return measured.copy() if self._is_known[0] else measured * np.nan
+        return measured.copy() if self._is_measured[0] else measured * np.nan
 
     def movable(self, powered: bool) -> npt.NDArray[np.bool_]:
         """Return which joints can be moved, see `ServoArm.movable`."""
@@ -232,7 +235,7 @@ class Servo(Synchronized):
                 measured yet. Nothing has changed then.
         """
         target_rows = self.take_targets(q_target, v_target, tau_feedforward)
-        if not self._is_known[0]:
+        if not self._is_measured[0]:
             raise Refusal("servo", "control", "follow a measurement", "none since the reset")
         return self._compute_command(target_rows)
 
@@ -267,8 +270,8 @@ class Servo(Synchronized):
             Refusal: see `observe`.
         """
         numbers = self.check_vector(counts, self._counts)
-        self._whole[:] = numbers
-        if (self._whole != numbers).any():
+        self._integer_counts[:] = numbers
+        if (self._integer_counts != numbers).any():
             raise Refusal("servo", "counts", "be whole numbers", numbers.tolist())
         applied_row = None if applied is None else self.check_vector(applied, _APPLIED)
         return (

@@ -52,20 +52,20 @@ class ServoArm:
     def reset(self) -> None:
         """Forget everything; power that was cut comes back."""
         self.servo.reset()
-        self._asked = False
+        self._requested = False
 
     def save(self) -> dict[str, Any]:
         """Return all that decides how the drives go on, gains included, for `restore`."""
         return {
             "servo": self.servo.__getstate__(),
-            "asked": self._asked,
+            "asked": self._requested,
             "powered": self._powered,
         }
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Go on from what `save` of these drives has returned."""
         self.servo.go_back(saved["servo"])
-        self._asked, self._powered = saved["asked"], saved["powered"]
+        self._requested, self._powered = saved["asked"], saved["powered"]
 
     def retune(self, config: ServoConfig) -> None:
         """Change gains, limits and timeouts, between two ticks.
@@ -134,7 +134,7 @@ class ServoArm:
 
     def commanded(self, powered: bool) -> None:
         """Take note of a ``servo_command``, for `reason`."""
-        self._asked, self._powered = True, powered
+        self._requested, self._powered = True, powered
 
     @property
     def state(self) -> WatchdogState:
@@ -144,7 +144,7 @@ class ServoArm:
     @property
     def reason(self) -> str:
         """The same in words."""
-        if not self._asked:
+        if not self._requested:
             return "starting"
         if not self._powered and self._watchdog.state is not WatchdogState.CUT:
             return "the drives' power is off"

@@ -173,7 +173,7 @@ class RerunStream:
         return sinks
 
     @property
-    def open(self) -> bool:
+    def is_open(self) -> bool:
         """Whether offered samples are sent anywhere."""
         return self._open
 
@@ -293,7 +293,7 @@ class RerunStream:
         # Only the samples that wait now: more arrive meanwhile.
         waiting = len(self._queue)
         targets = [self._targets.popleft() for _ in range(len(self._targets))]
-        self._spread(self._batches.send_targets(recording, targets), 0)
+        self._send_in_parts(self._batches.send_targets(recording, targets), 0)
         texts = [self._texts.popleft() for _ in range(len(self._texts))]
         while waiting and time.monotonic() < self._deadline:
             count = min(waiting, BATCH_ROWS)
@@ -301,14 +301,14 @@ class RerunStream:
             times, rows = self._queue.take(count)
             time.sleep(BREATH)
             if len(times):
-                self._spread(self._batches.send_poses(recording, times, rows), 0)
+                self._send_in_parts(self._batches.send_poses(recording, times, rows), 0)
             if self._batches.waiting >= BATCH_ROWS:
-                self._spread(self._batches.send_signals(recording), self._batches.waiting)
-        self._spread(self._batches.send_texts(recording, texts), 0)
+                self._send_in_parts(self._batches.send_signals(recording), self._batches.waiting)
+        self._send_in_parts(self._batches.send_texts(recording, texts), 0)
         if signals:
-            self._spread(self._batches.send_signals(recording), self._batches.waiting)
+            self._send_in_parts(self._batches.send_signals(recording), self._batches.waiting)
 
-    def _spread(self, steps: Iterator[None], samples: int) -> None:
+    def _send_in_parts(self, steps: Iterator[None], samples: int) -> None:
         """Take the steps with pauses between; when Rerun refuses one, `samples` are lost."""
         try:
             for _ in steps:

@@ -56,7 +56,7 @@ class Deviation:
         return any((self.delta_theta, self.delta_d, self.delta_a, self.delta_alpha))
 
     @property
-    def given(self) -> dict[str, float]:
+    def nonzero(self) -> dict[str, float]:
         """Its numbers that are not 0, by name."""
         names = (field.name for field in fields(self))
         return {name: value for name in names if (value := getattr(self, name))}

@@ -58,7 +58,7 @@ class Damaged(Exception):
     """The file differs from what a writer has written; the text gives the difference."""
 
 
-def is_whole(stream: IO[bytes]) -> bool:
+def is_complete(stream: IO[bytes]) -> bool:
     """Return whether the signature of a whole file stands at its end."""
     size = stream.seek(0, SEEK_END)
     stream.seek(max(0, size - len(MCAP0_MAGIC)))
@@ -75,7 +75,7 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
         CutOff: the file ends before its end.
         Damaged: see above.
     """
-    complete, size = is_whole(stream), stream.seek(0, SEEK_END)
+    complete, size = is_complete(stream), stream.seek(0, SEEK_END)
     left = MAX_UNPACKED + MAX_RATIO * size  # bytes that may still be unpacked
     stream.seek(0)
     if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC))):
@@ -122,7 +122,7 @@ def recover_mcap(file: Path) -> bool:
     """
     ends = [0]
     with open_file(file) as stream:
-        if is_whole(stream):
+        if is_complete(stream):
             return False
         try:
             with contextlib.suppress(CutOff):

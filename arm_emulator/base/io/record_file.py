@@ -75,13 +75,13 @@ class CsvFile:
             ",".join(_format_cell(column.heading) for column in columns).encode() + b"\n"
         )
         # End of the last whole line.
-        self._whole = self._stream.tell()
+        self._complete_size = self._stream.tell()
 
     def write(self, rows: Rows) -> None:
         """Append lines."""
         lines = map(",".join, zip(*_format_texts(self._columns, rows, ""), strict=True))
         self._stream.write("".join(f"{line}\n" for line in lines).encode())
-        self._whole = self._stream.tell()
+        self._complete_size = self._stream.tell()
 
     def close(self) -> None:
         """Complete the file."""
@@ -91,9 +91,9 @@ class CsvFile:
     def give_up(self) -> None:
         """Remove an incomplete last line."""
         with self._file.open("rb") as stream:
-            stream.seek(self._whole)
+            stream.seek(self._complete_size)
             taken = stream.read().rfind(b"\n") + 1
-        self._stream.truncate(self._whole + taken)
+        self._stream.truncate(self._complete_size + taken)
         self._stream.close()
 
 

@@ -117,7 +117,7 @@ class Coupling:
         return {name for name, others in zip(self.shafts, shared, strict=True) if not others}
 
     @property
-    def mimics(self) -> bool:
+    def is_mimic(self) -> bool:
         """Whether each shaft is the joint of its name, and no other joint follows two of them."""
         own = [self.joints.index(shaft) for shaft in self.shafts]
         others = np.delete(self.C, own, axis=0)
@@ -127,7 +127,7 @@ class Coupling:
         )
 
     @property
-    def plain(self) -> bool:
+    def is_identity(self) -> bool:
         """Whether every joint has a shaft of its own."""
         return self.C.shape[0] == self.C.shape[1] and bool((np.eye(len(self.C)) == self.C).all())
 

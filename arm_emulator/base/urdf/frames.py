@@ -49,11 +49,11 @@ def frame_of(xyz: Iterable[float], rpy: Iterable[float]) -> Frame:
 
 def turn(axis: int, angle: float) -> Array:
     """Return the rotation about an axis of the frame."""
-    R: Array = turns(axis, [angle])[0]
+    R: Array = build_rotations(axis, [angle])[0]
     return R
 
 
-def turns(axis: int, angles: Iterable[float]) -> Array:
+def build_rotations(axis: int, angles: Iterable[float]) -> Array:
     """Return rotations (K, 3, 3) about one axis."""
     # By `math`: NumPy's cosine may round differently on another processor.
     c, s = (np.array(list(map(f, angles))) for f in (math.cos, math.sin))

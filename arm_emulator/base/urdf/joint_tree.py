@@ -16,7 +16,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.name_rule import check_joint_name
 from arm_emulator.base.products import measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.frames import EYE, X_AXIS, Frame, clean, compute_cross, turns
+from arm_emulator.base.urdf.frames import EYE, X_AXIS, Frame, build_rotations, clean, compute_cross
 
 MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 FREE_KINDS = ("floating", "planar")  # no joints of an arm, but they may be locked at 0
@@ -136,7 +136,11 @@ def read_frames(
     values = np.array(rows).reshape(-1, 6)
     check_size(values[:, :3], LARGEST_LENGTH, whats, f"{name} xyz", where)
     check_size(values[:, 3:], LARGEST_ANGLE, whats, f"{name} rpy", where)
-    R = clean(multiply_matrices(*(turns(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))))
+    R = clean(
+        multiply_matrices(
+            *(build_rotations(axis, values[:, 3 + axis].tolist()) for axis in (2, 1, 0))
+        )
+    )
     turned = (values[:, 3:] != 0.0).any(axis=1).tolist()
     p = values[:, :3].copy()
     return [Frame(R[k] if turned[k] else EYE, p[k]) for k in range(len(rows))]

@@ -116,7 +116,7 @@ class Shafts:
             middle, half = 0.5 * (lower + upper)[limited], 0.5 * (upper - lower)[limited]
             centre = np.linalg.lstsq(C, middle - self.offset[limited])[0]
             spare = np.maximum(half - np.abs(C @ centre + self.offset[limited] - middle), 0.0)
-            reach = self._least(spare, C)
+            reach = self._find_smallest(spare, C)
             low[boxed], high[boxed] = (centre - reach)[boxed], (centre + reach)[boxed]
         lowest, highest = self._ends(low, high)
         beyond = (lowest < lower - _ROUNDING) | (highest > upper + _ROUNDING) | (highest < lowest)
@@ -136,12 +136,12 @@ class Shafts:
             ]
         return ends[0], ends[1]
 
-    def most(self, of_joints: Array) -> Array:
+    def bound(self, of_joints: Array) -> Array:
         """Return limits of the shafts' rates with which no joint passes its own."""
-        return self._least(of_joints, self.C) if self.coupled else of_joints
+        return self._find_smallest(of_joints, self.C) if self.coupled else of_joints
 
     @staticmethod
-    def _least(limits: Array, C: Array) -> Array:
+    def _find_smallest(limits: Array, C: Array) -> Array:
         sums = np.abs(C).sum(axis=1)
         shares = limits / np.where(sums > 0.0, sums, 1.0)
         smallest: Array = np.where(C != 0.0, shares[:, None], np.inf).min(axis=0)

@@ -25,7 +25,7 @@ def coerce_array(values: object) -> Array | None:
         return values
     try:
         array = np.asarray(values)
-        if array.dtype.kind in "iuf" and (values is array or not _holds_flag(values)):
+        if array.dtype.kind in "iuf" and (values is array or not _has_flag(values)):
             return array.astype(np.float64, order="C")
     except Exception:  # an object may raise anything when converted
         pass
@@ -54,8 +54,8 @@ def coerce_kind(value: object, kind: type[Kind], where: str, quantity: str, rule
     return value
 
 
-def _holds_flag(values: object) -> bool:
+def _has_flag(values: object) -> bool:
     """Whether there is a flag among numbers in lists, which NumPy takes for 0 or 1."""
     if isinstance(values, list | tuple):  # most hold floats, of which a call each takes long
-        return any(type(value) is not float and _holds_flag(value) for value in values)
+        return any(type(value) is not float and _has_flag(value) for value in values)
     return isinstance(values, _FLAGS) or getattr(values, "dtype", None) == np.bool_

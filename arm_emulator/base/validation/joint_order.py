@@ -11,7 +11,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import Number
 
 
-def check_known_joints(where: str, names: Iterable[object], joints: Sequence[str]) -> None:
+def check_joints_exist(where: str, names: Iterable[object], joints: Sequence[str]) -> None:
     """Refuse a name that no joint has.
 
     Raises:
@@ -29,7 +29,7 @@ def check_joint_names(where: str, names: Iterable[object], joints: Sequence[str]
         Refusal: a name that no joint has, or a joint that is named twice or not at all.
     """
     listed = [str(name) for name in names]
-    check_known_joints(where, listed, joints)
+    check_joints_exist(where, listed, joints)
     if len(listed) != len(joints) or len(set(listed)) != len(listed):
         actual = ", ".join(listed) or "none"
         raise Refusal(where, "joint names", "name every joint once", actual, ", ".join(joints))

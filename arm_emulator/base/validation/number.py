@@ -70,7 +70,7 @@ class Number:
         renamed.__dict__.update(self.__dict__, name=name)
         return renamed
 
-    def holds(self, value: object) -> bool:
+    def is_in_range(self, value: object) -> bool:
         """Whether a value is a finite number within the range."""
         if type(value) is not float:  # most are, and the abstract class takes long to ask
             if isinstance(value, bool) or not isinstance(value, numbers.Real):
@@ -94,7 +94,7 @@ class Number:
         """
         if isinstance(value, np.ndarray) and value.ndim == 0:
             value = value[()]
-        if not self.holds(value):
+        if not self.is_in_range(value):
             raise self.named(name or self.name).refusal(where, value)
         return int(value) if self.whole else float(value)
 
@@ -211,14 +211,14 @@ class Number:
         if isinstance(value, np.floating):
             value = float(value)
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if is_number and self._keeps(abs(value) if self.in_size else value, maximum):  # type: ignore[arg-type]
+        if is_number and self._is_in_bounds(abs(value) if self.in_size else value, maximum):  # type: ignore[arg-type]
             low = None if self.in_size and self.above is None else self.least
             words = self._range(None, low, largest)
         else:
             words = self._range(self.above, self.at_least, maximum)
         return f"be {words.replace('number', 'numbers', 1)}" if many else f"be a {words}"
 
-    def _keeps(self, size: float, largest: float | None) -> bool:
+    def _is_in_bounds(self, size: float, largest: float | None) -> bool:
         return (
             (self.above is None or size > self.above)
             and (self.at_least is None or size >= self.at_least)

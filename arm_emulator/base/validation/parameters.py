@@ -46,9 +46,9 @@ def parameter(
     more = {"description": description, "choices": choices, "settable": settable}
     if type(default) not in (int, float):
         return dataclasses.field(default=default, metadata=more)
-    whole_number = type(default) is int
+    is_integer = type(default) is int
     number = Number(
-        "", unit, whole=whole_number, default=default, text=description, **build_bounds(ends)
+        "", unit, whole=is_integer, default=default, text=description, **build_bounds(ends)
     )
     return declare_field(number, **more | {"description": number.described})
 

@@ -26,7 +26,7 @@ class Section:
         self.where = where
         self._data = data
         self._path = path
-        self._known: set[str] = set()
+        self._read_keys: set[str] = set()
         self._sections: dict[str, Section] = {}
 
     def keys(self) -> list[str]:
@@ -35,7 +35,7 @@ class Section:
 
     def has(self, key: str) -> bool:
         """Return whether a key is present, and mark it as known."""
-        self._known.add(key)
+        self._read_keys.add(key)
         return key in self._data
 
     def put(self, key: str, value: object) -> None:
@@ -119,7 +119,11 @@ class Section:
         if value is None and number.name not in self._data:
             return None
         rule = f"be {size} {number.range.replace('number', 'numbers', 1)}"
-        if not isinstance(value, list) or len(value) != size or not all(map(number.holds, value)):
+        if (
+            not isinstance(value, list)
+            or len(value) != size
+            or not all(map(number.is_in_range, value))
+        ):
             raise self.refusal(number.name, rule, repr(value))
         return tuple(float(entry) for entry in value)
 
@@ -145,13 +149,13 @@ class Section:
         for below in self._sections.values():
             below.finish()
         for key in self._data:
-            if key not in self._known:
+            if key not in self._read_keys:
                 raise Refusal(
                     self.where,
                     f"key {self._name(str(key))}",
                     "be known",
                     repr(key),
-                    ", ".join(sorted(self._known)),
+                    ", ".join(sorted(self._read_keys)),
                 )
 
     def _below(self, key: str, data: dict[str, Any]) -> Section:
@@ -160,7 +164,7 @@ class Section:
         return self._sections[key]
 
     def _take(self, key: str) -> Any:
-        self._known.add(key)
+        self._read_keys.add(key)
         return self._data.get(key)
 
     def _name(self, key: str) -> str:

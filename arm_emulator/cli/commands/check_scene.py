@@ -198,7 +198,7 @@ def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
             "frequency": figure.frequency,
             "growth": figure.beyond,
             "gain": figure.gain,
-            "holds": figure.holds,
+            "holds": figure.is_stable,
         }
         for figure in ModeLoops(scene, servo).figures
     ]
@@ -215,7 +215,7 @@ def _format_cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
     worst = max(by_brake.values(), key=lambda cell: cell.beyond)
     gain = f", {worst.gain:g} of the command" if worst.gain != 1.0 else ""
     cells.append(f"{worst.beyond if abs(worst.beyond) > _NONE else 0.0:.3g}{gain}")
-    cells.append("" if worst.holds else "withheld")
+    cells.append("" if worst.is_stable else "withheld")
     return tuple(cells)
 
 

@@ -248,7 +248,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> ProbeResult:
             def newest() -> Any:
                 return node.newest.get("emulator/status")
 
-            def settled() -> bool:
+            def has_settled() -> bool:
                 if network.ended() is not None:
                     rule, actual = "run in real time", _read_last_line(log)
                     raise Refusal("latency", f"nodes of {scene} at {period:g} s", rule, actual)
@@ -256,7 +256,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> ProbeResult:
                 moving = status is not None and status.phase == EmulatorStatus.PHASE_RUNNING
                 return moving and bool(status.logical_time >= SETTLED)
 
-            if not node.spin_until(settled, PATIENCE):
+            if not node.spin_until(has_settled, PATIENCE):
                 actual = f"no answer within {PATIENCE:g} s"
                 raise Refusal("latency", "the servo", "answer the emulator", actual)
             begin = newest()

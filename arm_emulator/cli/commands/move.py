@@ -130,7 +130,7 @@ def _watch(
     states: list[str] = []
     last: MotionStatus | None = None
 
-    def ended() -> bool:
+    def has_ended() -> bool:
         nonlocal last
         while heard:
             status = heard.pop(0)
@@ -144,7 +144,7 @@ def _watch(
             )
         return bool(states) and states[-1] not in IN_PROGRESS
 
-    if not node.spin_until(ended, timeout):
+    if not node.spin_until(has_ended, timeout):
         output.line(f"no end within {timeout:g} s of wall time: {states[-1:] or 'no answer'}")
     outcome = states[-1] if states else "no answer"
     output.facts(
@@ -225,10 +225,10 @@ def _compute_tool_pose(node: NetworkClient) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation and position of the motion controller's tool, from the measured angles."""
     client = node.create_client(GetParameters, "motion_controller/get_parameters")
 
-    def ready() -> bool:
+    def is_ready() -> bool:
         return "robot_description" in node.newest and client.service_is_ready()
 
-    if not node.spin_until(ready, PATIENCE):
+    if not node.spin_until(is_ready, PATIENCE):
         raise _refuse_no_network("robot_description and a motion controller be present")
     answer = node.ask(client, GetParameters.Request(names=["tool"]), PATIENCE)
     if answer is None:

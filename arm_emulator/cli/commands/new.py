@@ -89,7 +89,7 @@ def _report(written: NewScene) -> dict[str, Any]:
     report(f"moves    {', '.join(choice.joints)}")
     for guess in choice.guesses:
         report(f"chosen   {guess}")
-    for name, locked in choice.held.items():
+    for name, locked in choice.locked.items():
         report(f"held     {name} at {locked.position:g}: {locked.reason}")
     guesses, sources = dict[str, dict[str, float]](), dict[str, None]()
     for drive in written.drives:
@@ -122,7 +122,7 @@ def _report(written: NewScene) -> dict[str, Any]:
     report(f"next     arm_emulator demo {written.file}")
     return {
         "scene": written.file, "joints": choice.joints, "chosen": choice.guesses,
-        "held": choice.held, "guessed": guesses, "rated": rated, "sources": list(sources),
+        "held": choice.locked, "guessed": guesses, "rated": rated, "sources": list(sources),
         "assumed": written.assumed, "weak": [str(overload) for overload in written.overloads],
     }  # fmt: skip
 

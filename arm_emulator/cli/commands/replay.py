@@ -105,9 +105,9 @@ def _replay_into(bag: Bag, name: str, wait: bool) -> int:
     with join_network("replayer", "") as node:
         result = CausalReplay(bag, name, node).run(wait, output.line)
     wall = time.monotonic() - started
-    lost = result.asked - result.answered
+    lost = result.requested - result.answered
     output.line(
-        f"{bag.path} into {name}: {result.answered} answers to {result.asked} messages in "
+        f"{bag.path} into {name}: {result.answered} answers to {result.requested} messages in "
         f"{wall:.1f} s"
     )
     difference = (
@@ -116,7 +116,7 @@ def _replay_into(bag: Bag, name: str, wait: bool) -> int:
     output.line(f"as recorded to the last bit: {result.alike}{difference}")
     output.line(f"digest of the answers: {result.digest}")
     output.facts({
-        "bag": bag.path, "messages": result.asked, "answers": result.answered,
+        "bag": bag.path, "messages": result.requested, "answers": result.answered,
         "alike": result.alike, "first_other": result.first_difference or None,
         "digest": result.digest, "seconds": wall, "whole": bag.complete,
     })  # fmt: skip

@@ -128,12 +128,12 @@ def _others(node: NetworkClient, topic: str) -> list[str]:
     """Return the nodes that publish a topic."""
     endpoints: list[Any] = []
 
-    def all_named() -> bool:
+    def are_all_named() -> bool:
         endpoints[:] = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
         return all(has_name(endpoint.node_name) for endpoint in endpoints)
 
     # The middleware finds a publisher before it knows of which node it is.
-    node.spin_until(all_named, NAMED_WITHIN)
+    node.spin_until(are_all_named, NAMED_WITHIN)
     names = {get_full_name(endpoint) for endpoint in endpoints}
     return sorted(f"node {name}" for name in names)
 

@@ -61,7 +61,7 @@ def list_scene_faults(
                 if value is not None:
                     changes[place] = Change(of + place, value, expression)
             acts = any(
-                change.number in varied or kind.changes(change.value, place)
+                change.number in varied or kind.can_change(change.value, place)
                 for place, change in changes.items()
             )
             if acts and of + kind.needs in {of, *numbers}:

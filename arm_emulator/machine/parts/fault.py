@@ -36,11 +36,11 @@ class Fault:
     needs: str = ""
 
     @property
-    def changes_commands(self) -> bool:
+    def can_change_commands(self) -> bool:
         """Whether motors get other commands than were sent, within their limits."""
         return any(place.startswith(("line.", "supply.")) for place in self.sets)
 
-    def changes(self, value: float, place: str) -> bool:
+    def can_change(self, value: float, place: str) -> bool:
         """Return whether it changes the number at a place of `sets` from a value."""
         return value != 0.0 or not self.sets[place].startswith("{x} *")
 

@@ -43,17 +43,17 @@ class PartNumber(Number):
         follows: another key of the part. The number is at least that one, equals it if it is not
             given, and keeps its ratio to it where that one is varied.
         varied: whether a scene may list it as varied, unless it is whole or follows another one.
-        sought: whether identification looks for it: "known" roughly beforehand, from the scene, or
+        prior: whether identification looks for it: "known" roughly beforehand, from the scene, or
             "unknown".
-        shown: what a record must have to show it, in a few words, where not every motion does.
+        excitation: what a record must have to show it, in a few words, where not every motion does.
         absent: what holds where it is left out and its default is None, in a few words.
     """
 
     symbol: str
     follows: str | None = None
     varied: bool = True
-    sought: str = ""
-    shown: str = ""
+    prior: str = ""
+    excitation: str = ""
     absent: str = "none"
 
 
@@ -105,7 +105,7 @@ class Part(Declared):
         return ()
 
     @property
-    def sticks(self) -> bool:
+    def can_stick(self) -> bool:
         """Whether it holds a shaft exactly at rest, up to a breakaway torque."""
         return False
 

@@ -41,7 +41,7 @@ def read_waves(section: Section, key: str, unit: str) -> tuple[Wave, ...]:
         numbers = [*entry, 0.0][:3]
         declared = (_ORDER, Number.within("amplitude", unit, 1e3), _PHASE)
         for number, value in zip(declared, numbers, strict=True):
-            if not number.holds(value):
+            if not number.is_in_range(value):
                 raise section.refusal(
                     key, f"list waves whose {number.name} is a {number.range}", repr(entry)
                 )

@@ -355,5 +355,5 @@ class EnergyFlow(ArrayEquality):
     A motor with different torque and back-EMF constants gets the difference, too.
     """
 
-    given: Array
+    supplied: Array
     dissipated: Array  # in windings, gears and friction

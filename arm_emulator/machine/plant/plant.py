@@ -82,8 +82,8 @@ class Plant(CoreMachine):
         self._added = core is not None and of is None
         N = self._N
         self._shape = (N,)
-        self._held = np.zeros(N)
-        self._held_pointer = pointer(self._held)
+        self._applied = np.zeros(N)
+        self._applied_pointer = pointer(self._applied)
         self._commands = make_commands(scene)
         self._further = np.zeros((len(list_further_inputs(scene)), N))
         self._has_further = len(self._further) > 0
@@ -128,11 +128,11 @@ class Plant(CoreMachine):
     @synchronized
     def __getstate__(self) -> tuple[Any, ...]:
         count = self.ticks.tick
-        return self.save(), count, self._added, self._held.copy(), self.commanded
+        return self.save(), count, self._added, self._applied.copy(), self.commanded
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.restore(state[0])
-        self.ticks.tick, self._added, self._held[:], commands = state[1:]
+        self.ticks.tick, self._added, self._applied[:], commands = state[1:]
         self._commands["value"], self._further[:] = commands[0], commands[1:]
 
     @synchronized
@@ -173,18 +173,18 @@ class Plant(CoreMachine):
             steps = check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
         row = self._as_command(command, "Plant.advance")
         with self.turn:
-            before = self._held.copy()
-            self._held[:] = row
-            advance, machine, applied = self.core.arm_advance, self.machine, self._held_pointer
+            before = self._applied.copy()
+            self._applied[:] = row
+            advance, machine, applied = self.core.arm_advance, self.machine, self._applied_pointer
             result = advance(machine, applied, min(steps, PIECE))
             if result == REFUSED:
-                self._held[:] = before
+                self._applied[:] = before
                 raise self._refusal("Plant.advance", "a number")
             while result == OK and steps > PIECE:
                 steps -= PIECE
                 result = advance(machine, applied, min(steps, PIECE))
             if result == DIVERGED:
-                raise self._diverged(self._held)
+                raise self._diverged(self._applied)
 
     def exchange(
         self, command: Commands, tick: int = -1, *, came: bool = False, **further: Commands
@@ -362,7 +362,7 @@ class Plant(CoreMachine):
             v: its link speeds (N,) [rad/s or m/s].
             applied: commands then (N,) [V, N m, A]; None: those of the last `advance`.
         """
-        final = np.array(self._held if applied is None else applied)
+        final = np.array(self._applied if applied is None else applied)
         values = self.parameters
         varied = tuple(replace(number, value=values[number.name]) for number in self.scene.varied)
         scene = replace(self.scene, varied=varied)
@@ -399,16 +399,16 @@ class Plant(CoreMachine):
         where = "Plant.advance_metered"
         steps = check_count(where, "steps", steps, 0, LARGEST_STEPS)
         ordered = order_by_joint(command, self.scene, where)
-        self._held[:] = ANY_COMMAND.row(where, ordered, self._N)
+        self._applied[:] = ANY_COMMAND.row(where, ordered, self._N)
         total = np.zeros((2, self._N))
         for first in range(0, steps, PIECE):
             out, count = np.zeros((2, self._N)), min(PIECE, steps - first)
-            meter, applied = self.core.arm_advance_metered, self._held_pointer
+            meter, applied = self.core.arm_advance_metered, self._applied_pointer
             result = meter(self.machine, applied, count, pointer(out))
             if result == REFUSED:
                 raise self._refusal(where, "false")
             if result == DIVERGED:
-                raise self._diverged(self._held)
+                raise self._diverged(self._applied)
             total += out
         return EnergyFlow(*total)
 

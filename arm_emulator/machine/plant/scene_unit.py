@@ -125,7 +125,7 @@ def _write_includes(scene: Scene, places: Mapping[str, str]) -> str:
             for header in part.headers(joint.name, places)
         }
     )
-    if scene.sensed:
+    if scene.has_sensor_errors:
         headers.append("mechanics/sensors.hpp")
     if _write_lines(scene, places):
         headers.append("parts/line.hpp")
@@ -138,7 +138,7 @@ def _write_includes(scene: Scene, places: Mapping[str, str]) -> str:
 def _write_sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:
     """Return the quantities that sensors read, and the sensors and lines."""
     read, sensors = "", ""
-    if scene.sensed:
+    if scene.has_sensor_errors:
         read = write_quantities(list_measured_kinds(joint.sensors for joint in scene.joints))
         of_joints = {joint.name: joint.sensors for joint in scene.joints}
         sensors = write_suite(_write_seed(scene, places), of_joints, scene.imus, places)
@@ -204,7 +204,7 @@ def _write_readings(scene: Scene) -> str:
 def _write_coupling(chain: Chain) -> str:
     """Return the coupling of joints and shafts, if there is one."""
     coupling = chain.coupling
-    if coupling.plain:
+    if coupling.is_identity:
         return ""
     rows = ",\n".join(f"      {{{', '.join(map(format_number, row))}}}" for row in coupling.C)
     offsets = ", ".join(map(format_number, coupling.offset))

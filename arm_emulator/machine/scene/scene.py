@@ -106,11 +106,13 @@ class Scene(ArrayEquality, SharedObject):
         return f"<Scene {self.name}: {', '.join(self.joint_names)}>"
 
     @property
-    def sensed(self) -> bool:
+    def has_sensor_errors(self) -> bool:
         """Whether it has sensors with errors."""
         sensors = {part.section for part in SENSOR_PARTS}
         spoiled = any(not sensors.isdisjoint(fault.kind.sections) for fault in self.faults)
-        return bool(self.imus) or spoiled or not all(joint.sensors.plain for joint in self.joints)
+        return (
+            bool(self.imus) or spoiled or not all(joint.sensors.is_ideal for joint in self.joints)
+        )
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -153,7 +155,9 @@ class Scene(ArrayEquality, SharedObject):
 
     def _warn_of_late_events(self) -> Iterator[str]:
         now = self.integrator
-        sticking = [joint.name for joint in self.joints if any(part.sticks for part in joint.parts)]
+        sticking = [
+            joint.name for joint in self.joints if any(part.can_stick for part in joint.parts)
+        ]
         if sticking and now.events != "located" and now.scheme in LOCATING_SCHEMES:
             yield (
                 f"{self.where}: integrator.events is step, but joints stick "

@@ -77,7 +77,7 @@ class SceneLinks:
             self.true_urdf = ET.tostring(self._true_robot, encoding="unicode")
         self.limits = read_limits(self.robot)
         coupling = self.chain.coupling
-        if not coupling.plain:  # a stop of a shaft is where the first of its joints has one
+        if not coupling.is_identity:  # a stop of a shaft is where the first of its joints has one
             of_shafts = read_shaft_limits(self.urdf, coupling.shafts)
             self.limits = {name: of_shafts[name] for name in coupling.apart & of_shafts.keys()}
 

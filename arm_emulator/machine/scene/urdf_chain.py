@@ -139,14 +139,14 @@ def _add_bodies(
     for moved in moving:
         moved.body = (
             bodies.some([links[link] for link in moved.links])
-            .seen_from(
+            .transform(
                 np.array([frame.R for frame in moved.frames]),
                 np.array([frame.p for frame in moved.frames]),
             )
             .sum()
         )
         if payload is not None and tool in moved.links:
-            moved.body += payload.seen_from(moved.frames[moved.links.index(tool)])
+            moved.body += payload.transform(moved.frames[moved.links.index(tool)])
     return moving
 
 
@@ -298,7 +298,7 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
                 sin_alpha=float(-R[1, 2]),
                 theta_0=compute_atan2(-float(R[0, 1]), float(R[0, 0])),
                 p=p,
-                body=moved.body.seen_from(Frame(turned[index].T)),
+                body=moved.body.transform(Frame(turned[index].T)),
                 axes=turned[index].T,
                 links=dict(zip(moved.links, moved.frames, strict=True)),
             )

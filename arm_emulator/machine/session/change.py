@@ -21,7 +21,7 @@ class NumberChange:
     value: float | None
 
     @property
-    def what(self) -> str:
+    def quantity(self) -> str:
         """Its number: of changes of the same, the newest holds."""
         return self.name
 
@@ -39,7 +39,7 @@ class WrenchChange:
     wrench: ExternalWrench
 
     @property
-    def what(self) -> str:
+    def quantity(self) -> str:
         """The wrench on its link: of changes of the same, the newest holds."""
         return f"wrench on {self.link}"
 
@@ -55,7 +55,7 @@ class PowerChange:
     on: bool
 
     @property
-    def what(self) -> str:
+    def quantity(self) -> str:
         """The power: of changes of the same, the newest holds."""
         return "power"
 

@@ -87,7 +87,7 @@ class FirmwareLoop:
         )
 
     @property
-    def stopped(self) -> bool:
+    def is_stopped(self) -> bool:
         """Whether a breakpoint ends runs now."""
         return bool(self._stops(self._plant.ticks))
 

@@ -180,11 +180,11 @@ class RealTimeLoop(Clock, Synchronized):
 
 
 def open_real_time_session(
-    scene: Scene, start: str, *, standing: bool = False, readers: int = 1
+    scene: Scene, start: str, *, inactive: bool = False, readers: int = 1
 ) -> Session:
     """Return a session whose ticks come from the real-time loop, see `Session`."""
 
     def loop(plant: Plant) -> RealTimeLoop:
         return RealTimeLoop(plant, int(plant.ticks.period), scene.cores[0], readers)
 
-    return Session(scene, "realtime", start, loop, standing=standing)
+    return Session(scene, "realtime", start, loop, inactive=inactive)

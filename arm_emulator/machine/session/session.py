@@ -62,7 +62,7 @@ class Session(Synchronized):
             False and then runs free.
         driver: what lets the periods of its plant pass. A loop runs exactly while the phase allows
             to advance.
-        standing: whether time stands until `standing` is set to False, beside `paused`.
+        inactive: whether time stands until `inactive` is set to False, beside `paused`.
 
     Raises:
         Refusal: another clock or start than these.
@@ -75,7 +75,7 @@ class Session(Synchronized):
         start: str,
         driver: Callable[[Plant], Clock] = Clock,
         *,
-        standing: bool = False,
+        inactive: bool = False,
     ) -> None:
         for quantity, value, choices in (("clock", clock, CLOCKS), ("start", start, STARTS)):
             if not isinstance(value, str) or value not in choices:
@@ -89,10 +89,10 @@ class Session(Synchronized):
         self._clock = driver(self.plant)
         self._read = ReadCache(self.plant, is_self_clocked=self._clock.is_self_clocked)
         self._ended = False
-        self._held = False  # between two ticks,
+        self._is_between = False  # between two ticks,
         self._goes_on = False  # after which a loop continues
-        self._start, self._standing = start, standing
-        self._answers = CommandBuffer(scene, self.lockstep)
+        self._start, self._inactive = start, inactive
+        self._command_buffer = CommandBuffer(scene, self.lockstep)
         self.reset()
 
     @synchronized
@@ -144,7 +144,7 @@ class Session(Synchronized):
     def reset(self) -> None:
         """Restart at tick 0, as after construction. Power is unchanged."""
         with self.between_ticks():
-            self._answers.begin(self.tick)
+            self._command_buffer.begin(self.tick)
             self.plant.reset()
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
@@ -163,13 +163,13 @@ class Session(Synchronized):
         self._follow_phase()
 
     @property
-    def standing(self) -> bool:
+    def inactive(self) -> bool:
         """Whether logical time stands still because its owner is not active."""
-        return self._standing
+        return self._inactive
 
-    @standing.setter
-    def standing(self, value: bool) -> None:
-        self._standing = coerce_flag(value, "Session", "standing")
+    @inactive.setter
+    def inactive(self, value: bool) -> None:
+        self._inactive = coerce_flag(value, "Session", "inactive")
         self._follow_phase()
 
     @property
@@ -191,16 +191,16 @@ class Session(Synchronized):
         periods that it has missed are counted.
         """
         self._check_open()
-        if self._held:
+        if self._is_between:
             yield
             return
         self._goes_on = self._clock.running
         self._clock.stop()
-        self._held = True
+        self._is_between = True
         try:
             yield
         finally:
-            self._held = False
+            self._is_between = False
             if self._goes_on and self.may_advance:
                 self._clock.go_on()
             else:
@@ -225,7 +225,7 @@ class Session(Synchronized):
         """Return all that decides how the session goes on, its tick included, for `return_to`."""
         with self.between_ticks():
             fields = {name: getattr(self, name) for name in _PLACE}
-            saved = {"machine": self.plant.save(), "answers": self._answers.save()}
+            saved = {"machine": self.plant.save(), "answers": self._command_buffer.save()}
             return fields | saved | {"tick": self.tick}
 
     @synchronized
@@ -243,7 +243,7 @@ class Session(Synchronized):
         with self.between_ticks():
             self.plant.restore(saved["machine"])
             self.take_note()
-            self._answers.restore(saved["answers"])
+            self._command_buffer.restore(saved["answers"])
             self.plant.ticks.tick = saved["tick"]
             for name in _PLACE:
                 setattr(self, name, saved[name])
@@ -278,7 +278,7 @@ class Session(Synchronized):
             self.take_note()
 
     @synchronized
-    def acts_already(self, link: str, wrench: ExternalWrench) -> bool:
+    def is_acting(self, link: str, wrench: ExternalWrench) -> bool:
         """Return whether this is the wrench that acts, so that setting it would change nothing.
 
         Raises:
@@ -334,20 +334,20 @@ class Session(Synchronized):
         return self.tick * self.period_ns
 
     @property
-    def answered(self) -> bool:
+    def is_answered(self) -> bool:
         """Whether a command that answers this tick is there."""
-        return self._answers.tick == self.tick
+        return self._command_buffer.tick == self.tick
 
     @property
     def phase(self) -> Phase:
         """Present phase."""
         if self.fault is not None:
             return Phase.STOPPED
-        if self._paused or self._standing:
+        if self._paused or self._inactive:
             return Phase.PAUSED
-        if not self._answers.has_command:
+        if not self._command_buffer.has_command:
             return Phase.WAITING if self._start == "first_answer" else Phase.FREE_RUNNING
-        return Phase.WAITING if self.lockstep and not self.answered else Phase.RUNNING
+        return Phase.WAITING if self.lockstep and not self.is_answered else Phase.RUNNING
 
     @property
     def may_advance(self) -> bool:
@@ -379,7 +379,7 @@ class Session(Synchronized):
                 finite or too large.
         """
         self._check_open()
-        rows = self._answers.take(self.tick, tick, joint_names, command, further or {})
+        rows = self._command_buffer.take(self.tick, tick, joint_names, command, further or {})
         self._clock.command(tick, rows[0], rows[1:])
         self._follow_phase()
 
@@ -389,7 +389,7 @@ class Session(Synchronized):
 
         After a `fault`, and only then, tick and state stay as they were.
         """
-        self.advance_under(self._answers.rows, self._answers.tick)
+        self.advance_under(self._command_buffer.rows, self._command_buffer.tick)
 
     @synchronized
     def advance_under(self, command: Array, answered: int = -1, *, came: bool = False) -> None:
@@ -402,7 +402,7 @@ class Session(Synchronized):
                 `measured.applied` reports it: faults of their lines then leave them.
         """
         self._check_open()
-        rows, max_rows = np.atleast_2d(command), 1 + len(self._answers.inputs)
+        rows, max_rows = np.atleast_2d(command), 1 + len(self._command_buffer.inputs)
         if len(rows) > max_rows:
             rule = f"be a row for the command, and at most {max_rows - 1} for further inputs"
             raise Refusal("Session.advance_under", "command", rule, np.shape(command))
@@ -410,7 +410,7 @@ class Session(Synchronized):
             self.fault = EndOfTime()
             return
         try:
-            further = dict(zip(self._answers.inputs, rows[1:], strict=False))
+            further = dict(zip(self._command_buffer.inputs, rows[1:], strict=False))
             self.plant.exchange(rows[0], answered, came=came, **further)
         except Diverged as fault:
             self.fault = fault
@@ -435,12 +435,12 @@ class Session(Synchronized):
             self.fault = fault
         finally:
             self._read.forget()
-            self._answers.put(self.tick - 1, self.plant.commanded)
+            self._command_buffer.put(self.tick - 1, self.plant.commanded)
 
     @property
     def last_tick(self) -> int:
         """The tick at which commands that answer each tick in time do not suffice to go on."""
-        waits = self.lockstep and self.phase is Phase.WAITING and self._answers.has_command
+        waits = self.lockstep and self.phase is Phase.WAITING and self._command_buffer.has_command
         return (END_OF_TIME - 1) // self.period_ns if waits else self.tick
 
     @property
@@ -449,14 +449,14 @@ class Session(Synchronized):
         return self._clock
 
     @property
-    def held(self) -> Array:
+    def zoh_rows(self) -> Array:
         """The newest commands and further inputs, 0 before the first ones (1 + I, N)."""
-        return self._answers.rows
+        return self._command_buffer.rows
 
     @property
-    def answers(self) -> CData:
+    def command_buffer(self) -> CData:
         """``tick_answers *``: code in C that takes commands while no call of this runs."""
-        return self._answers.pointer
+        return self._command_buffer.pointer
 
     @synchronized
     def close(self) -> None:
@@ -496,7 +496,7 @@ class Session(Synchronized):
         return True
 
     def _follow_phase(self) -> None:
-        if self._held:
+        if self._is_between:
             return
         if not self.may_advance:
             self._clock.stop()
@@ -512,7 +512,7 @@ class Session(Synchronized):
             return f"stopped, reset first: {self.fault}"
         if not self.paused:
             return "not paused, pause first"
-        if self.lockstep and self._answers.has_command and not self.answered:
+        if self.lockstep and self._command_buffer.has_command and not self.is_answered:
             return f"no motor command answers tick {self.tick} yet"
         self.advance()
         return "" if self.fault is None else f"stopped: {self.fault}"

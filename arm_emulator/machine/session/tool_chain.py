@@ -34,7 +34,7 @@ class ToolChain:
     def __init__(self, scene: Scene, values: Mapping[str, float] | None = None) -> None:
         chain = scene.chain
         last, frame = chain.place_of(scene.tool)
-        path = chain.way_to(last)[::-1]
+        path = chain.find_path(last)[::-1]
         self._shares = np.ascontiguousarray(chain.coupling.C[path])
         self._joints = TOOL_POSITION.rows("tool_joint", len(path))
         first, stride = self._shares.__array_interface__["data"][0], self._shares.strides[0]

@@ -123,9 +123,9 @@ class Collisions(SharedObject):
                 if touching:
                     yield k
 
-    def drawn(self, rng: np.random.Generator) -> Array:
+    def sample(self, rng: np.random.Generator) -> Array:
         """Return a configuration within the limits (N,)."""
-        return self._arm.drawn(rng)
+        return self._arm.sample(rng)
 
     def moved(self, motions: Array) -> Array:
         """Return how far the parts of each pair move at most, seen from each other [m].
@@ -233,7 +233,7 @@ class Collisions(SharedObject):
         # Numbers, not the pairs: those move when one before them is removed.
         pairs = [(pair.first, pair.second) for pair in self._shapes.collisionPairs]
         rng = np.random.default_rng(0)
-        poses = [self._arm.rest, *(self._arm.drawn(rng) for _ in range(_SAMPLES))]
+        poses = [self._arm.rest, *(self._arm.sample(rng) for _ in range(_SAMPLES))]
         shares = []
         for tested_margin in (0.0, margin):
             self._prepare_tests(tested_margin)

@@ -57,7 +57,7 @@ def find_link_pairs(
     for number in range(samples):
         if number >= _JUDGED and number % _ROUND == 0:
             contacts = _Contacts(arm, [pair for pair in contacts.pairs if not count[pair]])
-        for pair in contacts.at(arm.drawn(rng)):
+        for pair in contacts.at(arm.sample(rng)):
             count[pair] += 1
     for pair, times in count.items():
         if times > _ALWAYS * min(_JUDGED, samples):

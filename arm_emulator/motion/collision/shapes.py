@@ -78,7 +78,7 @@ class CollisionShapes(SharedObject):
         rest: Array = np.where((self.low > 0.0) | (self.high < 0.0), middle, 0.0)
         return rest
 
-    def drawn(self, rng: np.random.Generator) -> Array:
+    def sample(self, rng: np.random.Generator) -> Array:
         """Return a configuration within the limits (N,)."""
         return self.low + (self.high - self.low) * rng.random(len(self.low))
 

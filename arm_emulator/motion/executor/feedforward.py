@@ -57,7 +57,9 @@ class Feedforward:
             arm, outboard = self._arm, self._torques.outboard
             self._load = RestLoad(arm.dry, arm.softness, self._period, outboard)
             self._factor = self._load.factor
-            self._held: Array = np.zeros(len(names))  # by the servo's integrals, N m, negative
+            self._integral_torque: Array = np.zeros(
+                len(names)
+            )  # by the servo's integrals, N m, negative
             self._at_rest: Array | None = None  # announced there, N m
 
     def compute_link_angles(self, q: Array) -> Array:
@@ -86,7 +88,10 @@ class Feedforward:
         if self._arm is None:
             return
         if movable is not None and not movable.all():
-            self._held, self._at_rest = np.where(movable, self._held, 0.0), None  # as the integrals
+            self._integral_torque, self._at_rest = (
+                np.where(movable, self._integral_torque, 0.0),
+                None,
+            )  # as the integrals
             self._load.note_brakes(movable)
             tau = None
         before = self._before
@@ -145,15 +150,15 @@ class Feedforward:
         of the weight, and torques that change without a motion would be wrong evidence to it.
         """
         ends = present.ends
-        tau = arm.over(begins, ends, self._period) + self._held
+        tau = arm.over(begins, ends, self._period) + self._integral_torque
         if not present.rests:
             self._at_rest = None
             return tau - self._load.release_friction(arm.sliding(present.mean))
         weight = arm.over(ends, ends, self._period)
         if self._at_rest is None:
-            self._at_rest = weight + self._held
+            self._at_rest = weight + self._integral_torque
             return tau
-        self._held = self._at_rest - weight
+        self._integral_torque = self._at_rest - weight
         return self._at_rest
 
 

@@ -134,7 +134,7 @@ class TargetGoal(_ToolGoal):
 
     def __init__(self, stamp_ns: int, pose: Pose) -> None:
         self.stamp_ns, self.pose = stamp_ns, pose
-        self._held: Array | None = None
+        self._rest_position: Array | None = None
 
     def begin(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
@@ -146,17 +146,17 @@ class TargetGoal(_ToolGoal):
     def go_on(self, controllers: Controllers, now_ns: int, reference: Reference) -> None:
         """See `Goal`."""
         controllers.leading = None
-        self._held = None
+        self._rest_position = None
         self.begin(controllers, now_ns, reference)
 
     def instruct(self, controllers: Controllers, now_ns: int, q: Array) -> JointSetpoint:
         """See `Goal`."""
-        if self._held is not None:
-            return JointSetpoint(self._held)
+        if self._rest_position is not None:
+            return JointSetpoint(self._rest_position)
         instruction = self._law.update(q, self.pose)
         if self._law.coming is None and self._arrival.is_stalled(now_ns):
             # Eq. (6) would never give up.
-            self._held = q
+            self._rest_position = q
         return instruction
 
     def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:

@@ -14,7 +14,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import VELOCITY
-from arm_emulator.base.validation.joint_order import check_known_joints
+from arm_emulator.base.validation.joint_order import check_joints_exist
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import POSE_ROWS, POSITION_ROWS, Kinematics
 
@@ -100,7 +100,7 @@ def make_joint_command(
         Refusal: unknown or repeated joints, another number of speeds, or not finite ones.
     """
     where, arm_joints = "delta_joint_cmds", kinematics.joint_names
-    check_known_joints(where, names, arm_joints)
+    check_joints_exist(where, names, arm_joints)
     if len(set(names)) != len(names) or not names:
         raise Refusal(where, "joint_names", "name joints, each once", list(names))
     values = _SPEED.row(where, velocities, len(names))

@@ -26,7 +26,7 @@ class PathMonitor:
     def __init__(self, kinematics: Kinematics, poses: Sequence[Pose], tolerance: float) -> None:
         self._kinematics, self._tolerance = kinematics, tolerance
         self._poses = np.array([pose.p_WT for pose in poses])
-        self._way: deque[Array] = deque(maxlen=_LATE)
+        self._path_points: deque[Array] = deque(maxlen=_LATE)
         self._before: Array | None = None
         self._passed = np.full(len(poses), np.inf)  # by the reference
         self._reached = np.full(len(poses), np.inf)  # by the measured tool
@@ -36,15 +36,17 @@ class PathMonitor:
         """Take reference and measured joint angles of a motion period, (N,) each."""
         expected = self._kinematics.forward(q_reference)[1]
         tool = self._kinematics.forward(q)[1]
-        if self._way:
-            passed = measure_distances(self._poses, self._way[-1][None], expected[None])[:, 0]
+        if self._path_points:
+            passed = measure_distances(self._poses, self._path_points[-1][None], expected[None])[
+                :, 0
+            ]
             self._passed = np.minimum(self._passed, passed)
         if self._before is not None:
             reached = measure_distances(self._poses, self._before[None], tool[None])[:, 0]
             self._reached = np.minimum(self._reached, reached)
         self._before = tool
-        self._way.append(expected)
-        path = np.array(self._way)
+        self._path_points.append(expected)
+        path = np.array(self._path_points)
         off = float(
             measure_distances(tool[None], path[:-1], path[1:]).min(
                 initial=np.linalg.norm(tool - expected)

@@ -27,7 +27,7 @@ class _ShapedPeriod:
     end: Reference
     duration: float
     """[s]."""
-    is_end_known: bool
+    has_end: bool
     """Whether `end` was given, not extrapolated."""
     tau: Array | None
 
@@ -105,7 +105,7 @@ class ShapedReference:
         present = self._read(setpoint)
         if self._past and (np.abs(self._past[-1].end.q - present.begin.q) > _APART).any():
             self.restart()
-        if self._past and not self._past[-1].is_end_known:
+        if self._past and not self._past[-1].has_end:
             self._past[-1] = replace(self._past[-1], end=present.begin)
         if present.is_resting and self.is_settled:
             self.restart()

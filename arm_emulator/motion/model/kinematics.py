@@ -114,8 +114,8 @@ class Kinematics(SharedObject):
         self.lower, self.upper = self._read_position_limits()
         rates = read_rate_limits(urdf_xml)
         moved = [rates[name] for name in self.shafts.joints]
-        self.velocity_limit = self.shafts.most(np.array([limit.velocity for limit in moved]))
-        self.acceleration_limit = self.shafts.most(
+        self.velocity_limit = self.shafts.bound(np.array([limit.velocity for limit in moved]))
+        self.acceleration_limit = self.shafts.bound(
             np.array([limit.acceleration for limit in moved])
         )
         # Limit of a drive: a torque of its shaft, whichever joints it moves.

@@ -57,7 +57,7 @@ class RestLoad:
             self._uncertain: Array = _FRICTION * dry + _FINE / softness
         self._period, self._outboard = period, outboard
         self._dry = dry
-        self._held: Array = np.zeros(len(dry))  # by friction at rest, N m
+        self._friction_torque: Array = np.zeros(len(dry))  # by friction at rest, N m
         self._rested = 0.0  # s
 
     def note_motion(self) -> None:
@@ -66,7 +66,7 @@ class RestLoad:
 
     def note_brakes(self, free: npt.NDArray[np.bool_]) -> None:
         """Take note which joints can move (N,): brakes hold the others, or nothing does."""
-        self._held = np.where(free, self._held, 0.0)
+        self._friction_torque = np.where(free, self._friction_torque, 0.0)
         self.note_motion()
 
     def release_friction(self, sliding: Array) -> Array:
@@ -75,8 +75,8 @@ class RestLoad:
         Args:
             sliding: share of its dry friction with which a joint slides (N,), 0 at rest.
         """
-        released = sliding * self._held
-        self._held = self._held - min(1.0, self._period / _TAKEN) * released
+        released = sliding * self._friction_torque
+        self._friction_torque = self._friction_torque - min(1.0, self._period / _TAKEN) * released
         return released
 
     def observe_rest(self, tau: Array, weight: Array) -> None:
@@ -95,5 +95,5 @@ class RestLoad:
             surplus -= min(max(surplus, -uncertain), uncertain)
             factor = expected + surplus * w / (w**2 + uncertain**2)
             factors[j] = min(max(factor, MIN_FACTOR), MAX_FACTOR)
-        self._held = np.clip(tau - self.factor * weight, -self._dry, self._dry)
+        self._friction_torque = np.clip(tau - self.factor * weight, -self._dry, self._dry)
         self.factor = self.factor + min(1.0, self._period / _FOLLOWS) * (factors - self.factor)

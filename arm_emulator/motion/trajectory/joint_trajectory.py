@@ -21,7 +21,7 @@ import numpy.typing as npt
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import ACCELERATION, EFFORT, POSITION, VELOCITY
-from arm_emulator.base.validation.joint_order import check_known_joints
+from arm_emulator.base.validation.joint_order import check_joints_exist
 from arm_emulator.base.validation.number import Number
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.trajectory.joint_curve import find_excess
@@ -309,7 +309,7 @@ def _find_joints(
 ) -> npt.NDArray[np.int64]:
     """Return the index of each name among the arm's joints."""
     places, valid = {name: i for i, name in enumerate(joint_names)}, ", ".join(joint_names)
-    check_known_joints(WHERE, names, joint_names)
+    check_joints_exist(WHERE, names, joint_names)
     if len(set(names)) != len(names) or (needed and not names):
         value = ", ".join(names) or "none"
         raise Refusal(WHERE, "joint_names", "name some joints, each once", value, valid)

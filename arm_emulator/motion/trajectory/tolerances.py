@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.validation.joint_order import check_known_joints
+from arm_emulator.base.validation.joint_order import check_joints_exist
 
 WHERE = "joint_trajectory"
 
@@ -50,7 +50,7 @@ class Allowed:
     ) -> Allowed:
         """Return what control_msgs/JointTolerance makes of it: 0 keeps a value, -1 means any."""
         q, v = self.q.copy(), self.v.copy()
-        check_known_joints(WHERE, values_by_joint, names)
+        check_joints_exist(WHERE, values_by_joint, names)
         for name, values in values_by_joint.items():
             for table, value, unit in ((q, values[0], "rad"), (v, values[1], "rad/s")):
                 if not (value >= 0.0 or value == -1.0):

@@ -37,18 +37,18 @@ class NodeTopics:
     """Topics of a node in lock-step.
 
     Attributes:
-        asked: topic of the messages that it answers.
+        requests: topic of the messages that it answers.
         answered: topic of its answers.
         prompt: topic on which it publishes before it waits for `granted`, with the stamp of what it
             was asked; empty: it never waits.
         granted: topic of the messages for which it waits, with the same stamp.
-        beside: topic of messages that it needs with those of `asked` with the same stamp.
+        beside: topic of messages that it needs with those of `requests` with the same stamp.
         at_first: topic of a message that it needs before all others.
         orders: topics of orders, by their kinds in `motion/status`.
         jogs: topics of orders without a status of their own.
     """
 
-    asked: str
+    requests: str
     answered: str
     prompt: str = ""
     granted: str = ""
@@ -58,9 +58,9 @@ class NodeTopics:
     jogs: tuple[str, ...] = ()
 
     @property
-    def given(self) -> tuple[str, ...]:
+    def inputs(self) -> tuple[str, ...]:
         """Topics that are published to it."""
-        names = (self.asked, self.granted, self.beside, self.at_first, *self.orders.values())
+        names = (self.requests, self.granted, self.beside, self.at_first, *self.orders.values())
         return tuple(name for name in (*names, *self.jogs) if name)
 
 

@@ -80,7 +80,7 @@ class _Duplicate:
     node: str  # its full name
     words: str
     heard_at: float  # s, monotonic
-    seen: bool = False  # by the middleware, which may learn of it a little later
+    is_listed: bool = False  # by the middleware, which may learn of it a little later
 
 
 class DuplicateNodes:
@@ -152,7 +152,7 @@ class DuplicateNodes:
         full = self._node.resolve_topic_name(sign)
         own = sum(publisher.topic_name == full for publisher in self._node.publishers)
 
-        def waits() -> bool:
+        def is_waiting() -> bool:
             listened = time.monotonic() - self._created_at
             if listened < LISTEN or self._find_first():
                 return True
@@ -160,7 +160,7 @@ class DuplicateNodes:
             return unknown and listened < IDENTIFY
 
         executor.spin_once(timeout_sec=0.0)
-        while waits():
+        while is_waiting():
             executor.spin_once(timeout_sec=0.05)
             first = self._find_first()
             if first and alone:
@@ -252,8 +252,8 @@ class DuplicateNodes:
         if mine in there:
             there.remove(mine)
         for started, duplicate in list(self._duplicates.items()):
-            left = duplicate.seen and duplicate.node not in there
-            duplicate.seen = duplicate.node in there
+            left = duplicate.is_listed and duplicate.node not in there
+            duplicate.is_listed = duplicate.node in there
             if left or now - duplicate.heard_at > SILENCE:
                 del self._duplicates[started]
                 node.get_logger().info(f"the other {self._kind} is gone: {duplicate.words}")

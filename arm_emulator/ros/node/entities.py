@@ -78,7 +78,7 @@ class Entities:
         """Return those that have messages."""
         return self._list_ready("subscription", self.subscriptions)
 
-    def timers_alone(self, timers: Collection[Any]) -> bool:
+    def has_only_timers(self, timers: Collection[Any]) -> bool:
         """Return whether nothing is ready but some of these timers."""
         others = ("subscription", "service", "guard_condition")
         if any(self._all.get_ready_entities(kind) for kind in others):

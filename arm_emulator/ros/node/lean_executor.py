@@ -137,7 +137,7 @@ class LeanExecutor:
                 while True:
                     left = until - time.monotonic() if open_ else 0.0
                     entities.wait(left, others, arrivals.guard)
-                    if left <= 0.0 or not entities.timers_alone(beside):
+                    if left <= 0.0 or not entities.has_only_timers(beside):
                         break
                     entities.serve_timers()
             finally:  # a signal ends the wait: what C has done so far is recorded, too

@@ -194,7 +194,7 @@ class NetworkUnderTest:
             lambda: self._client.is_heard(publisher, "motion/status"),
         )
         # Until then trajectories are refused.
-        self._wait("a motion controller that knows the arm", self._is_arm_known)
+        self._wait("a motion controller that knows the arm", self._has_arm)
         number = len(self._targets)
         # The nanoseconds distinguish targets of one time.
         time_ns = round((self.time + AHEAD if at is None else at) * NANOSECONDS) + number
@@ -207,7 +207,7 @@ class NetworkUnderTest:
     def _take_health(self, array: DiagnosticArray) -> None:
         self._health |= {status.name: status for status in array.status}
 
-    def _is_arm_known(self) -> bool:
+    def _has_arm(self) -> bool:
         health = self._health.get("motion_controller")
         return "motion_controller" not in self._ours or (
             health is not None and health.message not in ("starting", NO_DESCRIPTION)

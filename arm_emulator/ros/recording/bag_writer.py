@@ -59,7 +59,7 @@ class BagWriter:
     def __init__(self, folder: Path, about: Mapping[str, str] | None = None) -> None:
         self.folder = folder
         self._about = {ARITHMETIC_OF: ARITHMETIC, **(about or {})}
-        self.whole = False
+        self.is_complete = False
         self._file = folder / f"{folder.resolve().name}_0.mcap"
         self._topics: dict[int, Topic] = {}
         self._schemas: dict[str, int] = {}
@@ -167,7 +167,7 @@ class BagWriter:
                 flush_to_disk(self._stream.fileno())
                 self._stream.close()
                 _write_metadata(self.folder, metadata)
-            self.whole = True
+            self.is_complete = True
         except (OSError, MemoryError):
             with contextlib.suppress(OSError):  # closed anyway
                 self._stream.close()
@@ -210,7 +210,7 @@ class BagWriter:
                 # The reserve of the metadata, which are short by now.
                 os.truncate(self.folder / UNFINISHED, SHORT_METADATA)
                 repair(self.folder)
-            self.whole = True
+            self.is_complete = True
         repaired: dict[str, Topic] = {}
         with contextlib.suppress(OSError, Refusal, MemoryError):
             bag = Bag(self.folder)

@@ -45,7 +45,7 @@ class ReplayResult:
     """Answers of a node to a bag.
 
     Attributes:
-        asked: messages that needed an answer.
+        requested: messages that needed an answer.
         answered: those that got one.
         missing: where the first ones did not, in words.
         alike: answers with the recorded numbers.
@@ -53,7 +53,7 @@ class ReplayResult:
         digest: of all answers' numbers.
     """
 
-    asked: int = 0
+    requested: int = 0
     answered: int = 0
     missing: list[str] = field(default_factory=list)
     alike: int = 0
@@ -71,7 +71,7 @@ class _Stamped:
             self._places.setdefault(key, []).append(place)
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether messages were taken, up to the last one."""
         return 0 < len(self._messages) == self._next
 
@@ -112,7 +112,7 @@ class CausalReplay:
             valid = "bags of `record`, and of `up --record` of this version"
             raise Refusal(self._where, "the bag", "have one topic joint_targets", actual, valid)
         self._namespace = ends[0].removesuffix("joint_targets")
-        for topic in filter(None, (self._topics.asked, self._topics.at_first)):
+        for topic in filter(None, (self._topics.requests, self._topics.at_first)):
             if self._count(topic) == 0:
                 raise Refusal(self._where, "the bag", f"have messages on {topic}", "none")
         self._result = ReplayResult()
@@ -136,13 +136,13 @@ class CausalReplay:
         """
         topics, result = self._topics, self._result
         self._connect(wait, report)
-        begin = next(self._read_recorded(topics.asked)).published
+        begin = next(self._read_recorded(topics.requests)).published
         recorded = self._index_by_stamp(topics.answered, attrgetter("key"), begin)
         granted = self._index_by_stamp(topics.granted, attrgetter("stamp"), begin)
         beside = self._index_by_stamp(topics.beside, attrgetter("stamp"), begin)
         before: int | None = None
         end = math.inf  # stamp [ns] from which on the node waits for what the bag does not have
-        for request in self._read_recorded(topics.asked):
+        for request in self._read_recorded(topics.requests):
             key, stamp = request.key, request.stamp
             if key == before:
                 continue  # it was published again
@@ -154,20 +154,20 @@ class CausalReplay:
             if topics.beside and (data := beside.take(stamp)) is not None:
                 self._publishers[topics.beside].publish(data)
             # No motion period begins here, or the recorder ended before the answer.
-            if expected is None and (recorded.over if topics.granted else True):
-                self._publishers[topics.asked].publish(request.data)
+            if expected is None and (recorded.is_over if topics.granted else True):
+                self._publishers[topics.requests].publish(request.data)
                 continue
             if end <= stamp < end + granted.period:
                 continue
-            result.asked += 1
+            result.requested += 1
             if len(result.missing) < MISSING_LIMIT:
                 grant = granted.take(stamp)
                 # The recorder may end before the last message for which the node waits.
-                ends = grant is None and granted.over
+                ends = grant is None and granted.is_over
                 answer = self._ask_node(request, grant, ends)
                 if answer is None and ends and stamp in self._prompts:
                     end = stamp
-                    result.asked -= 1
+                    result.requested -= 1
                 else:
                     self._judge(request, answer, expected)
             self._give_orders(stamp, request.published)
@@ -219,7 +219,7 @@ class CausalReplay:
             return []
         starts: list[int] = []  # of the runs, wall time [ns]
         before = math.inf
-        for request in self._read_recorded(self._topics.asked):
+        for request in self._read_recorded(self._topics.requests):
             if request.key < before:
                 starts.append(request.published)
             before = request.key
@@ -260,7 +260,7 @@ class CausalReplay:
 
     def _connect(self, wait: bool, report: Callable[[str], None]) -> None:
         node, topics = self._node, self._topics
-        for topic in topics.given:
+        for topic in topics.inputs:
             if self._count(topic):
                 qos = DESCRIPTION_QOS if topic == topics.at_first else COMMAND_QOS
                 kind = get_message_class(TYPES[topic])
@@ -272,20 +272,20 @@ class CausalReplay:
             self._subscribe(topics.prompt, lambda message: self._prompts.add(_get_stamp(message)))
         if topics.orders:
             self._subscribe(STATUS, self._statuses.append)
-        needed = [self._publishers[topic] for topic in (topics.asked, topics.granted) if topic]
+        needed = [self._publishers[topic] for topic in (topics.requests, topics.granted) if topic]
         answered = self._get_full_name(topics.answered)
 
-        def ready() -> bool:
+        def is_ready() -> bool:
             there = all(publisher.get_subscription_count() for publisher in needed)
             return there and node.count_publishers(answered) > 0
 
         reported = False
-        while not node.spin_until(ready, DISCOVERY):
+        while not node.spin_until(is_ready, DISCOVERY):
             if not wait:
                 rule = f"be taken by a {self._name}, which publishes {answered}"
                 valid = "start it in the same ROS_DOMAIN_ID, without an emulator"
                 actual = f"none in {DISCOVERY:g} s"
-                raise Refusal("replay", self._get_full_name(topics.asked), rule, actual, valid)
+                raise Refusal("replay", self._get_full_name(topics.requests), rule, actual, valid)
             if not reported:
                 report(f"waiting for a {self._name}")
                 reported = True
@@ -323,10 +323,10 @@ class CausalReplay:
                 as it waits.
         """
         topics, key, stamp = self._topics, request.key, request.stamp
-        publisher, granted_once, again = self._publishers[topics.asked], False, False
+        publisher, granted_once, again = self._publishers[topics.requests], False, False
         self._received.clear()
 
-        def answered() -> bool:
+        def is_answered() -> bool:
             nonlocal granted_once
             # A servo of another kind may not report that it waits.
             if granted is not None and not granted_once and (stamp in self._prompts or again):
@@ -340,7 +340,7 @@ class CausalReplay:
 
         for _ in range(round(PATIENCE / RESEND)):
             publisher.publish(request.data)
-            if self._node.spin_until(answered, RESEND):
+            if self._node.spin_until(is_answered, RESEND):
                 self._prompts.clear()
                 return self._received.pop(0)
             if ends and stamp in self._prompts:
@@ -383,12 +383,12 @@ class CausalReplay:
         if not order.kind:
             return
 
-        def taken() -> bool:
+        def is_taken() -> bool:
             return any(
                 status.kind == order.kind and status.state in _TAKEN for status in self._statuses
             )
 
-        self._node.spin_until(taken, PATIENCE)
+        self._node.spin_until(is_taken, PATIENCE)
 
 
 @dataclass(frozen=True)

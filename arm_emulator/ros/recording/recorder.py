@@ -103,7 +103,7 @@ def record(
     lost = "" if node is None else node.lost
     refused: Refusal | None = None
     if failure is not None:
-        cure = None if bag.whole else f"make room, then `arm_emulator repair {out}`"
+        cure = None if bag.is_complete else f"make room, then `arm_emulator repair {out}`"
         refused = Refusal("record", f"folder {out}", "accept the recorded messages", failure, cure)
     report(Recorded(count, written, bag.seconds, lost, refused))
     code = 2 if failure is not None else 1 if lost else 0
@@ -133,7 +133,7 @@ class _Recorder(Node):
         self._from_start = from_start
         self._end_requested = end_requested
         self._selected = None if topics is None else {self.resolve_topic_name(t) for t in topics}
-        self._seen_topics: set[str] = set()
+        self._visited_topics: set[str] = set()
         self._numbered: dict[str, Numbered] = {}  # by topic
         self._writers: dict[Any, Callable[[CData], None]] = {}  # by subscription
         get_middleware()  # before the first message
@@ -189,7 +189,7 @@ class _Recorder(Node):
     def _find_topics(self) -> None:
         for name, types in self.get_topic_names_and_types():
             hidden = any(part.startswith("_") for part in name.split("/"))
-            if name in self._seen_topics or (
+            if name in self._visited_topics or (
                 hidden if self._selected is None else name not in self._selected
             ):
                 continue
@@ -202,7 +202,7 @@ class _Recorder(Node):
                 publisher for publisher in publishers if publisher.node_name != self.get_name()
             ]
             if others:
-                self._seen_topics.add(name)
+                self._visited_topics.add(name)
                 self._subscribe_to(name, types[0], others)
 
     def _subscribe_to(self, name: str, kind: str, publishers: list[Any]) -> None:

@@ -66,7 +66,7 @@ class RunRecord:
         words = []
         if self._failure is not None:
             words.append(_describe_failure(self._failure))
-        if self._finished and not self._bag.whole:
+        if self._finished and not self._bag.is_complete:
             words.append(f"it needs room, and `arm_emulator repair {self._folder}`")
         if self.dropped:
             words.append(f"{self.dropped} messages were dropped, the disk is too slow")

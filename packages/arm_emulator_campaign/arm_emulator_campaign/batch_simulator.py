@@ -69,7 +69,7 @@ class BatchSimulator:
         self._scene = scene = campaign.scene
         self._names = [number.name for number in campaign.variation.numbers]
         self._numbers = {number.name: (k, number.number) for k, number in enumerate(scene.varied)}
-        self._seed = self._numbers["seed"][0] if scene.sensed else None
+        self._seed = self._numbers["seed"][0] if scene.has_sensor_errors else None
         self._own = np.array([number.value for number in scene.varied], np.float64)
         sampler, kernels = _choose_sampler(device)
         self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)

@@ -187,7 +187,7 @@ def _find_margin(campaign: Campaign) -> tuple[Window, Formula]:
     """Return the requirement of the search, and what shall always hold."""
     assert campaign.search is not None
     name, where = campaign.search.of, campaign.where
-    if not campaign.scene.sensed:
+    if not campaign.scene.has_sensor_errors:
         rule = "have noise, with which forks of a run differ"
         raise Refusal(where, "search.method", rule, "a scene whose sensors have no errors")
     text, quantity = campaign.requirements[name], f"requirements.{name}"

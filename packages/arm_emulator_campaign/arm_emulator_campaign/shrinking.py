@@ -201,7 +201,7 @@ def _make_campaign(campaign: Campaign, shrunk: Shrunk, folder: Path) -> dict[str
     }
     data["faults"] = {name: campaign.data["faults"][name] for name in shrunk.faults} | noise
     vary = dict(shrunk.changes)
-    if campaign.scene.sensed and "seed" not in vary:
+    if campaign.scene.has_sensor_errors and "seed" not in vary:
         vary["seed"] = shrunk.case.seed
     data |= {"vary": vary, "count": 1}
     return {key: value for key, value in data.items() if value not in ({}, None)}

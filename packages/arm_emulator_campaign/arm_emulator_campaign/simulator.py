@@ -51,7 +51,7 @@ class Simulator:
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
         self._parameters = {number.name for number in campaign.scene.varied}
-        self._sensed = campaign.scene.sensed
+        self._sensed = campaign.scene.has_sensor_errors
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()

@@ -30,7 +30,7 @@ def description(scene: Scene, compiled: str) -> str:
     Raises:
         Refusal: a scene with couplings, whose drives are not those of its joints.
     """
-    if not scene.chain.coupling.mimics:
+    if not scene.chain.coupling.is_mimic:
         rule = "have no couplings but joints that follow one other joint each"
         valid = "`locked` joints, or a drive for each (without `couplings`)"
         raise Refusal("ros2-control", "scene", rule, scene.where, valid)
@@ -97,7 +97,7 @@ def controllers(scene: Scene) -> str:
         "command_interfaces": ["position"],
         "state_interfaces": ["position", "velocity"],
     }
-    if scene.chain.forks:  # a planner of one arm names its joints alone
+    if scene.chain.is_branched:  # a planner of one arm names its joints alone
         trajectory["allow_partial_joints_goal"] = True
     nodes = {"controller_manager": manager, TRAJECTORY_CONTROLLER: trajectory}
     parameters = {name: {"ros__parameters": node} for name, node in nodes.items()}

@@ -120,7 +120,7 @@ def test_it_swings_as_its_eigenvalues_state() -> None:
         figure for figure in loops.figures if figure.loop is Loop.TORQUE and figure.joint == 0
     ]
     (loop,) = [loop for loop in torque if not loop.braked and not loop.alike]
-    assert not loop.holds and loop.swing > 1.01
+    assert not loop.is_stable and loop.swing > 1.01
     # Its own drives, asked for the mode behind the dictionary's back.
     drives = enabled(scene, servo, withheld=True)
     drives.write(0, 0x6071, 0)
@@ -295,4 +295,4 @@ def test_modes_are_those_of_cia_402_and_of_the_dictionary() -> None:
     }
     (supported,) = (entry for entry in list_entries() if entry.index == 0x6502)
     assert supported.standard == sum(1 << mode.number - 1 for mode in modes())
-    assert isinstance(LoopFigure.holds, property)
+    assert isinstance(LoopFigure.is_stable, property)

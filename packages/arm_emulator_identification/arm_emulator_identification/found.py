@@ -158,16 +158,16 @@ def list_unfitted(scene: Scene, unknowns: Sequence[Unknown], is_requested: Calla
                 if value is None or name in fitted_names or not is_requested(name):
                     continue
                 beside = tuple(name for name in own_names if name.rpartition(".")[2] == key)
-                if number.sought and value and beside:
+                if number.prior and value and beside:
                     numbers.append(
                         Found(name, number.unit, value, value, np.nan, False, mixed=beside)
                     )
-                elif number.shown and number.sought:
+                elif number.excitation and number.prior:
                     left = "held: 0 in the scene, which has no relative deviation"
                     numbers.append(Found(name, number.unit, value, value, np.nan, False, left=left))
-                elif number.shown:
+                elif number.excitation:
                     numbers.append(
-                        Found(name, number.unit, value, value, np.nan, False, shown=number.shown)
+                        Found(name, number.unit, value, value, np.nan, False, shown=number.excitation)
                     )
     return numbers
 

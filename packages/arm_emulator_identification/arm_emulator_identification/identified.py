@@ -310,4 +310,4 @@ def rotate_to_links(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
         bodies: of its chain, in the core's frames.
     """
     pairs = zip(scene.chain.links, bodies, strict=True)
-    return {joint.link: body.seen_from(Frame(joint.axes.T)) for joint, body in pairs}
+    return {joint.link: body.transform(Frame(joint.axes.T)) for joint, body in pairs}

@@ -88,7 +88,7 @@ def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoad
             widths = before * [trust if is_requested(name) else FIXED for name in numbers]
             values, off = _Loop(j, joint, run, motion).fit(loads, before, widths)
         loop_kind = next(
-            part.numbers()[key].shown for part, key in numbers.values() if part.loop_keys
+            part.numbers()[key].excitation for part, key in numbers.values() if part.loop_keys
         )
         for k, (name, (part, key)) in enumerate(numbers.items()):
             if is_requested(name):

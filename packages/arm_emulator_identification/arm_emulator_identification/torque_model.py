@@ -130,7 +130,7 @@ class TorqueModel:
             torque, speed = typical[0] * per, typical[1] / per
             for key in piece.keys:
                 number, value = part.numbers()[key], float(getattr(part, key))
-                if number.sought == "unknown":
+                if number.prior == "unknown":
                     width = UNKNOWN * (torque / speed if number.unit == "N m s/rad" else torque)
                 else:
                     width = trust * abs(value)
@@ -141,7 +141,7 @@ class TorqueModel:
                     low, high = (0.0, high) if value > 0.0 else (low, 0.0)
                 name = f"{place}.{part.section}.{key}"
                 self.unknowns.append(
-                    Unknown(name, number.unit, value, width, low, high, number.shown)
+                    Unknown(name, number.unit, value, width, low, high, number.excitation)
                 )
             self.pieces.append(piece)
 
@@ -214,12 +214,12 @@ def _choose_keys(joint: Joint) -> dict[str, list[str]]:
     ranked = sorted(joint.parts, key=lambda part: part.shaft != "rotor")
     keys = dict[str, list[str]]()
     for key in {key: None for part in ranked for key in part.numbers()}:
-        having = [part for part in ranked if key in part.numbers() and part.numbers()[key].sought]
+        having = [part for part in ranked if key in part.numbers() and part.numbers()[key].prior]
         having = [part for part in having if getattr(part, key) is not None]
         if not having:
             continue
         part_with_value = next((part for part in having if getattr(part, key)), having[0])
-        if getattr(part_with_value, key) or part_with_value.numbers()[key].sought == "unknown":
+        if getattr(part_with_value, key) or part_with_value.numbers()[key].prior == "unknown":
             keys.setdefault(part_with_value.section, []).append(key)
     return keys
 

@@ -229,7 +229,7 @@ def test_a_calibrated_controller_reaches_its_poses(
     scene, gains = load_scene(file), load_gains(file)
     joints = PoseModel(scene.urdf, scene.joint_names, scene.tool).displaced
     deviations = draw_deviations(joints, np.random.default_rng(5))
-    numbers = {name: deviation.given for name, deviation in deviations.items()}
+    numbers = {name: deviation.nonzero for name, deviation in deviations.items()}
     numbers["elbow"] |= {"encoder_zero": 2e-3}
     deviating = load_scene(file, {"calibration": {"joints": numbers}})
     out = tmp_path / "found.yaml"

@@ -53,7 +53,7 @@ def relative(actual: np.ndarray, expected: np.ndarray) -> float:
 def test_random_trees_equal_pinocchio(tmp_path: Path, seed: int, joints: int) -> None:
     """M, nle, accelerations and energy; revolute and prismatic joints about any axis."""
     scene = random_tree(tmp_path, seed, joints, gravity=GRAVITY)
-    assert scene.chain.forks, "the draw is a chain"
+    assert scene.chain.is_branched, "the draw is a chain"
     plant, oracle, rng = Plant(scene), Oracle(scene), np.random.default_rng(seed)
     q, v, tau = rng.normal(size=(3, STATES, joints)) * np.array([2.0, 3.0, 30.0])[:, None, None]
     M, nle = plant.links.mass_matrix(q), plant.links.nle(q, v)
@@ -63,7 +63,7 @@ def test_random_trees_equal_pinocchio(tmp_path: Path, seed: int, joints: int) ->
         assert relative(nle[k], oracle.nle(q[k], v[k])) < TOLERANCE, "nonlinear effects"
         assert relative(a[k], oracle.aba(q[k], v[k], tau[k])) < TOLERANCE, "accelerations"
     apart = np.array(
-        [[i not in scene.chain.way_to(j) and j not in scene.chain.way_to(i)
+        [[i not in scene.chain.find_path(j) and j not in scene.chain.find_path(i)
           for j in range(joints)] for i in range(joints)]
     )  # fmt: skip
     assert (M[:, apart] == 0.0).all(), "joints of different branches do not feel each other"
@@ -137,7 +137,7 @@ def test_a_wrench_acts_on_the_path_to_its_link_alone(tmp_path: Path) -> None:
         J, R = oracle.jacobian(q, joint.link)
         expected = J.T @ np.concatenate([force, moment + np.cross(R @ point, force)])
         assert actual == pytest.approx(expected, abs=1e-12), "J^T w"
-        beside = [k for k in range(4) if k not in scene.chain.way_to(j)]
+        beside = [k for k in range(4) if k not in scene.chain.find_path(j)]
         assert (expected[beside] == 0.0).all() and np.abs(actual[beside]).max(initial=0.0) < 1e-13
 
 

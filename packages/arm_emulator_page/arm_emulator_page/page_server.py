@@ -142,7 +142,7 @@ class Guard:
         folders = path.partition("?")[0].split("/")
         if not (path[:1] == "/" and path.isascii() and path.isprintable()) or ".." in folders:
             return RequestVerdict(HTTPStatus.BAD_REQUEST, "the path of the request is malformed")
-        if not self._address.is_asked_by(hostname):
+        if not self._address.is_requested_by(hostname):
             reason = "the page is not asked for by its own address"
             return RequestVerdict(HTTPStatus.FORBIDDEN, reason)
         if not own:

@@ -53,7 +53,7 @@ class DriveStage(Part):
         """Refuse a motor with which it is incompatible."""
         if self.needs_circuit and motor.circuit is None:
             rule = "belong to a motor that has an inductance (dc, pmsm)"
-            at_once = " without one" if motor.follows_speed_at_once else ""
+            at_once = " without one" if motor.has_algebraic_current else ""
             raise joint.refusal(self.section, rule, motor.kind + at_once)
 
     def wrap_motor(self, motor: Motor, inner: CxxMotor, own: str, supply: Supply) -> CxxMotor:

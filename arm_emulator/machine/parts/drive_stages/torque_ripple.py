@@ -58,7 +58,7 @@ class TorqueRipple(DriveStage):
             )
 
     def check_motor(self, motor: Motor, joint: Section) -> None:  # noqa: D102
-        if motor.follows_speed_at_once:
+        if motor.has_algebraic_current:
             rule = "come with an inductance: the current would follow each wave at once"
             raise joint.refusal(self.section, rule, "none")
 

@@ -104,7 +104,7 @@ class Winding(DriveStage):
         if not motor.has_winding:
             rule = "belong to a motor that has a resistance"
             raise joint.refusal(self.section, rule, motor.kind, "dc, pmsm")
-        if motor.follows_speed_at_once:
+        if motor.has_algebraic_current:
             rule = "come with an inductance: the current would follow the temperature at once"
             raise joint.refusal(self.section, rule, "none")
 

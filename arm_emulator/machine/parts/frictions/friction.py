@@ -23,10 +23,10 @@ class Friction(Part):
     named_by: ClassVar[tuple[str, ...]] = ()  # keys of friction of this kind, beside these three
 
     viscous: float = number(
-        "Dv", "N m s/rad", at_least=0.0, sought="unknown", default=0.0, text="Dv, per speed"
+        "Dv", "N m s/rad", at_least=0.0, prior="unknown", default=0.0, text="Dv, per speed"
     )
     coulomb: float = number(
-        "Dc", "N m", at_least=0.0, sought="unknown", default=0.0, text="Dc, while the shaft turns"
+        "Dc", "N m", at_least=0.0, prior="unknown", default=0.0, text="Dc, while the shaft turns"
     )
     breakaway: float = number(
         "Ds",
@@ -54,7 +54,7 @@ class Friction(Part):
         return self.viscous * motion.speed + self.sliding(motion) * np.sign(motion.speed)
 
     @property
-    def sticks(self) -> bool:  # noqa: D102
+    def can_stick(self) -> bool:  # noqa: D102
         return self.coulomb > 0.0
 
     def check(self, section: Section) -> None:  # noqa: D102

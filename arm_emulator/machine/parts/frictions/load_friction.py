@@ -39,7 +39,7 @@ SLOWLY_DRIVEN = f"the link driving the motor in {SLOW}"
 def _declare_optional(
     symbol: str,
     text: str,
-    shown: str,
+    excitation: str,
     *,
     unit: str = "N m/(N m)",
     ends: Ends = (0.0, 10.0),
@@ -47,7 +47,14 @@ def _declare_optional(
 ) -> Any:
     """Return a number that a scene may leave out; arguments as of `number`."""
     return number(
-        symbol, unit, ends=ends, sought="known", shown=shown, default=None, absent=absent, text=text
+        symbol,
+        unit,
+        ends=ends,
+        prior="known",
+        excitation=excitation,
+        default=None,
+        absent=absent,
+        text=text,
     )
 
 
@@ -66,8 +73,8 @@ class LoadFriction(Friction):
         "vs",
         "rad/s",
         above=0.0,
-        sought="known",
-        shown=SLOW,
+        prior="known",
+        excitation=SLOW,
         default=None,
         absent="Coulomb friction",
         text="vs, see [Stribeck friction](stribeck.md)",
@@ -76,8 +83,8 @@ class LoadFriction(Friction):
         "mu",
         "N m/(N m)",
         ends=(0.0, 10.0),
-        sought="known",
-        shown=UNDER_LOAD,
+        prior="known",
+        excitation=UNDER_LOAD,
         default=0.0,
         text="mu",
     )
@@ -197,7 +204,7 @@ class LoadFriction(Friction):
         return np.asarray(np.abs((of_motor or 0.0) * A + of_gear * T))
 
     @property
-    def sticks(self) -> bool:  # noqa: D102
+    def can_stick(self) -> bool:  # noqa: D102
         numbers = (self.coulomb, self.load, *(getattr(self, key) for key in DIRECTED[:-1]))
         return any(value is not None and value > 0.0 for value in numbers)
 

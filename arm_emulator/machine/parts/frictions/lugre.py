@@ -19,7 +19,7 @@ class LuGre(JointEffect):
     header = "frictions/lugre.hpp"
     cxx = "LuGre"
 
-    coulomb: float = number("Dc", "N m", above=0.0, sought="unknown", text="Dc, sliding fast")
+    coulomb: float = number("Dc", "N m", above=0.0, prior="unknown", text="Dc, sliding fast")
     breakaway: float = number(
         "Ds", "N m", follows="coulomb", default=0.0, text="Ds, sliding slowly"
     )

@@ -31,7 +31,7 @@ class Stribeck(Friction):
         "vs",
         "rad/s",
         above=0.0,
-        sought="known",
+        prior="known",
         text="vs: speed at which 63 % of the fall from Ds to Dc has happened",
     )
 

@@ -47,10 +47,10 @@ class Hysteresis(GearStage):
     loop_keys = ("torque", "twist")
 
     torque: float = number(
-        "F", "N m", above=0.0, shown=TWISTED, text="F at the link, when all elements slip"
+        "F", "N m", above=0.0, excitation=TWISTED, text="F at the link, when all elements slip"
     )
     twist: float = number(
-        "twist", "rad", above=0.0, shown=TWISTED, text="at the link, beyond which all slip"
+        "twist", "rad", above=0.0, excitation=TWISTED, text="at the link, beyond which all slip"
     )
     elements: int = 4
 

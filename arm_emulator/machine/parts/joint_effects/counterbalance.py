@@ -43,7 +43,7 @@ class Counterbalance(JointEffect):
         "F0",
         "N",
         ends=(-1e7, 1e7),
-        sought="known",
+        prior="known",
         text="F0, at the length `length`; > 0 pushes, < 0 pulls",
     )
     length: float = number("l0", "m", above=0.0, at_most=200.0, text="l0")
@@ -51,7 +51,7 @@ class Counterbalance(JointEffect):
         "k",
         "N/m",
         at_least=0.0,
-        sought="known",
+        prior="known",
         default=0.0,
         text="k: growth of the force per metre of compression",
     )

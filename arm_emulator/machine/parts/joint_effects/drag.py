@@ -24,7 +24,7 @@ class Drag(JointEffect):
         "c",
         "N m s2/rad2",
         at_least=0.0,
-        sought="unknown",
+        prior="unknown",
         text="c; of a part of the area A at the distance r: about 0.5 rho cd A r^3",
     )
 

@@ -140,6 +140,6 @@ def _read(section: Section, number: Number) -> tuple[float, ...]:
     if not MIN_POINTS <= len(entries) <= MAX_POINTS:
         raise section.refusal(number.name, rule, len(entries))
     for entry in entries:
-        if not number.holds(entry):
+        if not number.is_in_range(entry):
             raise section.refusal(number.name, rule, repr(entry))
     return tuple(map(float, entries))  # type: ignore[arg-type]

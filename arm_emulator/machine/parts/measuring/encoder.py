@@ -235,7 +235,7 @@ class Encoder(Part):
         return () if self.index == INDICES[0] else self.outputs
 
     @property
-    def plain(self) -> bool:
+    def is_ideal(self) -> bool:
         """Whether it reports exact counts of the shaft only."""
         return self == type(self)(counts_per_turn=self.counts_per_turn, turn=self.turn)
 

@@ -96,10 +96,10 @@ class JointSensors:
         return next((sensor for sensor in self.analog if isinstance(sensor, CurrentSensor)), None)
 
     @property
-    def plain(self) -> bool:
+    def is_ideal(self) -> bool:
         """Whether its only sensor is an exact encoder at the motor."""
         return not self.parts or (
-            self.encoder is not None and self.parts.keys() == {"encoder"} and self.encoder.plain
+            self.encoder is not None and self.parts.keys() == {"encoder"} and self.encoder.is_ideal
         )
 
 

@@ -67,7 +67,7 @@ class DcMotor(Motor):
         return "arm::DcMotor" if self.current_limit is None else "arm::LimitedDcMotor"
 
     @property
-    def follows_speed_at_once(self) -> bool:  # noqa: D102
+    def has_algebraic_current(self) -> bool:  # noqa: D102
         return self.inductance == 0.0
 
     @property

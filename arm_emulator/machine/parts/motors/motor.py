@@ -72,7 +72,7 @@ class Rating:
 def declare_rotor_inertia() -> Any:
     """Return the declaration of the inertia of a motor's rotor."""
     text = "Mm, rotor and primary side of the gear"
-    return number("Mm", "kg m2", above=0.0, sought="known", text=text)
+    return number("Mm", "kg m2", above=0.0, prior="known", text=text)
 
 
 class Motor(Part):
@@ -149,7 +149,7 @@ class Motor(Part):
         return places.get(f"joints.{joint}.{self.section}.open")
 
     @property
-    def follows_speed_at_once(self) -> bool:
+    def has_algebraic_current(self) -> bool:
         """Whether its current follows the speed without delay: it has no inductance."""
         return False
 

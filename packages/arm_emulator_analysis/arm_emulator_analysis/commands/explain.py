@@ -176,7 +176,7 @@ def _print(scene: Scene, now: Explanation) -> None:
         _print_table(
             "power [W]",
             names,
-            {"supplied": now.flow.given, "dissipated": now.flow.dissipated},
+            {"supplied": now.flow.supplied, "dissipated": now.flow.dissipated},
         )
     for title, terms in (("link", now.terms.link), ("rotor", now.terms.rotor)):
         table = np.array(list(terms.values()))
@@ -216,7 +216,7 @@ def _list_facts(scene: Scene, now: Explanation) -> dict[str, Any]:
         "powered": now.powered,
         "orders": now.orders or None,
         **{key: by_joint(row) for key, row in now.rows.items()},
-        "supplied": None if now.flow is None else by_joint(now.flow.given),
+        "supplied": None if now.flow is None else by_joint(now.flow.supplied),
         "dissipated": None if now.flow is None else by_joint(now.flow.dissipated),
         "torques_on_links": {name: by_joint(row) for name, row in now.terms.link.items()},
         "torques_on_rotors": {name: by_joint(row) for name, row in now.terms.rotor.items()},

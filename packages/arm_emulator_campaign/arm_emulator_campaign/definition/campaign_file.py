@@ -371,7 +371,7 @@ def _load_varied_scene(
         of_faults |= dict.fromkeys(kind.sets(section), section)
     varied += of_faults
     scene = _load_changed_scene(file, overrides, root.where)
-    if scene.sensed:
+    if scene.has_sensor_errors:
         varied.append("seed")
         overrides = {"seed": scene.seed} | overrides
     if not patterns and not varied:

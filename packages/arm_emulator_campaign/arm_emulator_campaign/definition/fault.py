@@ -75,7 +75,7 @@ class Fault:
         own = list_numbers(type(self))
         for (key, *place), value in numbers:
             bound = self.vectors.get(key) if place else own.get(key)
-            if bound is None or not bound.holds(value):
+            if bound is None or not bound.is_in_range(value):
                 return None
             if place:
                 entries = list(changed.get(key) or getattr(self, key))
@@ -131,7 +131,7 @@ def schedule_changes(
     changes: list[tuple[int, Change]] = []
     for tick, fault, begins_now in sorted(ended + begun, key=lambda event: event[0]):
         change = fault.begins(scene)
-        same = active_by_quantity.setdefault(change.what, [])
+        same = active_by_quantity.setdefault(change.quantity, [])
         if begins_now:
             same.append((fault, change))
         else:

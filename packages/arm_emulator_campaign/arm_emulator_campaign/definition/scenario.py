@@ -155,7 +155,7 @@ def _read_points(section: Section, key: str) -> Array:
         return np.array([section.vector(bound)])
     points = section.entries(key)
     fits = 1 <= len(points) <= MAX_POINTS and all(
-        isinstance(point, list) and len(point) == 3 and all(map(bound.holds, point))
+        isinstance(point, list) and len(point) == 3 and all(map(bound.is_in_range, point))
         for point in points
     )
     if not fits:

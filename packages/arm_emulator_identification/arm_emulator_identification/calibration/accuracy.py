@@ -148,7 +148,7 @@ def write_calibration(file: Path, deviations: Mapping[str, Deviation]) -> None:
     """Write deviations as a scene's `calibration.file` and motion controllers take them."""
     lines = ["# Deviations of the joints from the description: m, rad", "joints:"]
     for name, deviation in deviations.items():
-        numbers = ", ".join(f"{key}: {value!r}" for key, value in deviation.given.items())
+        numbers = ", ".join(f"{key}: {value!r}" for key, value in deviation.nonzero.items())
         lines.append(f'  "{name}": {{{numbers}}}')
     write_atomically(file, "\n".join(lines) + "\n")
 

@@ -115,7 +115,7 @@ def _draw(scene: Scene, file: Path, seed: int) -> Scene:
     path = find_joint_path(parse_urdf(scene.urdf, scene.where), scene.where, "", scene.tool,
                            scene.tool)  # fmt: skip
     deviations = draw_deviations(path.moving + path.behind[:1], np.random.default_rng(seed))
-    joints = {name: deviation.given for name, deviation in deviations.items()}
+    joints = {name: deviation.nonzero for name, deviation in deviations.items()}
     return load_scene(file, {"calibration": {"joints": joints}})
 
 
