@@ -304,7 +304,7 @@ class Repetition:
         self.tally.free += not self._was_commanded and not commands
         led = self._was_commanded and session.powered
         self.tally.uncommanded += led and self._lockstep and self._reports_commands and not commands
-        self.tally.uncompared += 0 if self._lockstep else len(commands)
+        self.tally.held += 0 if self._lockstep else len(commands)
         # In real time a command may answer any tick, and before the first one was taken it may
         # answer a tick that is past. Power may be switched while nothing moves.
         if commands and self._lockstep and led:

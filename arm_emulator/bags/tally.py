@@ -42,7 +42,7 @@ class Tally:
     first_after: str = ""
     stray_truths: int = 0
     uncommanded: int = 0
-    uncompared: int = 0
+    held: int = 0
 
     def leave_out(self, where: str) -> None:
         """Count a motor state that belongs to no run."""
@@ -79,6 +79,6 @@ class Tally:
             "states are missing, the run was continued with commands": self.lost,
             "true joint states of no tick that the bag has": self.stray_truths,
             "ticks whose commands no recorded one gives": self.uncommanded,
-            "commands: in real time any may be held": self.uncompared,
+            "commands: in real time any may be held": self.held,
         }
         return [f"{number} {name}" for name, number in counts.items() if number]
