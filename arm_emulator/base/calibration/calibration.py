@@ -80,7 +80,7 @@ class Calibration:
         moving = [joint.name for joint in path.moving]
         for name in of_axes:
             if name not in moving:
-                key = next(key for key in self.deviations[name].given if key.startswith("delta_"))
+                key = next(key for key in self.deviations[name].nonzero if key.startswith("delta_"))
                 rule = "be of a joint that moves the flange"
                 raise Refusal(self.where, name_key(name, key), rule, name, ", ".join(moving))
         dh, children = find_dh_frames(path), path.frames

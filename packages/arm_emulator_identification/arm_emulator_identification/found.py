@@ -167,7 +167,9 @@ def list_unfitted(scene: Scene, unknowns: Sequence[Unknown], is_requested: Calla
                     numbers.append(Found(name, number.unit, value, value, np.nan, False, left=left))
                 elif number.excitation:
                     numbers.append(
-                        Found(name, number.unit, value, value, np.nan, False, shown=number.excitation)
+                        Found(
+                            name, number.unit, value, value, np.nan, False, shown=number.excitation
+                        )
                     )
     return numbers
 

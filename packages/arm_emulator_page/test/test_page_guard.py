@@ -143,6 +143,8 @@ def test_a_page_for_foreign_machines_is_reached_by_addresses_and_by_its_own_name
         map(every.is_requested_by, ("evil.example", "192.168.1.5.evil.example", "", None))
     )
     page_address = PageAddress.of("192.168.1.5:0")
-    assert page_address.is_requested_by("192.168.1.5") and not page_address.is_requested_by("192.168.1.6")
+    assert page_address.is_requested_by("192.168.1.5") and not page_address.is_requested_by(
+        "192.168.1.6"
+    )
     assert Guard(TOKEN, page_address).judge(f"/{TOKEN}/", {"Host": "192.168.1.5:80"}).status == 200
     assert "token" in Guard(TOKEN, page_address).judge("/", {"Host": "192.168.1.5:80"}).text
