@@ -90,8 +90,8 @@ class Section:
             raise self.refusal(key, "be one of the known", actual, ", ".join(choices))
         return str(value)
 
-    def flag(self, key: str) -> bool:
-        """Return true or false; false if the key is absent."""
+    def is_true(self, key: str) -> bool:
+        """Return whether the value is true; an absent key is false."""
         value = self._take(key)
         if key in self._data and not isinstance(value, bool):
             actual = "nothing" if value is None else repr(value)

@@ -130,7 +130,7 @@ class _Reader:
         fields = _read_numbers(top, BOARD)
         self._interrupts = fields["interrupts"]
         fields["vectors"] = self._vectors(memory, flash[0])
-        fields["preload"] = top.flag("preload")
+        fields["preload"] = top.is_true("preload")
         rows = {
             "region": tuple(
                 {"at": region.at, "size": region.size, "kind": _KINDS[region.kind]}
@@ -287,7 +287,7 @@ class _Reader:
 
     def _uart(self, _name: str, section: Section) -> Row:
         row = {key: self._own(section, key) for key in ("status", "data", "control")}
-        row |= {"interrupt": self._interrupt(section), "targets": section.flag("targets")}
+        row |= {"interrupt": self._interrupt(section), "targets": section.is_true("targets")}
         return {**row, **_read_numbers(section, UART)}
 
     def _mailbox(self) -> Row | None:

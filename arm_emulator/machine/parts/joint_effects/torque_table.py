@@ -66,7 +66,7 @@ class TorqueTable(JointEffect):
         return {
             "angles": _read(section, _ANGLES),
             "torques": _read(section, _TORQUES),
-            "periodic": section.flag("periodic"),
+            "periodic": section.is_true("periodic"),
         }
 
     def check(self, section: Section) -> None:  # noqa: D102
