@@ -131,7 +131,7 @@ def write_new(
         joint: JointSheet.of(data)
         for joint, data in choose_joint_data(joint_data, choice.joints).items()
     }
-    if motor is not None and known.keys() >= set(choice.joints):
+    if motor is not None and sheets.keys() >= set(choice.joints):
         rule = "be left out where --joint names the motor of each joint"
         raise Refusal("new", "--motor", rule, motor)
     mended = forget_impossible(description)
