@@ -10,7 +10,7 @@ from rclpy.serialization import serialize_message
 from arm_emulator.base.validation.bound import COMMAND
 from arm_emulator.machine.plant.inputs import list_further_inputs
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.ros.messages.message_reader import MessageReader, Row
+from arm_emulator.ros.messages.message_reader import MessageReader, RowBounds
 from arm_emulator.ros.node.duplicate_nodes import get_start_time
 from arm_emulator.toolchain.c_header import CData
 from arm_emulator_msgs.msg import MotorCommand
@@ -42,7 +42,7 @@ class CommandReader:
             MotorCommand,
             names,
             "joint_names",
-            {"command": Row(commands[:N], COMMAND)},
+            {"command": RowBounds(commands[:N], COMMAND)},
             {"tick": at(struct, "tick"), "machine": at(struct, "machine")},
         )
         MOTOR_COMMANDS.fill(

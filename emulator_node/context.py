@@ -11,7 +11,7 @@ from arm_emulator.ros.node.managed_node import ManagedNode
 from arm_emulator.ros.node.node_shell import Diagnostics
 from emulator_node.outgoing_messages import OutgoingMessages
 from emulator_node.recorder_gate import RecorderGate
-from emulator_node.view import View
+from emulator_node.view import MachineView
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,6 @@ class Context:
     diagnostics: Diagnostics
     gate: RecorderGate
     outgoing: OutgoingMessages
-    view: View
+    view: MachineView
     pace: Pace
     lock: threading.RLock = field(default_factory=threading.RLock)

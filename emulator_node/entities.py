@@ -20,7 +20,7 @@ ROBOT, OBJECT = 1, 0  # EntityCategory
 ALL_OF_THEM = 1  # TagsFilter
 
 
-class Entities:
+class SimulationEntities:
     """The arm, by the name of its scene, and its links, by theirs.
 
     Args:

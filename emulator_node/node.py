@@ -63,8 +63,8 @@ from emulator_node.reports import Reports
 from emulator_node.services import Services
 from emulator_node.simulation_services import SimulationServices, is_installed
 from emulator_node.subscriptions import Subscriptions
-from emulator_node.time_control import Stepper, TimeControl
-from emulator_node.view import View
+from emulator_node.time_control import TickStepper, TimeControl
+from emulator_node.view import MachineView
 
 STATUS_PERIOD = 0.5  # s, wall
 
@@ -136,7 +136,7 @@ class EmulatorNode(ManagedNode):
         scene = session.scene
         page = self._watch(session)
         self.cleanup.callback(page.close)
-        view = View(session, config.rerun_file, config.rerun_port)
+        view = MachineView(session, config.rerun_file, config.rerun_port)
         self.cleanup.callback(view.close)
         self.cleanup.callback(session.close)
         recorders = partial(list_recorders, self.resolve_topic_name("motor_states"))
@@ -164,7 +164,7 @@ class EmulatorNode(ManagedNode):
         control = TimeControl(own, changes, health, status)
         Services(own, control, changes, breaks)
         if is_installed():
-            stepper = Stepper(own, control)
+            stepper = TickStepper(own, control)
             subscriptions.answered = stepper.go_on
             SimulationServices(self, own, changes, control, stepper)
             self.housekeeping = 0.02  # s, wall: bounds the delay of steps and actions

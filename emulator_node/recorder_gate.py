@@ -22,7 +22,7 @@ PATIENCE = 120.0  # s, wall: for a recorder that writes nothing, on a machine th
 
 
 @dataclass
-class _Recorder:
+class _GatedRecorder:
     written: int = 0  # publication number of the newest message on motor_states that is written
     local: bool = False  # it runs on this machine, and was seen there
     behind_since: float | None = None  # wall time, since when the machine waits for it
@@ -52,7 +52,7 @@ class RecorderGate:
     ) -> None:
         self.published, self.waited_for = 0, ""
         self._present, self._waits, self._report, self._now = present, waits, report, now
-        self._recorders: dict[str, _Recorder] = {}
+        self._recorders: dict[str, _GatedRecorder] = {}
         self._begin = 1  # number of the first message of this run
 
     def begin(self) -> None:
@@ -76,7 +76,7 @@ class RecorderGate:
             self._recorders.pop(name, None)
             return
         if name not in self._recorders:
-            self._recorders[name] = _Recorder(local=name in self._present())
+            self._recorders[name] = _GatedRecorder(local=name in self._present())
         recorder = self._recorders[name]
         if recorder.let_go:
             self._report(f"recorder {name} is back; its bag has a gap")
@@ -95,7 +95,7 @@ class RecorderGate:
             return False
         if at_start:
             for name in self._present():
-                self._recorders.setdefault(name, _Recorder()).local = True
+                self._recorders.setdefault(name, _GatedRecorder()).local = True
         needed, now = self._begin if at_start else self.published - AHEAD, self._now()
         for name, recorder in list(self._recorders.items()):
             # A recorder that comes later cannot lose the start: it counts from its first message

@@ -18,8 +18,8 @@ from arm_emulator.ros.node.node_shell import create_wall_timer
 from arm_emulator_msgs.msg import MachineEvent
 from emulator_node.changes import Changes
 from emulator_node.context import Context
-from emulator_node.entities import Entities
-from emulator_node.time_control import Stepper, TimeControl
+from emulator_node.entities import SimulationEntities
+from emulator_node.time_control import TickStepper, TimeControl
 
 try:
     from rclpy.action import ActionServer, CancelResponse
@@ -57,13 +57,13 @@ class SimulationServices:
 
     def __init__(
         self, node: ManagedNode, own: Context, changes: Changes, control: TimeControl,
-        stepper: Stepper,
+        stepper: TickStepper,
     ) -> None:  # fmt: skip
         self._node, self._session, self._gate, self._lock = (
             node, own.session, own.gate, own.lock,
         )  # fmt: skip
         self._changes, self._control, self._stepper = changes, control, stepper
-        self._entities = Entities(own.session)
+        self._entities = SimulationEntities(own.session)
         self._at_start = own.session.plant.save()
         self._waits_at_start = False  # paused at tick 0, which is not stopped
         for kind, name, answer in (

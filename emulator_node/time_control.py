@@ -65,7 +65,7 @@ class TimeControl:
         self._changes.make(MachineEvent.KIND_POWER, switch)
 
 
-class Stepper:
+class TickStepper:
     """Advances a paused machine by a number of ticks, one request at a time.
 
     Attributes:

@@ -12,7 +12,7 @@ from arm_emulator.view.rerun_stream import RerunStream
 from arm_emulator_msgs.msg import MotionStatus
 
 
-class View:
+class MachineView:
     """Display of a session.
 
     Args:

@@ -14,7 +14,7 @@ from rclpy.task import Future
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.executor.goal_status import CANCELLED, GoalStatus, Kind, State
+from arm_emulator.motion.executor.goal_status import CANCELLED, GoalState, GoalStatus, Kind
 from arm_emulator.motion.executor.goals import GOAL_TOLERANCE, PATH_TOLERANCE
 from arm_emulator.motion.model.joint_reference import JointSetpoint
 from arm_emulator.motion.trajectory.tolerances import Allowed, Tolerances
@@ -173,14 +173,14 @@ def make_result(report: GoalStatus) -> tuple[int, str]:
 
     To cancel is no error.
     """
-    if report.state is State.REACHED:
+    if report.state is GoalState.REACHED:
         return SUCCESSFUL, "reached"
     words = f"{report.state.name.lower()}: {report.reason}"
-    if report.state is State.ABORTED and report.reason == CANCELLED:
+    if report.state is GoalState.ABORTED and report.reason == CANCELLED:
         return SUCCESSFUL, words
-    if report.state is State.ABORTED and report.reason.startswith(PATH_TOLERANCE):
+    if report.state is GoalState.ABORTED and report.reason.startswith(PATH_TOLERANCE):
         return PATH_TOLERANCE_VIOLATED, words
-    if report.state is State.ABORTED and report.reason.startswith(GOAL_TOLERANCE):
+    if report.state is GoalState.ABORTED and report.reason.startswith(GOAL_TOLERANCE):
         return GOAL_TOLERANCE_VIOLATED, words
     return INVALID_GOAL, words
 

@@ -33,7 +33,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import BRAKE_CLOSED, EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.joint_order import JointOrder
 from arm_emulator.base.validation.number import Number
-from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.motion.executor.goal_status import GoalState, Kind
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import SECTIONS, MotionConfig
 from arm_emulator.motion.model.kinematics import list_moving_joints
@@ -388,9 +388,9 @@ class MotionControllerNode(ManagedNode):
             message.header.stamp = to_stamp(self._now_ns)
             self._status.publish(message)
             if (
-                report.state.is_final and report.state is not State.REFUSED
+                report.state.is_final and report.state is not GoalState.REFUSED
             ):  # `Diagnostics` logs refusals
-                log, regular = self._diagnostics.log, (State.REACHED, State.REPLACED)
+                log, regular = self._diagnostics.log, (GoalState.REACHED, GoalState.REPLACED)
                 (log.log_info if report.state in regular else log.trouble)(
                     report.state.name, str(report)
                 )

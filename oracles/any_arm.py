@@ -31,7 +31,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
 from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN
 from oracles.predicted_residual import predicted_residual
@@ -233,7 +233,7 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> To
             run.advance(ticks)
     except (Diverged, Refusal) as fault:
         words = str(fault).splitlines()[0]
-    reasons = [r.reason for r in run.instructor.reports.waiting if r.state is State.MOVING]
+    reasons = [r.reason for r in run.instructor.reports.waiting if r.state is GoalState.MOVING]
     tool_move = ToolMove(distance, 0.0, words, seconds, way="; ".join(reasons))
     tool_move.peak_speed = _find_largest(np.array(speeds), kinematics.velocity_limit)
     accelerations = np.diff(speeds, axis=0) / sample

@@ -13,7 +13,7 @@ from arm_emulator.base.validation.bound import (
     POSITION,
     VELOCITY,
 )
-from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, Row
+from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, RowBounds
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator.servo.servo_config import ServoConfig
@@ -90,10 +90,10 @@ class AnsweredStates:
             names,
             "joint_names",
             {
-                "encoder_counts": Row(counts, config.counts),
-                "current": Row(current, CURRENT),
-                "applied": Row(applied, COMMAND, is_optional=True),
-                "brake_closed": Row(brake, BRAKE_CLOSED, is_optional=True),
+                "encoder_counts": RowBounds(counts, config.counts),
+                "current": RowBounds(current, CURRENT),
+                "applied": RowBounds(applied, COMMAND, is_optional=True),
+                "brake_closed": RowBounds(brake, BRAKE_CLOSED, is_optional=True),
             },
             {
                 STAMP: ffi.addressof(at, "state_time"),
@@ -108,9 +108,9 @@ class AnsweredStates:
             names,
             "name",
             {
-                "position": Row(q, POSITION),
-                "velocity": Row(v, VELOCITY, is_optional=True),
-                "effort": Row(tau, EFFORT, is_optional=True),
+                "position": RowBounds(q, POSITION),
+                "velocity": RowBounds(v, VELOCITY, is_optional=True),
+                "effort": RowBounds(tau, EFFORT, is_optional=True),
             },
             {STAMP: ffi.addressof(at, "target_time")},
         )

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.config_files import find_config
-from arm_emulator.motion.executor.goal_status import Reports
+from arm_emulator.motion.executor.goal_status import GoalReports
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.message_reader import MessageReader
 from arm_emulator.ros.node.managed_node import ManagedNode
@@ -72,7 +72,7 @@ class Doors:
 
 def bits(value: Any, depth: int = 0) -> Any:
     """Return the numbers and texts in an object, to the bit."""
-    if isinstance(value, Reports | Diagnostics | FixedLayout | MessageReader):
+    if isinstance(value, GoalReports | Diagnostics | FixedLayout | MessageReader):
         return None  # reports are no knowledge, and the newest message is a cache
     if isinstance(value, np.ndarray):
         return value.tobytes()

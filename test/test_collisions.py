@@ -16,7 +16,7 @@ from arm_emulator import Kinematics, OfflineRun, Pose, Refusal, load_gains, load
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.collision import collisions
 from arm_emulator.motion.collision.collisions import OWN_SHARE, Collisions
-from arm_emulator.motion.executor.goal_status import GoalStatus, State
+from arm_emulator.motion.executor.goal_status import GoalState, GoalStatus
 from arm_emulator.motion.executor.jog import JogStatus, make_joint_command, make_twist_command
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.obstacles import Obstacle
@@ -334,7 +334,7 @@ def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, b
         assert "and floor" in jog.words
     else:
         assert refused and "and floor would touch" in refused[0].reason
-        state = State.ABORTED if kind == "stream" else State.REFUSED
+        state = GoalState.ABORTED if kind == "stream" else GoalState.REFUSED
         assert refused[0].state is state
     stopped = kind in ("jog", "stream")
     assert (arm.height < -0.05) == stopped, "what is refused has not begun"
@@ -342,7 +342,7 @@ def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, b
     assert np.abs(arm.run.session.state.v).max() < 2e-3
     arm.run.instructor.add(0, Pose(arm.p_WT + np.array([0.0, 0.0, 0.03]), arm.R_WT))
     arm.advance(2.0)
-    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
+    assert arm.run.instructor.reports.take()[-1].state is GoalState.REACHED
 
 
 def test_obstacles_need_shapes_that_meet_them() -> None:
@@ -377,12 +377,12 @@ def test_a_move_that_would_collide_is_refused_before_it_begins(seed: int) -> Non
         executor.add_trajectory(arm.run.controller, names, [point])
     arm.advance(4.0)
     last = executor.reports.take()[-1]
-    assert last.state in (State.REFUSED, State.REACHED), last
-    if last.state is State.REFUSED:
+    assert last.state in (GoalState.REFUSED, GoalState.REACHED), last
+    if last.state is GoalState.REFUSED:
         assert "would touch at" in last.reason and "the tool at [" in last.reason
         assert np.abs(arm.run.session.state.q - start).max() < 1e-3, "it began"
     if kind == 0 and down[2] < -0.2:
-        assert last.state is State.REFUSED
+        assert last.state is GoalState.REFUSED
 
 
 def test_parts_that_touch_already_do_not_hide_others() -> None:

@@ -11,7 +11,7 @@ from in_process import InProcess, in_process
 
 import servo_node.node
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.executor.goal_status import GoalStatus, Kind, State
+from arm_emulator.motion.executor.goal_status import GoalState, GoalStatus, Kind
 from arm_emulator.ros.node.node_shell import NodeLog
 
 
@@ -90,7 +90,7 @@ def test_a_node_logs_refusals_and_outcomes(
     motion = nodes.nodes["motion_controller"]
     motion._motion.reports.waiting.extend(
         GoalStatus(state, "a reason", 0.0012, kind=Kind.TOOL_TARGET, number=1, stamp_ns=0)
-        for state in State
+        for state in GoalState
     )
     motion._report_status()
     assert lines == [

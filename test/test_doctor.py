@@ -14,12 +14,12 @@ import pytest
 from test_dependencies import OF_ROS, imported
 
 from arm_emulator.cli.commands import doctor
-from arm_emulator.cli.commands.doctor import Finding, findings
+from arm_emulator.cli.commands.doctor import SystemFinding, findings
 from arm_emulator.cli.output import output
 from arm_emulator.ros.process.ros_domain import own_domain
 
 
-def finding_of(name: str) -> Finding:
+def finding_of(name: str) -> SystemFinding:
     return next(finding for finding in findings() if finding.name == name)
 
 
@@ -84,7 +84,7 @@ def test_every_import_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     assert result["coal"].remedy == "pip install pin"
     assert result["no_such_module"].level == "problem"
     assert result["broken_module"].level == "note" and "`this`" in result["broken_module"].text
-    assert result["no_such_extra"] == Finding(
+    assert result["no_such_extra"] == SystemFinding(
         "no_such_extra", "note", "module no_such_extra is not installed, needed by `that`",
         "pip install no_such_extra",
     )  # fmt: skip

@@ -12,7 +12,7 @@ from builtin_interfaces.msg import Duration
 from ideal_arm import SECOND, Ideal
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.executor.goal_status import GoalStatus, Kind, State
+from arm_emulator.motion.executor.goal_status import GoalState, GoalStatus, Kind
 from arm_emulator.motion.trajectory.tolerances import Allowed, Tolerances
 from motion_controller_node.follow_action import check_points, make_result, read_tolerances
 
@@ -72,15 +72,17 @@ def test_a_goal_without_points_is_refused() -> None:
 @pytest.mark.parametrize(
     ("state", "reason", "code"),
     [
-        (State.REACHED, "", 0),
-        (State.REFUSED, "joint_trajectory: ...", -1),
-        (State.REPLACED, "by tool target 3", -1),
-        (State.ABORTED, "cancelled", 0),
-        (State.ABORTED, "path tolerance: a is off by 1 rad", -4),
-        (State.ABORTED, "goal tolerance after 1 s: a is off by 1 rad", -5),
+        (GoalState.REACHED, "", 0),
+        (GoalState.REFUSED, "joint_trajectory: ...", -1),
+        (GoalState.REPLACED, "by tool target 3", -1),
+        (GoalState.ABORTED, "cancelled", 0),
+        (GoalState.ABORTED, "path tolerance: a is off by 1 rad", -4),
+        (GoalState.ABORTED, "goal tolerance after 1 s: a is off by 1 rad", -5),
     ],
 )
-def test_a_goal_ends_with_the_code_of_its_last_word(state: State, reason: str, code: int) -> None:
+def test_a_goal_ends_with_the_code_of_its_last_word(
+    state: GoalState, reason: str, code: int
+) -> None:
     actual, words = make_result(
         GoalStatus(state, reason, kind=Kind.JOINT_TRAJECTORY, number=1, stamp_ns=0)
     )

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.executor.jog import JogCommand
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.executor.shaped_reference import ShapedReference
@@ -182,7 +182,7 @@ def test_a_shaped_motion_keeps_limits_lines_and_end_and_is_reached_by_its_delay_
             states.append(arm.executor.progress.state)
         rows = [instruction.now or Reference.at_rest(instruction.q) for instruction in instructions]
         motion = (np.array([getattr(row, key) for row in rows]) for key in "qva")
-        motions[name] = (*motion, states.index(State.REACHED))
+        motions[name] = (*motion, states.index(GoalState.REACHED))
     delay = arm.config.design_shaper().delay
     raw, shaped = motions["raw"], motions["shaped"]
     assert np.array_equal(raw[0][-1], shaped[0][-1]), "the end, to the bit"
@@ -210,7 +210,7 @@ def test_the_delay_is_reported_and_tolerances_judge_the_shaped_motion() -> None:
         words += [str(report) for report in arm.executor.reports.take()]
     delay = arm.config.design_shaper().delay
     assert any(f"{delay:.3g} s more by the shaper" in word for word in words), words
-    assert arm.executor.progress.state is State.REACHED and "aborted" not in " ".join(words)
+    assert arm.executor.progress.state is GoalState.REACHED and "aborted" not in " ".join(words)
 
 
 def test_a_motion_replaced_while_moving_stays_smooth() -> None:

@@ -21,7 +21,7 @@ from std_msgs.msg import Header, Int8
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.executor.controllers import make_jerk_limited_velocity
-from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.motion.executor.goal_status import GoalState, Kind
 from arm_emulator.motion.executor.jog import (
     JogCommand,
     JogStatus,
@@ -89,7 +89,7 @@ def test_a_twist_moves_the_tool_along_it() -> None:
     # Held for the time-out after the last command, then at rest.
     assert path[-1, 1] == pytest.approx(0.1 * (1.0 + 0.1), abs=0.01)
     assert np.abs(np.diff(path[-50:], axis=0)).max() < 2e-6
-    assert jogged.run.instructor.reports.waiting[-1].state is State.REACHED
+    assert jogged.run.instructor.reports.waiting[-1].state is GoalState.REACHED
     turned = [jogged.kinematics.forward(q)[0] for q in (jogged.q[0], jogged.q[-1])]
     assert np.abs(turned[0] - turned[1]).max() < 2e-3
 
@@ -324,9 +324,13 @@ def test_the_node_takes_twists_and_publishes_their_limits() -> None:
             nodes.run_to(tick)
         nodes.run_to(1500)
     states = [(message.state, message.reason) for message in heard if message.kind == Kind.JOG]
-    assert [state for state, _ in states[:2]] == [State.REFUSED, State.REFUSED]
+    assert [state for state, _ in states[:2]] == [GoalState.REFUSED, GoalState.REFUSED]
     assert "frame_id" in states[0][1] and "twist.angular must be 0" in states[1][1]
-    assert [state for state, _ in states[2:]] == [State.ACCEPTED, State.MOVING, State.REACHED]
+    assert [state for state, _ in states[2:]] == [
+        GoalState.ACCEPTED,
+        GoalState.MOVING,
+        GoalState.REACHED,
+    ]
     # Upwards from its start three_axis comes nearer to its stretched pose; in the end nobody jogs.
     assert codes[0] == JogStatus.DECELERATE_FOR_APPROACHING_SINGULARITY and codes[-1] == 0
 
@@ -374,7 +378,7 @@ def test_the_node_takes_joint_jogs(monkeypatch: pytest.MonkeyPatch) -> None:
             nodes.send(topic, JointJog(["elbow"], array("d", [0.4])))  # of jog_scale_joint
             nodes.run_to(tick)
     of_jog = [status.state for status in heard if status.kind == Kind.JOG]
-    assert of_jog == [State.REFUSED] * 6 + [State.ACCEPTED, State.MOVING]
+    assert of_jog == [GoalState.REFUSED] * 6 + [GoalState.ACCEPTED, GoalState.MOVING]
     speed = np.array(states[-1].velocity)
     j = list(states[-1].name).index("elbow")
     assert speed[j] == pytest.approx(0.4 * 0.5, abs=0.01)

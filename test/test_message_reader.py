@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import Number
 from arm_emulator.ros.c import MESSAGE_READER
-from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, Row
+from arm_emulator.ros.messages.message_reader import STAMP, MessageReader, RowBounds
 from arm_emulator.ros.messages.middleware import get_middleware
 from arm_emulator_msgs.msg import MotorCommand, MotorState, ServoState
 
@@ -173,10 +173,12 @@ class Joints:
             NAMES,
             "joint_names",
             {
-                "encoder_counts": Row(self.counts, Number.within("encoder_counts", "", 1e15)),
-                "current": Row(self.current, BOUND.named("current")),
-                "applied": Row(self.applied, BOUND.named("applied"), is_optional=True),
-                "brake_closed": Row(self.brakes, Number.within("brake", "", 1), is_optional=True),
+                "encoder_counts": RowBounds(self.counts, Number.within("encoder_counts", "", 1e15)),
+                "current": RowBounds(self.current, BOUND.named("current")),
+                "applied": RowBounds(self.applied, BOUND.named("applied"), is_optional=True),
+                "brake_closed": RowBounds(
+                    self.brakes, Number.within("brake", "", 1), is_optional=True
+                ),
             },
             {STAMP: self.time, "tick": self.tick, "powered": self.powered},
         )
@@ -285,10 +287,10 @@ def test_texts_end_at_their_first_zero() -> None:
 
 
 def test_a_reader_of_a_different_type_is_not_constructed() -> None:
-    row = {"current": Row(np.zeros(3), BOUND)}
+    row = {"current": RowBounds(np.zeros(3), BOUND)}
     for rows, singles in (
         (row, {}),
-        ({"current": Row(np.zeros(4, np.int64), BOUND)}, {}),
+        ({"current": RowBounds(np.zeros(4, np.int64), BOUND)}, {}),
         ({}, {"nonesuch": number()}),
     ):
         with pytest.raises(TypeError):

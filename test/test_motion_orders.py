@@ -12,7 +12,7 @@ from ideal_arm import SECOND, Ideal
 
 from arm_emulator import Pose, Refusal, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.executor.goal_status import Kind, State
+from arm_emulator.motion.executor.goal_status import GoalState, Kind
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.runs.gains import warn_of_gravity
@@ -101,7 +101,7 @@ def test_a_stamp_of_the_wall_clock_is_refused(kind: str, running: bool) -> None:
         send(wall)
         arm.advance(0.1)
     name = kind.replace("TIMED", "TOOL")
-    (refused,) = [r for r in arm.instructor.reports.waiting if r.state is State.REFUSED]
+    (refused,) = [r for r in arm.instructor.reports.waiting if r.state is GoalState.REFUSED]
     assert refused.kind.name == name and "got 17900000" in refused.reason
     send(arm.now_ns + SECOND)  # a second ahead is as it always was
     arm.advance(15.0)
@@ -131,7 +131,7 @@ def test_the_newest_holds_and_each_is_answered() -> None:
         ("TOOL_TARGET", 2, "MOVING"),
         ("TOOL_TARGET", 2, "REACHED"),
     ]
-    replaced = [r.reason for r in arm.instructor.reports.waiting if r.state is State.REPLACED]
+    replaced = [r.reason for r in arm.instructor.reports.waiting if r.state is GoalState.REPLACED]
     assert replaced == ["by joint trajectory 1", "by tool target 2", "by tool target 2"]
 
 
@@ -171,11 +171,11 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
                 if (r.kind, r.number) == (kind, number)
             ]
             final = [state for state in reported if state.is_final]
-            assert len(final) == 1 or final == [State.UNREACHABLE, State.REACHED], (
+            assert len(final) == 1 or final == [GoalState.UNREACHABLE, GoalState.REACHED], (
                 f"{kind.name} {number} was answered by {reported}"
             )
             assert reported[-1] is final[-1], "nothing comes after the last word"
-            assert reported[0] in (State.ACCEPTED, State.REFUSED), "the first word"
+            assert reported[0] in (GoalState.ACCEPTED, GoalState.REFUSED), "the first word"
 
 
 @pytest.mark.parametrize("scene", ["ur5", "three_axis", "panda"])
@@ -186,13 +186,13 @@ def test_targets_beyond_reach_are_reported_as_such_with_the_distance(scene: str)
     arm.advance(15.0)
     last = arm.instructor.reports.waiting[-1]
     _, p_WT = arm.controller.kinematics.forward(arm.q)
-    assert last.state is State.UNREACHABLE, "it is reported"
+    assert last.state is GoalState.UNREACHABLE, "it is reported"
     if scene != "three_axis":  # eq. (6) goes to and fro there
         left = float(np.linalg.norm(far.p_WT - p_WT))
         assert last.distance == pytest.approx(left, rel=1e-3), "how far"
     arm.instructor.add(0, arm.pose())
     arm.advance(10.0)
-    assert arm.instructor.reports.waiting[-1].state is State.REACHED, "the way back"
+    assert arm.instructor.reports.waiting[-1].state is GoalState.REACHED, "the way back"
 
 
 def test_a_trajectory_waits_for_its_stamp_and_then_keeps_its_times() -> None:
@@ -216,7 +216,7 @@ def test_a_trajectory_that_cannot_begin_is_refused_and_its_predecessor_goes_on()
     arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.02, 1.0)])
     arm.advance(4.0)
     reported = [r for r in arm.instructor.reports.waiting if r.kind is Kind.JOINT_TRAJECTORY]
-    assert [report.state for report in reported] == [State.ACCEPTED, State.REFUSED]
+    assert [report.state for report in reported] == [GoalState.ACCEPTED, GoalState.REFUSED]
     assert "the way to the first point must keep the limits" in reported[-1].reason
     assert arm.states()[-1] == ("TOOL_TARGET", 1, "REACHED"), "it goes on"
 
@@ -233,9 +233,11 @@ def test_an_empty_trajectory_stops_a_path() -> None:
     assert ("TOOL_PATH", 1, "REPLACED") in arm.states()
 
 
-@pytest.mark.parametrize(("allowed", "state"), [(0.05, State.ABORTED), (0.5, State.REACHED)])
+@pytest.mark.parametrize(
+    ("allowed", "state"), [(0.05, GoalState.ABORTED), (0.5, GoalState.REACHED)]
+)
 def test_an_arm_that_does_not_follow_ends_the_trajectory_where_it_is(
-    allowed: float, state: State
+    allowed: float, state: GoalState
 ) -> None:
     arm = Ideal()
     arm.instructor.retune(type(arm.config)(**{**vars(arm.config), "path_tolerance": allowed}))
@@ -244,23 +246,23 @@ def test_an_arm_that_does_not_follow_ends_the_trajectory_where_it_is(
         arm.printed.append(arm.instructor.instruct(arm.controller, tick * arm.period_ns, arm.start))
     last = arm.instructor.reports.waiting[-1]
     assert last.state is state
-    if state is State.ABORTED:
+    if state is GoalState.ABORTED:
         assert "path tolerance: shoulder_pan_joint is off by" in last.reason
         np.testing.assert_array_equal(arm.printed[-1].q, arm.start, "held where it is")
 
 
 def test_the_goal_tolerance_is_waited_for_as_long_as_is_allowed() -> None:
-    for time, state in ((0.5, State.ABORTED), (0.0, State.MOVING)):
+    for time, state in ((0.5, GoalState.ABORTED), (0.0, GoalState.MOVING)):
         arm = Ideal()
         change = {"goal_tolerance": 0.01, "goal_time": time}
         arm.instructor.retune(type(arm.config)(**{**vars(arm.config), **change}))
         arm.instructor.add_trajectory(arm.controller, arm.names, [arm.point(0.5, 0.05)])
         for tick in range(300):
-            q = arm.start if tick < 200 or state is State.ABORTED else arm.start + 0.045
+            q = arm.start if tick < 200 or state is GoalState.ABORTED else arm.start + 0.045
             arm.instructor.instruct(arm.controller, tick * arm.period_ns, q)
             if tick == 199:
                 assert arm.instructor.reports.waiting[-1].state is state, f"goal_time {time} s"
-        expected = State.ABORTED if state is State.ABORTED else State.REACHED
+        expected = GoalState.ABORTED if state is GoalState.ABORTED else GoalState.REACHED
         assert arm.instructor.reports.waiting[-1].state is expected
 
 
@@ -331,7 +333,7 @@ def test_out_of_reach_means_that_the_machine_rests(far: tuple[float, ...]) -> No
     run = load_offline_run("three_axis")
     run.advance(500)
     run.instructor.add(run.session.logical_ns, Pose(np.array(far), np.eye(3)))
-    while run.instructor.reports.waiting[-1].state is not State.UNREACHABLE:
+    while run.instructor.reports.waiting[-1].state is not GoalState.UNREACHABLE:
         assert run.session.logical_ns < 30 * SECOND, "the target is reported as unreachable"
         run.advance(50)
     for _ in range(40):

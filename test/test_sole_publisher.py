@@ -192,10 +192,10 @@ class SlowGraph:
         """See `Diagnostics`."""
 
     def note(self, name: str, value: object) -> None:
-        """See `Receiver`."""
+        """See `SubscribingNode`."""
 
     def has_lost(self, kind: str, there: int) -> bool:
-        """See `Receiver`."""
+        """See `SubscribingNode`."""
         return False
 
     def resolve_topic_name(self, topic: str) -> str:

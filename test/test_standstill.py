@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_config, find_scene
 from arm_emulator.motion.executor.controllers import make_joint_limits
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
@@ -97,7 +97,7 @@ class Stopped:
         self.advance(until - off - away)
 
     @property
-    def last(self) -> State:
+    def last(self) -> GoalState:
         """State of the newest order."""
         return self.run.instructor.reports.take()[-1].state
 
@@ -156,7 +156,7 @@ def test_a_target_waits_for_the_brakes_and_is_reached_within_limits(seed: int) -
     assert past.max() < max(0.0, past[0]) + PAST
     assert arm.fastest(released + 50) < OVER
     assert max(arm.hardest()) < 1.001
-    assert arm.last is State.REACHED
+    assert arm.last is GoalState.REACHED
 
 
 @pytest.mark.parametrize("seed", some(range(102, 114), 1))
@@ -191,7 +191,7 @@ def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
         arm.interrupted(off, away, 6 * SECOND)
         assert arm.fastest(off + away + 50) < OVER
         assert max(arm.hardest()) < 1.06  # as of trajectories
-        assert arm.last is State.REACHED
+        assert arm.last is GoalState.REACHED
         assert np.linalg.norm(arm.tool()[-1] - end) < 2e-3
 
 

@@ -11,7 +11,7 @@ from draws import some
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.collision.collisions import Collisions
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.executor.jog import make_joint_command, make_twist_command
 from arm_emulator.motion.model.joint_reference import Reference
 from arm_emulator.motion.model.obstacles import Obstacle
@@ -80,7 +80,7 @@ class LowArm:
         if reference is not None:
             assert self.commanded.first(reference.q) == ""
 
-    def periods(self, seconds: float) -> list[tuple[State, str]]:
+    def periods(self, seconds: float) -> list[tuple[GoalState, str]]:
         for _ in range(round(seconds / self.config.period)):
             self.period()
         return [(report.state, report.reason) for report in self.instructor.reports.take()]
@@ -123,7 +123,7 @@ def test_a_free_path_is_taken_however_near_an_obstacle_is(
     arm = LowArm(name, drop, blend)
     arm.set_out(kind)
     assert arm.until_bound(1)
-    assert arm.periods(2.5)[-1][0] is State.REACHED
+    assert arm.periods(2.5)[-1][0] is GoalState.REACHED
 
 
 ENDS = ("twist", "joints", "cancel", "target below", "target above", "stream")
@@ -159,11 +159,11 @@ def test_a_motion_that_is_ended_stops_on_its_path(seed: int, end: str) -> None:
     reports = arm.periods(1.2)
     assert np.abs(arm.run.session.state.v).max() < 2e-3
     if end == "target above":
-        assert reports[-1][0] is State.REACHED
+        assert reports[-1][0] is GoalState.REACHED
     if end == "target below":
-        assert reports[-1][0] is State.ABORTED and "box would touch" in reports[-1][1]
+        assert reports[-1][0] is GoalState.ABORTED and "box would touch" in reports[-1][1]
     arm.instructor.add(0, arm.moved(0.0, 0.1, 0.05))
-    assert arm.periods(1.8)[-1][0] is State.REACHED
+    assert arm.periods(1.8)[-1][0] is GoalState.REACHED
 
 
 class Swing:

@@ -11,7 +11,7 @@ from draws import some
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 
 SPEED = 0.3  # m/s
 BEHIND = 5e-3  # m, what is promised at that speed
@@ -109,7 +109,7 @@ def test_a_stream_is_followed_closely(scene: str, period: float, seed: int) -> N
     arm.follow(at, 2.5, 200.0, stamped=True)
     assert max(arm.behind) < BEHIND
     arm.run.advance(2000)
-    assert arm.run.instructor.reports.take()[-1].state is State.REACHED
+    assert arm.run.instructor.reports.take()[-1].state is GoalState.REACHED
     assert np.linalg.norm(arm.tool() - at(2.5 - 1.0 / 200.0)) < 5e-4
 
 

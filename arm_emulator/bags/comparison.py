@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.bags.repetition import Difference, Repetition
+from arm_emulator.bags.repetition import BagRepetition, Difference
 from arm_emulator.bags.tally import Tally
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.build_facts import build_facts, list_differing_builds
@@ -18,7 +18,7 @@ COMPARED = ("motor_states", "motor_commands", "emulator/joint_states", "emulator
 
 
 @dataclass(frozen=True)
-class Comparison:
+class BagComparison:
     """Outcome of a comparison: what was compared, and the first difference.
 
     Attributes:
@@ -44,7 +44,7 @@ class Comparison:
     about: dict[str, str]
 
 
-def compare(path: Path, scene_name: str | None = None) -> Comparison:
+def compare(path: Path, scene_name: str | None = None) -> BagComparison:
     """Drive the machine again with the commands of a bag, up to the first bit that differs.
 
     Args:
@@ -59,7 +59,7 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
     scene = load_scene(scene_name or topics.scene)
     lockstep = not topics.is_real_time
     session = Session(scene, "lockstep", "first_answer")
-    repetition = Repetition(session, bag, lockstep)
+    repetition = BagRepetition(session, bag, lockstep)
     tally = repetition.tally
     difference: str | None = None
     try:
@@ -74,7 +74,7 @@ def compare(path: Path, scene_name: str | None = None) -> Comparison:
         rule, actual = "hold a servo period of a run", f"{tally.states} states of tick 0"
         raise Refusal(str(path), "the bag", rule, actual, "record while the machine runs")
     taken = {topics.names[name] for name in COMPARED if name in topics.names}
-    return Comparison(
+    return BagComparison(
         scene=scene.name,
         lockstep=lockstep,
         tally=tally,

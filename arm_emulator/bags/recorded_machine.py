@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.bags.recorded_ticks import Change, RecordedTick, read_ticks
+from arm_emulator.bags.recorded_ticks import RecordedChange, RecordedTick, read_ticks
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count
@@ -54,7 +54,7 @@ class RecordedMachine:
         self.scene, self.topics, self._run = scene, topics, run
         self._where = str(topics.bag.path)
         self.ticks: list[Tick] = []
-        self.changes: dict[int, list[Change]] = {}
+        self.changes: dict[int, list[RecordedChange]] = {}
         self._read_ticks()
         self.session = Session(scene, "lockstep", "first_answer")
         self._apply_changes()

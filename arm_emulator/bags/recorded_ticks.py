@@ -28,7 +28,7 @@ _LISTS = ["applied"] + [
 ]
 
 
-class Change(NamedTuple):
+class RecordedChange(NamedTuple):
     """A change by hand, by its number in messages, and the machine after it."""
 
     kind: int
@@ -45,11 +45,11 @@ class RecordedTick(NamedTuple):
     """Logical time [ns]."""
     published: int
     """Wall time at which it was reported [ns]."""
-    before: list[Change]
+    before: list[RecordedChange]
     """Changes by hand before the tick was reported, at tick 0."""
     values: dict[str, Values]
     """By name, in the order in which a step leads to them; the first is `powered`."""
-    changes: list[Change]
+    changes: list[RecordedChange]
     """Changes by hand after it was reported."""
 
 
@@ -67,14 +67,14 @@ def read_ticks(
         Refusal: other joints, or values of another number.
     """
     where, run = str(topics.bag.path), 0
-    waiting: list[Change] = []
+    waiting: list[RecordedChange] = []
     now: RecordedTick | None = None
     topics_read = ["motor_states", "emulator/events"]
     topics_read += ["emulator/joint_states"] if only is None else []
     places = JointPlaces(joints, where)
     for name, message, published in topics.read_in_place(*topics_read):
         if name == "emulator/events":
-            change = Change(int(message.kind), bytes(message.state))
+            change = RecordedChange(int(message.kind), bytes(message.state))
             if message.kind == MachineEvent.KIND_RESET:
                 waiting = [change]
             elif now is not None and message.tick == now.tick and not waiting:

@@ -63,7 +63,7 @@ def has_command_fault(session: Session) -> bool:
     )
 
 
-class Repetition:
+class BagRepetition:
     """Takes the messages of a bag in the order of publication, and repeats the actions.
 
     Attributes:

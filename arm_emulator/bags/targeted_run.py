@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.bags.recorded_ticks import Change
+from arm_emulator.bags.recorded_ticks import RecordedChange
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
@@ -62,7 +62,7 @@ class TargetedRun(OfflineRun):
         scene: Scene,
         gains: Gains,
         targets: Mapping[int, Target],
-        changes: Mapping[int, Sequence[Change]],
+        changes: Mapping[int, Sequence[RecordedChange]],
     ) -> None:
         super().__init__(scene, gains.servo, gains.motion)
         self.source = source
@@ -73,7 +73,7 @@ class TargetedRun(OfflineRun):
             self.session.restore(change.saved)
 
     @property
-    def changes_here(self) -> Sequence[Change]:
+    def changes_here(self) -> Sequence[RecordedChange]:
         """Changes by hand that come before the period that begins now."""
         tick, until = self.session.tick, self.instructor.until
         return () if until is not None and tick >= until else self._changes.get(tick, ())

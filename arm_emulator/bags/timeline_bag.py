@@ -15,7 +15,7 @@ from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import FORKED_AT, PARENT
 from arm_emulator.runs.offline import OfflineRun, load_offline_run
 from arm_emulator.runs.order import Order, as_data, of_data
-from arm_emulator.runs.timeline import Change, Timeline
+from arm_emulator.runs.timeline import Timeline, TimelineChange
 from arm_emulator_msgs.msg import MachineEvent
 
 CHANGES, ORDERS = "changes", "orders"  # in words, and as data
@@ -64,7 +64,7 @@ def write_timeline(line: Timeline[OfflineRun], folder: Path, parent: Path | None
 def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
     """Write all ticks of a timeline, and what was changed by hand."""
     session = line.run.session
-    changed: dict[int, list[Change]] = {}
+    changed: dict[int, list[TimelineChange]] = {}
     for by_hand in line.changes:
         changed.setdefault(by_hand.tick, []).append(by_hand)
     for tick in range(1, line.newest + 1):

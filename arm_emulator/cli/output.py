@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 WIDEST = 500  # columns of a table: one that is wider than the terminal is not cut
 
 
-class Output:
+class CommandOutput:
     """Prints lines; or collects values, and prints them as JSON at the end.
 
     With JSON, all other output of this process, C code included, goes to stderr.
@@ -103,7 +103,7 @@ class Output:
         print(json.dumps(plain(facts), indent=2), flush=True)
 
 
-output = Output()  # of this process
+output = CommandOutput()  # of this process
 
 
 def plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.machine.scene.scene import Scene
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.runs.gains import Gains
 from arm_emulator.runs.goal import find_missed_order
 from arm_emulator.runs.offline import OfflineRun
@@ -20,7 +20,7 @@ from arm_emulator.runs.order import MoveTool
 
 NEAR = 0.01  # of the way to the target: how near a network in real time comes to the prediction
 
-_WORDS = {State.UNREACHABLE: "out of reach", State.MOVING: "not yet there"}
+_WORDS = {GoalState.UNREACHABLE: "out of reach", GoalState.MOVING: "not yet there"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,6 @@ def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
         run.advance(run.motion_ticks)
         deviations.append(target.p_WT - forward(run.session.state.q)[1])
     newest = run.instructor.reports.newest
-    state = State.REFUSED if newest is None else newest.state
+    state = GoalState.REFUSED if newest is None else newest.state
     words = _WORDS.get(state, state.name.lower())
     return PredictedRest(np.array(deviations), words, find_missed_order(run))

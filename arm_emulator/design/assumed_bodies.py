@@ -31,7 +31,7 @@ _KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 
 
 @dataclass(frozen=True)
-class Assumed:
+class AssumedBody:
     """A link whose body is assumed."""
 
     link: str
@@ -44,7 +44,7 @@ def assume_bodies(
     folder: Path,
     links: Mapping[str, Array],
     density: float = DENSITY,
-) -> list[Assumed]:
+) -> list[AssumedBody]:
     """Give links of a description bodies of a density; a mass that is given stays.
 
     Args:
@@ -71,7 +71,7 @@ def assume_bodies(
                 scale, how = stated / body.mass, f"{how}, with the mass given"
             link.remove(old)
         link.insert(0, inertial_of(body.scaled(scale)))
-        out.append(Assumed(name, how))
+        out.append(AssumedBody(name, how))
     return out
 
 

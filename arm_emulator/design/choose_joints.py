@@ -31,7 +31,7 @@ class LockedJoint:
 
 
 @dataclass(frozen=True)
-class Choice:
+class JointChoice:
     """The arm in a robot description."""
 
     tool: str
@@ -127,7 +127,7 @@ def choose_joints(
     joints: Sequence[str] | None = None,
     *,
     tree: bool = False,
-) -> Choice:
+) -> JointChoice:
     """Choose the arm in a robot description.
 
     Given nothing, the arm is the longest row of joints from the base; a gripper at its end, named
@@ -182,7 +182,7 @@ def choose_joints(
     ]  # fmt: skip
     if beside and joints is None and not tree:
         guesses.append(f"held beside the arm: {', '.join(beside)} (--tree moves them, too)")
-    return Choice(tool, names, locked, tuple(guesses))
+    return JointChoice(tool, names, locked, tuple(guesses))
 
 
 def _read_followed(robot: ET.Element) -> dict[str, tuple[str, ...]]:

@@ -18,7 +18,7 @@ USABLE = (
 
 
 @dataclass(frozen=True)
-class Servo:
+class SmartServo:
     """A hobby servo: a dc motor with its gear, by its ends at one supply voltage."""
 
     name: str
@@ -64,7 +64,7 @@ class JointSheet:
     torque: float  # N m
     speed: float  # rad/s
     source: str
-    servo: Servo | None = None
+    servo: SmartServo | None = None
     data: JointData | None = None  # its parts, where they are known, too
 
     @classmethod
@@ -89,12 +89,12 @@ def _convert_rpm(value: float) -> float:
     return value * 2.0 * math.pi / 60.0
 
 
-STS3215 = Servo(
+STS3215 = SmartServo(
     "STS3215", 12.0, 30.0 * 0.0980665, _convert_rpm(45.0), 345.0,
     "maker's figures at 12 V in https://robonine.com/"
     "testing-of-feetech-sts3215-servomotor-backlash-repeatability-and-torque",
 )  # fmt: skip
-XM430_W350 = Servo(
+XM430_W350 = SmartServo(
     "XM430-W350", 12.0, 4.1, _convert_rpm(46.0), 353.5,
     "https://emanual.robotis.com/docs/en/dxl/x/xm430-w350", stall_current=2.3,
 )  # fmt: skip
@@ -103,7 +103,7 @@ _UR = "https://www.universal-robots.com/articles/ur-articles/max-joint-torques"
 _FRANKA = "https://frankarobotics.github.io/docs/robot_specifications.html"
 
 
-def _make_servo_arm(names: str, *servos: Servo) -> _Arm:
+def _make_servo_arm(names: str, *servos: SmartServo) -> _Arm:
     return _Arm(
         names,
         tuple(

@@ -18,8 +18,8 @@ from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import UNLIMITED, parse_urdf
 from arm_emulator.base.validation.number import list_numbers
-from arm_emulator.design.assumed_bodies import DENSITY, Assumed, assume_bodies, has_shape
-from arm_emulator.design.choose_joints import Choice, choose_joints
+from arm_emulator.design.assumed_bodies import DENSITY, AssumedBody, assume_bodies, has_shape
+from arm_emulator.design.choose_joints import JointChoice, choose_joints
 from arm_emulator.design.data_sheets import JointSheet, published
 from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
 from arm_emulator.design.joint_data import choose_joint_data
@@ -70,10 +70,10 @@ class NewScene:
     """The files written, and the reasons for their numbers."""
 
     file: Path
-    choice: Choice
+    choice: JointChoice
     drives: list[Sized]
     overloads: list[Overload]
-    assumed: list[Assumed]
+    assumed: list[AssumedBody]
     tools: list[RatedTool]
     """For which torques that are guessed are sized; the first is at the arm's tool."""
 
@@ -171,8 +171,8 @@ def write_new(
 
 
 def _assume_missing_bodies(
-    description: ET.Element, robot: Path, choice: Choice, density: float
-) -> list[Assumed]:
+    description: ET.Element, robot: Path, choice: JointChoice, density: float
+) -> list[AssumedBody]:
     """Add a body in the description to each moving link without one; return these links."""
     if not 0.0 < density <= MAX_DENSITY:
         raise Refusal("new", "--density", f"be > 0 and at most {MAX_DENSITY:g} kg/m3", density)
@@ -186,7 +186,7 @@ def _assume_missing_bodies(
 
 
 def _list_doubtful(
-    description: ET.Element, robot: Path, choice: Choice, assumed: list[Assumed]
+    description: ET.Element, robot: Path, choice: JointChoice, assumed: list[AssumedBody]
 ) -> list[Doubt]:
     """Return what is wrong with inertias that the description gives."""
     text = ET.tostring(description, encoding="unicode")
@@ -196,8 +196,8 @@ def _list_doubtful(
 
 
 def _replace(
-    description: ET.Element, robot: Path, choice: Choice, density: float, doubtful: list[Doubt]
-) -> list[Assumed]:
+    description: ET.Element, robot: Path, choice: JointChoice, density: float, doubtful: list[Doubt]
+) -> list[AssumedBody]:
     """Give links with doubtful inertias those of their shapes; return these links.
 
     A mass that is in doubt goes, too, and so does an inertia without a mass.
@@ -220,7 +220,7 @@ def _replace(
     return assume_bodies(description, robot.parent, tips, density)
 
 
-def _find_moved(description: ET.Element, robot: Path, choice: Choice) -> list[MovedBody]:
+def _find_moved(description: ET.Element, robot: Path, choice: JointChoice) -> list[MovedBody]:
     """Return what each moving joint of a choice moves."""
     locked = {name: joint.position for name, joint in choice.locked.items()}
     return collect_moved_bodies(description, robot.name, "new", locked=locked, tool=choice.tool)
@@ -243,7 +243,7 @@ def scene_name(robot: Path) -> str:
     return re.sub(r"\W+", "_", stem).strip("_") or "arm"
 
 
-def _load_links(text: str, where: str, choice: Choice, payload: float = 0.0) -> Scene:
+def _load_links(text: str, where: str, choice: JointChoice, payload: float = 0.0) -> Scene:
     """Return the robot as a machine without motors; `where`: its name in refusals."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / where).write_text(text, encoding="utf-8")
@@ -268,9 +268,9 @@ def _make_texts(
     robot: Path,
     text: str,
     description: ET.Element,
-    choice: Choice,
+    choice: JointChoice,
     payload: float | None,
-    bodies: tuple[list[Assumed], list[str]],
+    bodies: tuple[list[AssumedBody], list[str]],
     kind: type[Motor],
     sheet_by_joint: Mapping[str, JointSheet],
 ) -> tuple[list[Sized], list[RatedTool], dict[str, str]]:

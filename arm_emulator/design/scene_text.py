@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from arm_emulator.base.escape import escape_to_line
-from arm_emulator.design.assumed_bodies import Assumed
-from arm_emulator.design.choose_joints import Choice
+from arm_emulator.design.assumed_bodies import AssumedBody
+from arm_emulator.design.choose_joints import JointChoice
 from arm_emulator.design.rated_tool import RatedTool
 from arm_emulator.design.sizing import Demand, Sized, rounded
 from arm_emulator.machine.parts.motors.motor import Motor
@@ -58,9 +58,9 @@ class SceneSources:
     """Content of a new scene."""
 
     robot: str  # name of its file
-    choice: Choice
+    choice: JointChoice
     payload: float  # kg
-    assumed: list[Assumed]
+    assumed: list[AssumedBody]
     trusted: list[str]  # links whose inertia is taken as it is
     tools: list[RatedTool]
 

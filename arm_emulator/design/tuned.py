@@ -49,7 +49,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Run:
+class TuningRun:
     """A smooth move of all joints at once, on the machine itself."""
 
     off: Array  # (K, N) link less target, over the move
@@ -71,7 +71,7 @@ class Tuned:
     margins: list[Margins]
     bare: list[Margins] | None  # without the payload
     steps: list[Step]
-    run: Run
+    run: TuningRun
     loops: ServoLoops
 
 
@@ -290,7 +290,7 @@ def _compute_step(loops: ServoLoops, joint: int) -> Step:
     return worst
 
 
-def run(scene: Scene, servo: ServoConfig) -> Run:
+def run(scene: Scene, servo: ServoConfig) -> TuningRun:
     """Move all joints of the machine at once, smoothly (jerk without jumps), and let it rest."""
     session, drives = Session(scene, "lockstep", "first_answer"), ServoArm(servo)
     order = [scene.joint_names.index(name) for name in servo.joint_names]
@@ -324,7 +324,7 @@ def run(scene: Scene, servo: ServoConfig) -> Run:
         session.advance()
         if session.fault is not None:
             raise session.fault
-    return Run(np.array(off), np.ptp(np.array(q_late), axis=0), period)
+    return TuningRun(np.array(off), np.ptp(np.array(q_late), axis=0), period)
 
 
 def _compute_quintic(s: float) -> tuple[float, float]:

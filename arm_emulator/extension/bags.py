@@ -2,8 +2,11 @@
 
 from arm_emulator.bags.explanation import Explanation, explain_moment
 from arm_emulator.bags.recorded_machine import RecordedMachine
-from arm_emulator.bags.recorded_ticks import Change as RecordedChange
-from arm_emulator.bags.recorded_ticks import RecordedTick, find_first_difference_of_bits
+from arm_emulator.bags.recorded_ticks import (
+    RecordedChange,
+    RecordedTick,
+    find_first_difference_of_bits,
+)
 from arm_emulator.bags.recorded_topics import RecordedTopics
 from arm_emulator.bags.repetition import KINDS as EVENT_KINDS
 from arm_emulator.bags.run_bag import KINDS as CHANGE_KINDS

@@ -1,7 +1,7 @@
 """Machine, servo and motion controller in one process, targets, gains, recorders."""
 
 from arm_emulator.demo.demo_plan import NANOSECONDS, DemoPlan
-from arm_emulator.motion.executor.goal_status import State as MotionState
+from arm_emulator.motion.executor.goal_status import GoalState as MotionState
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.runs.breakpoint import Breakpoint

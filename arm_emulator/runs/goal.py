@@ -7,7 +7,7 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.session.session import Session
-from arm_emulator.motion.executor.goal_status import Progress, State, describe_left
+from arm_emulator.motion.executor.goal_status import GoalProgress, GoalState, describe_left
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.target_table import TargetTable
@@ -44,16 +44,16 @@ def find_missed_order(run: OfflineRun) -> str:
     newest, now = executor.reports.newest, executor.progress
     if newest is None:
         return "it was not taken"
-    if newest.state is not State.REACHED:
+    if newest.state is not GoalState.REACHED:
         is_unfinished = not newest.state.is_final
         if is_unfinished and executor.waits_for:
             return f"{newest.state.name.lower()}: {executor.waits_for}"
         return _describe(newest.state, now if is_unfinished else newest)
-    if now.state is State.REACHED:
+    if now.state is GoalState.REACHED:
         return ""
     return f"reached, and left again, {_describe(now.state, now)}"
 
 
-def _describe(state: State, progress: Progress) -> str:
+def _describe(state: GoalState, progress: GoalProgress) -> str:
     why = f": {progress.reason}" if progress.reason else ""
     return f"{state.name.lower()}{describe_left(progress.distance, progress.angle)}{why}"

@@ -12,7 +12,7 @@ from arm_emulator.base.validation.count import check_count
 
 
 @runtime_checkable
-class Run(Protocol):
+class RestorableRun(Protocol):
     """A run that can be saved and restored exactly, such as `OfflineRun`."""
 
     @property
@@ -29,10 +29,10 @@ class Run(Protocol):
         """Go on from what `save` has returned."""
 
 
-R = TypeVar("R", bound=Run)
+R = TypeVar("R", bound=RestorableRun)
 
 
-class Change(NamedTuple):
+class TimelineChange(NamedTuple):
     """A change by hand: what was done, after which tick, and the function that did it."""
 
     tick: int
@@ -81,11 +81,11 @@ class Timeline(NonCopyable, Generic[R]):
     instead = "`fork`"
 
     def __init__(self, run: R, every: int = 1000) -> None:
-        if not isinstance(run, Run):
+        if not isinstance(run, RestorableRun):
             raise Refusal("Timeline", "run", "advance, save and restore", run, "an OfflineRun")
         self.every = check_count("Timeline", "every", every, 1)
         self.run = run
-        self.changes: list[Change] = []
+        self.changes: list[TimelineChange] = []
         self.parent: Timeline[R] | None = None
         self.begins = self.tick = self.newest = run.tick
         self._checkpoints: list[_Checkpoint] = []
@@ -186,7 +186,7 @@ class Timeline(NonCopyable, Generic[R]):
         except BaseException:
             self.run.restore(before)
             raise
-        self.changes.append(Change(self.tick, name, change))
+        self.changes.append(TimelineChange(self.tick, name, change))
         if self._checkpoints[-1].tick == self.tick:
             self._checkpoints.pop()
         self._add_checkpoint()

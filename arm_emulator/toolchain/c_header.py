@@ -270,7 +270,7 @@ def _read(text: _Text) -> tuple[FFI, tuple[str, ...]]:
 
 def _load_stored(text: _Text) -> dict[str, Any] | None:
     for folder in library_cache.list_cache_folders():
-        with contextlib.suppress(FileNotFoundError, library_cache.Damaged):
+        with contextlib.suppress(FileNotFoundError, library_cache.DamagedLibrary):
             parts: dict[str, Any] = marshal.loads(library_cache.read_library(folder / text.name))
             return parts
     return None

@@ -42,7 +42,7 @@ LIBRARY = re.compile(r"(?P<scene>[\w-]+)-[0-9a-f]{20}\.(so|cdef|ptx|cubin)", re.
 LEFT_OVER = re.compile(r"(?P<library>[\w-]+-[0-9a-f]{20})\.(lock|building-\w+)", re.ASCII)
 
 
-class Damaged(Exception):
+class DamagedLibrary(Exception):
     """A library is not what was stored; the text gives the difference."""
 
 
@@ -140,7 +140,7 @@ def read_library(file: Path) -> bytes:
     """Return the stored bytes of a file after checking all of them, and mark it as used.
 
     Raises:
-        Damaged: it differs from what was stored.
+        DamagedLibrary: it differs from what was stored.
         FileNotFoundError: it is missing.
     """
     try:
@@ -148,14 +148,14 @@ def read_library(file: Path) -> bytes:
     except FileNotFoundError:
         raise
     except Untrusted as error:
-        raise Damaged(str(error)) from None
+        raise DamagedLibrary(str(error)) from None
     except OSError as error:
-        raise Damaged(f"it cannot be read: {error.strerror}") from None
+        raise DamagedLibrary(f"it cannot be read: {error.strerror}") from None
     if not sealed:
-        raise Damaged("it is empty")
+        raise DamagedLibrary("it is empty")
     body, seal = sealed[:-SEAL_SIZE], sealed[-SEAL_SIZE:]
     if seal != _compute_seal(file.name, body):
-        raise Damaged("it is cut short, changed, or was never stored here")
+        raise DamagedLibrary("it is cut short, changed, or was never stored here")
     return body
 
 
@@ -269,7 +269,7 @@ def _clear_invalid_lock(file: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Entry:
+class CacheEntry:
     """A library in a folder, or the remains of one."""
 
     file: Path
@@ -278,7 +278,7 @@ class Entry:
     used: float  # s since 1970
 
 
-def list_entries(folder: Path) -> list[Entry]:
+def list_entries(folder: Path) -> list[CacheEntry]:
     """Return the libraries in a folder, the least recently used first."""
     entries = []
     with contextlib.suppress(OSError), os.scandir(folder) as items:
@@ -288,7 +288,7 @@ def list_entries(folder: Path) -> list[Entry]:
                 at = item.stat(follow_symlinks=False)
                 if name and not item.is_dir(follow_symlinks=False):
                     entries.append(
-                        Entry(Path(folder, item.name), name["scene"], at.st_size, at.st_mtime)
+                        CacheEntry(Path(folder, item.name), name["scene"], at.st_size, at.st_mtime)
                     )
     return sorted(entries, key=lambda entry: entry.used)
 

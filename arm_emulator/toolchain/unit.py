@@ -152,7 +152,7 @@ def _load_cached(
             return load(file, unit)
         except FileNotFoundError:
             continue
-        except library_cache.Damaged as error:
+        except library_cache.DamagedLibrary as error:
             _report_damaged(file, error)
     return None
 
@@ -164,7 +164,7 @@ def _load_compiled(
         with _ensure_compiled(unit, target, folder, compiler) as file:
             try:
                 return load(file, unit)
-            except (library_cache.Damaged, FileNotFoundError) as error:
+            except (library_cache.DamagedLibrary, FileNotFoundError) as error:
                 _report_damaged(file, error)
     raise AssertionError("list_writable_caches ends with a refusal")
 
@@ -188,7 +188,7 @@ def _load(file: Path, unit: Unit) -> Library:
     try:
         return Library(file, unit.headers)
     except OSError as error:  # for example a file system that is mounted with noexec
-        raise library_cache.Damaged(f"the loader reports {error}") from None
+        raise library_cache.DamagedLibrary(f"the loader reports {error}") from None
 
 
 def compile_units(units: Iterable[Unit], target: str, folder: Path | None) -> list[Path]:
@@ -286,7 +286,7 @@ def _ensure_compiled(
             locks.enter_context(library_cache.lock_library(library))
             try:
                 library_cache.read_library(library)
-            except (library_cache.Damaged, FileNotFoundError):
+            except (library_cache.DamagedLibrary, FileNotFoundError):
                 _compile(unit, target, library, compiler)
         except OSError as error:
             raise Refusal(unit.where, f"cache folder {folder}", "take the compiled library",

@@ -28,7 +28,7 @@ from arm_emulator.design.scene_text import STOPS_BEYOND, STOPS_BEYOND_OF_SLIDE
 from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.motion.collision.collisions import Collisions
-from arm_emulator.motion.executor.goal_status import State
+from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.executor.jog import make_joint_command, make_twist_command
 from arm_emulator.motion.model.obstacles import Obstacle
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
@@ -140,7 +140,7 @@ def test_targets_trajectories_and_jogs_keep_the_joints_limits(machine: Machine) 
     ]
     run.instructor.add_trajectory(run.controller, names, points)
     run.go(9.0)
-    assert run.instructor.reports.waiting[-1].state is State.REACHED
+    assert run.instructor.reports.waiting[-1].state is GoalState.REACHED
     np.testing.assert_allclose(run.session.state.q, scene.start, atol=2e-3)
     before = machine.tool(run.session.state.q).translation
     along = make_twist_command(0, (0.0, 0.0, 0.05, 0.0, 0.0, 0.0), "", kinematics, gains.motion)

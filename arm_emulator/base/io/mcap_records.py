@@ -54,7 +54,7 @@ class CutOff(Exception):
     """The file ends before its end: its writer was killed, or the disk was full."""
 
 
-class Damaged(Exception):
+class DamagedRecords(Exception):
     """The file differs from what a writer has written; the text gives the difference."""
 
 
@@ -73,13 +73,13 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
 
     Raises:
         CutOff: the file ends before its end.
-        Damaged: see above.
+        DamagedRecords: see above.
     """
     complete, size = is_complete(stream), stream.seek(0, SEEK_END)
     left = MAX_UNPACKED + MAX_RATIO * size  # bytes that may still be unpacked
     stream.seek(0)
     if not MCAP0_MAGIC.startswith(stream.read(len(MCAP0_MAGIC))):
-        raise Damaged("it does not begin like one")
+        raise DamagedRecords("it does not begin like one")
     try:
         for opcode, content, end in _split(stream, size):
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
@@ -92,20 +92,20 @@ def records(stream: IO[bytes]) -> Iterator[tuple[McapRecord | None, int]]:
                 continue
             left -= record.uncompressed_size
             if record.uncompressed_size > MAX_RECORD or left < 0:
-                raise Damaged("chunks that unpack to more than a bag may")
+                raise DamagedRecords("chunks that unpack to more than a bag may")
             at, data = 0, BytesIO(_unpack_chunk(record))
             with contextlib.suppress(EOFError):
                 for inner, text, ends in _split(data, record.uncompressed_size):
                     if inner not in _IN_CHUNKS:
-                        raise Damaged(f"a record of kind {inner} in a chunk")
+                        raise DamagedRecords(f"a record of kind {inner} in a chunk")
                     at = ends
                     yield _parse_records(inner, text), end
             if at != record.uncompressed_size:
-                raise Damaged("a chunk ends within a record")
+                raise DamagedRecords("a chunk ends within a record")
             yield None, end
     except EOFError:
         if complete:
-            raise Damaged("a record beyond its end") from None
+            raise DamagedRecords("a record beyond its end") from None
     raise CutOff
 
 
@@ -127,7 +127,7 @@ def recover_mcap(file: Path) -> bool:
         try:
             with contextlib.suppress(CutOff):
                 ends += (end for _, end in records(stream))
-        except Damaged as error:
+        except DamagedRecords as error:
             raise Refusal(str(file), "the bag", "be undamaged MCAP", error) from None
     while True:
         try:
@@ -160,7 +160,7 @@ def _split(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
 
     Raises:
         EOFError: no whole record follows.
-        Damaged: a record is too large.
+        DamagedRecords: a record is too large.
     """
     while True:
         head = stream.read(_HEAD.size)
@@ -172,7 +172,7 @@ def _split(stream: IO[bytes], size: int) -> Iterator[tuple[int, bytes, int]]:
         content = b""
         if opcode == Opcode.MESSAGE or opcode in _KINDS:
             if length > MAX_RECORD:
-                raise Damaged(f"a record of {length} bytes, {MAX_RECORD} are the most")
+                raise DamagedRecords(f"a record of {length} bytes, {MAX_RECORD} are the most")
             content = stream.read(length)
         yield opcode, content, end
         stream.seek(end)
@@ -186,7 +186,9 @@ def _parse_records(opcode: int, content: bytes) -> McapRecord | None:
         kind = _KINDS.get(opcode)
         return None if kind is None else kind.read(ReadDataStream(BytesIO(content)))
     except (McapError, struct.error, ValueError, OverflowError) as error:
-        raise Damaged(f"a record of kind {opcode}: {error or type(error).__name__}") from None
+        raise DamagedRecords(
+            f"a record of kind {opcode}: {error or type(error).__name__}"
+        ) from None
 
 
 def _unpack_chunk(chunk: Chunk) -> bytes:
@@ -202,10 +204,10 @@ def _unpack_chunk(chunk: Chunk) -> bytes:
             case "lz4":
                 data = bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, size + 1))
             case other:
-                raise Damaged(f"a chunk that is packed as {other[:20]!r}")
+                raise DamagedRecords(f"a chunk that is packed as {other[:20]!r}")
     except (zstandard.ZstdError, RuntimeError, ValueError, EOFError) as error:
-        raise Damaged(f"a chunk: {error}") from None
+        raise DamagedRecords(f"a chunk: {error}") from None
     crc = chunk.uncompressed_crc
     if len(data) != size or (crc and zlib.crc32(data) != crc):
-        raise Damaged("a chunk of other bytes than were packed")
+        raise DamagedRecords("a chunk of other bytes than were packed")
     return data

@@ -57,7 +57,7 @@ def check_scenes(
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedScene:
     """A valid scene, and the files that belong to it.
 
     Attributes:
@@ -88,7 +88,7 @@ class Checked:
         return "; ".join((line, *self.missing))
 
 
-def check_scene(name: str) -> Checked:
+def check_scene(name: str) -> CheckedScene:
     """Return the files of a scene; compare its gains with it.
 
     Raises:
@@ -107,7 +107,7 @@ def check_scene(name: str) -> Checked:
         except Refusal as reason:
             files[kind] = None
             missing.append(f"no {kind} parameters: they must {reason.rule}")
-    checked = Checked(
+    checked = CheckedScene(
         scene.where, scene.joint_names, tuple(scene.assumed), **files, missing=tuple(missing)
     )
     if missing:

@@ -58,7 +58,7 @@ EXTRAS = {
 }
 
 
-class Finding(NamedTuple):
+class SystemFinding(NamedTuple):
     """A line of the report.
 
     Attributes:
@@ -89,10 +89,10 @@ def doctor() -> int:
     return int(any(finding.level == "problem" for finding in listed))
 
 
-def findings() -> Iterator[Finding]:
+def findings() -> Iterator[SystemFinding]:
     """Yield the findings, from compiler to packages."""
     of_python = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
-    yield Finding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
+    yield SystemFinding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
     for look in (
         _check_compiler,
         _check_cache,
@@ -109,7 +109,7 @@ def findings() -> Iterator[Finding]:
         yield _check_network()
 
 
-def imports() -> Iterator[Finding]:
+def imports() -> Iterator[SystemFinding]:
     """Yield what can be imported; a process of its own tries, as a broken package may end it."""
     modules = (*NEEDED, *EXTRAS)
     there = [module for module in modules if importlib.util.find_spec(module) is not None]
@@ -119,7 +119,7 @@ def imports() -> Iterator[Finding]:
     broken: dict[str, str] = {}
     if done.returncode:
         text = f"their imports end with exit code {done.returncode}"
-        yield Finding("packages", "problem", text, "import them one by one")
+        yield SystemFinding("packages", "problem", text, "import them one by one")
     else:
         broken = json.loads(done.stdout)
     for module in modules:
@@ -129,20 +129,20 @@ def imports() -> Iterator[Finding]:
         elif module not in there:
             text = f"module {module} is not installed, needed by {needed_by}"
         else:
-            yield Finding(module, "ok", f"{package} can be imported")
+            yield SystemFinding(module, "ok", f"{package} can be imported")
             continue
         level = "problem" if module in NEEDED else "note"
-        yield Finding(module, level, text, f"pip install {package}")
+        yield SystemFinding(module, level, text, f"pip install {package}")
 
 
-def _try_check(name: str, look: Callable[[], str]) -> Finding:
+def _try_check(name: str, look: Callable[[], str]) -> SystemFinding:
     try:
-        return Finding(name, "ok", look())
+        return SystemFinding(name, "ok", look())
     except Refusal as reason:
-        return Finding(name, "problem", str(reason))
+        return SystemFinding(name, "problem", str(reason))
 
 
-def _check_compiler() -> Finding:
+def _check_compiler() -> SystemFinding:
     def look() -> str:
         words = find_compiler()
         program = "#include <concepts>\n#include <numbers>\n"
@@ -160,51 +160,51 @@ def _check_compiler() -> Finding:
     return _try_check("compiler", look)
 
 
-def _check_cache() -> Finding:
+def _check_cache() -> SystemFinding:
     return _try_check(
         "cache", lambda: f"{next(list_writable_caches())}, at most {read_largest_size() / 1e6:g} MB"
     )
 
 
-def _check_disk() -> Finding:
+def _check_disk() -> SystemFinding:
     places = {Path.cwd(), Path(os.environ.get("TMPDIR", "/tmp"))}
     free = {place: shutil.disk_usage(place).free / 1e9 for place in sorted(places)}
     text = ", ".join(f"{size:.1f} GB free in {place}" for place, size in free.items())
     if min(free.values()) < MIN_DISK:
-        return Finding("disk", "problem", text, f"make room for {MIN_DISK:g} GB")
-    return Finding("disk", "ok", text)
+        return SystemFinding("disk", "problem", text, f"make room for {MIN_DISK:g} GB")
+    return SystemFinding("disk", "ok", text)
 
 
-def _check_ros() -> Finding:
+def _check_ros() -> SystemFinding:
     missing = [
         name for name in ("rclpy", "arm_emulator_msgs") if importlib.util.find_spec(name) is None
     ]
     if missing:
         text = f"no Python module {' and '.join(missing)}, needed by nodes and bags"
         remedy = "`make setup` in a checkout, or source a workspace: `. install/setup.bash`"
-        return Finding("ROS 2", "note", text, remedy)
+        return SystemFinding("ROS 2", "note", text, remedy)
     middleware = os.environ.get("RMW_IMPLEMENTATION", "default middleware")
     text = f"{os.environ.get('ROS_DISTRO', 'from wheels')}, {middleware}"
     if middleware not in FAST_DDS:
         remedy = "unset RMW_IMPLEMENTATION if nodes do not start, or if lock-step is slow"
-        return Finding("ROS 2", "note", f"{text}, with which nothing was tried", remedy)
-    return Finding("ROS 2", "ok", text)
+        return SystemFinding("ROS 2", "note", f"{text}, with which nothing was tried", remedy)
+    return SystemFinding("ROS 2", "ok", text)
 
 
-def _check_domain() -> Finding:
+def _check_domain() -> SystemFinding:
     named = os.environ.get("ROS_DOMAIN_ID", "0")
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     if not (named.isdecimal() and int(named) <= LARGEST):
         remedy = f"export ROS_DOMAIN_ID=0 to {LARGEST}"
-        return Finding("ROS domain", "problem", f"ROS_DOMAIN_ID is {named!r}", remedy)
+        return SystemFinding("ROS domain", "problem", f"ROS_DOMAIN_ID is {named!r}", remedy)
     if reach == "SUBNET":
         text = f"{named}, open to the whole subnet: who has the same domain there joins in"
         remedy = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST to stay on this machine"
-        return Finding("ROS domain", "note", text, remedy)
-    return Finding("ROS domain", "ok", f"{named}, {reach}")
+        return SystemFinding("ROS domain", "note", text, remedy)
+    return SystemFinding("ROS domain", "ok", f"{named}, {reach}")
 
 
-def _check_network() -> Finding:
+def _check_network() -> SystemFinding:
     """Look at the nodes of the domain, of any program."""
     try:
         from arm_emulator.ros.node.network_client import join_network
@@ -220,18 +220,20 @@ def _check_network() -> Finding:
             )
     except Exception as error:  # a middleware that is not there, a domain that is not valid
         reason = (str(error).splitlines() or [type(error).__name__])[0]
-        return Finding("network", "problem", f"cannot be joined: {reason}", "see the lines above")
+        return SystemFinding(
+            "network", "problem", f"cannot be joined: {reason}", "see the lines above"
+        )
     nodes = f"{count} other node{'' if count == 1 else 's'} in the domain"
     if not faults:
-        return Finding("network", "ok", nodes)
+        return SystemFinding("network", "ok", nodes)
     texts = [fault.text for fault in faults[:MAX_FAULTS]]
     if len(faults) > len(texts):
         texts.append(f"{len(faults) - len(texts)} more")
     level = "problem" if faults[0].grave else "note"
-    return Finding("network", level, f"{nodes}; {'; '.join(texts)}", faults[0].remedy)
+    return SystemFinding("network", level, f"{nodes}; {'; '.join(texts)}", faults[0].remedy)
 
 
-def _check_processes() -> Finding:
+def _check_processes() -> SystemFinding:
     """Look for nodes of this user whose launcher is gone."""
     alive, orphans = 0, list[int]()
     for entry in Path("/proc").iterdir():
@@ -249,27 +251,27 @@ def _check_processes() -> Finding:
     if orphans:
         numbers = " ".join(map(str, sorted(orphans)))
         text = f"nodes run whose launcher has ended: {numbers}"
-        return Finding("processes", "problem", text, f"kill {numbers}")
-    return Finding("processes", "ok", f"{alive} nodes run, none left behind")
+        return SystemFinding("processes", "problem", text, f"kill {numbers}")
+    return SystemFinding("processes", "ok", f"{alive} nodes run, none left behind")
 
 
-def _check_shared_memory() -> Finding:
+def _check_shared_memory() -> SystemFinding:
     count = sum(1 for _ in find_left_over())
     if count:
         text = f"{count} remains of killed processes in /dev/shm"
-        return Finding("shared memory", "note", text, "the next network removes them")
-    return Finding("shared memory", "ok", "nothing left behind")
+        return SystemFinding("shared memory", "note", text, "the next network removes them")
+    return SystemFinding("shared memory", "ok", "nothing left behind")
 
 
-def _check_priority() -> Finding:
+def _check_priority() -> SystemFinding:
     before = os.sched_getscheduler(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         os.sched_setscheduler(0, before, os.sched_param(0))
     except OSError as error:
         text = f"no real-time priority ({error.strerror}): `--clock realtime` may be late"
-        return Finding("priority", "note", text, "`ulimit -r` must be > 0")
-    return Finding("priority", "ok", "real-time priority may be had; `latency` measures it")
+        return SystemFinding("priority", "note", text, "`ulimit -r` must be > 0")
+    return SystemFinding("priority", "ok", "real-time priority may be had; `latency` measures it")
 
 
 CLOCK = "rosgraph_msgs/msg/Clock"

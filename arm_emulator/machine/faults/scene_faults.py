@@ -11,7 +11,7 @@ from arm_emulator.machine.varied import Varied
 
 
 @dataclass(frozen=True)
-class Change:
+class FaultChange:
     """The change of one number of the scene by a fault."""
 
     number: str  # its place in the scene
@@ -25,7 +25,7 @@ class SceneFault:
 
     kind: Fault
     varied: Varied  # its magnitude, 0 in the beginning
-    changes: tuple[Change, ...]
+    changes: tuple[FaultChange, ...]
 
     @property
     def name(self) -> str:
@@ -59,7 +59,7 @@ def list_scene_faults(
                 if value is None and of + place in numbers:
                     value = kind.absent
                 if value is not None:
-                    changes[place] = Change(of + place, value, expression)
+                    changes[place] = FaultChange(of + place, value, expression)
             acts = any(
                 change.number in varied or kind.can_change(change.value, place)
                 for place, change in changes.items()

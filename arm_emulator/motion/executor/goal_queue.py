@@ -14,7 +14,13 @@ from arm_emulator.motion.executor.controllers import (
     make_joint_limits,
     make_tool_limits,
 )
-from arm_emulator.motion.executor.goal_status import CANCELLED, Kind, Progress, Reports, State
+from arm_emulator.motion.executor.goal_status import (
+    CANCELLED,
+    GoalProgress,
+    GoalReports,
+    GoalState,
+    Kind,
+)
 from arm_emulator.motion.executor.goals import Goal, PathGoal, TrajectoryGoal
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.kinematics import Kinematics
@@ -95,27 +101,27 @@ class AcceptedGoal:
     """Number among those of its kind; 0: an internal one, without reports."""
     begins_ns: int = 0
     """Logical time at which it begins at the earliest."""
-    state: State = State.ACCEPTED
+    state: GoalState = GoalState.ACCEPTED
     path_text: str = ""
     """Newest published report."""
 
     @property
-    def replaces(self) -> Progress:
+    def replaces(self) -> GoalProgress:
         """Progress of an order in whose place this one comes."""
         if not self.number:
-            return Progress(State.ABORTED, CANCELLED)
+            return GoalProgress(GoalState.ABORTED, CANCELLED)
         name = self.order.kind.name.lower().replace("_", " ")
-        return Progress(State.REPLACED, f"by {name} {self.number}")
+        return GoalProgress(GoalState.REPLACED, f"by {name} {self.number}")
 
-    def report(self, reports: Reports, progress: Progress, always: bool = False) -> None:
+    def report(self, reports: GoalReports, progress: GoalProgress, always: bool = False) -> None:
         """Take over the state of a progress, and report what is new, or anything if `always`.
 
         After a final state only an unreachable target may still be reached.
         """
-        later = self.state is State.UNREACHABLE and progress.state is State.REACHED
+        later = self.state is GoalState.UNREACHABLE and progress.state is GoalState.REACHED
         if self.state.is_final and not later:
             return
-        silent = progress.state is self.state is State.MOVING and not always
+        silent = progress.state is self.state is GoalState.MOVING and not always
         self.state = progress.state
         if silent or not self.number:
             return

@@ -25,7 +25,7 @@ class Kind(enum.IntEnum):
         return "delta_twist_cmds" if self is Kind.JOG else self.name.lower()
 
 
-class State(enum.IntEnum):
+class GoalState(enum.IntEnum):
     """The result; the numbers are those of msg/MotionStatus.msg."""
 
     ACCEPTED = 1
@@ -39,14 +39,14 @@ class State(enum.IntEnum):
     @property
     def is_final(self) -> bool:
         """Whether it is final."""
-        return self not in (State.ACCEPTED, State.MOVING)
+        return self not in (GoalState.ACCEPTED, GoalState.MOVING)
 
 
 @dataclass(frozen=True)
-class Progress:
+class GoalProgress:
     """Progress of an order."""
 
-    state: State
+    state: GoalState
     reason: str = ""
     distance: float = math.nan
     """Distance of the tool from its end pose [m]; NaN: unknown."""
@@ -54,11 +54,11 @@ class Progress:
     """Rotation of the tool from its end pose [rad]; NaN: unknown."""
 
 
-MOVING = Progress(State.MOVING)
+MOVING = GoalProgress(GoalState.MOVING)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GoalStatus(Progress):
+class GoalStatus(GoalProgress):
     """One change of one request."""
 
     kind: Kind
@@ -80,7 +80,7 @@ def describe_left(distance: float, angle: float) -> str:
     return f", {parts_text} left" if parts_text else ""
 
 
-class Reports:
+class GoalReports:
     """The newest reports that have not been taken yet, and the numbers of orders."""
 
     def __init__(self) -> None:
@@ -95,10 +95,10 @@ class Reports:
 
     def refuse(self, kind: Kind, stamp_ns: int, reason: object) -> None:
         """Report a refused one."""
-        refused, number = Progress(State.REFUSED, str(reason)), self.next_number(kind)
+        refused, number = GoalProgress(GoalState.REFUSED, str(reason)), self.next_number(kind)
         self.add(refused, kind, number, stamp_ns)
 
-    def add(self, progress: Progress, kind: Kind, number: int, stamp_ns: int) -> None:
+    def add(self, progress: GoalProgress, kind: Kind, number: int, stamp_ns: int) -> None:
         """Report the progress of one."""
         status = GoalStatus(**vars(progress), kind=kind, number=number, stamp_ns=stamp_ns)
         self.waiting.append(status)

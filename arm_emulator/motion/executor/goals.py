@@ -9,10 +9,10 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.executor.controllers import Controllers
-from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress, State
+from arm_emulator.motion.executor.goal_status import MOVING, GoalProgress, GoalState, Kind
 from arm_emulator.motion.executor.path_monitor import PathMonitor
 from arm_emulator.motion.model.config import MotionConfig
-from arm_emulator.motion.model.joint_reference import JointSetpoint, Motion, Reference
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference, ReferenceMotion
 from arm_emulator.motion.model.kinematics import POSITION_ROWS
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.limited_joint_trajectory import (
@@ -43,7 +43,7 @@ _SECONDS = 1e-9
 class Planned:
     """A motion that was checked to its end before it began, and where an order is on it."""
 
-    motion: Motion
+    motion: ReferenceMotion
     elapsed: float
     """Time within it at the end of the motion period [s]."""
 
@@ -97,11 +97,11 @@ class Goal:
         """Return its motion, after `instruct`, on which parts keep apart; None: not known."""
         return None
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """Return its progress, after `instruct`, by the measured angles and speeds."""
         raise NotImplementedError
 
-    def _check_motion(self, controllers: Controllers, motion: Motion) -> None:
+    def _check_motion(self, controllers: Controllers, motion: ReferenceMotion) -> None:
         """Check a motion to its end."""
         if controllers.guard is not None:
             controllers.guard.check(self.kind.topic, sample_angles(motion))
@@ -159,7 +159,7 @@ class TargetGoal(_ToolGoal):
             self._rest_position = q
         return instruction
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         return self._arrival.progress(now_ns, self._law, q, v)
 
@@ -201,16 +201,16 @@ class PathGoal(_ToolGoal):
         self._watch.see(instruction.q, q - self._shaped.lag)  # where the tool truly is
         return instruction
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         if self._watch.broken:
-            return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
+            return GoalProgress(GoalState.ABORTED, f"{PATH_TOLERANCE}: {self._watch.broken}")
         if not self._law.is_resting:
             return MOVING
         progress = self._arrival.progress(now_ns, self._law, q, v)
         missed = self._watch.missed
-        if progress.state is State.REACHED and missed:
-            return replace(progress, state=State.ABORTED, reason=f"{PATH_TOLERANCE}: {missed}")
+        if progress.state is GoalState.REACHED and missed:
+            return replace(progress, state=GoalState.ABORTED, reason=f"{PATH_TOLERANCE}: {missed}")
         return progress
 
 
@@ -275,7 +275,7 @@ class TrajectoryGoal(Goal):
         elapsed = self._time(self._at_ns) + self._period
         return None if self.trajectory.is_stop else Planned(self._motion, elapsed)
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         expected = self.reference(now_ns)
         q_error, v_error = expected.q - q, None if v is None else expected.v - v
@@ -283,12 +283,14 @@ class TrajectoryGoal(Goal):
         late = self._time(now_ns) - self._motion.duration
         if late < 0.0:
             broken = self._tolerances.path.describe_excess(names, q_error, v_error)
-            return Progress(State.ABORTED, f"{PATH_TOLERANCE}: {broken}") if broken else MOVING
+            return (
+                GoalProgress(GoalState.ABORTED, f"{PATH_TOLERANCE}: {broken}") if broken else MOVING
+            )
         broken = self._tolerances.goal.describe_excess(names, q_error, v_error)
         if not broken:
-            return Progress(State.REACHED)
+            return GoalProgress(GoalState.REACHED)
         if 0.0 < self._tolerances.goal_time < late:
-            return Progress(State.ABORTED, f"{GOAL_TOLERANCE} after {late:.3g} s: {broken}")
+            return GoalProgress(GoalState.ABORTED, f"{GOAL_TOLERANCE} after {late:.3g} s: {broken}")
         return MOVING
 
 
@@ -304,7 +306,7 @@ class _Arrival:
         """Whether the tool has come no nearer for a while."""
         return self._best_at is not None and (now_ns - self._best_at) * _SECONDS >= PATIENCE
 
-    def progress(self, now_ns: int, law: Controller, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, law: Controller, q: Array, v: Array | None) -> GoalProgress:
         """Return the tool's progress, by measured angles and speeds."""
         config, error = self._config, law.error
         distance = float(np.linalg.norm(error[:POSITION_ROWS]))
@@ -315,12 +317,14 @@ class _Arrival:
         if self._best_at is None or size < _SMALLER * self._best or size <= 1.0:
             self._best, self._best_at = size, now_ns
         if size <= 1.0 and rests:
-            return Progress(State.REACHED, "", distance, reported_angle)
+            return GoalProgress(GoalState.REACHED, "", distance, reported_angle)
         if not law.is_resting and law.coming is not None:
             self._best_at = now_ns
         if rests and self.is_stalled(now_ns):
-            return Progress(State.UNREACHABLE, "; ".join(law.notices), distance, reported_angle)
-        return Progress(State.MOVING, "", distance, reported_angle)
+            return GoalProgress(
+                GoalState.UNREACHABLE, "; ".join(law.notices), distance, reported_angle
+            )
+        return GoalProgress(GoalState.MOVING, "", distance, reported_angle)
 
     def _is_resting(self, law: Controller, q: Array, v: Array | None) -> bool:
         """Whether the measured tool needs more than `_STAYS` to leave what counts as reached."""

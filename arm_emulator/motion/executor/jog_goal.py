@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.executor.controllers import Controllers, make_jerk_limited_velocity
-from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress, State
+from arm_emulator.motion.executor.goal_status import MOVING, GoalProgress, GoalState, Kind
 from arm_emulator.motion.executor.goals import Goal
 from arm_emulator.motion.executor.jog import JogCommand, JogStatus
 from arm_emulator.motion.executor.tool_directions import Speeds, ToolDirections
@@ -105,10 +105,10 @@ class JogGoal(Goal):
         """See `Goal`."""
         return self._joints.now
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         if self._stale and not self._joints.is_moving:
-            return Progress(State.REACHED, "no command any more, at rest")
+            return GoalProgress(GoalState.REACHED, "no command any more, at rest")
         return MOVING
 
 

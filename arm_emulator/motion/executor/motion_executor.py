@@ -22,10 +22,10 @@ from arm_emulator.motion.executor.goal_queue import (
 from arm_emulator.motion.executor.goal_status import (
     CANCELLED,
     MOVING,
+    GoalProgress,
+    GoalReports,
+    GoalState,
     Kind,
-    Progress,
-    Reports,
-    State,
 )
 from arm_emulator.motion.executor.goals import Goal, Planned, TargetGoal
 from arm_emulator.motion.executor.jog import JogCommand
@@ -66,7 +66,7 @@ class MotionExecutor:
     def __init__(self, config: MotionConfig | None = None) -> None:
         self.restarts = 0
         self.trouble = ""
-        self.reports = Reports()
+        self.reports = GoalReports()
         self.progress = MOVING
         self._config = config or MotionConfig()
         self._coming = GoalQueue()
@@ -79,7 +79,7 @@ class MotionExecutor:
         """Forget all orders, and the arm's position."""
         for taken in [self._active, *self._coming]:
             if taken is not None:
-                taken.report(self.reports, Progress(State.ABORTED, reason))
+                taken.report(self.reports, GoalProgress(GoalState.ABORTED, reason))
         self._hold: Array | None = None
         self._active = None
         self._standstill: Standstill | None = None
@@ -196,7 +196,7 @@ class MotionExecutor:
         for taken in self._coming:
             if taken.order.kind is Kind.JOINT_TRAJECTORY and taken.number == number:
                 self._coming.remove(taken)
-                taken.report(self.reports, Progress(State.ABORTED, CANCELLED))
+                taken.report(self.reports, GoalProgress(GoalState.ABORTED, CANCELLED))
                 return
         active = self._active
         if self._controllers is None or active is None or active.state.is_final:
@@ -282,11 +282,11 @@ class MotionExecutor:
         if active is None:
             self._hold = rest.q if self._hold is not None else None
             return
-        begins = active.state is State.ACCEPTED
+        begins = active.state is GoalState.ACCEPTED
         try:
             (active.order.begin if begins else active.order.go_on)(controllers, time_ns, rest)
         except Refusal as reason:
-            active.report(self.reports, Progress(State.REFUSED, str(reason)))
+            active.report(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
             self._active, self._hold = None, rest.q
 
     def _get_controllers(self, controller: Controller) -> Controllers:
@@ -304,7 +304,7 @@ class MotionExecutor:
             self.reports.refuse(kind, time_ns, reason)
             raise
         taken = AcceptedGoal(order, self.reports.next_number(kind), begins_ns)
-        taken.report(self.reports, Progress(State.ACCEPTED))
+        taken.report(self.reports, GoalProgress(GoalState.ACCEPTED))
         before = self._coming.put(taken)
         if before is not None:
             before.report(self.reports, taken.replaces)
@@ -318,7 +318,7 @@ class MotionExecutor:
                 check_wait(taken_early.order.kind, taken_early.begins_ns, time_ns)
             except Refusal as reason:
                 self._coming.remove(taken_early)
-                taken_early.report(self.reports, Progress(State.REFUSED, str(reason)))
+                taken_early.report(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
         self._now_ns = time_ns
         while (taken := self._coming.take_due(time_ns)) is not None:
             reference, order = self._find_reference(controllers, time_ns, q), taken.order
@@ -332,7 +332,7 @@ class MotionExecutor:
             try:
                 taken.order.begin(controllers, time_ns, reference)
             except Refusal as reason:
-                taken.report(self.reports, Progress(State.REFUSED, str(reason)))
+                taken.report(self.reports, GoalProgress(GoalState.REFUSED, str(reason)))
                 continue
             if self._active is not None:
                 self._active.report(self.reports, taken.replaces)
@@ -361,25 +361,27 @@ class MotionExecutor:
             before = taken.order.reference(time_ns)
             assert before is not None
             moved = bool((before.v != 0.0).any())
-            state = State.ABORTED if moved else State.REFUSED
-            return self._halt_goal(controllers, time_ns, before, Progress(state, str(reason)))
+            state = GoalState.ABORTED if moved else GoalState.REFUSED
+            return self._halt_goal(controllers, time_ns, before, GoalProgress(state, str(reason)))
         shaped, progress = controllers.shaped, taken.order.progress(time_ns, q, v)
-        if not shaped.is_settled and progress.state in (State.REACHED, State.UNREACHABLE):
-            progress = replace(progress, state=State.MOVING, reason="")
+        if not shaped.is_settled and progress.state in (GoalState.REACHED, GoalState.UNREACHABLE):
+            progress = replace(progress, state=GoalState.MOVING, reason="")
         self.progress = progress
         path_text = taken.order.path_text
         if shaped.delay:
             later = f"{shaped.delay:.3g} s more by the shaper"
             path_text = f"{path_text}, {later}" if path_text else later
-        if taken.state is State.ACCEPTED or (
-            taken.state is State.MOVING and path_text != taken.path_text
+        if taken.state is GoalState.ACCEPTED or (
+            taken.state is GoalState.MOVING and path_text != taken.path_text
         ):
             taken.path_text = path_text
             taken.report(
-                self.reports, replace(progress, state=State.MOVING, reason=path_text), always=True
+                self.reports,
+                replace(progress, state=GoalState.MOVING, reason=path_text),
+                always=True,
             )
         taken.report(self.reports, progress)
-        if taken.state is State.ABORTED:
+        if taken.state is GoalState.ABORTED:
             v = None if v is None else v - shaped.v_lag
             return self._stop_measured(controllers, time_ns, q - shaped.lag, v)
         return self._guard_setpoint(controllers, time_ns, q, instruction)
@@ -406,11 +408,11 @@ class MotionExecutor:
         if planned is not None and guard.is_free(planned.motion):
             self._only = planned
             return instruction
-        why = Progress(State.ABORTED, f"collision: {touching} would touch")
+        why = GoalProgress(GoalState.ABORTED, f"collision: {touching} would touch")
         return self._halt_goal(controllers, time_ns, now, why)
 
     def _halt_goal(
-        self, controllers: Controllers, time_ns: int, now: Reference, why: Progress
+        self, controllers: Controllers, time_ns: int, now: Reference, why: GoalProgress
     ) -> JointSetpoint:
         """Abort the order, and come to rest from the commanded motion."""
         if self._active is not None:
@@ -421,7 +423,7 @@ class MotionExecutor:
         else:
             stop = StopGoal(controllers, time_ns, self._only)
         stop.begin(controllers, time_ns, now)
-        self._active = AcceptedGoal(stop, 0, state=State.MOVING)
+        self._active = AcceptedGoal(stop, 0, state=GoalState.MOVING)
         instruction = stop.instruct(controllers, time_ns, now.q)
         if self._only is not None:
             self._only = stop.planned()

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.executor.controllers import Controllers, make_jerk_limited_velocity
-from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress, State
+from arm_emulator.motion.executor.goal_status import MOVING, GoalProgress, GoalState, Kind
 from arm_emulator.motion.executor.goals import Goal, Planned
-from arm_emulator.motion.model.joint_reference import JointSetpoint, Motion, Reference
+from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference, ReferenceMotion
 from arm_emulator.motion.trajectory.online_trajectory import Rest
 from arm_emulator.motion.trajectory.time_scaling import TimeScaled
 
@@ -78,7 +78,7 @@ class StopGoal(Goal):
     kind = Kind.JOG
 
     def __init__(self, controllers: Controllers, now_ns: int, planned: Planned) -> None:
-        self._motion: Motion = planned.motion
+        self._motion: ReferenceMotion = planned.motion
         since = planned.elapsed
         if not isinstance(planned.motion, TimeScaled):  # which slows down already
             limits = controllers.planner.limits
@@ -109,7 +109,7 @@ class StopGoal(Goal):
         """See `Goal`."""
         return Planned(self._motion, (self._at_ns - self._began_ns) * _SECONDS)
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         over = (now_ns - self._began_ns) * _SECONDS > self._motion.duration
-        return Progress(State.REACHED, "at rest") if over else MOVING
+        return GoalProgress(GoalState.REACHED, "at rest") if over else MOVING

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.motion.executor.controllers import Controllers, make_jerk_limited_velocity
-from arm_emulator.motion.executor.goal_status import MOVING, Kind, Progress
+from arm_emulator.motion.executor.goal_status import MOVING, GoalProgress, Kind
 from arm_emulator.motion.executor.goals import Goal, Planned, TargetGoal
 from arm_emulator.motion.executor.tool_directions import ToolDirections
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference
@@ -206,6 +206,6 @@ class StreamGoal(Goal):
         """See `Goal`."""
         return self._target.planned() if self._rests else None
 
-    def progress(self, now_ns: int, q: Array, v: Array | None) -> Progress:
+    def progress(self, now_ns: int, q: Array, v: Array | None) -> GoalProgress:
         """See `Goal`."""
         return self._target.progress(now_ns, q, v) if self._rests else MOVING

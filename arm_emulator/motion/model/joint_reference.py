@@ -11,7 +11,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 
 
-class Motion(Protocol):
+class ReferenceMotion(Protocol):
     """Motion that the reference follows.
 
     Attributes:

@@ -11,7 +11,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.collision.collisions import load_collisions
 from arm_emulator.motion.model.config import MotionConfig
-from arm_emulator.motion.model.joint_reference import Motion, PlanningError, Reference
+from arm_emulator.motion.model.joint_reference import PlanningError, Reference, ReferenceMotion
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.obstacles import OBSTACLES
 from arm_emulator.motion.trajectory.jerk_limited_velocity import JerkLimitedVelocity
@@ -72,7 +72,7 @@ class CollisionGuard:
         self._rested = stop_path[0] if len(stop_path) == 1 else None
         return ""
 
-    def is_free(self, motion: Motion) -> bool:
+    def is_free(self, motion: ReferenceMotion) -> bool:
         """Whether no parts touch on a motion that `check` has passed, nor after it."""
         end = motion.at(motion.duration)
         return not end.v.any() and not self.collisions.first(motion.at(0.0).q)

@@ -12,7 +12,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.motion.model.joint_reference import Motion, Reference
+from arm_emulator.motion.model.joint_reference import Reference, ReferenceMotion
 from arm_emulator.motion.planner.target_planner import TargetPlanner
 from arm_emulator.motion.planner.tool_path_planner import MotionSequence
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
@@ -27,7 +27,7 @@ _LOOKS = np.linspace(0.0, 1.0, 9)  # places of a piece at which it is held again
 _SECONDS = 1e-9
 
 
-class TimedMotion(Motion, Protocol):
+class TimedMotion(ReferenceMotion, Protocol):
     """A joint trajectory from its begin on; `JointMotion` keeps the times that were asked for.
 
     Attributes:
@@ -50,14 +50,14 @@ class StretchedTrajectory(MotionSequence):
     """
 
     def __init__(
-        self, before: Motion, runs: list[tuple[int, int, TimedPath]], path_text: str
+        self, before: ReferenceMotion, runs: list[tuple[int, int, TimedPath]], path_text: str
     ) -> None:
         super().__init__([before, *(run for _, _, run in runs)])
         self._runs, self.path_text = runs, path_text
         self.duration = round(self.duration / _SECONDS) * _SECONDS
 
     def at(self, time: float) -> Reference:
-        """See `Motion`; at whole nanoseconds, as all times of trajectories."""
+        """See `ReferenceMotion`; at whole nanoseconds, as all times of trajectories."""
         return super().at(round(time / _SECONDS) * _SECONDS)
 
     def find_requested_ns(self, time: float) -> int:

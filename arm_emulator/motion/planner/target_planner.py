@@ -29,10 +29,10 @@ from arm_emulator.motion.model.arm_tree import ArmTree
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.joint_reference import (
     JointSetpoint,
-    Motion,
     Overshoot,
     PlanningError,
     Reference,
+    ReferenceMotion,
 )
 from arm_emulator.motion.model.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.model.pose import Pose
@@ -88,7 +88,7 @@ class TargetPlanner:
         self._began = False
         self._target: Pose | None
         self._forget()
-        self._motion: Motion
+        self._motion: ReferenceMotion
         self._coming: Reference | None = None  # `coming`, once it was asked for
         self._time = 0.0
         self._take(Reference.at_rest(np.zeros(len(kinematics.joint_names))))
@@ -127,7 +127,7 @@ class TargetPlanner:
         return self._coming
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> ReferenceMotion:
         """Present motion of the reference."""
         return self._motion
 
@@ -184,7 +184,7 @@ class TargetPlanner:
         ):
             self._search_configurations(now, notices)
 
-    def follow(self, motion: Motion, path_text: str) -> None:
+    def follow(self, motion: ReferenceMotion, path_text: str) -> None:
         """Follow a motion that begins with the joints' commanded motion, from now on."""
         self._forget()
         self._follow(motion, path_text)
@@ -220,10 +220,10 @@ class TargetPlanner:
         self._seeking, self._looking, self._waits = 0, False, 0
         self._past_end: Overshoot | None = None  # why the way to the first joint angles is not gone
 
-    def _follow(self, motion: Motion, path_text: str) -> None:
+    def _follow(self, motion: ReferenceMotion, path_text: str) -> None:
         self._motion, self._time, self._coming, self.path_text = motion, 0.0, None, path_text
 
-    def plan_stop(self, now: Reference) -> Motion:
+    def plan_stop(self, now: Reference) -> ReferenceMotion:
         """Return the joints' motion to rest."""
         if self._is_still(now):
             return Rest(now.q)
@@ -347,7 +347,7 @@ class TargetPlanner:
     def _is_touching(self, q: Array) -> bool:
         return self.guard is not None and bool(self.guard.collisions.first(q))
 
-    def _check_motion(self, motion: Motion) -> None:
+    def _check_motion(self, motion: ReferenceMotion) -> None:
         if self.guard is not None:
             self.guard.check(WHERE, sample_angles(motion))
 
@@ -399,7 +399,7 @@ class TargetPlanner:
         return words
 
 
-def sample_angles(motion: Motion) -> Callable[[Array], Array]:
+def sample_angles(motion: ReferenceMotion) -> Callable[[Array], Array]:
     """Return joint angles (K, N) at parts of a motion (K,): of its curve where it has one."""
     if isinstance(motion, TimedPath):
         return lambda part: np.asarray(motion.curve.derivatives(part)[0])

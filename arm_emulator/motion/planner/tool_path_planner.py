@@ -12,7 +12,7 @@ import numpy.typing as npt
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.motion.ik.inverse_kinematics import InverseKinematics
-from arm_emulator.motion.model.joint_reference import Motion, Reference
+from arm_emulator.motion.model.joint_reference import Reference, ReferenceMotion
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.motion.planner.candidate_paths import CandidatePaths
 from arm_emulator.motion.planner.target_planner import TargetPlanner
@@ -40,7 +40,7 @@ class MotionSequence:
         duration: [s].
     """
 
-    def __init__(self, motions: Sequence[Motion]) -> None:
+    def __init__(self, motions: Sequence[ReferenceMotion]) -> None:
         self.motions = list(motions)
         self.begins = [0.0]
         for motion in self.motions:
@@ -65,7 +65,7 @@ def plan_path(
     rest = stop.at(stop.duration).q
     approach = _plan_approach(law, rest, path)
     start = approach.at(approach.duration).q
-    before: list[Motion] = [stop, approach]
+    before: list[ReferenceMotion] = [stop, approach]
     arrival = stop.duration + approach.duration
     if path.times_ns is not None:
         first_time = (path.times_ns[0] - now_ns) * _SECONDS
@@ -83,7 +83,7 @@ def plan_path(
     return row
 
 
-def _plan_approach(law: TargetPlanner, q: Array, path: ToolPath) -> Motion:
+def _plan_approach(law: TargetPlanner, q: Array, path: ToolPath) -> ReferenceMotion:
     """Return the way from rest to the first pose, the best of `CandidatePaths`."""
     kinematics, to, limits = law.kinematics, path.first, path.limits
     R_WT, p_WT = kinematics.forward(q)
@@ -116,7 +116,7 @@ def _plan_approach(law: TargetPlanner, q: Array, path: ToolPath) -> Motion:
     raise candidates.refuse_overshoot(end)
 
 
-def _plan_runs(law: TargetPlanner, path: ToolPath, start: Array) -> list[Motion]:
+def _plan_runs(law: TargetPlanner, path: ToolPath, start: Array) -> list[ReferenceMotion]:
     """Return a way for each run between stops."""
     curve, limits = path.curve, path.limits
     ends = [(float(a), float(b)) for a, b in zip(path.stops, path.stops[1:], strict=False)]
@@ -124,7 +124,7 @@ def _plan_runs(law: TargetPlanner, path: ToolPath, start: Array) -> list[Motion]
         return [Rest(start)]
     nodes = [_place_nodes(path, a, b) for a, b in ends]
     q = _trace_joints(law, path, start, nodes)
-    paths: list[Motion] = []
+    paths: list[ReferenceMotion] = []
     bend = curve.compute_curvature()
     first = 0
     for (a, b), x in zip(ends, nodes, strict=True):
@@ -158,7 +158,9 @@ def _place_nodes(path: ToolPath, a: float, b: float) -> Array:
     return a + (b - a) * np.arange(1, count + 1) / count
 
 
-def _plan_timed(law: TargetPlanner, path: ToolPath, start: Array, scaled: bool) -> list[Motion]:
+def _plan_timed(
+    law: TargetPlanner, path: ToolPath, start: Array, scaled: bool
+) -> list[ReferenceMotion]:
     """Return the way of a path with times."""
     assert path.times_ns is not None
     curve = path.curve

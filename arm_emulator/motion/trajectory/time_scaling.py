@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arm_emulator.motion.model.joint_reference import Motion, Reference
+from arm_emulator.motion.model.joint_reference import Reference, ReferenceMotion
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.online_trajectory import Rest
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath
@@ -32,7 +32,12 @@ class TimeScaled:
     """
 
     def __init__(
-        self, motion: Motion, since: float, pace: float, then: float, limits: JointPathLimits
+        self,
+        motion: ReferenceMotion,
+        since: float,
+        pace: float,
+        then: float,
+        limits: JointPathLimits,
     ) -> None:
         self._motion, self._end = motion, motion.duration
         self._since = min(since, self._end)
@@ -113,7 +118,7 @@ class Resumed:
     """
 
     def __init__(
-        self, motion: Motion, since: float, now: Reference, limits: JointPathLimits
+        self, motion: ReferenceMotion, since: float, now: Reference, limits: JointPathLimits
     ) -> None:
         since = min(since, motion.duration)
         times = np.linspace(since, min(motion.duration, since + _SLID), _PLACES)
@@ -121,7 +126,9 @@ class Resumed:
         nearest = float(times[int(np.argmin(off))])
         to = motion.at(nearest).q
         apart = np.abs(to - now.q).max() > 1e-12
-        self._back: Motion = TimedPath(JointCurve.line(now.q, to), limits) if apart else Rest(to)
+        self._back: ReferenceMotion = (
+            TimedPath(JointCurve.line(now.q, to), limits) if apart else Rest(to)
+        )
         self._along = TimeScaled(motion, nearest, 0.0, _RESUMED, limits)
         self.duration = self._back.duration + self._along.duration
         self.path_text = f"goes on, in {self.duration:.3g} s"

@@ -145,14 +145,14 @@ class TimedPath(SharedObject):
         in_curve = math.ceil(2.0 * (len(self.curve.breaks) - 1) / _CHECKED)
         return ramp, max(FEWEST_PIECES, round(IN_A_RAMP / ramp), in_curve)
 
-    def _find_timing(self, pieces: int, arguments: tuple[Any, ...], where: str) -> Timing:
+    def _find_timing(self, pieces: int, arguments: tuple[Any, ...], where: str) -> PathTiming:
         """Return the quickest timing found that keeps every limit at every check.
 
         Where one exceeds limits between the places for which it was found, it is found again with
         tighter ones there, and slowed down as a whole by the rest; and of more pieces, too, if the
         first exceeds them by much.
         """
-        law, timings, first = path_library(), list[Timing](), 0.0
+        law, timings, first = path_library(), list[PathTiming](), 0.0
         # Once more with as many: now what is exceeded is known from more looks.
         for count in (pieces, pieces, min(FINER * pieces, max(pieces, MAX_PIECES))):
             sigma, keeps, coefficients = compute_places(count), np.empty(count), np.empty(count + 2)
@@ -168,7 +168,7 @@ class TimedPath(SharedObject):
                 )
                 smallest = float(keeps.min())
                 first = first or smallest
-                timings.append(Timing(coefficients * smallest / MARGIN**2))
+                timings.append(PathTiming(coefficients * smallest / MARGIN**2))
                 if smallest > CLOSE:
                     break
                 k = np.repeat(keeps, len(POINTS))
@@ -270,7 +270,7 @@ def compute_places(pieces: int) -> Array:
     return np.asarray(((np.arange(pieces)[:, None] + inside) / pieces).ravel())
 
 
-class Timing:
+class PathTiming:
     """sigma over time.
 
     Args:

@@ -26,7 +26,7 @@ _READ, _OF_ITS_TYPE, _OF_A_TIME = map(
 
 
 @dataclass(frozen=True)
-class Row:
+class RowBounds:
     """Numbers of a message, one per joint.
 
     Attributes:
@@ -67,7 +67,7 @@ class MessageReader:
         kind: type,
         joint_names: Sequence[str],
         names: str,
-        rows: Mapping[str, Row],
+        rows: Mapping[str, RowBounds],
         singles: Mapping[str, CData],
     ) -> None:
         assert names or not rows
@@ -139,7 +139,7 @@ class MessageReader:
             return reason
         return Refusal(self._topic, path, "be readable", "another value")  # C alone knows why
 
-    def _read_row_into(self, field: CData, type_: str, row: Row, N: int) -> None:
+    def _read_row_into(self, field: CData, type_: str, row: RowBounds, N: int) -> None:
         kind = {"double": np.float64, "int64": np.int64}.get(type_)
         if kind is None or row.to.dtype != kind or row.to.shape != (N,):
             raise TypeError(f"{type_} cannot be read into {row.to.dtype}, {row.to.shape}")

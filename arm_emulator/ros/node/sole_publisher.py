@@ -67,7 +67,7 @@ def split_received(message: CData) -> tuple[bytes, bytes]:
     return bytes(data), bytes(message.publisher)
 
 
-class Receiver(Protocol):
+class SubscribingNode(Protocol):
     """A node that subscribes, see `ManagedNode`."""
 
     refuse: Callable[..., None]
@@ -99,7 +99,7 @@ class SolePublisher:
         keeps: whether the topic keeps messages for late subscribers, which get them once.
     """
 
-    def __init__(self, node: Receiver, topic: str, kind: str, keeps: bool) -> None:
+    def __init__(self, node: SubscribingNode, topic: str, kind: str, keeps: bool) -> None:
         self._node, self._topic, self._full = node, topic, node.resolve_topic_name(topic)
         self._signs = [node.resolve_topic_name(sign) for sign in KINDS[kind]]
         self._kind, self._keeps = kind, keeps

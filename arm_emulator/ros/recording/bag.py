@@ -21,7 +21,7 @@ from arm_emulator.ros.recording.bag_metadata import ABOUT, Span, Topic, read_qos
 try:
     from mcap.records import Channel, Message, Metadata, Schema
 
-    from arm_emulator.base.io.mcap_records import CutOff, Damaged, records
+    from arm_emulator.base.io.mcap_records import CutOff, DamagedRecords, records
 except ImportError as error:  # a stock ROS 2 machine has none
     raise Refusal(
         "bags", "Python package mcap", "be installed", error, "pip install mcap"
@@ -92,7 +92,7 @@ class Bag:
                     yield from self._read(stream, topics)
             except CutOff:
                 self.complete = False
-            except Damaged as error:
+            except DamagedRecords as error:
                 raise Refusal(str(file), "the bag", "be undamaged MCAP", error) from None
             except OSError as error:
                 raise Refusal(str(file), "the bag", "be readable", error.strerror) from None
@@ -118,7 +118,9 @@ class Bag:
             if isinstance(record, Message):
                 name = names.get(record.channel_id)
                 if name is None:
-                    raise Damaged(f"a message of channel {record.channel_id}, which does not exist")
+                    raise DamagedRecords(
+                        f"a message of channel {record.channel_id}, which does not exist"
+                    )
                 if topics is None or name in topics:
                     yield BagMessage(name, record.log_time, record.publish_time, record.data)
             elif isinstance(record, Schema):
@@ -142,14 +144,14 @@ class Bag:
 
 def _read_topic(channel: Channel, schema: Schema | None) -> Topic:
     if schema is None:
-        raise Damaged(f"topic {channel.topic}: it has no schema")
+        raise DamagedRecords(f"topic {channel.topic}: it has no schema")
     try:
         text = channel.metadata.get("offered_qos_profiles", "")
         profiles = parse_yaml(text, "offered_qos_profiles") or []
         offered = tuple(read_qos(profile) for profile in profiles)
         definition = schema.data.decode() if schema.encoding == "ros2msg" else ""
     except Exception as error:  # arbitrary input, parsed by rclpy
-        raise Damaged(f"topic {channel.topic}: QoS or definition: {error!r}") from None
+        raise DamagedRecords(f"topic {channel.topic}: QoS or definition: {error!r}") from None
     type_hash = channel.metadata.get("topic_type_hash", "")
     return Topic(channel.topic, schema.name, definition, offered, type_hash)
 

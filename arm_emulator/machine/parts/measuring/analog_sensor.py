@@ -26,7 +26,7 @@ MAX_JOINTS = 4096  # that draws keep apart
 LARGEST_ERROR = 1e6  # that a sensor adds, in the unit of its quantity
 
 
-class Converter(Part):
+class AnalogConverter(Part):
     """(1 + gain_error) x + drift t + noise, limited and rounded. What is None is absent."""
 
     header = "measuring/analog_sensor.hpp"
@@ -92,7 +92,7 @@ class Converter(Part):
         return [("present", "true"), *super().list_members(joint, places)]
 
 
-class AnalogSensor(Converter):
+class AnalogSensor(AnalogConverter):
     """A sensor of one quantity of a joint, with an offset and a delay.
 
     A class that inherits it and is registered (`register_part`) is a section of joints.

@@ -12,7 +12,7 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine import cxx_literals
 from arm_emulator.machine.chain import Chain
 from arm_emulator.machine.parts.key import Key
-from arm_emulator.machine.parts.measuring.analog_sensor import LARGEST_ERROR, Converter
+from arm_emulator.machine.parts.measuring.analog_sensor import LARGEST_ERROR, AnalogConverter
 from arm_emulator.machine.parts.measuring.encoder import DELAY
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.part import number
@@ -30,7 +30,7 @@ def _declare_bias() -> Any:
     return number("offset", "", ends=ends, default=None, text="added on this axis")
 
 
-class Axes(Converter):
+class Axes(AnalogConverter):
     """Three sensors along the axes of a unit's frame, equal except for their biases."""
 
     owners = "imus"
