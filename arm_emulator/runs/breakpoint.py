@@ -56,7 +56,7 @@ class Breakpoint:
 
     def take_hit(self) -> bool:
         """Return whether it has begun to hold since the last call."""
-        hit, self.struct.is_hit = self.is_hit, 0
+        hit, self.struct.hit = self.is_hit, 0
         return hit
 
     def close(self) -> None:
