@@ -11,7 +11,7 @@ from pathlib import Path
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.cli.commands.check_scene import mode_rows, page_table
+from arm_emulator.cli.commands.check_scene import build_mode_rows, format_page_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "modes.md"
 SCENES = ("three_axis", "ur5", "panda")
@@ -41,8 +41,8 @@ page; a test compares it with the code.
 def table_of(name: str) -> str:
     """Return a scene's section of the page."""
     file = find_scene(name)
-    rows = mode_rows(load_scene(file), load_gains(file).servo)
-    return f"#### {name}\n\n{page_table(rows)}\n"
+    rows = build_mode_rows(load_scene(file), load_gains(file).servo)
+    return f"#### {name}\n\n{format_page_table(rows)}\n"
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import signal
 
 from arm_emulator import LinearMachine, Plant, linearise, load_scene
-from arm_emulator.analysis.stability import at_rest
+from arm_emulator.analysis.stability import compute_rest
 from arm_emulator.base.arrays import Array
 from bench.pictures import new_figure, save
 from bench.tables import table
@@ -141,7 +141,7 @@ def _read_poses() -> Array:
 
 def _find_locked_modes(plant: Plant, stiffness: Array, q: Array) -> Array:
     """Return the frequencies of the first axes with all rotors held (3,) [Hz]."""
-    M = np.linalg.inv(at_rest(plant, q)[0])[:AXES, :AXES]
+    M = np.linalg.inv(compute_rest(plant, q)[0])[:AXES, :AXES]
     squares = np.linalg.eigvals(np.linalg.solve(M, stiffness)).real
     return np.asarray(np.sort(np.sqrt(squares)) / (2.0 * np.pi))
 

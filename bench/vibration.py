@@ -19,7 +19,7 @@ from arm_emulator import OfflineRun, Plant, Pose, load_gains, load_scene
 from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.design.new_scene import known_drives
+from arm_emulator.design.new_scene import list_drive_parameters
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.input_shaper import ShapedMode
@@ -105,7 +105,7 @@ class _ArmAtLine:
             acceleration_limit=50.0,
             shaper=kind,
             modes=modes,
-            drives=known_drives(self.scene.joints),
+            drives=list_drive_parameters(self.scene.joints),
         )
         run = OfflineRun(self.scene, self.servo, motion)
         run.controller = make_controller(

@@ -101,7 +101,7 @@ def source_page(target: str) -> str:
     return f"# {target}\n\n{code_block(target)}"
 
 
-def with_pages(nav: Any) -> Any:
+def expand_pages(nav: Any) -> Any:
     """Return a navigation in which a pattern is the list of its pages that no other entry names."""
     named, pages = set(_entries(nav)), sorted(page_files())
 
@@ -133,7 +133,7 @@ def _entries(nav: Any) -> Iterator[str]:
 
 def on_config(config: Any) -> Any:
     """List the pages that the navigation names by a pattern."""
-    config.nav = with_pages(config.nav)
+    config.nav = expand_pages(config.nav)
     return config
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from arm_emulator import OfflineRun, Pose, Scene, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.design.new_scene import known_drives
+from arm_emulator.design.new_scene import list_drive_parameters
 from arm_emulator.motion.model.elastic_arm import ElasticArm
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.motion.planner.tool_controller import make_controller
@@ -122,7 +122,7 @@ def follow(
                 viscous=assumed.friction * drive.viscous,
                 coulomb=assumed.friction * drive.coulomb,
             )
-            for name, drive in known_drives(scene.joints).items()
+            for name, drive in list_drive_parameters(scene.joints).items()
         },
         tool_path_tolerance=0.0,  # a path that is followed badly is measured to its end
         tool_speed=line.speed,
@@ -174,7 +174,7 @@ def _is_at_end(places: list[float], line: ToolLine) -> bool:
 
 def _wind_up(scene: Scene, q: Array, period: float) -> Array:
     """Return by how much the scene's own gears are wound up along a motion of the links (K, N)."""
-    drives = known_drives(scene.joints)
+    drives = list_drive_parameters(scene.joints)
     arm = ElasticArm(
         LinkTorques(scene.urdf, scene.joint_names, scene.gravity or (0.0, 0.0, 0.0)),
         [drives[name] for name in scene.joint_names],

@@ -13,7 +13,7 @@ import pytest
 
 from arm_emulator import Plant, load_scene, load_servo_config
 from arm_emulator.cli.command_line import main
-from arm_emulator.cli.commands.servo_header import header_text
+from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.runs.servo_step import servo_step_unit
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.servo.servo_law import servo_law
@@ -99,7 +99,7 @@ def command(
 
 def builder(folder: Path) -> Callable[..., Path]:
     """Return what builds the template with our servo's numbers, or other code, as a library."""
-    (folder / "servo_joints.h").write_text(header_text("three_axis", NAMES, SERVO))
+    (folder / "servo_joints.h").write_text(write_header("three_axis", NAMES, SERVO))
     built_files: dict[tuple[str, ...], Path] = {}
 
     def built(source: str = "", *flags: str) -> Path:

@@ -13,10 +13,10 @@ from machines import moving_joints, write_scene
 from test_servo_loop import Rng, draw_axis, log_uniform
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
-from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, growth
+from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, compute_growth_rate
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_config
-from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, joint_servo
+from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, make_joint_servo
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.zoh_motor import discretise_zoh
@@ -42,7 +42,7 @@ def draw_scene(rng: Rng, folder: Path) -> tuple[Scene, ServoConfig]:
         velocity_gain = Z * log_uniform(rng, 0.5, 20.0)
         position_gain = min(900.0, 0.3 * velocity_gain / (mean + rotor / ratio**2))
         gains = ServoGains(position_gain, velocity_gain, 5.0 / position_gain, 300.0)
-        joints.append(joint_servo(motor, gear, gains, name))
+        joints.append(make_joint_servo(motor, gear, gains, name))
         sections[name] = {
             "motor": {
                 "resistance": R,
@@ -96,7 +96,7 @@ def test_arms_called_stable_settle_and_those_called_unstable_swing(
     rng = np.random.default_rng([seed, 7])
     scene, servo = draw_scene(rng, tmp_path)
     loops = ServoLoops(scene, servo, at=[scene.start])
-    rate = growth(loops.loops[0], servo.period)
+    rate = compute_growth_rate(loops.loops[0], servo.period)
     speed = swing_of(scene, servo, 4000, kick=1.0)
     late, middle = speed[-500:].max(), speed[600:1100].max()
     if rate > 1.0:
@@ -133,7 +133,7 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
         harder = dataclasses.replace(servo, joints=tuple(joints))
         loops = ServoLoops(scene, harder)
         result = loops.unstable()
-        if result is not None and growth(loops.loops[0], servo.period) > 1.0:
+        if result is not None and compute_growth_rate(loops.loops[0], servo.period) > 1.0:
             break
     assert result is not None
     with pytest.raises(Refusal) as refusal:

@@ -26,7 +26,7 @@ from arm_emulator import (
     load_scene,
     sensitivities,
 )
-from arm_emulator.analysis.holding import LinkLoads, overloads
+from arm_emulator.analysis.holding import LinkLoads, find_overloads
 from arm_emulator.analysis.sensitivities import numbers_of
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
@@ -367,7 +367,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     pin.framesForwardKinematics(truth.model, truth.data, truth.C @ p)
     expected = truth.data.oMf[frame].translation
     np.testing.assert_allclose(kinematics.forward(p)[1], expected, atol=1e-12)
-    assert not overloads(scene)
+    assert not find_overloads(scene)
     pair = reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
     value = move(scene, gains, "50 mm", *pair)

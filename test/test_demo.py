@@ -16,7 +16,7 @@ from draws import some
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
-from arm_emulator.demo.predicted_rest import NEAR, predicted_rest
+from arm_emulator.demo.predicted_rest import NEAR, predict_rest
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.ros.process.ros_domain import own_domain
@@ -67,7 +67,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
     deviations = np.array(summary["deviations_m"])
 
     # Three processes state to the last bit what one process states.
-    predicted = predicted_rest(*load_demo(scene))
+    predicted = predict_rest(*load_demo(scene))
     assert np.array_equal(deviations, predicted.deviations)
     assert summary["predicted_mm"] == summary["residual_mm"] and summary["target"] == "reached"
 
@@ -108,7 +108,7 @@ def test_demo(scene: str, tmp_path: Path) -> None:
 def test_the_prediction_names_the_missed_target_or_place() -> None:
     """A place beside the predicted one, a target out of reach, one that is not reached yet."""
     scene, gains, plan = load_demo("three_axis")
-    met = predicted_rest(scene, gains, plan)
+    met = predict_rest(scene, gains, plan)
     assert met.target == "reached" and met.missed_by(met.deviations, exact=True) == ""
     beside = met.deviations + 0.5 * NEAR * np.linalg.norm(met.deviations[0]) * np.eye(3)[0]
     assert met.missed_by(beside, exact=False) == ""
@@ -120,6 +120,6 @@ def test_the_prediction_names_the_missed_target_or_place() -> None:
         ("out of reach", far),
         ("not yet there", dataclasses.replace(plan, instructions=3)),
     ):
-        result = predicted_rest(scene, path_gains, variant)
+        result = predict_rest(scene, path_gains, variant)
         assert result.target == target
         assert f"the target is {target}" in result.missed_by(result.deviations, exact=True)

@@ -14,13 +14,13 @@ import pytest
 from test_dependencies import OF_ROS, imported
 
 from arm_emulator.cli.commands import doctor
-from arm_emulator.cli.commands.doctor import SystemFinding, findings
+from arm_emulator.cli.commands.doctor import SystemFinding, run_checks
 from arm_emulator.cli.output import output
 from arm_emulator.ros.process.ros_domain import own_domain
 
 
 def finding_of(name: str) -> SystemFinding:
-    return next(finding for finding in findings() if finding.name == name)
+    return next(finding for finding in run_checks() if finding.name == name)
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_every_import_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(doctor, "NEEDED", ("coal", "no_such_module", "numpy"))
     monkeypatch.setattr(doctor, "EXTRAS", {"broken_module": "`this`", "no_such_extra": "`that`"})
-    result = {entry.name: entry for entry in doctor.imports()}
+    result = {entry.name: entry for entry in doctor.check_imports()}
     assert result["numpy"].level == "ok"
     assert result["coal"].level == "problem" and "libcoal.so" in result["coal"].text
     assert result["coal"].remedy == "pip install pin"

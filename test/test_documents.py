@@ -55,7 +55,7 @@ def test_the_site_has_every_page_once() -> None:
 
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
     compiled = set(hooks.TOP.values()) - {"index.md"}
-    listed = pages_in(hooks.with_pages(site["nav"]))
+    listed = pages_in(hooks.expand_pages(site["nav"]))
     assert len(listed) == len(set(listed))
     assert set(listed) == set(hooks.page_files()) | compiled
 

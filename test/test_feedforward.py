@@ -13,7 +13,7 @@ from machines import make_link_urdf
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.design.new_scene import known_drives
+from arm_emulator.design.new_scene import list_drive_parameters
 from arm_emulator.motion.executor.feedforward import Feedforward
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
 from arm_emulator.motion.model.drive_parameters import DriveParameters
@@ -129,13 +129,13 @@ def test_motors_continue_without_a_jump_for_any_derivatives() -> None:
     rng = np.random.default_rng(3)
     scene = load_scene("ur5")
     config = MotionConfig(
-        tool="tool0", period=0.01, feedforward="full", drives=known_drives(scene.joints)
+        tool="tool0", period=0.01, feedforward="full", drives=list_drive_parameters(scene.joints)
     )
     kinematics = Kinematics(scene.urdf, scene.joint_names, "tool0")
     motion, T = Motion(rng, 6), config.period
     arm = ElasticArm(
         LinkTorques(scene.urdf, scene.joint_names, GRAVITY),
-        list(known_drives(scene.joints).values()),
+        list(list_drive_parameters(scene.joints).values()),
         kinematics.velocity_limit,
     )
     for derivatives in (5, 4, 3, 0):  # those at the end, too, all derivatives, no jerk, none
@@ -305,9 +305,9 @@ def test_files_state_the_drives_of_their_scenes() -> None:
     """The shipped motion controllers have the scenes' numbers of gears and friction."""
     for name in ("ur5", "panda"):
         scene = load_scene(name)
-        assert load_motion_config(find_beside(find_scene(name), "motion")).drives == known_drives(
-            scene.joints
-        )
+        assert load_motion_config(
+            find_beside(find_scene(name), "motion")
+        ).drives == list_drive_parameters(scene.joints)
 
 
 def test_numbers_of_drives_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]

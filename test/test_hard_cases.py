@@ -24,7 +24,7 @@ from hard_cases import (
 )
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
-from arm_emulator.analysis.stability import SmallMotions, why
+from arm_emulator.analysis.stability import SmallMotions, describe_divergence
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 
 # The corners below meet the class of the first, with gears without damping.
@@ -191,7 +191,7 @@ def test_the_text_states_which_joint_when_and_why() -> None:
     )
     with pytest.raises(Diverged) as reported:
         drive(plant, 300)
-    reported.value.hint = why(reported.value)
+    reported.value.hint = describe_divergence(reported.value)
     result = re.search(words, str(reported.value))
     assert result, reported.value
     assert 1e-3 < float(result[2]) < 1.25e-3, "the largest step that holds"
@@ -203,7 +203,7 @@ def test_a_motion_too_fast_for_its_step_is_reported_as_such() -> None:
     plant.reset(v=[5000.0, 0.0, 0.0])
     with pytest.raises(Diverged) as reported:
         plant.advance([0.0, 0.0, 0.0], 10)
-    hint = why(reported.value)
+    hint = describe_divergence(reported.value)
     assert "the motion is too fast for the step, 5 rad or m per step" in hint, hint
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from test_new_drives import untuned
 
 from arm_emulator import Kinematics, Plant, load_gains, load_scene
-from arm_emulator.analysis.holding import overloads
+from arm_emulator.analysis.holding import find_overloads
 from arm_emulator.design.new_scene import write_new
 from oracles.any_arm import move, reachable
 from oracles.own_robots import RobotPart, serial
@@ -72,7 +72,7 @@ def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None
     file.write_text(serial("arm", weak))
     written = write_new(file, tmp_path / "new")
     assert not written.overloads, "upright, the first joint carries no weight"
-    on_wall = overloads(load_scene(written.file, {"gravity": [9.81, 0.0, 0.0]}))
+    on_wall = find_overloads(load_scene(written.file, {"gravity": [9.81, 0.0, 0.0]}))
     assert [load.joint for load in on_wall] == ["j1"]
     # j1 turns about z, and on a wall the arm stretched out pulls at its own length.
     stretched = 9.81 * (1.5 * 0.15 + 0.8 * 0.4)
@@ -84,6 +84,6 @@ def test_the_holding_torque_is_weight_plus_all_torques_of_the_angle() -> None:
     push = {"angles": [-7.0, -2.0, 2.0, 7.0], "torques": [-1e4] * 4}
     free, pushed = (load_scene("ur5", {"joints.elbow_joint.torque_table": table})
                     for table in (None, push))  # fmt: skip
-    assert "elbow_joint" not in {overload.joint for overload in overloads(free)}
-    (load,) = (overload for overload in overloads(pushed) if overload.joint == "elbow_joint")
+    assert "elbow_joint" not in {overload.joint for overload in find_overloads(free)}
+    (load,) = (overload for overload in find_overloads(pushed) if overload.joint == "elbow_joint")
     assert load.takes == pytest.approx(1e4, rel=1e-2)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arm_emulator.analysis.holding import largest_torque, overloads
+from arm_emulator.analysis.holding import find_overloads, largest_torque
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.design import new_scene
@@ -171,7 +171,7 @@ def test_loads_that_the_arm_cannot_hold_are_reported(
     """By pose and by payload; against the closed form of an arm that is stretched out."""
     text = arm([70.0, 20.0, None])
     written, how = make_new(tmp_path / "loaded", text, payload=5.0)
-    assert not overloads(load_scene(written.file, {"payload.mass": 0.5}))
+    assert not find_overloads(load_scene(written.file, {"payload.mass": 0.5}))
     assert how[:2] == ["URDF", "URDF"], "a payload is no reason to raise a maker's figure"
     names = {load.joint: load for load in written.overloads}
     assert set(names) == {"j1", "j2"}

@@ -19,7 +19,7 @@ from arm_emulator import Plant, Refusal, Scene, load_scene, sensitivities
 from arm_emulator.analysis.sensitivities import (
     QUANTITIES,
     SensitiveMachine,
-    differentiable,
+    make_differentiable,
     numbers_of,
 )
 from arm_emulator.base.arrays import Array
@@ -68,7 +68,7 @@ def compare(scene: Scene, rows: Array) -> None:
     assert of.names == tuple(names)
     varied = tuple(numbers_of(scene)[name] for name in names)
     values = np.abs([number.value for number in varied])
-    plant = Plant(differentiable(scene, varied))
+    plant = Plant(make_differentiable(scene, varied))
     assert np.abs(plant.run(rows, scene.steps_per_period) - of.q).max() < 1e-11, "the same motion"
     sizes = [np.abs(getattr(plant.state, quantity)).max() for quantity in QUANTITIES]
     tries = [differences(plant, rows, varied, share) for share in SHARES]
@@ -172,7 +172,10 @@ def test_derivatives_by_the_start() -> None:
     assert of.names[-6:] == tuple(
         f"start.{which}.{name}" for which in "qv" for name in scene.joint_names
     )
-    h, plant = 1e-3, Plant(differentiable(scene, tuple(numbers_of(scene)[name] for name in names)))
+    h, plant = (
+        1e-3,
+        Plant(make_differentiable(scene, tuple(numbers_of(scene)[name] for name in names))),
+    )
     for k in range(6):
         ends = []
         for point in POINTS:

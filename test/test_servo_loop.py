@@ -19,8 +19,8 @@ from arm_emulator.design.joint_gains import (
     MotorData,
     ServoGains,
     design,
-    joint_plant,
-    joint_servo,
+    make_joint_servo,
+    model_joint,
 )
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
@@ -133,7 +133,7 @@ def test_the_linear_servo_is_the_servo_that_runs(seed: int) -> None:
     axis = draw_axis(rng)
     gains = ServoGains(0.05 / axis.period, 1.0, 20 * axis.period, 0.3 / axis.period)
     motor = dataclasses.replace(axis.motor, counts_per_turn=FINE)
-    joint = dataclasses.replace(joint_servo(motor, axis.gear, gains), velocity_limit=1e300)
+    joint = dataclasses.replace(make_joint_servo(motor, axis.gear, gains), velocity_limit=1e300)
     linear = LinearServo(joint, axis.period)
     pair = [Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, 1e300, (joint,))) for _ in range(2)]
     x, V = np.zeros(len(STATES)), 0.0
@@ -170,7 +170,7 @@ def run_axis(
     axis: Axis, joint: JointServo, inertia: float, target: float, ticks: int, supply: float = 1e9
 ) -> np.ndarray:
     """Return link positions of the exact machine under the real servo, at rest at 0 at first."""
-    plant = joint_plant(axis.motor, axis.gear, inertia, 0.0, axis.period)
+    plant = model_joint(axis.motor, axis.gear, inertia, 0.0, axis.period)
     servo = Servo(ServoConfig(axis.period, 0.0, 1.0, 2.0, supply, (joint,)))
     x, V, count, q = np.zeros(len(plant.F)), 0.0, 2.0 * math.pi / joint.counts_per_turn, []
     for _ in range(ticks):
@@ -192,7 +192,9 @@ def test_motors_of_any_speed_follow_with_designed_gains(seed: int) -> None:
     rng = np.random.default_rng([seed, 4])
     axis = draw_axis(rng)
     gains = design(axis.motor, axis.gear, axis.inertia, axis.period)
-    joint = joint_servo(dataclasses.replace(axis.motor, counts_per_turn=FINE), axis.gear, gains)
+    joint = make_joint_servo(
+        dataclasses.replace(axis.motor, counts_per_turn=FINE), axis.gear, gains
+    )
     swing = (
         0.0
         if axis.gear.stiffness is None
@@ -213,9 +215,9 @@ def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
     rng = np.random.default_rng([seed, 5])
     axis = draw_axis(rng, speed=(0.01, 1.0))
     gains = design(axis.motor, axis.gear, axis.inertia, axis.period)
-    servo = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
+    servo = LinearServo(make_joint_servo(axis.motor, axis.gear, gains), axis.period)
     for inertia in (*axis.inertia, math.sqrt(math.prod(axis.inertia))):
-        plant = joint_plant(axis.motor, axis.gear, inertia, 0.0, axis.period)
+        plant = model_joint(axis.motor, axis.gear, inertia, 0.0, axis.period)
         for delay in (0, 1):
             loop = SampledLoop(plant, [servo], delay)
             assert loop.is_stable, f"grows by {loop.radius} with {inertia:g} kg m2"
@@ -241,7 +243,7 @@ def test_large_steps_at_the_limits_come_to_rest(seed: int) -> None:
         rng.uniform(20.0, 28.0), rng.uniform(320.0, 440.0), 0.15, rng.uniform(300.0, 500.0)
     )
     joint = dataclasses.replace(
-        joint_servo(motor, gear, gains), current_limit=11.9, velocity_limit=3.15
+        make_joint_servo(motor, gear, gains), current_limit=11.9, velocity_limit=3.15
     )
     axis = Axis(motor, gear, (1.0, 4.2), 1e-3)
     inertia = rng.uniform(3.0, 4.2)
@@ -259,7 +261,7 @@ def test_a_motor_that_no_gains_hold_is_refused_with_a_period() -> None:
         design(motor, GearData(0.01), (1.0, 1.0), 0.01)
     gains = ServoGains(1.0, 1.0, 1.0, 1.0)
     with pytest.raises(Refusal, match=r"do not swing together faster .*; valid: a period of "):
-        joint = joint_servo(motor, GearData(0.01), gains)
+        joint = make_joint_servo(motor, GearData(0.01), gains)
         Servo(ServoConfig(0.01, 0.0, 1.0, 2.0, 48.0, (joint,)))
 
 
@@ -273,11 +275,11 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
     axis = draw_axis(rng, speed=(0.01, 3.0))
     gains = design(axis.motor, axis.gear, axis.inertia, axis.period)
     gains = dataclasses.replace(gains, velocity_gain=gains.velocity_gain * rng.uniform(0.7, 1.5))
-    servo = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
-    plant = joint_plant(axis.motor, axis.gear, axis.inertia[1], 0.0, axis.period)
+    servo = LinearServo(make_joint_servo(axis.motor, axis.gear, gains), axis.period)
+    plant = model_joint(axis.motor, axis.gear, axis.inertia[1], 0.0, axis.period)
 
     def stable(factor: float, delay: int = 0) -> bool:
-        scaled = LinearServo(joint_servo(axis.motor, axis.gear, gains), axis.period)
+        scaled = LinearServo(make_joint_servo(axis.motor, axis.gear, gains), axis.period)
         scaled.C, scaled.D = servo.C * factor, servo.D * factor
         return SampledLoop(plant, [scaled], delay).is_stable
 

@@ -44,13 +44,13 @@ def test_a_curve_goes_through_its_poses_and_its_change_is_its_derivative(seed: i
     poses = [random_pose(rng) for _ in range(int(rng.integers(2, 8)))]
     curve = ToolCurve(poses, per_turn=0.25, arcs=bool(seed % 2))
     assert len(curve) == len(poses) - 1
-    met = curve.sample_poses(curve.at_poses)
+    met = curve.draw_poses(curve.at_poses)
     np.testing.assert_allclose(met.p, [target.p_WT for target in poses], atol=1e-9)
     np.testing.assert_allclose(met.R, [target.R_WT for target in poses], atol=1e-9)
     h = 1e-6
     x = rng.uniform(h, curve.ends[-1] - h, 30)
     x = x[np.abs(curve.ends - x[:, None]).min(axis=1) > 2 * h]
-    before, after = curve.sample_poses(x - h), curve.sample_poses(x + h)
+    before, after = curve.draw_poses(x - h), curve.draw_poses(x + h)
     # Central differences over 1e-6 m: rounding 1e-16 / 1e-6.
     travelled = np.linalg.norm(after.p - before.p, axis=1) / (2 * h)
     turned = [pin.log3(b @ a.T) for a, b in zip(before.R, after.R, strict=True)]
@@ -75,7 +75,7 @@ def test_three_poses_on_a_circle_are_an_arc_of_it(seed: int) -> None:
     parts = rng.uniform(0.0, 1.0, 20)
     expected = [on(part * arc) for part in parts]
     np.testing.assert_allclose(
-        curve.sample_poses(parts * curve.ends[-1]).p, expected, atol=1e-7 * radius
+        curve.draw_poses(parts * curve.ends[-1]).p, expected, atol=1e-7 * radius
     )
 
 
@@ -88,13 +88,13 @@ def test_rounded_corners_are_smooth_and_stay_near(seed: int) -> None:
     assert curve.measure_kinks().max() < 1e-6, "no corner is left"
     assert len(curve) >= 5 or blend > 0.1, "three lines and two arcs"
     sharp = ToolCurve(poses, 0.25)
-    lines = sharp.sample_poses(np.linspace(0.0, sharp.ends[-1], 1001)).p
-    for p in curve.sample_poses(np.linspace(0.0, curve.ends[-1], 50)).p:
+    lines = sharp.draw_poses(np.linspace(0.0, sharp.ends[-1], 1001)).p
+    for p in curve.draw_poses(np.linspace(0.0, curve.ends[-1], 50)).p:
         near = np.linalg.norm(lines - p, axis=1).min()
         assert near <= blend + 1e-2, "no farther from the lines than where the arc begins"
     for end, at in ((0.0, 0), (float(curve.ends[-1]), -1)):
         np.testing.assert_allclose(
-            curve.sample_poses(np.array([end])).p[0], poses[at].p_WT, atol=1e-9
+            curve.draw_poses(np.array([end])).p[0], poses[at].p_WT, atol=1e-9
         )
 
 
@@ -104,7 +104,7 @@ def test_flat_corners_are_rounded_and_passed_near_by() -> None:
     points = [pose([0.1 * math.cos(t), 0.1 * math.sin(t), 0.0]) for t in turn]
     path = ToolPath(points, LIMITS)
     assert len(path.stops) == 2, "it stops nowhere between"
-    points_on_path = path.curve.sample_poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
+    points_on_path = path.curve.draw_poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
     for point in points:
         assert np.linalg.norm(points_on_path - point.p_WT, axis=1).min() < 1.1 * 5e-5
 
@@ -172,7 +172,7 @@ def test_a_path_keeps_limits_and_place_throughout(seed: int) -> None:
     assert speed.max() <= LIMITS.speed * (1 + 1e-3), "tool speed"
     np.testing.assert_allclose(p[0], arm.home.p_WT, atol=1e-9, err_msg="where the tool is")
     np.testing.assert_allclose(p[-1], poses[-1].p_WT, atol=1e-8)
-    curve = path.curve.sample_poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
+    curve = path.curve.draw_poses(np.linspace(0.0, path.curve.ends[-1], 20000)).p
     for at in p[times > motion.begins[2]][::20]:
         # Between samples of the curve half a step of it is left.
         assert np.linalg.norm(curve - at, axis=1).min() < 1e-4, "beside its path"

@@ -14,11 +14,17 @@ from draws import some
 from machines import CONFIG, Oracle, write_scene
 
 from arm_emulator import Refusal, load_scene, load_servo_config
-from arm_emulator.analysis.servo_loop import poses
+from arm_emulator.analysis.servo_loop import draw_poses
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design import tuned
 from arm_emulator.design.gain_text import write_gains
-from arm_emulator.design.tuned import compute, falls, holding, link_inertias, together
+from arm_emulator.design.tuned import (
+    compute,
+    compute_falls,
+    compute_link_inertias,
+    group_gains,
+    hold_falling_link,
+)
 from arm_emulator.servo.servo_config import ServoConfig
 
 
@@ -96,13 +102,13 @@ def test_inertias_are_those_of_the_mass_matrix() -> None:
     scene = load_scene("ur5")
     oracle = Oracle(scene)
     lowest, highest = [], []
-    for q in poses(scene, tuned.POSES):
+    for q in draw_poses(scene, tuned.POSES):
         M = pin.crba(oracle.model, oracle.data, oracle.configuration(q))
         M = np.triu(M) + np.triu(M, 1).T
         lowest.append(1.0 / np.diag(np.linalg.inv(M)))
         highest.append(np.diag(M))
     expected = np.array([np.min(lowest, axis=0), np.max(highest, axis=0)]).T
-    ranges = np.array(link_inertias([scene]))
+    ranges = np.array(compute_link_inertias([scene]))
     assert np.abs(ranges / expected - 1.0).max() < 1e-9, "kg m2, least and largest per joint"
 
 
@@ -111,11 +117,11 @@ def test_links_fall_as_the_derivative_of_their_weight() -> None:
     scene = load_scene("ur5")
     oracle = Oracle(scene)
     highest = np.zeros(6)
-    for q in poses(scene, tuned.POSES):
+    for q in draw_poses(scene, tuned.POSES):
         at = oracle.configuration(q)
         slope = pin.computeGeneralizedGravityDerivatives(oracle.model, oracle.data, at)
         highest = np.maximum(highest, -np.diag(slope))
-    np.testing.assert_allclose(falls(scene), highest, atol=1e-4)  # N m/rad, of up to 58
+    np.testing.assert_allclose(compute_falls(scene), highest, atol=1e-4)  # N m/rad, of up to 58
 
 
 def test_poses_on_a_slide_without_end_are_near() -> None:
@@ -130,7 +136,7 @@ def test_poses_on_a_slide_without_end_are_near() -> None:
         joint.remove(limit)
     ET.SubElement(joint, "limit", {"lower": "-1e9", "upper": "1e9"})
     text = ET.tostring(robot, encoding="unicode")
-    samples = np.array(poses(dataclasses.replace(scene, urdf=text), 50))[1:]
+    samples = np.array(draw_poses(dataclasses.replace(scene, urdf=text), 50))[1:]
     assert 0.3 < np.abs(samples[:, 0]).max() <= 0.5
 
 
@@ -146,7 +152,7 @@ def test_a_loop_holds_a_link_that_falls(seed: int) -> None:
         load_servo_config(file).joints[0], velocity_gain=K, position_gain=kp, integral_time=5.0 / kp
     )
     shared = dataclasses.replace(joint, position_gain=kp * rng.uniform(0.05, 1.0))
-    stiffened = holding(shared, G, kp)
+    stiffened = hold_falling_link(shared, G, kp)
     assert (stiffened == shared) == (2.0 * G <= K * shared.position_gain)
     for share in (0.6, 1.0, 2.0):
         k, stiff = share * K, share * K * stiffened.position_gain
@@ -159,7 +165,7 @@ def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
 ) -> None:
     """As if ur5 had a tower on its shoulder: that joint alone gets more stiffness."""
     scene, servo = load_scene("ur5"), load_servo_config(CONFIG / "servo" / "ur5.yaml")
-    inertias = link_inertias([scene])
+    inertias = compute_link_inertias([scene])
     before = compute(scene, servo, inertias)
     fall = 3.0 * before.joints[1].position_gain * before.joints[1].velocity_gain
     monkeypatch.setattr(tuned, "falls", lambda scene: fall * np.eye(6)[1])
@@ -172,10 +178,10 @@ def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
 def test_a_slow_joint_does_not_make_all_others_slow() -> None:
     """As the base of Fetch, whose arm then took 12 s to come to rest."""
     arm = [20.7, 21.2, 41.3, 33.9, 34.0, 96.2]
-    assert together(arm) == [20.7] * 6
-    assert together([0.75, *arm]) == [0.75, *[20.7] * 6]
-    assert together([0.75, 4.6, *arm]) == [0.75, 0.75, *[20.7] * 6]
-    assert together([arm[5], 0.75]) == [arm[5], 0.75]
+    assert group_gains(arm) == [20.7] * 6
+    assert group_gains([0.75, *arm]) == [0.75, *[20.7] * 6]
+    assert group_gains([0.75, 4.6, *arm]) == [0.75, 0.75, *[20.7] * 6]
+    assert group_gains([arm[5], 0.75]) == [arm[5], 0.75]
 
 
 def test_tune_shows_draws_and_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,7 +53,7 @@ def pip_options(listed: str) -> dict[str, str]:
     return {option: value for option, (_, value) in options.items()}
 
 
-def uv_variables(options: dict[str, str]) -> tuple[dict[str, str], list[str]]:
+def convert_to_uv_variables(options: dict[str, str]) -> tuple[dict[str, str], list[str]]:
     """Return uv's variables for the same, and the options that have no counterpart."""
     variables = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # as pip: no index before another
     unknown = []
@@ -66,10 +66,10 @@ def uv_variables(options: dict[str, str]) -> tuple[dict[str, str], list[str]]:
     return variables, unknown
 
 
-def by_uv(files: list[str]) -> str:
+def install_by_uv(files: list[str]) -> str:
     """Install by uv; return why not, or nothing where it is done."""
     listed = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True, check=False)
-    variables, unknown = uv_variables(pip_options(listed.stdout))
+    variables, unknown = convert_to_uv_variables(pip_options(listed.stdout))
     if listed.returncode or unknown:
         return f"pip's options {', '.join(unknown) or 'are not readable'}"
     versions = Path(__file__).resolve().parents[1] / "requirements.txt"
@@ -90,7 +90,7 @@ def by_uv(files: list[str]) -> str:
 def main() -> int:
     """Install, and return the exit code."""
     files = sys.argv[1:]
-    reason = by_uv(files)
+    reason = install_by_uv(files)
     if not reason:
         return 0
     print(f"install: {reason}; pip installs", flush=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from arm_emulator.analysis.servo_loop import poses
+from arm_emulator.analysis.servo_loop import draw_poses
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene.joint import Joint
@@ -42,10 +42,10 @@ class Overload:
         )
 
 
-def overloads(scene: Scene) -> list[Overload]:
+def find_overloads(scene: Scene) -> list[Overload]:
     """Return the joints that cannot hold the arm in every pose; the first pose is the start."""
     loads = LinkLoads(scene)
-    at = np.array(poses(scene, POSES))
+    at = np.array(draw_poses(scene, POSES))
     takes = np.abs(np.array([loads.weight(q) + _compute_spring_torques(scene, q) for q in at]))
     overloaded = []
     for j, joint in enumerate(scene.joints):

@@ -24,8 +24,8 @@ import numpy as np
 
 from arm_emulator.analysis.linear_servo import LinearServo, Loop
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
-from arm_emulator.analysis.servo_loop import HARMLESS, late, poses, sampled_plant
-from arm_emulator.analysis.stability import SmallMotions, contacts
+from arm_emulator.analysis.servo_loop import HARMLESS, count_delay_periods, draw_poses, sample_plant
+from arm_emulator.analysis.stability import SmallMotions, list_contacts
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.scene import Scene
@@ -114,19 +114,19 @@ class ModeLoops:
     def __init__(self, scene: Scene, servo: ServoConfig) -> None:
         by_name = {joint.name: joint for joint in servo.joints}
         joints = [by_name[name] for name in scene.joint_names]
-        self._N, self._delay, self._period = len(joints), late(scene), servo.period
+        self._N, self._delay, self._period = len(joints), count_delay_periods(scene), servo.period
         self._fast = min(joint.position_gain for joint in joints)
         self._servos = {
             loop: [LinearServo(joint, servo.period, loop) for joint in joints] for loop in Loop
         }
         plant = Plant(scene)
-        stand = [(q, loaded) for loaded in contacts(plant) for q in poses(scene, POSES)]
+        stand = [(q, loaded) for loaded in list_contacts(plant) for q in draw_poses(scene, POSES)]
         self._poses = [q for q, _ in stand]
         motions = [SmallMotions(plant, *pose) for pose in stand]
         self._falls = [motion.falls for motion in motions]
-        self._free = [sampled_plant(motion, servo, servo.period) for motion in motions]
+        self._free = [sample_plant(motion, servo, servo.period) for motion in motions]
         self._braked = {
-            j: [sampled_plant(motion, servo, servo.period, j) for motion in motions]
+            j: [sample_plant(motion, servo, servo.period, j) for motion in motions]
             for j, joint in enumerate(scene.joints)
             if joint.brake is not None
         }

@@ -80,7 +80,7 @@ class SensitiveMachine:
         self.names = choose(by, every, WHERE, "by", rule)
         self._scene = scene
         self._varied = tuple(possible[name] for name in self.names if name in possible)
-        self._core = load_sensitivities(differentiable(scene, self._varied))
+        self._core = load_sensitivities(make_differentiable(scene, self._varied))
         seeded = [*(number.name for number in self._varied), *starts]
         self._places = [seeded.index(name) for name in self.names]
 
@@ -211,7 +211,7 @@ def _remove_sensors(scene: Scene) -> Scene:
     return dataclasses.replace(scene, joints=joints, imus=(), faults=())
 
 
-def differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
+def make_differentiable(scene: Scene, varied: tuple[Varied, ...]) -> Scene:
     """Return a scene in which these numbers are varied and nothing but motion is computed.
 
     Raises:

@@ -16,7 +16,7 @@ import numpy as np
 
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop, SampledPlant
-from arm_emulator.analysis.stability import SmallMotions, contacts
+from arm_emulator.analysis.stability import SmallMotions, list_contacts
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import UNLIMITED
@@ -36,7 +36,7 @@ LITTLE_DELAY = 1.0  # servo periods: what a real-time network takes
 _TRIALS = 8  # halvings of a gain or a period, in search of one that holds
 
 
-def poses(scene: Scene, count: int = POSES) -> list[Array]:
+def draw_poses(scene: Scene, count: int = POSES) -> list[Array]:
     """Return the start and poses drawn within the limits of the URDF, the same every time."""
     limits = {}
     for joint in ET.fromstring(scene.urdf).iter("joint"):
@@ -53,7 +53,7 @@ def poses(scene: Scene, count: int = POSES) -> list[Array]:
     return [scene.start, *samples]
 
 
-def sampled_plant(
+def sample_plant(
     motions: SmallMotions, servo: ServoConfig, period: float, braked: int | None = None
 ) -> SampledPlant:
     """Return the machine over a servo period, its motor angles as its encoders measure.
@@ -81,7 +81,7 @@ def sampled_plant(
     )
 
 
-def late(scene: Scene) -> int:
+def count_delay_periods(scene: Scene) -> int:
     """Return by how many servo periods the latest sensor comes of those that our servos use."""
     sensors = [joint.sensors for joint in scene.joints]
     used = [
@@ -114,11 +114,11 @@ class ServoLoops:
         by_name = {joint.name: joint for joint in servo.joints}
         self.joints = [by_name[name] for name in scene.joint_names]
         self.servo = servo
-        self.delay = delay = delay + late(scene)
-        self.poses = poses(scene) if at is None else at
+        self.delay = delay = delay + count_delay_periods(scene)
+        self.poses = draw_poses(scene) if at is None else at
         plant = Plant(scene)
         self._motions = [
-            SmallMotions(plant, q, loaded) for loaded in contacts(plant) for q in self.poses
+            SmallMotions(plant, q, loaded) for loaded in list_contacts(plant) for q in self.poses
         ]
         # With play first all poses with teeth in contact, then all without.
         self._all = self.closed(self.joints, servo.period, delay)
@@ -128,7 +128,7 @@ class ServoLoops:
         """Return the loops with other gains or another period, one per pose, with play two."""
         servos = [LinearServo(joint, period) for joint in joints]
         return [
-            SampledLoop(sampled_plant(motions, self.servo, period), servos, delay)
+            SampledLoop(sample_plant(motions, self.servo, period), servos, delay)
             for motions in self._motions
         ]
 
@@ -160,13 +160,16 @@ class ServoLoops:
         """Return how fast small motions grow [1/s], beyond the fall of links that hang in play."""
         loaded = len(self.poses)
         falls = [motion.fastest if k >= loaded else 0.0 for k, motion in enumerate(self._motions)]
-        return [growth(loop, period) - fall for loop, fall in zip(loops, falls, strict=True)]
+        return [
+            compute_growth_rate(loop, period) - fall
+            for loop, fall in zip(loops, falls, strict=True)
+        ]
 
     def _find_stable_gains(self, joint: int) -> tuple[JointServo | None, float | None]:
         softer = self.joints[joint]
         stable_gains = None
         for _ in range(_TRIALS):
-            softer = slower(softer, 0.5, self.servo.period)
+            softer = slow_loops(softer, 0.5, self.servo.period)
             joints = [*self.joints[:joint], softer, *self.joints[joint + 1 :]]
             if self._is_stable(joints, self.servo.period):
                 stable_gains = softer
@@ -213,12 +216,12 @@ class Unstable:
         return " or ".join(remedies) or "gains by `arm_emulator tune`"
 
 
-def growth(loop: SampledLoop, period: float) -> float:
+def compute_growth_rate(loop: SampledLoop, period: float) -> float:
     """Return how fast small motions grow [1/s]."""
     return math.log(max(loop.radius, 1e-300)) / period
 
 
-def slower(joint: JointServo, share: float, period: float) -> JointServo:
+def slow_loops(joint: JointServo, share: float, period: float) -> JointServo:
     """Return a joint's servo with its loops a share as fast, the observer as it is."""
     return dataclasses.replace(
         joint,
@@ -264,7 +267,7 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
     if bad is not None:
         quantity = f"servo.joints.{names[bad.joint]}"
         actual = f"small motions that grow {bad.growth:.4g}-fold per servo period"
-        if bad.pose == 0 or growth(loops.loops[0], servo.period) > HARMLESS:
+        if bad.pose == 0 or compute_growth_rate(loops.loops[0], servo.period) > HARMLESS:
             rule = f"be stable at a period of {servo.period:g} s"
             raise Refusal(where, quantity, rule, actual, bad.describe_remedies())
         pose = np.array2string(loops.poses[bad.pose], precision=2, separator=", ")
@@ -274,13 +277,13 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
         ]
     lines = []
     for j, margins in enumerate(loops.margins()):
-        little = too_little(margins)
+        little = describe_lacking_margins(margins)
         if little:
             lines.append(f"{where}: servo.joints.{names[j]}: {little}; `tune` computes gains")
     return lines
 
 
-def too_little(margins: Margins) -> str:
+def describe_lacking_margins(margins: Margins) -> str:
     """Return in words what a joint has too little of; empty: nothing."""
     flaws = []
     if margins.gain_up < LITTLE_GAIN:

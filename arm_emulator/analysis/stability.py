@@ -83,7 +83,7 @@ class SmallMotions:
         N = len(scene.joints)
         zero, unit = np.zeros((N, N)), np.eye(N)
         at = np.tile(q, (N, 1))
-        M_inverse, torques = at_rest(plant, q)
+        M_inverse, torques = compute_rest(plant, q)
         holding = np.tile(torques, (N, 1))
         step = 1e-5  # rad: the difference is good to 1e-10 of the second derivative
         sag = (
@@ -192,14 +192,14 @@ class SmallMotions:
         return period / high
 
 
-def contacts(plant: Plant) -> tuple[bool, ...]:
+def list_contacts(plant: Plant) -> tuple[bool, ...]:
     """Return the ways in which gears can stand, as `SmallMotions` takes them, loaded first."""
     pairs = zip(plant.linear_drives(True), plant.linear_drives(False), strict=True)
     play = any(not np.array_equal(first.G, second.G) for first, second in pairs)
     return (True, False) if play else (True,)
 
 
-def at_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
+def compute_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
     """Return the inverse of the links' mass matrix at q (N, N), and what holds them there (N,)."""
     N = len(plant.scene.joints)
     zero, unit = np.zeros((N, N)), np.eye(N)
@@ -211,11 +211,11 @@ def at_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
 def explain(fault: Exception) -> Exception:
     """Add to a divergence why it came, before it is reported; return it."""
     if isinstance(fault, Diverged) and not fault.hint:
-        fault.hint = why(fault)
+        fault.hint = describe_divergence(fault)
     return fault
 
 
-def why(fault: Diverged) -> str:
+def describe_divergence(fault: Diverged) -> str:
     """Return in words why a machine diverged, by its small motions about rest in that pose."""
     scene, now = fault.scene, fault.scene.integrator
     try:

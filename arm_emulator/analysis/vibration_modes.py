@@ -14,7 +14,7 @@ from scipy import linalg
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.linearised import linearise
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
-from arm_emulator.analysis.servo_loop import late
+from arm_emulator.analysis.servo_loop import count_delay_periods
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.motion.model.kinematics import POSITION_ROWS, Kinematics
@@ -71,7 +71,9 @@ def find_vibration_modes(
         np.eye(n)[linear.q],
         period,
     )
-    loop = SampledLoop(sampled, [LinearServo(joint, period) for joint in joints], late(scene))
+    loop = SampledLoop(
+        sampled, [LinearServo(joint, period) for joint in joints], count_delay_periods(scene)
+    )
     jacobian = kinematics.jacobian(q)
     tool = jacobian[:POSITION_ROWS]
     lines = np.linalg.pinv(jacobian, rcond=_SINGULAR)[:, :POSITION_ROWS]  # joints along the axes

@@ -47,7 +47,7 @@ class PredictedRest:
         return self.missed and f"the target is {self.target}, as predicted: {self.missed}"
 
 
-def predicted_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
+def predict_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
     """Return the outcome of a plan.
 
     Raises:

@@ -59,7 +59,7 @@ def assume_bodies(
         name = link.get("name", "")
         if name not in links:
             continue
-        body, how = shape_of(link, folder)
+        body, how = read_shape_body(link, folder)
         if body is None:
             body, why = _make_rod(links[name], SHORTEST * longest or LONE), how
             how = f"a rod to the next joint{why}"
@@ -80,7 +80,7 @@ def has_shape(link: ET.Element) -> bool:
     return bool(link.findall("collision") or link.findall("visual"))
 
 
-def shape_of(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
+def read_shape_body(link: ET.Element, folder: Path) -> tuple[Body | None, str]:
     """Return the body of a link's shapes at 1 kg/m3, and from what; without, why not."""
     why = ""
     for kind in ("collision", "visual"):

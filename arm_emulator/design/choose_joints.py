@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.couplings import Follows, followers, list_own_shafts
+from arm_emulator.base.urdf.couplings import Follows, list_followers, list_own_shafts
 from arm_emulator.base.urdf.joint_tree import FREE_KINDS, MOVING_KINDS
 
 MOVING = tuple(MOVING_KINDS)
@@ -202,7 +202,7 @@ def _find_lost(robot: ET.Element) -> dict[str, tuple[str, ...]]:
 
 def _read_followers(robot: ET.Element, where: str) -> dict[str, Follows]:
     """Return the laws of the joints that follow joints of the robot, by name."""
-    return followers(robot, where, list(_find_lost(robot)))
+    return list_followers(robot, where, list(_find_lost(robot)))
 
 
 def _find_followed(

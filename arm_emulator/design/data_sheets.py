@@ -133,7 +133,7 @@ _ARMS = (
 )  # fmt: skip
 
 
-def published(robot: str, joints: int) -> tuple[JointSheet, ...] | None:
+def find_published(robot: str, joints: int) -> tuple[JointSheet, ...] | None:
     """Return what is published of the joints of an arm, base to tool; None: it is not known.
 
     Args:

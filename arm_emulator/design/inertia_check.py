@@ -22,7 +22,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.frames import compute_cross
 from arm_emulator.base.warning import warn
-from arm_emulator.design.assumed_bodies import shape_of
+from arm_emulator.design.assumed_bodies import read_shape_body
 from arm_emulator.machine.chain import Body, Chain
 from arm_emulator.machine.scene.urdf_bodies import read_bodies
 
@@ -52,7 +52,7 @@ class Doubt:
         return f"link {self.link}: {self.reason}"
 
 
-def doubtful_inertias(
+def list_doubtful_inertias(
     robot: ET.Element, where: str, folder: Path, chain: Chain, unchecked: Sequence[str] = ()
 ) -> list[Doubt]:
     """Return what is wrong with the inertias of moving links, base to tips.
@@ -116,7 +116,7 @@ def check_inertias(doubtful: Sequence[Doubt], where: str) -> None:
 def _read_shape(link: ET.Element, folder: Path) -> Body | None:
     """Return the body of a link's shapes at 1 kg/m3, if they can be read."""
     try:
-        return shape_of(link, folder)[0]
+        return read_shape_body(link, folder)[0]
     except ImportError:  # coal, which reads meshes, is missing
         return None
 

@@ -37,7 +37,7 @@ from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.sampled_loop import SampledLoop, SampledPlant
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.design.sizing import rounded
+from arm_emulator.design.sizing import round_figure
 from arm_emulator.servo.servo_config import CommandPath, JointServo
 from arm_emulator.servo.zoh_motor import discretise_zoh
 
@@ -154,7 +154,7 @@ def _search(
     mean = math.sqrt(smallest * largest)
     with_rotor = mean if gear.stiffness is None else 0.0
     plants = [
-        joint_plant(motor, gear, inertia, viscous, period)
+        model_joint(motor, gear, inertia, viscous, period)
         for inertia in sorted({smallest, mean, largest})
     ]
     swing = 0.0 if gear.stiffness is None else 2.0 * math.pi * math.sqrt(largest / gear.stiffness)
@@ -168,11 +168,11 @@ def _search(
                     continue
                 trial.run(
                     ServoGains(
-                        rounded(position_gain),
-                        rounded(velocity_gain),
-                        rounded(max(period, 5.0 / position_gain)),
-                        rounded(bandwidth / period),
-                        rounded(with_rotor),
+                        round_figure(position_gain),
+                        round_figure(velocity_gain),
+                        round_figure(max(period, 5.0 / position_gain)),
+                        round_figure(bandwidth / period),
+                        round_figure(with_rotor),
                     )
                 )
     return trial.choose_best()
@@ -213,7 +213,7 @@ class _Trial:
     def run(self, gains: ServoGains) -> None:
         """Take note of gains, unless they do not hold, never settle or are slower than others."""
         try:
-            servo = LinearServo(joint_servo(self.motor, self.gear, gains), self.period)
+            servo = LinearServo(make_joint_servo(self.motor, self.gear, gains), self.period)
         except Refusal:
             return
         count = 2.0 * math.pi / (self.motor.counts_per_turn or _IDEAL)
@@ -258,7 +258,7 @@ class _Trial:
         return None
 
 
-def joint_servo(
+def make_joint_servo(
     motor: MotorData, gear: GearData, gains: ServoGains, name: str = "joint"
 ) -> JointServo:
     """Return a joint's servo without limits."""
@@ -278,7 +278,7 @@ def joint_servo(
     )
 
 
-def joint_plant(
+def model_joint(
     motor: MotorData, gear: GearData, link_inertia: float, viscous: float, period: float
 ) -> SampledPlant:
     """Return one joint: motor, gear and a link that nothing else moves."""

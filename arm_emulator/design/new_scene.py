@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from arm_emulator.analysis.holding import Overload, overloads
+from arm_emulator.analysis.holding import Overload, find_overloads
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import check_own
 from arm_emulator.base.refusal import Refusal
@@ -20,22 +20,27 @@ from arm_emulator.base.urdf.urdf_text import UNLIMITED, parse_urdf
 from arm_emulator.base.validation.number import list_numbers
 from arm_emulator.design.assumed_bodies import DENSITY, AssumedBody, assume_bodies, has_shape
 from arm_emulator.design.choose_joints import JointChoice, choose_joints
-from arm_emulator.design.data_sheets import JointSheet, published
-from arm_emulator.design.inertia_check import Doubt, check_inertias, doubtful_inertias
+from arm_emulator.design.data_sheets import JointSheet, find_published
+from arm_emulator.design.inertia_check import Doubt, check_inertias, list_doubtful_inertias
 from arm_emulator.design.joint_data import choose_joint_data
 from arm_emulator.design.mesh_file import move_meshes
-from arm_emulator.design.rated_tool import RatedTool, rated_tools, with_tools
-from arm_emulator.design.robot_file import forget_impossible, read_limits, robot_text, write_limits
+from arm_emulator.design.rated_tool import RatedTool, add_tools, list_rated_tools
+from arm_emulator.design.robot_file import (
+    forget_impossible,
+    read_limits,
+    read_robot_text,
+    write_limits,
+)
 from arm_emulator.design.scene_text import (
     SceneSources,
-    demo_text,
-    motion_text,
-    scene_text,
-    servo_text,
+    write_demo_text,
+    write_motion_text,
+    write_scene_text,
+    write_servo_text,
 )
-from arm_emulator.design.sizing import Demand, Sized, full_speed, size
+from arm_emulator.design.sizing import Demand, Sized, choose_full_speed, size
 from arm_emulator.design.survey import Survey, survey
-from arm_emulator.design.tuned import data_sheet, tuned_servo
+from arm_emulator.design.tuned import make_data_sheet, tuned_servo
 from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.joint import Joint
@@ -124,7 +129,7 @@ def write_new(
         raise Refusal(
             "new", "--motor", "be a kind of motor that our servo drives", motor, ", ".join(kinds)
         )
-    text = robot_text(robot, arguments or {})
+    text = read_robot_text(robot, arguments or {})
     description = parse_urdf(text, robot.name)
     choice = choose_joints(description, robot.name, tool, joints, tree=tree)
     sheets = {
@@ -147,7 +152,7 @@ def write_new(
     trusted = [*dict.fromkeys(doubt.link for doubt in doubtful)] if trust_inertias else []
     if mended or assumed:
         text = ET.tostring(description, encoding="unicode")
-    name = scene_name(robot)
+    name = choose_scene_name(robot)
     folder = Path(name) if out is None else out
     file = folder / f"{name}.yaml"
     for place in PLACES:
@@ -165,9 +170,9 @@ def write_new(
         _write(Path(trial), {place.format(name): content for place, content in texts.items()})
         scene = load_scene(scene_file)
         servo = tuned_servo(scene_file, _make_servo(scene, drives))
-    texts[PLACES[1]] = servo_text(servo, SERVO_HEADING.format(name=name))
+    texts[PLACES[1]] = write_servo_text(servo, SERVO_HEADING.format(name=name))
     _write(folder, {place.format(name): content for place, content in texts.items()})
-    return NewScene(file, choice, drives, overloads(scene), assumed, tools)
+    return NewScene(file, choice, drives, find_overloads(scene), assumed, tools)
 
 
 def _assume_missing_bodies(
@@ -192,7 +197,7 @@ def _list_doubtful(
     text = ET.tostring(description, encoding="unicode")
     chain = _load_links(text, robot.name, choice).chain
     trusted = [body.link for body in assumed]
-    return doubtful_inertias(description, robot.name, robot.parent, chain, trusted)
+    return list_doubtful_inertias(description, robot.name, robot.parent, chain, trusted)
 
 
 def _replace(
@@ -237,7 +242,7 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
         raise Refusal("new", f"folder {folder}", "be writable", error.strerror) from None
 
 
-def scene_name(robot: Path) -> str:
+def choose_scene_name(robot: Path) -> str:
     """Return the name of a robot's scene: that of its file, as it fits a file and a folder."""
     stem = robot.name.removesuffix(robot.suffix).removesuffix(".urdf")
     return re.sub(r"\W+", "_", stem).strip("_") or "arm"
@@ -281,7 +286,7 @@ def _make_texts(
 
     The servo is not among them: its gains are those of the scene as it is written.
     """
-    name = scene_name(robot)
+    name = choose_scene_name(robot)
     move_meshes(description, robot.parent)
     links = _load_links(ET.tostring(description, encoding="unicode"), robot.name, choice)
     kinematics = Kinematics(links.urdf, links.joint_names, links.tool)
@@ -292,7 +297,7 @@ def _make_texts(
         surveyed = survey(_load_links(text, robot.name, choice, payload), kinematics)
     limits = read_limits(description)
     count = len(links.joints)
-    of_arm = published(description.get("name", ""), count) or (None,) * count
+    of_arm = find_published(description.get("name", ""), count) or (None,) * count
     for joint in links.chain.joints:
         if joint.name in sheet_by_joint and joint.kind != "revolute":
             rule = "be of a joint that turns"
@@ -302,11 +307,11 @@ def _make_texts(
         for joint, sheet in zip(links.chain.joints, of_arm, strict=True)
     )
     speeds = {
-        joint.name: full_speed(joint.kind, limits[joint.name]["velocity"], sheet)[0]
+        joint.name: choose_full_speed(joint.kind, limits[joint.name]["velocity"], sheet)[0]
         for joint, sheet in zip(links.chain.joints, sheets, strict=True)
     }
-    tools = rated_tools(links.chain, choice.tool, speeds, payload)
-    loaded = with_tools(parse_urdf(text, robot.name), tools)
+    tools = list_rated_tools(links.chain, choice.tool, speeds, payload)
+    loaded = add_tools(parse_urdf(text, robot.name), tools)
     rated = survey(
         _load_links(ET.tostring(loaded, encoding="unicode"), robot.name, choice), kinematics
     )
@@ -324,13 +329,13 @@ def _make_texts(
     motion["collisions"], why = _choose_collisions(shapes, bare.start)
     comments = MOTION_COMMENTS | {"collisions": why}
     sources = SceneSources(robot.name, choice, payload or 0.0, *bodies, tools)
-    scene = scene_text(name, sources, supply, demands, drives, SERVO_PERIOD)
+    scene = write_scene_text(name, sources, supply, demands, drives, SERVO_PERIOD)
     displacement = bare.displacement.tolist()
     contents = (
         scene,
         "",
-        motion_text(motion, comments, known_drives(drive.joint for drive in drives)),
-        demo_text(displacement, SETTLE, round(OBSERVED / MOTION_PERIOD)),
+        write_motion_text(motion, comments, list_drive_parameters(drive.joint for drive in drives)),
+        write_demo_text(displacement, SETTLE, round(OBSERVED / MOTION_PERIOD)),
         ET.tostring(description, encoding="unicode") + "\n",
     )
     return drives, tools, dict(zip(PLACES, contents, strict=True))
@@ -386,7 +391,7 @@ def _make_servo(scene: Scene, drives: list[Sized]) -> ServoConfig:
         joints=tuple(
             JointServo(
                 name=joint.name,
-                **data_sheet(joint, scene.supply_voltage),
+                **make_data_sheet(joint, scene.supply_voltage),
                 velocity_limit=drive.speed,
                 position_gain=1.0,
                 velocity_gain=1.0,
@@ -398,7 +403,7 @@ def _make_servo(scene: Scene, drives: list[Sized]) -> ServoConfig:
     )
 
 
-def known_drives(joints: Iterable[Joint]) -> dict[str, DriveParameters]:
+def list_drive_parameters(joints: Iterable[Joint]) -> dict[str, DriveParameters]:
     """Return the data sheet of each joint's gear and friction, by names."""
     return {joint.name: _read_drive_numbers(joint) for joint in joints}
 

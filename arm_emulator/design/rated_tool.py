@@ -47,7 +47,7 @@ class RatedTool:
         return self.mass * _compute_edge(self.mass) ** 2 / 6.0
 
 
-def rated_tools(
+def list_rated_tools(
     chain: Chain, tool: str, speeds: Mapping[str, float], payload: float | None
 ) -> list[RatedTool]:
     """Return the tools of an arm, or of a tree of arms.
@@ -79,7 +79,7 @@ def rated_tools(
     return tools
 
 
-def with_tools(robot: ET.Element, tools: list[RatedTool]) -> ET.Element:
+def add_tools(robot: ET.Element, tools: list[RatedTool]) -> ET.Element:
     """Return a description with tools, each a link that is fixed to the one that carries it."""
     loaded = ET.fromstring(ET.tostring(robot))
     names = {element.get("name") for element in loaded}

@@ -27,7 +27,7 @@ _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 PATIENCE = 30.0  # s, by the clock: for a source that waits, or a machine that is busy
 
 
-def robot_text(file: Path, arguments: Mapping[str, str]) -> str:
+def read_robot_text(file: Path, arguments: Mapping[str, str]) -> str:
     """Return the URDF that a file holds, or that its xacro source expands to.
 
     Args:

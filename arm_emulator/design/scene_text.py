@@ -12,7 +12,7 @@ from arm_emulator.base.escape import escape_to_line
 from arm_emulator.design.assumed_bodies import AssumedBody
 from arm_emulator.design.choose_joints import JointChoice
 from arm_emulator.design.rated_tool import RatedTool
-from arm_emulator.design.sizing import Demand, Sized, rounded
+from arm_emulator.design.sizing import Demand, Sized, round_figure
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.scene.joint import Joint
@@ -65,7 +65,7 @@ class SceneSources:
     tools: list[RatedTool]
 
 
-def scene_text(
+def write_scene_text(
     name: str,
     sources: SceneSources,
     supply: float,
@@ -197,12 +197,12 @@ def _format_end_stops(inertia: float, speed: float, slide: bool) -> list[str]:
     stiffness = inertia * (speed / (STOP_DEPTH_OF_SLIDE if slide else STOP_DEPTH)) ** 2
     damping = 2.0 * STOP_DAMPING * math.sqrt(stiffness * inertia)
     beyond = STOPS_BEYOND_OF_SLIDE if slide else STOPS_BEYOND
-    values = f"stiffness: {rounded(stiffness)!r}, damping: {rounded(damping)!r}"
+    values = f"stiffness: {round_figure(stiffness)!r}, damping: {round_figure(damping)!r}"
     unit = "m, N/m, N s/m" if slide else "rad, N m/rad, N m s/rad"
     return [f"    end_stops: {{at: limits, beyond: {beyond!r}, {values}}}  # {unit}"]
 
 
-def servo_text(config: ServoConfig, heading: str) -> str:
+def write_servo_text(config: ServoConfig, heading: str) -> str:
     """Return the ROS parameter file of a servo; `heading`: comment lines at the top."""
     lines = [
         *(f"# {line}" for line in heading.splitlines()),
@@ -235,7 +235,7 @@ def _format_by_joint(section: str, joints: Mapping[str, JointServo | DriveParame
     return lines
 
 
-def motion_text(
+def write_motion_text(
     parameters: Mapping[str, object],
     comments: Mapping[str, str],
     drives: Mapping[str, DriveParameters],
@@ -253,7 +253,7 @@ def motion_text(
     return "\n".join(lines) + "\n"
 
 
-def demo_text(displacement: list[float], settle: float, instructions: int) -> str:
+def write_demo_text(displacement: list[float], settle: float, instructions: int) -> str:
     """Return what the demo does."""
     return (
         f"displacement: {displacement!r}  # m, of the tool in the world\n"

@@ -100,7 +100,7 @@ def size(demands: list[Demand], kind: type[Motor] = MOTORS[0]) -> tuple[float, l
     the supply leaves at peak torque, rotor by a servo motor's acceleration, stiffness as strain
     wave gears of that torque have.
     """
-    rated = [full_speed(demand.kind, demand.velocity, demand.sheet) for demand in demands]
+    rated = [choose_full_speed(demand.kind, demand.velocity, demand.sheet) for demand in demands]
     speeds = np.array([speed for speed, _ in rated])
     weight = np.array([demand.gravity_torque for demand in demands])
     # Not all joints accelerate at the worst at a time: the root of the sum of squares.
@@ -152,7 +152,9 @@ def _choose_supply(demands: list[Demand], power: float) -> float:
     return max(stated) if stated else next(volts for watts, volts in SUPPLIES if power <= watts)
 
 
-def full_speed(kind: str, stated: float | None, sheet: JointSheet | None) -> tuple[float, str]:
+def choose_full_speed(
+    kind: str, stated: float | None, sheet: JointSheet | None
+) -> tuple[float, str]:
     """Return a joint's full speed [rad/s or m/s], and where it comes from.
 
     Args:
@@ -262,12 +264,12 @@ def _size_drive(
         start=demand.start,
         motor=_round_part(motor),
         gear=find_gear(
-            ratio=rounded(ratio, 6),
-            stiffness=rounded(stiffness),
-            damping=rounded(2.0 * DAMPING * math.sqrt(stiffness * middle)),
+            ratio=round_figure(ratio, 6),
+            stiffness=round_figure(stiffness),
+            damping=round_figure(2.0 * DAMPING * math.sqrt(stiffness * middle)),
         ),
         sensors=JointSensors.add_counts(2**bits),
-        friction=link_friction_of(viscous=rounded(FRICTION_PART * torque / speed)),
+        friction=link_friction_of(viscous=round_figure(FRICTION_PART * torque / speed)),
         decorators=tuple(_round_part(part) for part in around if part is not None),
     )
     if demand.sheet is not None and (data := demand.sheet.data) is not None:
@@ -285,10 +287,10 @@ def _round_part(part: _Kind) -> _Kind:
     """Return a part with numbers as a data sheet would give them."""
     values = {key: getattr(part, key) for key, number in part.numbers().items() if not number.whole}
     return dataclasses.replace(
-        part, **{key: rounded(value) for key, value in values.items() if value is not None}
+        part, **{key: round_figure(value) for key, value in values.items() if value is not None}
     )
 
 
-def rounded(value: float, digits: int = 3) -> float:
+def round_figure(value: float, digits: int = 3) -> float:
     """Return a value as a data sheet would give it."""
     return float(f"{value:.{digits}g}")

@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.analysis.sampled_loop import Margins
-from arm_emulator.analysis.servo_loop import ServoLoops, poses, slower, too_little
-from arm_emulator.analysis.stability import at_rest
+from arm_emulator.analysis.servo_loop import (
+    ServoLoops,
+    describe_lacking_margins,
+    draw_poses,
+    slow_loops,
+)
+from arm_emulator.analysis.stability import compute_rest
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.design.joint_gains import GearData, MotorData, design
-from arm_emulator.design.sizing import rounded
+from arm_emulator.design.sizing import round_figure
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.scene.joint import Joint
 from arm_emulator.machine.scene.scene import Scene, load_scene
@@ -75,7 +80,7 @@ class Tuned:
     loops: ServoLoops
 
 
-def link_inertias(scenes: list[Scene]) -> list[Range]:
+def compute_link_inertias(scenes: list[Scene]) -> list[Range]:
     """Return what each joint moves over the poses of all scenes, least and largest [kg m2, kg].
 
     The least with all other joints free, 1 / (M^-1)_jj, the largest with the others held, M_jj.
@@ -83,15 +88,15 @@ def link_inertias(scenes: list[Scene]) -> list[Range]:
     smallest, largest = [], []
     for scene in scenes:
         plant = Plant(scene)
-        for q in poses(scene, POSES):
-            M_inverse, _ = at_rest(plant, q)
+        for q in draw_poses(scene, POSES):
+            M_inverse, _ = compute_rest(plant, q)
             smallest.append(1.0 / np.diag(M_inverse))
             largest.append(np.diag(np.linalg.inv(M_inverse)))
     low, high = np.min(smallest, axis=0), np.max(largest, axis=0)
     return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
-def falls(scene: Scene) -> Array:
+def compute_falls(scene: Scene) -> Array:
     """Return the largest torque per angle with which each link falls over the poses of a scene.
 
     The weight of what stands over a joint grows with its angle, (N,) [N m/rad, N/m]; 0 where all
@@ -99,8 +104,8 @@ def falls(scene: Scene) -> Array:
     """
     plant, N = Plant(scene), len(scene.joints)
     still, unit, steepest = np.zeros((N, N)), np.eye(N), np.zeros(N)
-    for q in poses(scene, POSES):
-        M_inverse, balancing = at_rest(plant, q)
+    for q in draw_poses(scene, POSES):
+        M_inverse, balancing = compute_rest(plant, q)
         M, at, weight = np.linalg.inv(M_inverse), np.tile(q, (N, 1)), np.tile(balancing, (N, 1))
         ahead, behind = (
             plant.links.accelerations(at + side * _NUDGE * unit, still, weight)
@@ -110,7 +115,7 @@ def falls(scene: Scene) -> Array:
     return steepest
 
 
-def together(gains: list[float]) -> list[float]:
+def group_gains(gains: list[float]) -> list[float]:
     """Return the position gains of joints that keep together: in groups, that of the slowest.
 
     Args:
@@ -123,7 +128,7 @@ def together(gains: list[float]) -> list[float]:
     return [slowest[gain] for gain in gains]
 
 
-def holding(joint: JointServo, fall: float, alone: float) -> JointServo:
+def hold_falling_link(joint: JointServo, fall: float, alone: float) -> JointServo:
     """Return a joint's servo whose loop holds a link that falls [N m/rad]; itself if it does.
 
     The loop's stiffness, velocity_gain * position_gain, has to exceed `fall`. Where it does not, it
@@ -141,11 +146,11 @@ def holding(joint: JointServo, fall: float, alone: float) -> JointServo:
         return joint
     stiffness = max(HOLDS * fall, K * alone + fall)
     left = stiffness - fall
-    gain, time = rounded(stiffness / K), rounded(5.0 * K * stiffness / left**2)
+    gain, time = round_figure(stiffness / K), round_figure(5.0 * K * stiffness / left**2)
     return dataclasses.replace(joint, position_gain=gain, integral_time=time)
 
 
-def with_and_without(file: Path, payload: float | None = None) -> tuple[Scene, Scene | None]:
+def load_without_payload(file: Path, payload: float | None = None) -> tuple[Scene, Scene | None]:
     """Return a scene, and the same without its payload; None where it has none.
 
     Args:
@@ -160,8 +165,10 @@ def with_and_without(file: Path, payload: float | None = None) -> tuple[Scene, S
 
 def tuned_servo(file: Path, servo: ServoConfig) -> ServoConfig:
     """Return the servo with the gains that `tune` computes for a scene."""
-    scene, without = with_and_without(file)
-    return compute(scene, servo, link_inertias([scene] if without is None else [scene, without]))
+    scene, without = load_without_payload(file)
+    return compute(
+        scene, servo, compute_link_inertias([scene] if without is None else [scene, without])
+    )
 
 
 def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoConfig:
@@ -175,7 +182,7 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
     by_name = {joint.name: joint for joint in servo.joints}
     tuned: dict[str, JointServo] = {}
     for joint, inertia in zip(scene.joints, inertias, strict=True):
-        motor, gear = data_of(joint)
+        motor, gear = make_joint_data(joint)
         own = by_name[joint.name]
         gains = design(
             motor,
@@ -188,10 +195,10 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         )
         tuned[joint.name] = dataclasses.replace(own, **dataclasses.asdict(gains))
     alone = {name: joint.position_gain for name, joint in tuned.items()}
-    shared = dict(zip(tuned, together([*alone.values()]), strict=True))
-    fall = dict(zip(scene.joint_names, falls(scene).tolist(), strict=True))
+    shared = dict(zip(tuned, group_gains([*alone.values()]), strict=True))
+    fall = dict(zip(scene.joint_names, compute_falls(scene).tolist(), strict=True))
     joints = [
-        holding(
+        hold_falling_link(
             dataclasses.replace(tuned[name], position_gain=shared[name]), fall[name], alone[name]
         )
         for name in servo.joint_names
@@ -202,13 +209,15 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         little = {
             name
             for name, margins in zip(scene.joint_names, loops.margins(), strict=True)
-            if too_little(margins)
+            if describe_lacking_margins(margins)
         }
         if not little:
             break
         alone |= {name: _SOFTER * alone[name] for name in little}
         joints = [
-            holding(slower(joint, _SOFTER, servo.period), fall[joint.name], alone[joint.name])
+            hold_falling_link(
+                slow_loops(joint, _SOFTER, servo.period), fall[joint.name], alone[joint.name]
+            )
             if joint.name in little
             else joint
             for joint in joints
@@ -216,7 +225,7 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
     return config
 
 
-def data_sheet(joint: Joint, supply_voltage: float) -> dict[str, Any]:
+def make_data_sheet(joint: Joint, supply_voltage: float) -> dict[str, Any]:
     """Return what `JointServo` takes of a scene's joint beside gains and a limit of its speed.
 
     Args:
@@ -240,7 +249,7 @@ def data_sheet(joint: Joint, supply_voltage: float) -> dict[str, Any]:
     }
 
 
-def data_of(joint: Joint) -> tuple[MotorData, GearData]:
+def make_joint_data(joint: Joint) -> tuple[MotorData, GearData]:
     """Return a scene's joint as the design takes it."""
     motor, gear = joint.motor, joint.gear
     data = joint.servo_data

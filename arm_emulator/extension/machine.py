@@ -5,7 +5,7 @@ from arm_emulator.analysis.mode_loops import Mode as LoopMode
 from arm_emulator.analysis.mode_loops import withheld_modes, withheld_words
 from arm_emulator.analysis.residual_vibration import QUANTITIES as VIBRATION_QUANTITIES
 from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
-from arm_emulator.analysis.servo_loop import poses as draw_poses
+from arm_emulator.analysis.servo_loop import draw_poses
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.analysis.stability import explain as explain_divergence
 from arm_emulator.analysis.vibration_modes import VibrationMode, find_vibration_modes

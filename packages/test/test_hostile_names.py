@@ -24,7 +24,7 @@ from markdown_it import MarkdownIt
 
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base import escape
-from arm_emulator.cli.commands.servo_header import header_text
+from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.doors.udp import Datagrams
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.runs.gains import load_gains
@@ -143,7 +143,7 @@ def test_headers_of_c_compile_with_any_name(name: str, tmp_path: Path) -> None:
     servo = load_gains(CONFIG / "three_axis.yaml").servo
     joint_names = dict(zip(PLAIN, joints, strict=True))
     servo = replace(servo, joints=tuple(replace(j, name=joint_names[j.name]) for j in servo.joints))
-    source = f"{header_text(name, joints, servo)}#include <stdio.h>\n"
+    source = f"{write_header(name, joints, servo)}#include <stdio.h>\n"
     source += "int main(void) { fputs(servo_names[1], stdout); return !sizeof servo_joints; }\n"
     folder = Path(escape.__file__).parents[1]
     words = (f"-I{folder / 'servo/c'}", f"-I{folder / 'core/boundary'}")

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.core import BOUNDARY
-from arm_emulator.design.tuned import data_sheet
+from arm_emulator.design.tuned import make_data_sheet
 from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.measuring.torque_sensor import TorqueSensor
@@ -302,7 +302,9 @@ def test_drives_on_a_bus_have_every_output(scene: Scene) -> None:
         supply_voltage=scene.supply_voltage,
         joints=tuple(
             dataclasses.replace(
-                servo_config.joints[0], name=joint.name, **data_sheet(joint, scene.supply_voltage)
+                servo_config.joints[0],
+                name=joint.name,
+                **make_data_sheet(joint, scene.supply_voltage),
             )
             for joint in scene.joints
         ),

@@ -39,7 +39,7 @@ class Follows:
         )
 
 
-def followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[str, Follows]:
+def list_followers(robot: ET.Element, where: str, but: Sequence[str] = ()) -> dict[str, Follows]:
     """Return the joints that follow shafts other than one of their own, by name.
 
     Args:

@@ -16,7 +16,14 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.name_rule import check_joint_name
 from arm_emulator.base.products import measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.frames import EYE, X_AXIS, Frame, build_rotations, clean, compute_cross
+from arm_emulator.base.urdf.frames import (
+    EYE,
+    X_AXIS,
+    Frame,
+    build_rotations,
+    clean,
+    compute_cross,
+)
 
 MOVING_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 FREE_KINDS = ("floating", "planar")  # no joints of an arm, but they may be locked at 0

@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.couplings import Follows, followers, list_own_shafts
+from arm_emulator.base.urdf.couplings import Follows, list_followers, list_own_shafts
 from arm_emulator.base.urdf.urdf_text import parse_urdf, read_limits
 
 WHERE = "robot_description"
@@ -18,7 +18,7 @@ _ROUNDING = 1e-9  # rad or m
 
 def read_shafts(joints: Sequence[str], urdf_xml: str) -> tuple[str, ...]:
     """Return those of a description's moving joints by whose names shafts go."""
-    couplings = followers(parse_urdf(urdf_xml, WHERE), WHERE)
+    couplings = list_followers(parse_urdf(urdf_xml, WHERE), WHERE)
     return tuple(list_own_shafts(joints, couplings))
 
 
@@ -56,7 +56,7 @@ class Shafts:
 
     def __init__(self, urdf_xml: str, names: Sequence[str], tool: str | None = None) -> None:
         robot = parse_urdf(urdf_xml, WHERE)
-        couplings = followers(robot, WHERE)
+        couplings = list_followers(robot, WHERE)
         path = couplings if tool is None else _find_path_to(tool, robot)
         # A command to a joint that only follows would have it move by itself.
         for name in {*names} - {*list_own_shafts(tuple(names), couplings)}:

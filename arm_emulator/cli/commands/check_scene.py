@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.analysis.holding import overloads
+from arm_emulator.analysis.holding import find_overloads
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.config_files import find_beside, find_scene
@@ -21,7 +21,7 @@ from arm_emulator.base.warning import warn
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName
 from arm_emulator.cli.output import output, plain
-from arm_emulator.design.inertia_check import check_inertias, doubtful_inertias
+from arm_emulator.design.inertia_check import check_inertias, list_doubtful_inertias
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.scene.urdf_file import find_urdf
 from arm_emulator.motion.model.config import MotionConfig
@@ -48,9 +48,9 @@ def check_scenes(
         fact: dict[str, object] = plain(checked)
         if modes:
             machine, servo = _load_with_loops(name)
-            fact["modes"] = mode_facts(machine, servo)
+            fact["modes"] = list_mode_facts(machine, servo)
             if not output.as_json:
-                print(page_table(mode_rows(machine, servo)))
+                print(format_page_table(build_mode_rows(machine, servo)))
         facts.append(fact)
     output.facts({"scenes": facts})
     return 0
@@ -97,7 +97,7 @@ def check_scene(name: str) -> CheckedScene:
     file = find_scene(name)
     scene = load_scene(file)
     _check_links(scene, file)
-    for overload in overloads(scene):
+    for overload in find_overloads(scene):
         warn(f"{scene.where}: {overload}")
     files: dict[str, Path | None] = {}
     missing = []
@@ -129,7 +129,7 @@ def _check_links(scene: Scene, file: Path) -> None:
     folder = find_urdf(str(read_yaml(file).get("urdf")), file).parent
     trusted = (*scene.assumed, *scene.trusted_inertias)
     robot = parse_urdf(scene.urdf, scene.where)
-    doubtful = doubtful_inertias(robot, scene.where, folder, scene.chain, trusted)
+    doubtful = list_doubtful_inertias(robot, scene.where, folder, scene.chain, trusted)
     check_inertias(doubtful, scene.where)
 
 
@@ -170,7 +170,7 @@ HEADS = (
 _NONE = 1e-3  # 1/s: rounding of an eigenvalue 0
 
 
-def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
+def build_mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
     """Return a row of `HEADS` for each joint and loop, and one of all joints in each loop."""
     rows = []
     figures = ModeLoops(scene, servo).figures
@@ -186,7 +186,7 @@ def mode_rows(scene: Scene, servo: ServoConfig) -> list[tuple[str, ...]]:
     return rows
 
 
-def mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
+def list_mode_facts(scene: Scene, servo: ServoConfig) -> list[dict[str, object]]:
     """Return the same for programs, a row for each loop with brakes open or closed."""
     return [
         {
@@ -219,7 +219,7 @@ def _format_cells(pair: Iterable[LoopFigure]) -> tuple[str, ...]:
     return tuple(cells)
 
 
-def page_table(rows: list[tuple[str, ...]]) -> str:
+def format_page_table(rows: list[tuple[str, ...]]) -> str:
     """Return rows as a table in Markdown."""
     lines = [HEADS, ("---",) * len(HEADS), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

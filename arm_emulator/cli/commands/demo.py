@@ -26,12 +26,12 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import ROBOTS, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
-from arm_emulator.cli.commands.new import scene_of_robot
+from arm_emulator.cli.commands.new import find_or_make_scene
 from arm_emulator.cli.options import Clock, SceneName
 from arm_emulator.cli.output import output
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.fig4 import draw_fig4
-from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predicted_rest
+from arm_emulator.demo.predicted_rest import NEAR, PredictedRest, predict_rest
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.motion.model.kinematics import POSITION_ROWS, Kinematics
 from arm_emulator.motion.model.pose import Pose
@@ -83,7 +83,7 @@ def demo(
         out: folder of the results.
     """
     if Path(scene).suffix in ROBOTS:
-        scene = str(scene_of_robot(Path(scene), out))
+        scene = str(find_or_make_scene(Path(scene), out))
     console = Console()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     file = find_scene(scene)
@@ -91,7 +91,7 @@ def demo(
     check_fit(machine, gains.servo, gains.motion)
     warn_of_loops(machine, gains.servo)
     plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))
-    predicted = predicted_rest(machine, gains, plan)
+    predicted = predict_rest(machine, gains, plan)
     console.print(f"predicted residual (mm)   {_format_row(predicted.deviations[-1])}")
     if predicted.missed:
         console.print(f"predicted: the target is {predicted.target}: {predicted.missed}")

@@ -81,7 +81,7 @@ def doctor() -> int:
     The exit code is 1 if there is a problem. A missing package of some commands is a note.
     """
     listed = []
-    for finding in findings():  # printed one by one: the imports take seconds
+    for finding in run_checks():  # printed one by one: the imports take seconds
         listed.append(finding)
         remedy = f"; {finding.remedy}" if finding.remedy else ""
         output.line(f"{finding.level:<8} {finding.name:<15} {finding.text}{remedy}")
@@ -89,7 +89,7 @@ def doctor() -> int:
     return int(any(finding.level == "problem" for finding in listed))
 
 
-def findings() -> Iterator[SystemFinding]:
+def run_checks() -> Iterator[SystemFinding]:
     """Yield the findings, from compiler to packages."""
     of_python = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     yield SystemFinding("version", "ok", f"arm_emulator {VERSION}, {of_python}")
@@ -104,12 +104,12 @@ def findings() -> Iterator[SystemFinding]:
         _check_priority,
     ):
         yield look()
-    yield from imports()
+    yield from check_imports()
     if importlib.util.find_spec("rclpy") is not None:
         yield _check_network()
 
 
-def imports() -> Iterator[SystemFinding]:
+def check_imports() -> Iterator[SystemFinding]:
     """Yield what can be imported; a process of its own tries, as a broken package may end it."""
     modules = (*NEEDED, *EXTRAS)
     there = [module for module in modules if importlib.util.find_spec(module) is not None]
@@ -216,7 +216,7 @@ def _check_network() -> SystemFinding:
                 neighbours = len(set(node.get_node_names_and_namespaces())) - 1
                 count, more = neighbours, neighbours > count
             faults = sorted(
-                set(network_faults(node)), key=lambda fault: (not fault.grave, fault.text)
+                set(list_network_faults(node)), key=lambda fault: (not fault.grave, fault.text)
             )
     except Exception as error:  # a middleware that is not there, a domain that is not valid
         reason = (str(error).splitlines() or [type(error).__name__])[0]
@@ -291,7 +291,7 @@ class NetworkFault(NamedTuple):
     remedy: str
 
 
-def network_faults(node: Node) -> Iterator[NetworkFault]:
+def list_network_faults(node: Node) -> Iterator[NetworkFault]:
     """Yield the faults among all that a node has discovered."""
     from rclpy.qos import QoSCompatibility, qos_check_compatible
 

@@ -12,8 +12,8 @@ from arm_emulator.base.packages import missing_package
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command, load_command
 from arm_emulator.cli.output import output
-from arm_emulator.design.new_scene import NewScene, scene_name, write_new
-from arm_emulator.design.robot_file import robot_text
+from arm_emulator.design.new_scene import NewScene, choose_scene_name, write_new
+from arm_emulator.design.robot_file import read_robot_text
 
 
 @command(
@@ -127,7 +127,7 @@ def _report(written: NewScene) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def scene_of_robot(robot: Path, out: Path) -> Path:
+def find_or_make_scene(robot: Path, out: Path) -> Path:
     """Return the scene of a robot below `out`: one made from this description, or a new one.
 
     Its folder is named after the robot, and the path and content of its description, so that
@@ -136,10 +136,10 @@ def scene_of_robot(robot: Path, out: Path) -> Path:
     Raises:
         Refusal: see `write_new`.
     """
-    description = f"{robot.resolve().parent}\n{robot_text(robot, {})}"
+    description = f"{robot.resolve().parent}\n{read_robot_text(robot, {})}"
     digest = hashlib.sha256(description.encode(errors="surrogateescape")).hexdigest()[:8]
-    folder = out / f"{scene_name(robot)}_{digest}"
-    file = folder / f"{scene_name(robot)}.yaml"
+    folder = out / f"{choose_scene_name(robot)}_{digest}"
+    file = folder / f"{choose_scene_name(robot)}.yaml"
     if file.exists():
         output.line(f"taken    {file}, which was there (remove {folder} to start again)")
         return file

@@ -41,7 +41,7 @@ def servo_header(
     file = find_scene(scene)
     machine, servo = load_scene(file), load_gains(file).servo
     check_servo(machine, servo)
-    header = header_text(machine.name, machine.joint_names, servo)
+    header = write_header(machine.name, machine.joint_names, servo)
     output.facts({"scene": machine.name, "file": out, "header": None if out else header})
     if out is None:
         output.line(header.removesuffix("\n"))
@@ -75,13 +75,13 @@ def servo_data_unit(scene: str) -> Unit:
     file = find_scene(scene)
     machine, servo = load_scene(file), load_gains(file).servo
     check_servo(machine, servo)
-    header = header_text(machine.name, machine.joint_names, servo)
+    header = write_header(machine.name, machine.joint_names, servo)
     name, about = f"{machine.name}-servo", f"the servo of {machine.name}"
     source = f'#include "servo.c"\n{header}{_DATA}'
     return Unit(name, source, C_FLAGS, (FOLDER,), (SERVO_DATA,), "servo", about, "servo.c")
 
 
-def header_text(scene_name: str, joint_names: tuple[str, ...], config: ServoConfig) -> str:
+def write_header(scene_name: str, joint_names: tuple[str, ...], config: ServoConfig) -> str:
     """Return the header: numbers for `servo_joint`, times, names, in an order of joints.
 
     Raises:

@@ -20,9 +20,9 @@ from arm_emulator.design.tuned import (
     Range,
     Tuned,
     compute,
+    compute_link_inertias,
     examine,
-    link_inertias,
-    with_and_without,
+    load_without_payload,
 )
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.runs.gains import check_joints
@@ -50,10 +50,10 @@ def tune(
     servo_file = find_beside(file, "servo")
     if write:
         check_own("tune", servo_file)
-    machine, without = with_and_without(file, payload)
+    machine, without = load_without_payload(file, payload)
     servo = load_servo_config(servo_file)
     _check(machine, servo)
-    inertias = link_inertias([machine] if without is None else [machine, without])
+    inertias = compute_link_inertias([machine] if without is None else [machine, without])
     with console.status("computing gains"):
         computed = compute(machine, servo, inertias)
         pair = {

@@ -13,8 +13,15 @@ import numpy as np
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.products import apply_matrix, measure_length, multiply_matrices
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.base.urdf.couplings import Coupling, followers, read_coupling
-from arm_emulator.base.urdf.frames import Frame, clean, compute_atan2, compute_cross, rpy_of, turn
+from arm_emulator.base.urdf.couplings import Coupling, list_followers, read_coupling
+from arm_emulator.base.urdf.frames import (
+    Frame,
+    clean,
+    compute_atan2,
+    compute_cross,
+    rpy_of,
+    turn,
+)
 from arm_emulator.base.urdf.joint_tree import (
     FREE_KINDS,
     MOVING_KINDS,
@@ -60,7 +67,7 @@ def read_chain(
         Refusal: it is no URDF, or its machine is no tree with sound inertias.
     """
     moving = _add_bodies(robot, where, asks, locked, tool, payload)
-    of_joints = followers(robot, where, list(locked))
+    of_joints = list_followers(robot, where, list(locked))
     coupling = read_coupling([moved.joint.name for moved in moving], of_joints, where, locked)
     faults = [fault for moved in moving if (fault := _explain_bad_body(moved, where)) is not None]
     if faults:

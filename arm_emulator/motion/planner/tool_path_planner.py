@@ -226,7 +226,7 @@ def _trace_joints(
 ) -> Array:
     """Return the joints at measures of a path (1 + K, N)."""
     x = np.concatenate(nodes)
-    poses, arm, kinematics = path.curve.sample_poses(x), law.arm, law.kinematics
+    poses, arm, kinematics = path.curve.draw_poses(x), law.arm, law.kinematics
     low = np.minimum(kinematics.lower, start) - ROUNDING
     high = np.maximum(kinematics.upper, start) + ROUNDING
     q = arm.trace(start, poses.p, poses.R)
@@ -258,7 +258,7 @@ def _check_between(law: TargetPlanner, path: ToolPath, joints: JointCurve, measu
     breaks = joints.breaks
     s = 0.5 * (breaks[1:] + breaks[:-1])
     x = measure(s)
-    off = measure_errors(law.arm, joints.derivatives(s)[0], path.curve.sample_poses(x))
+    off = measure_errors(law.arm, joints.derivatives(s)[0], path.curve.draw_poses(x))
     k = int(np.argmax(off))
     if off[k] > OFF_THE_PATH:
         rule = "be where the joints can follow without a jump"

@@ -210,7 +210,7 @@ class ToolCurve(SharedObject):
         """Return the number of segments."""
         return len(self.length)
 
-    def sample_poses(self, x: Array) -> Poses:
+    def draw_poses(self, x: Array) -> Poses:
         """Return the tool at measures x (K,) from the start, between 0 and the end."""
         i = np.minimum(np.searchsorted(self.ends, x, side="right"), len(self) - 1)
         part = np.clip(1.0 - (self.ends[i] - x) / self.length[i], 0.0, 1.0)

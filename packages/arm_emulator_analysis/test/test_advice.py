@@ -17,7 +17,7 @@ from machines import CONFIG, DC, GANTRY, PMSM, ROTOR, gantry_urdf, write_scene
 from test_written_integrator import add_demo, scene_copy
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
-from arm_emulator.analysis.stability import why
+from arm_emulator.analysis.stability import describe_divergence
 from arm_emulator.base.arrays import Array
 from arm_emulator.cli.command_line import main
 from arm_emulator_analysis.advice import Judge, advise, reserve, step_counts
@@ -300,8 +300,8 @@ def test_advice_is_on_the_values_that_a_machine_has_of_varied_numbers(seed: int)
     reference_plant = Plant(load_scene("three_axis", overrides={**common, **values}))
     expected = diverged(reference_plant, volts)
     assert reported_divergence.t == expected.t, "when it diverged"
-    hint = why(reported_divergence)
-    assert hint == why(expected), "what would hold for small motions"
+    hint = describe_divergence(reported_divergence)
+    assert hint == describe_divergence(expected), "what would hold for small motions"
     assert "each step multiplies a small motion" in hint, hint
 
 

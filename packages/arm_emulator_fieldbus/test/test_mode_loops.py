@@ -21,7 +21,7 @@ from arm_emulator.analysis.linear_servo import Loop
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.design.joint_gains import GearData, MotorData, design, joint_servo
+from arm_emulator.design.joint_gains import GearData, MotorData, design, make_joint_servo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries, modes
@@ -161,7 +161,7 @@ def draw_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConf
     except Refusal:
         return None
     servo = dataclasses.replace(
-        joint_servo(motor, GearData(**gear), gains, "joint"),
+        make_joint_servo(motor, GearData(**gear), gains, "joint"),
         current_limit=20.0,
         velocity_limit=20.0,
     )

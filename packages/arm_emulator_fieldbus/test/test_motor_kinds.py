@@ -24,7 +24,7 @@ from arm_emulator import (
 )
 from arm_emulator.analysis.servo_loop import ServoLoops
 from arm_emulator.base.config_files import find_beside, find_scene
-from arm_emulator.design.tuned import compute, data_sheet, link_inertias, run
+from arm_emulator.design.tuned import compute, compute_link_inertias, make_data_sheet, run
 from arm_emulator.machine.parts.known import MOTORS, SIZED_MOTORS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.motion.model.config import load_motion_config
@@ -86,10 +86,12 @@ def servo_of(scene: Scene) -> ServoConfig:
     servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
     servo_joints = {joint.name: joint for joint in servo.joints}
     joints = tuple(
-        dataclasses.replace(servo_joints[joint.name], **data_sheet(joint, scene.supply_voltage))
+        dataclasses.replace(
+            servo_joints[joint.name], **make_data_sheet(joint, scene.supply_voltage)
+        )
         for joint in scene.joints
     )
-    return compute(scene, dataclasses.replace(servo, joints=joints), link_inertias([scene]))
+    return compute(scene, dataclasses.replace(servo, joints=joints), compute_link_inertias([scene]))
 
 
 def test_every_kind_states_the_numbers_that_a_servo_needs() -> None:

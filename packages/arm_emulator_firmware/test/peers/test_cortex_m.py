@@ -16,7 +16,7 @@ from visits import states
 
 from arm_emulator import Breakpoint, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.cli.commands.servo_header import header_text
+from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.runs.table_run import TableRun
@@ -37,7 +37,7 @@ def ur5() -> Scene:
 def built(tmp_path_factory: pytest.TempPathFactory, ur5: Scene) -> Callable[..., Path]:
     folder = tmp_path_factory.mktemp("example")
     servo = load_gains(find_scene("ur5")).servo
-    (folder / "servo_joints.h").write_text(header_text("ur5", ur5.joint_names, servo))
+    (folder / "servo_joints.h").write_text(write_header("ur5", ur5.joint_names, servo))
 
     def build(name: str, *flags: str, level: str = "-O2") -> Path:
         sources = [EXAMPLE / "startup.c", EXAMPLE / "main.c", EXAMPLE / "control.c"]

@@ -24,7 +24,7 @@ from cortex_m import (
 from visits import states
 
 from arm_emulator.base.config_files import find_scene
-from arm_emulator.cli.commands.servo_header import header_text
+from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.session.firmware import Firmware
 from arm_emulator.runs.gains import load_gains
@@ -65,7 +65,7 @@ FLOATS = {
 def test_ideal_converters_give_the_motion_of_the_template(tmp_path: Path) -> None:
     """The template of your_firmware.md, its FLOAT build, against the servo on a chip."""
     servo = load_gains(find_scene("three_axis")).servo
-    (tmp_path / "servo_joints.h").write_text(header_text("three_axis", SCENE.joint_names, servo))
+    (tmp_path / "servo_joints.h").write_text(write_header("three_axis", SCENE.joint_names, servo))
     objects = []
     for source in (SERVO / "template/mine.c", SERVO / "servo.c"):
         objects.append(str(tmp_path / f"{source.stem}.o"))

@@ -12,7 +12,7 @@ from visits import random_visits
 
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.cli.commands.servo_header import header_text
+from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.runs.gains import load_gains
 from arm_emulator.runs.table_run import TableRun
@@ -106,7 +106,7 @@ def test_any_tick_of_firmware_can_be_visited(preload: bool, tmp_path: Path) -> N
 def test_the_example_can_be_visited(tmp_path: Path) -> None:
     ur5 = load_scene("ur5")
     servo = load_gains(find_scene("ur5")).servo
-    (tmp_path / "servo_joints.h").write_text(header_text("ur5", ur5.joint_names, servo))
+    (tmp_path / "servo_joints.h").write_text(write_header("ur5", ur5.joint_names, servo))
     sources = [str(EXAMPLE / f"{name}.c") for name in ("startup", "main", "control")]
     elf = cross(tmp_path / "it.elf", *sources, str(SERVO / "servo.c"), "-DSERVO_FLOAT")
     table = random_table(np.random.default_rng(1), ur5, 200)
