@@ -504,8 +504,8 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/tick/c/condition.c",
-        "  one->held = holds;\n",
-        "  one->held |= holds;\n",
+        "  self->held = holds;\n",
+        "  self->held |= holds;\n",
         "test_breakpoint.py",
     ),
     Mutant(
@@ -546,7 +546,7 @@ MUTANTS = (
     ),
     Mutant(
         "arm_emulator/runs/servo_step.c",
-        "    one->closed[j] = joint->brake;\n",
+        "    step->closed[j] = joint->brake;\n",
         "",
         "test_brake.py::test_servos_in_c_and_python_handle_brakes_alike",
     ),

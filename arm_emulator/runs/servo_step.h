@@ -15,7 +15,7 @@ typedef struct servo_step {
 } servo_step;
 
 /* Take the measurement of the coming period before its step, for whoever sets a target by it. */
-void servo_step_measure(servo_step* one, tick_machine* at);
+void servo_step_measure(servo_step* step, tick_machine* at);
 /* firmware_controller's step; `with` is a servo_step. */
 void servo_step_step(void* with, const firmware_input* in, firmware_output* out);
 

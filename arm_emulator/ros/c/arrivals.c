@@ -38,14 +38,14 @@ static int take_from(ros_arrivals* own, int64_t k) {
 }
 
 /* A message has come. The middleware calls it with its own lock of the subscription held. */
-static void came(const void* data, size_t number) {
-  const arrival* one = data;
-  ros_arrivals* own = one->of;
+static void note_arrival(const void* data, size_t number) {
+  const arrival* signal = data;
+  ros_arrivals* own = signal->of;
   (void)number;
   pthread_mutex_lock(&own->mutex);
   if (!own->open) {
     own->missed = 1;
-  } else if (!take_from(own, one->topic)) {
+  } else if (!take_from(own, signal->topic)) {
     own->open = 0;
     if (rcl_trigger_guard_condition(own->guard) != RCL_RET_OK) rcutils_reset_error();
   }
@@ -71,7 +71,8 @@ ros_arrivals* ros_arrivals_new(ros_topic* topic, int64_t topics, void* guard) {
     for (; k < topics; ++k) {
       each[k] = (arrival){own, k};
       const void* subscription = topic[k].subscription;
-      if (rcl_subscription_set_on_new_message_callback(subscription, came, each + k) != RCL_RET_OK)
+      if (rcl_subscription_set_on_new_message_callback(subscription, note_arrival, each + k) !=
+          RCL_RET_OK)
         break;
     }
     if (k == topics) return own;

@@ -44,7 +44,7 @@ static int skip_text(message_reader* own) {
 }
 
 /* Go past names that begin as those do whose places are known. 0: they are others. */
-static int skip_known_names(message_reader* own, message_field* field) {
+static int skip_expected_names(message_reader* own, message_field* field) {
   own->at += (HEAD - own->at) & (WORD - 1);
   own->has_known_names = own->known_size && own->known_swapped == own->is_swapped &&
                          own->known_size <= own->length - own->at &&
@@ -57,7 +57,7 @@ static int skip_known_names(message_reader* own, message_field* field) {
 
 /* Find a field, and go to its end. */
 static int find_field(message_reader* own, message_field* field) {
-  if (field->use == MESSAGE_NAMES && skip_known_names(own, field)) return 1;
+  if (field->use == MESSAGE_NAMES && skip_expected_names(own, field)) return 1;
   const int64_t begins = own->at;
   field->came = field->count;
   if (field->count < 0 && !find_length(own, &field->came)) return 0;
@@ -91,14 +91,14 @@ static int read_single(const message_reader* own, const message_field* field) {
 }
 
 int message_open(message_reader* own, const uint8_t* data, int64_t length) {
-  static const uint16_t one = 1;
+  static const uint16_t unit = 1;
   own->rule = MESSAGE_READ;
   own->data = data;
   own->length = length;
   own->at = HEAD;
   own->has_known_names = 0;
   if (length < HEAD || data[0] || data[1] > 1) return refuse(own, MESSAGE_OF_ITS_TYPE, -1);
-  own->is_swapped = data[1] != *(const uint8_t*)&one;
+  own->is_swapped = data[1] != *(const uint8_t*)&unit;
   for (int64_t k = 0; k < own->fields; ++k)
     if (!find_field(own, own->field + k)) return refuse(own, MESSAGE_OF_ITS_TYPE, k);
   for (int64_t k = 0; k < own->fields; ++k) {
@@ -118,9 +118,9 @@ static int is_name(const uint8_t* text, int64_t length, const char* name) {
   return size == strlen(name) && !memcmp(text, name, size);
 }
 
-static int is_among(const int64_t* some, int64_t count, int64_t one) {
+static int is_among(const int64_t* some, int64_t count, int64_t place) {
   for (int64_t k = 0; k < count; ++k)
-    if (some[k] == one) return 1;
+    if (some[k] == place) return 1;
   return 0;
 }
 

@@ -6,25 +6,25 @@
 #include <string.h>
 #include <time.h>
 
-static void copy_numbers(uint8_t* data, const ros_copy* one) {
-  const uint8_t* from = one->from;
-  uint8_t* to = data + one->at;
-  for (int64_t k = 0; k < one->count; ++k, from += one->stride, to += 8) {
+static void copy_numbers(uint8_t* data, const ros_copy* copy) {
+  const uint8_t* from = copy->from;
+  uint8_t* to = data + copy->at;
+  for (int64_t k = 0; k < copy->count; ++k, from += copy->stride, to += 8) {
     uint32_t small;
-    int64_t whole;
+    int64_t integer;
     double real;
-    switch (one->kind) {
+    switch (copy->kind) {
       case ROS_SAME:
         memcpy(to, from, 8);
         break;
       case ROS_UINT32_TO_INT64:
         memcpy(&small, from, sizeof small);
-        whole = small;
-        memcpy(to, &whole, sizeof whole);
+        integer = small;
+        memcpy(to, &integer, sizeof integer);
         break;
       case ROS_INT64_TO_DOUBLE:
-        memcpy(&whole, from, sizeof whole);
-        real = (double)whole;
+        memcpy(&integer, from, sizeof integer);
+        real = (double)integer;
         memcpy(to, &real, sizeof real);
         break;
       default:

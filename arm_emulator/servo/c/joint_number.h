@@ -28,9 +28,9 @@ SERVO_INLINE int any(servo_mask mask) {
     return __builtin_ia32_cvtq2mask512(lanes) != 0;
   }
 #endif
-  int64_t found = 0;
-  for (int lane = 0; lane < SERVO_LANES; ++lane) found |= mask[lane];
-  return found != 0;
+  int64_t set_bits = 0;
+  for (int lane = 0; lane < SERVO_LANES; ++lane) set_bits |= mask[lane];
+  return set_bits != 0;
 }
 #else
 typedef int servo_mask;
@@ -51,9 +51,9 @@ SERVO_INLINE servo_flag flags(int value) {
 
 static const servo_scalar HALF = (servo_scalar)0.5;
 
-SERVO_INLINE servo_real bound(servo_real value, servo_real least, servo_real most) {
-  const servo_real below = value > most ? most : value;
-  return value < least ? least : below;
+SERVO_INLINE servo_real bound(servo_real value, servo_real low, servo_real high) {
+  const servo_real below = value > high ? high : value;
+  return value < low ? low : below;
 }
 
 SERVO_INLINE servo_real clip(servo_real value, servo_real limit) {

@@ -139,18 +139,18 @@ SERVO_INLINE servo_real current_stage(const servo_joint* joint, servo_state* sta
   const servo_real zero = {0}, current = state->current, memory = joint->current_memory;
   const servo_sum* mean = &joint->mean_current;
   const servo_real at_no_voltage = sum_of(mean, current, state->omega, zero, state->load);
-  const servo_real wanted =
+  const servo_real voltage_ref =
       (*i_ref - memory * (*i_ref - current) - at_no_voltage) * joint->voltage_per_current;
   /* No voltage that lets the current beyond its limit within the period. What the model did not
    * know in the last period, an observed speed that lags for one, counts here: the winding turns a
    * few volts into many amperes. */
   const servo_real middle =
       joint->emf * state->omega - state->unknown_voltage - joint->winding * current;
-  const servo_real least = middle + joint->current_voltage * wish->least_current;
-  const servo_real most = middle + joint->current_voltage * wish->most_current;
-  const servo_real at_least = least > wanted ? least : wanted;
-  const servo_real voltage = clip(most < at_least ? most : at_least, joint->voltage_limit);
-  const servo_mask limited = voltage != wanted;
+  const servo_real low = middle + joint->current_voltage * wish->least_current;
+  const servo_real high = middle + joint->current_voltage * wish->most_current;
+  const servo_real raised = low > voltage_ref ? low : voltage_ref;
+  const servo_real voltage = clip(high < raised ? high : raised, joint->voltage_limit);
+  const servo_mask limited = voltage != voltage_ref;
   if (any(limited)) { /* what current the limits leave of the reference */
     const servo_real left =
         (mean->voltage * voltage + at_no_voltage - memory * current) / (1 - memory);
@@ -219,13 +219,13 @@ SERVO_INLINE servo_mask pursue(const servo_joint* joint, servo_state* state, con
                                servo_real* command) {
   const servo_real zero = {0}, middle = turn->ahead - HALF * turn->period;
   const servo_mask braked = state->braked != 0, moves = turn->follows & (state->braked == 0);
-  const servo_way way = way_at(state, turn->ahead, turn->period);
+  const servo_way target = way_at(state, turn->ahead, turn->period);
   const servo_real load = expected_load(&state->learned, tau_at(state, middle));
   state->stood |= flag_of(braked, 1);
   state->q_hold = (turn->latches | braked) ? state->theta_measured * joint->ratio : state->q_hold;
-  return control(joint, state, moves ? clip(way.q, all_of(FARTHEST)) : state->q_hold,
-                 moves ? way.v : zero,
-                 moves ? load + joint->rotor * way.a : (turn->follows ? load : zero), command);
+  return control(joint, state, moves ? clip(target.q, all_of(FARTHEST)) : state->q_hold,
+                 moves ? target.v : zero,
+                 moves ? load + joint->rotor * target.a : (turn->follows ? load : zero), command);
 }
 
 /* ------------------------------------------------------------- a period of a joint in an arm */

@@ -41,7 +41,7 @@ typedef struct condition {
 } condition;
 
 /* Whether the condition holds for the machine as it is now: 1 or 0. */
-int condition_holds(condition* one, const arm_machine* machine);
+int condition_holds(condition* self, const arm_machine* machine);
 
 /* A condition that is evaluated at the end of each exchange: a breakpoint on physics. */
 typedef struct breakpoint {

@@ -58,7 +58,7 @@ class Cell {
   // Leaves `command` and its entries unchanged during a write. `scratch` has room for as many.
   void read(arm_command& command, Entries& entries, Entries& scratch) const {
     const std::uint32_t s = sequence_.load(std::memory_order_acquire);
-    const std::int64_t answers = tick_.load(std::memory_order_relaxed);
+    const std::int64_t answered = tick_.load(std::memory_order_relaxed);
     for (std::size_t j = 0; j < values_.size(); ++j) {
       const std::uint64_t mode = modes_[j].load(std::memory_order_relaxed);
       scratch.joints[j] = {static_cast<std::int32_t>(mode & 0xffffffff),
@@ -69,7 +69,7 @@ class Cell {
       scratch.further[k] = further_[k].load(std::memory_order_relaxed);
     std::atomic_thread_fence(std::memory_order_acquire);
     if (s % 2 == 1 || sequence_.load(std::memory_order_relaxed) != s) return;
-    command.tick = answers;
+    command.tick = answered;
     entries = scratch;  // of equal lengths: nothing is allocated
   }
 
@@ -324,8 +324,8 @@ struct arm_real_time {
     at.get_truth(at.machine, &out->truth);
     ring.copy_measured(*at.measurement, *out);
     ring.publish();
-    const std::uint64_t one = 1;
-    [[maybe_unused]] const auto rung = ::write(bell, &one, sizeof one);
+    const std::uint64_t unit = 1;
+    [[maybe_unused]] const auto rung = ::write(bell, &unit, sizeof unit);
   }
 
   // As far as the system permits; the figures report it.
