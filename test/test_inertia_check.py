@@ -121,7 +121,7 @@ def test_doubtful_inertias_are_warned_of(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     inputs: list[str] = []
-    monkeypatch.setattr(warning, "given", inputs)
+    monkeypatch.setattr(warning, "issued", inputs)
     mass, tensor, words = DOUBTFUL[kind]
     text = arm([good(), good(), (mass, tensor)])
     written = scene_of(tmp_path, text)
@@ -138,7 +138,7 @@ def test_doubtful_inertias_are_warned_of(
 def test_bodies_of_many_kinds_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Mixtures of points within the box have its bounds; a plate has equality in the triangle."""
     inputs: list[str] = []
-    monkeypatch.setattr(warning, "given", inputs)
+    monkeypatch.setattr(warning, "issued", inputs)
     rng = np.random.default_rng(5)
     for _ in range(10):
         bodies = []
@@ -186,7 +186,7 @@ def test_shipped_scenes_say_which_inertias_are_not_of_bodies(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     inputs: list[str] = []
-    monkeypatch.setattr(warning, "given", inputs)
+    monkeypatch.setattr(warning, "issued", inputs)
     check_scene(name)
     assert not any("link " in line and "kg" in line for line in inputs), inputs
     assert math.isfinite(load_scene(name).servo_period)

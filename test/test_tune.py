@@ -168,7 +168,7 @@ def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
     inertias = compute_link_inertias([scene])
     before = compute(scene, servo, inertias)
     fall = 3.0 * before.joints[1].position_gain * before.joints[1].velocity_gain
-    monkeypatch.setattr(tuned, "falls", lambda scene: fall * np.eye(6)[1])
+    monkeypatch.setattr(tuned, "compute_falls", lambda scene: fall * np.eye(6)[1])
     after = compute(scene, servo, inertias)
     shoulder = after.joints[1]
     assert shoulder.position_gain * shoulder.velocity_gain >= 0.99 * 2.0 * fall
