@@ -48,7 +48,7 @@ def test_files_and_variables_of_pip_become_those_of_uv(tmp_path: Path) -> None:
     options = listed(
         tmp_path, CONFIGURED, PIP_CERT="/etc/own.pem", PIP_TIMEOUT="30", PIP_NO_INDEX="1"
     )
-    variables, unknown = install.uv_variables(options)
+    variables, unknown = install.convert_to_uv_variables(options)
     assert not unknown
     assert variables == {
         "SSL_CERT_FILE": "/etc/own.pem",
@@ -64,8 +64,8 @@ def test_files_and_variables_of_pip_become_those_of_uv(tmp_path: Path) -> None:
 
 def test_an_option_without_counterpart_is_left_to_pip(tmp_path: Path) -> None:
     options = listed(tmp_path, "[install]\nno-binary = :all:\nquiet = 1\n")
-    assert "no-binary" in install.uv_variables(options)[1]
-    assert "quiet" not in install.uv_variables(options)[1]
+    assert "no-binary" in install.convert_to_uv_variables(options)[1]
+    assert "quiet" not in install.convert_to_uv_variables(options)[1]
 
 
 @pytest.mark.parametrize(
