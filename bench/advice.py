@@ -39,12 +39,12 @@ from arm_emulator_analysis.judged_motions import (
     SECONDS,
     ExcitationMotions,
     JudgedMotion,
-    judged_motions,
+    list_motions,
 )
 from arm_emulator_analysis.true_motion import IntegrationMethod
 from oracles import mixtures
 from oracles.part_samples import draw_part, draw_scaled
-from oracles.random_chain import moving_joints, random_chain_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain
 
 CLASSES = ("friction", "play", "limits", "pmsm", "torque")
 ERRORS = (1e-3, 1e-4, 1e-5, 1e-6)  # rad or m
@@ -56,17 +56,17 @@ Rng = np.random.Generator
 Numbers = dict[str, Any]
 
 
-def _joint(rng: Rng, kind: str) -> Numbers:
+def draw_joint_section(rng: Rng, kind: str) -> Numbers:
     """Return the scene's section of a joint that has what its class is about."""
     inertia = {"rotor_inertia": draw_scaled(rng, 5e-5, 3e-4)}
     joint: Numbers = {"friction": {"viscous": draw_scaled(rng, 0.05, 0.5)}}
     motor = {**mixtures.draw_motor(rng, DcMotor), **inertia}
     gear = draw_part(ElasticGear if rng.random() < 0.5 else RigidGear, rng)
-    dry = draw_part(mixtures.any_of(rng, LINK_FRICTIONS), rng)
+    dry = draw_part(mixtures.choose_any(rng, LINK_FRICTIONS), rng)
     if kind == "friction":
         joint["friction"] = dry
         if rng.random() < 0.5:
-            motor["friction"] = draw_part(mixtures.any_of(rng, ROTOR_FRICTIONS), rng)
+            motor["friction"] = draw_part(mixtures.choose_any(rng, ROTOR_FRICTIONS), rng)
     elif kind == "play":
         gear = draw_part(BacklashGear, rng)
         if rng.random() < 0.5:
@@ -77,7 +77,7 @@ def _joint(rng: Rng, kind: str) -> Numbers:
     elif kind == "pmsm":
         motor = {**mixtures.draw_motor(rng, Pmsm), **inertia}
     elif kind == "torque":
-        which = mixtures.any_of(rng, (TorqueMotor, CurrentMotor))
+        which = mixtures.choose_any(rng, (TorqueMotor, CurrentMotor))
         motor = {**mixtures.draw_motor(rng, which), **inertia}
         if rng.random() < 0.5:
             joint["friction"] = dry
@@ -87,7 +87,7 @@ def _joint(rng: Rng, kind: str) -> Numbers:
 def draw_scene(folder: Path, seed: int) -> tuple[str, Scene]:
     """Write a scene of one of the classes; return the class and the scene."""
     rng, kind = np.random.default_rng([seed, 31]), CLASSES[seed % len(CLASSES)]
-    urdf = random_chain_urdf(rng, int(rng.integers(1, 3)))
+    urdf = write_random_chain(rng, int(rng.integers(1, 3)))
     (folder / "advised.urdf").write_text(urdf)
     file = folder / "advised.yaml"
     scene = {
@@ -96,7 +96,7 @@ def draw_scene(folder: Path, seed: int) -> tuple[str, Scene]:
         "tool": "base",
         "gravity": [0.0, 0.0, -9.81],
         "supply_voltage": 24.0,
-        "joints": {name: _joint(rng, kind) for name in moving_joints(urdf)},
+        "joints": {name: draw_joint_section(rng, kind) for name in list_moving_joints(urdf)},
         "integrator": {"dt": 1e-3},
         "servo_period": 1e-3,
     }
@@ -160,7 +160,7 @@ def judge_scene(
     """Draw a scene and hold the claims against it, for every error."""
     with tempfile.TemporaryDirectory() as folder:
         kind, scene = draw_scene(Path(folder), seed)
-        own = Judge(scene, judged_motions(scene, seconds))
+        own = Judge(scene, list_motions(scene, seconds))
         others = Judge(scene, draw_unseen_motions(scene, seed, seconds))
         advices = {error: advise(own, error) for error in sorted(errors, reverse=True)}
         # All that was stated is held against truths that are known five times as well.
@@ -171,12 +171,12 @@ def judge_scene(
         return [
             AdviceVerdict(seed, kind, limit, none=advice.why_none or why)
             if advice.why_none or why
-            else _verdict(seed, kind, limit, advice, own, others)
+            else _judge_advice(seed, kind, limit, advice, own, others)
             for limit, advice in advices.items()
         ]
 
 
-def _verdict(
+def _judge_advice(
     seed: int, kind: str, error: float, advice: Advice, own: Judge, others: Judge
 ) -> AdviceVerdict:
     best = advice.settings[0]

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.measure import side_by_side
-from bench.tables import table
-from oracles.any_arm import DISTANCES_NAMED, ArmOutcome, ToolMove, arms, examine
+from bench.measure import map_on_all_cores
+from bench.tables import format_table
+from oracles.any_arm import DISTANCES_NAMED, ArmOutcome, ToolMove, examine, list_arms
 
 MOVES = 30  # of each distance
 PARTS = (50.0, 90.0, 99.0, 99.5, 100.0)  # % of all moves
@@ -42,19 +42,19 @@ def main() -> None:
     parser.add_argument("--moves", type=int, default=MOVES, help="of each distance")
     parser.add_argument("--out", type=Path, default=Path("out/any_arm.json"))
     arguments = parser.parse_args()
-    outcomes = examined(chosen(arguments.robots), arguments.moves)
+    outcomes = examine_all(choose_robots(arguments.robots), arguments.moves)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps([asdict(outcome) for outcome in outcomes], indent=1))
     print(report(outcomes))
-    print(failures(outcomes))
+    print(list_failures(outcomes))
     print(f"\nall moves are in {arguments.out}")
     moves = [move for outcome in outcomes for move in outcome.moves]
     sys.exit(any(sum(map(fails, moves)) > share * len(moves) for _, fails, share in CLAIMS))
 
 
-def chosen(robots: Sequence[str]) -> dict[str, Path | str]:
+def choose_robots(robots: Sequence[str]) -> dict[str, Path | str]:
     """Return the arms that are named, all without names."""
-    shipped_arms = arms()
+    shipped_arms = list_arms()
     if not robots:
         return shipped_arms
     chosen_robots: dict[str, Path | str] = {}
@@ -68,9 +68,11 @@ def chosen(robots: Sequence[str]) -> dict[str, Path | str]:
     return chosen_robots
 
 
-def examined(robots: dict[str, Path | str], moves: int) -> list[ArmOutcome]:
+def examine_all(robots: dict[str, Path | str], moves: int) -> list[ArmOutcome]:
     """Return the outcome of every arm."""
-    return side_by_side("arms", _examine, [(name, robots[name], moves) for name in sorted(robots)])
+    return map_on_all_cores(
+        "arms", _examine, [(name, robots[name], moves) for name in sorted(robots)]
+    )
 
 
 def _examine(which: tuple[str, Path | str, int]) -> ArmOutcome:
@@ -79,7 +81,7 @@ def _examine(which: tuple[str, Path | str, int]) -> ArmOutcome:
 
 def run(quick: bool) -> list[ArmOutcome]:
     """Examine all arms that are there."""
-    return examined(arms(), 5 if quick else MOVES)
+    return examine_all(list_arms(), 5 if quick else MOVES)
 
 
 def report(outcomes: list[ArmOutcome]) -> str:
@@ -106,13 +108,13 @@ def report(outcomes: list[ArmOutcome]) -> str:
         for words, values in rows
     )
     return "\n\n".join([
-        table(heads, (_row(outcome) for outcome in outcomes if outcome.moves), numbers=True),
+        format_table(heads, (_list_cells(o) for o in outcomes if o.moves), numbers=True),
         f"All {len(moves)} moves of {sum(bool(o.moves) for o in outcomes)} arms:",
-        table(("at most in", *(f"{part:g} %" for part in PARTS)), parts, numbers=True),
+        format_table(("at most in", *(f"{part:g} %" for part in PARTS)), parts, numbers=True),
     ])  # fmt: skip
 
 
-def failures(outcomes: list[ArmOutcome]) -> str:
+def list_failures(outcomes: list[ArmOutcome]) -> str:
     """Return how often each claim was broken, by which arms, and what was refused."""
     moves = [move for outcome in outcomes for move in outcome.moves]
     lines = [""]
@@ -128,7 +130,7 @@ def failures(outcomes: list[ArmOutcome]) -> str:
     return "\n".join(lines)
 
 
-def _row(outcome: ArmOutcome) -> list[str]:
+def _list_cells(outcome: ArmOutcome) -> list[str]:
     times = [m.seconds for m in outcome.arrived] or [float("nan")]
     return [
         outcome.name.removeprefix("own: "),

@@ -19,9 +19,9 @@ from arm_emulator import Diverged, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
-from bench.measure import progress
-from bench.origins import NumberOrigin, origins
-from bench.tables import table
+from bench.measure import show_progress
+from bench.origins import NumberOrigin, list_origins
+from bench.tables import format_table
 
 TITLE = "What is assumed of the arms"
 
@@ -56,14 +56,14 @@ class AssumedFigure:
         return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
 
 
-def assumed_of(file: Path) -> list[AssumedFigure]:
+def list_assumed(file: Path) -> list[AssumedFigure]:
     """Return what a scene assumes, in the order of the file.
 
     The torque constant is the constant of the back EMF, too. A gear's ratio is no number of a
     machine but structure: r0/r of it does what motors do whose constants and dry friction are r0/r
     times as large, and their rotors (r0/r)^2 times as heavy and as viscous.
     """
-    origin_list = [origin for origin in origins(file) if origin.assumed is not None]
+    origin_list = [origin for origin in list_origins(file) if origin.assumed is not None]
     nominal = {name: origin.value for origin in origin_list for name in origin.names()}
 
     def of(origin: NumberOrigin) -> AssumedFigure:
@@ -86,7 +86,7 @@ def assumed_of(file: Path) -> list[AssumedFigure]:
     return [of(origin) for origin in origin_list if origin.key != "back_emf_constant"]
 
 
-def demos(scene_name: str, arms: list[Values], instructions: int | None = None) -> Array:
+def simulate_demos(scene_name: str, arms: list[Values], instructions: int | None = None) -> Array:
     """Return target minus tool of each arm before each instruction (count, K + 1, 3) [m].
 
     What the demo does, in lock-step and without a network; from where an arm diverges, NaN.
@@ -102,7 +102,7 @@ def demos(scene_name: str, arms: list[Values], instructions: int | None = None) 
     # Numbers that are set later change the machine, not what its current loops know of it.
     scene = load_scene(file, {"varied": names} if names else None)
     residuals = []
-    with progress(f"{file.stem}, {len(arms)} arms", len(arms)) as done:
+    with show_progress(f"{file.stem}, {len(arms)} arms", len(arms)) as done:
         for arm in arms:
             run = OfflineRun(scene, gains.servo, gains.motion)
             for name, value in arm.items():
@@ -138,7 +138,7 @@ class ResidualOutcome:
     settled: int | None  # instructions until it was within 2 % of the way; None: never
 
 
-def outcome(deviations: Array, nominal: Array) -> ResidualOutcome:
+def measure_outcome(deviations: Array, nominal: Array) -> ResidualOutcome:
     """Return it, of the deviations (K + 1, 3) [m]."""
     distance = np.linalg.norm(deviations, axis=1)
     below = np.flatnonzero(distance < 0.02 * np.linalg.norm(nominal[0]))
@@ -150,7 +150,7 @@ def outcome(deviations: Array, nominal: Array) -> ResidualOutcome:
 
 def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:
     """Make the demo over the ranges of a scene."""
-    assumed = assumed_of(find_scene(scene_name))
+    assumed = list_assumed(find_scene(scene_name))
     rng = np.random.default_rng(1)
     arms: list[Values] = [{}]
     for figure in assumed:
@@ -163,8 +163,8 @@ def measure(scene_name: str, quick: bool = False) -> dict[str, Any]:
             arm |= {name: arm[name] * value / factors[name] if factors[name] else value
                     for name, value in sample.items()}  # fmt: skip
         arms.append({name: value for name, value in arm.items() if not name.endswith("ratio")})
-    deviations = demos(scene_name, arms, 30 if quick else None)
-    outcomes = [asdict(outcome(deviation, deviations[0])) for deviation in deviations]
+    deviations = simulate_demos(scene_name, arms, 30 if quick else None)
+    outcomes = [asdict(measure_outcome(deviation, deviations[0])) for deviation in deviations]
     ends = len(assumed)
     return {
         "nominal": outcomes[0],
@@ -184,10 +184,10 @@ def run(quick: bool) -> dict[str, Any]:
 
 def report(figures: dict[str, Any]) -> str:
     """Return the tables."""
-    return "\n\n".join(table_of(name, of_arm) for name, of_arm in figures.items())
+    return "\n\n".join(make_table(name, of_arm) for name, of_arm in figures.items())
 
 
-def table_of(name: str, figures: dict[str, Any]) -> str:
+def make_table(name: str, figures: dict[str, Any]) -> str:
     """Return the table of one arm, in Markdown."""
 
     def cell(deviation: dict[str, Any]) -> str:
@@ -203,7 +203,11 @@ def table_of(name: str, figures: dict[str, Any]) -> str:
         range_texts = f"{row['value']:.3g}", f"{low:.3g} to {high:.3g}"
         rows.append((figure, joints, *range_texts, *map(cell, row["ends"])))
     heads = "figure", "joints", "scene", "range", "at its low end", "at its high end"
-    lines = [f"{name}, as its scene has it: {cell(figures['nominal'])}.", "", table(heads, rows)]
+    lines = [
+        f"{name}, as its scene has it: {cell(figures['nominal'])}.",
+        "",
+        format_table(heads, rows),
+    ]
     samples = figures["drawn"]
     sound = [sample for sample in samples if np.isfinite(sample["residual"])]
     if sound:

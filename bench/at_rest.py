@@ -12,8 +12,8 @@ import numpy as np
 from arm_emulator import Scene, load_gains, load_scene
 from arm_emulator.runs.table_run import TableRun, load_table_run
 from arm_emulator_fleet import Fleet, ServoFleet
-from bench.measure import Task, interleaved, progress
-from bench.tables import table
+from bench.measure import Task, show_progress, time_interleaved
+from bench.tables import format_table
 
 TITLE = "Arms at rest"
 
@@ -31,15 +31,17 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure the phases of a fleet on one core, and runs of one arm from their start."""
     repetitions = 3 if quick else 9
     figures = {}
-    with progress("arms at rest", repetitions * len(SCENES) * (len(PHASES) + len(EVERY))) as done:
+    with show_progress(
+        "arms at rest", repetitions * len(SCENES) * (len(PHASES) + len(EVERY))
+    ) as done:
         for name in SCENES:
             scene = load_scene(name)
             fleet = Fleet(scene, ARMS, workers=1)
             per_second = ARMS * scene.steps_per_period / scene.servo_period
             with tempfile.TemporaryDirectory() as folder:
-                tasks = {phase: _phase(fleet, phase) for phase in PHASES}
-                tasks |= {motion: _loop(scene, Path(folder), motion) for motion in EVERY}
-                timings = interleaved(tasks, repetitions, done)
+                tasks = {phase: _make_phase_task(fleet, phase) for phase in PHASES}
+                tasks |= {motion: _make_loop_task(scene, Path(folder), motion) for motion in EVERY}
+                timings = time_interleaved(tasks, repetitions, done)
             figures[name] = {
                 "phases": {
                     phase: asdict(timings[phase].per(PHASES[phase][1] * per_second))
@@ -50,7 +52,7 @@ def run(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _phase(fleet: Fleet, phase: str) -> Task:
+def _make_phase_task(fleet: Fleet, phase: str) -> Task:
     """Return the task of following all arms through a phase, each on a motion of its own."""
     scene, gains = fleet.scene, load_gains(fleet.scene.name).servo
     begin, length = (round(t / scene.servo_period) for t in PHASES[phase])
@@ -68,7 +70,7 @@ def _phase(fleet: Fleet, phase: str) -> Task:
     return Task(lambda _: fleet.follow(servos, length, out=frame), prepare)
 
 
-def _loop(scene: Scene, folder: Path, motion: str) -> Task:
+def _make_loop_task(scene: Scene, folder: Path, motion: str) -> Task:
     """Return the task of a run from tick 0 with our servo in C, and with a motion now and then."""
     t = np.arange(0.0, LOOP, 0.01)
     repeats, since = np.divmod(t, EVERY[motion])
@@ -97,4 +99,4 @@ def report(figures: dict[str, Any]) -> str:
         rows.append((f"`{name}`", *times, *rates))
     heads = [f"{phase}: an arm and step" for phase in PHASES]
     heads += [f"one arm, {motion} in {LOOP:g} s" for motion in EVERY]
-    return table(("under our servo, one core", *heads), rows)
+    return format_table(("under our servo, one core", *heads), rows)

@@ -40,7 +40,7 @@ BARE = {
 }
 
 
-def odd_parts(scene: Scene) -> list[str]:
+def list_odd_parts(scene: Scene) -> list[str]:
     """Return what a scene has beside the parts of a bare one, by joint and section."""
     return [
         f"joints.{joint.name}.{part.section}"

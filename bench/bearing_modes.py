@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 
 from arm_emulator import linearise, load_scene
-from arm_emulator_analysis.commands.bode import frequency_response
-from bench.measure import progress
-from bench.tables import table
+from arm_emulator_analysis.commands.bode import compute_frequency_response
+from bench.measure import show_progress
+from bench.tables import format_table
 
 TITLE = "Bearings that tilt"
 
@@ -33,14 +33,16 @@ def run(quick: bool) -> dict[str, Any]:
     """Find the antiresonances of the tilting joints for each stiffness."""
     rows = []
     chosen = STIFFNESS[: 2 if quick else None]
-    with tempfile.TemporaryDirectory() as folder, progress("scenes", len(chosen)) as done:
+    with tempfile.TemporaryDirectory() as folder, show_progress("scenes", len(chosen)) as done:
         for factor in chosen:
             file = SCENE if factor is None else write_tilting(Path(folder), factor)
             scene = load_scene(str(file))
             linear = linearise(scene, scene.start)
             names = list(scene.joint_names)
             modes = {
-                name: frequency_response(linear, names.index(name), FREQUENCIES).antiresonances
+                name: compute_frequency_response(
+                    linear, names.index(name), FREQUENCIES
+                ).antiresonances
                 for name in TILTING
             }
             rows.append(
@@ -108,7 +110,7 @@ def report(figures: dict[str, Any]) -> str:
             ", ".join(f"{frequency:.1f}" for frequency in row[name]) + " Hz" for name in TILTING
         )
         rows.append(("rigid" if factor is None else f"{factor:g} times the gear", *cells))
-    return table(("bearings of `kr560`", *(f"`{name}`" for name in TILTING)), rows)
+    return format_table(("bearings of `kr560`", *(f"`{name}`" for name in TILTING)), rows)
 
 
 if __name__ == "__main__":

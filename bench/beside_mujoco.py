@@ -26,8 +26,8 @@ import numpy as np
 from arm_emulator import Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.runs.table_run import load_table_run
-from bench.measure import progress
-from bench.tables import table
+from bench.measure import show_progress
+from bench.tables import format_table
 
 TITLE = "Programs beside MuJoCo's"
 
@@ -67,7 +67,7 @@ class PeerProgram:
         return own, own.with_stem(f"{self.name}_mujoco")
 
 
-def code_lines(file: Path) -> int:
+def count_code_lines(file: Path) -> int:
     """Return how many lines have code: no comments, docstrings, blank lines."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".c":
@@ -86,11 +86,11 @@ def code_lines(file: Path) -> int:
     return len(lines)
 
 
-def _scene(machine: dict[str, Any], dt: float | None) -> Scene:
+def _load_scene(machine: dict[str, Any], dt: float | None) -> Scene:
     return load_scene("three_axis", machine | ({} if dt is None else {"integrator.dt": dt}))
 
 
-def _model(name: str, integrator: str, dt: float) -> Any:
+def _load_model(name: str, integrator: str, dt: float) -> Any:
     import mujoco  # of requirements-bench.txt, which tests do without
 
     model = mujoco.MjModel.from_xml_path(str(EXAMPLES / f"{name}_mujoco.xml"))
@@ -99,49 +99,49 @@ def _model(name: str, integrator: str, dt: float) -> Any:
     return model
 
 
-def _both(name: str) -> Iterator[dict[str, Any]]:
+def _load_both(name: str) -> Iterator[dict[str, Any]]:
     return (runpy.run_path(str(EXAMPLES / f"{name}{suffix}.py")) for suffix in ("", "_mujoco"))
 
 
-def _timed(work: Callable[[], Array]) -> Run:
+def _time_work(work: Callable[[], Array]) -> Run:
     begin = time.perf_counter()
     q = work()
     return q, time.perf_counter() - begin
 
 
-def _computed_torque() -> PeerProgram:
-    ours, theirs = _both("computed_torque")
+def _make_computed_torque() -> PeerProgram:
+    ours, theirs = _load_both("computed_torque")
 
     def own(dt: float | None, few: bool) -> Run:
-        scene = _scene(ours["MACHINE"], dt)
-        return _timed(lambda: ours["follow"](scene)[1])
+        scene = _load_scene(ours["MACHINE"], dt)
+        return _time_work(lambda: ours["follow"](scene)[1])
 
     def peer(integrator: str, dt: float, few: bool) -> Run:
-        model = _model("three_axis_torque", integrator, dt)
-        return _timed(lambda: theirs["follow"](model)[1])
+        model = _load_model("three_axis_torque", integrator, dt)
+        return _time_work(lambda: theirs["follow"](model)[1])
 
     return PeerProgram("computed_torque", "computed torque, 2 s", own, peer)
 
 
 def _sweep() -> PeerProgram:
-    ours, theirs = _both("sweep")
+    ours, theirs = _load_both("sweep")
 
     def arms(few: bool) -> list[Array]:
         return [values[:FEW] if few else values for values in ours["drawn"](200)]
 
     def own(dt: float | None, few: bool) -> Run:
-        scene = _scene(ours["MACHINE"], dt)
-        return _timed(lambda: ours["sweep"](scene, *arms(few)))
+        scene = _load_scene(ours["MACHINE"], dt)
+        return _time_work(lambda: ours["sweep"](scene, *arms(few)))
 
     def peer(integrator: str, dt: float, few: bool) -> Run:
-        model = _model("three_axis", integrator, dt)
-        return _timed(lambda: theirs["sweep"](model, *arms(few)))
+        model = _load_model("three_axis", integrator, dt)
+        return _time_work(lambda: theirs["sweep"](model, *arms(few)))
 
     return PeerProgram("sweep", "sweep of 200 arms, 1 s each", own, peer)
 
 
-def _environment() -> PeerProgram:
-    ours, theirs = _both("vector_env")
+def _make_environment() -> PeerProgram:
+    ours, theirs = _load_both("vector_env")
 
     def drive(env: Any, q: Callable[[], Array]) -> Run:
         env.reset(seed=1)
@@ -155,20 +155,20 @@ def _environment() -> PeerProgram:
                 tool_path[tick] = q()
             return tool_path
 
-        return _timed(work)
+        return _time_work(work)
 
     def own(dt: float | None, few: bool) -> Run:
-        env = ours["ReachEnv"](_scene({}, dt), FEW if few else 64)
+        env = ours["ReachEnv"](_load_scene({}, dt), FEW if few else 64)
         return drive(env, lambda: env.fleet.state.q)
 
     def peer(integrator: str, dt: float, few: bool) -> Run:
-        env = theirs["ReachEnv"](_model("three_axis", integrator, dt), FEW if few else 64)
+        env = theirs["ReachEnv"](_load_model("three_axis", integrator, dt), FEW if few else 64)
         return drive(env, lambda: env.state[:, 4:7])
 
     return PeerProgram("vector_env", f"64 arms in gymnasium's API, {TICKS} steps", own, peer)
 
 
-def _observer(folder: Path) -> PeerProgram:
+def _make_observer(folder: Path) -> PeerProgram:
     """Return the servo in C; both are compiled into the folder."""
     table = ROOT / "arm_emulator/servo/c/template/targets.csv"
     source, library, twin = EXAMPLES / "my_observer.c", folder / "libobserver.so", folder / "twin"
@@ -182,7 +182,7 @@ def _observer(folder: Path) -> PeerProgram:
     _compile(f"-I{wheel / 'include'} {main} {shared} -Wl,-rpath,{wheel} -lm -o {twin}")
 
     def own(dt: float | None, few: bool) -> Run:
-        table_run, _ = load_table_run(_file(folder, dt), table, library)
+        table_run, _ = load_table_run(_write_scene(folder, dt), table, library)
 
         def work() -> Array:
             q = []
@@ -194,7 +194,7 @@ def _observer(folder: Path) -> PeerProgram:
             return np.array(q)
 
         with contextlib.closing(table_run):
-            return _timed(work)
+            return _time_work(work)
 
     def peer(integrator: str, dt: float, few: bool) -> Run:
         model = folder / f"{integrator}.xml"
@@ -211,7 +211,7 @@ def _observer(folder: Path) -> PeerProgram:
     return PeerProgram("my_observer", "servo with an observer in C, 3 s", own, peer)
 
 
-def _file(folder: Path, dt: float | None) -> str:
+def _write_scene(folder: Path, dt: float | None) -> str:
     """Return a scene's name, or the file of one with a finer step."""
     if dt is None:
         return "three_axis"
@@ -260,8 +260,13 @@ def run(quick: bool) -> dict[str, Any]:
     repetitions = 1 if quick else 5
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        programs = [_computed_torque(), _sweep(), _environment(), _observer(Path(folder))]
-        with progress("programs", len(programs)) as done:
+        programs = [
+            _make_computed_torque(),
+            _sweep(),
+            _make_environment(),
+            _make_observer(Path(folder)),
+        ]
+        with show_progress("programs", len(programs)) as done:
             for program in programs:
                 solution, _ = program.ours(FINE, True)
                 own, _ = program.ours(None, True)
@@ -274,7 +279,7 @@ def run(quick: bool) -> dict[str, Any]:
                 ours, theirs = np.median(walls, axis=0)
                 rows.append({
                     "what": program.what, "name": program.name,
-                    "lines": [code_lines(file) for file in program.files],
+                    "lines": [count_code_lines(file) for file in program.files],
                     "seconds": [float(ours), float(theirs)],
                     "ratio": float(np.median([b / a for a, b in walls])),
                     "errors": [float(np.abs(own - solution).max()), choice.error],
@@ -290,11 +295,11 @@ def report(figures: dict[str, Any]) -> str:
     for row in figures["rows"]:
         error, second = (f"{value:.1g} rad" for value in row["errors"])
         at = f"{second}, {row['integrator']} at {row['dt'] * 1e3:g} ms"
-        times = map(_time, row["seconds"])
+        times = map(_format_time, row["seconds"])
         rows.append((row["what"], *row["lines"], *times, f"{row['ratio']:.3g}", error, at))
     heads = ("program", "lines of code", "MuJoCo", "time", "MuJoCo", "ratio", "error", "MuJoCo, at")
-    return table(heads, rows)
+    return format_table(heads, rows)
 
 
-def _time(seconds: float) -> str:
+def _format_time(seconds: float) -> str:
     return f"{seconds:.2g} s" if seconds >= 0.1 else f"{seconds * 1e3:.2g} ms"

@@ -27,13 +27,13 @@ JOINT = {
 }
 
 
-def chain(folder: Path, joints: int, **keys: Any) -> Scene:
+def write_chain(folder: Path, joints: int, **keys: Any) -> Scene:
     """Return a scene of solid cylinders on top of each other, written into `folder`.
 
     The joints turn about z, y and x in turn. Motors and gears are those of three_axis.
     """
     names = [f"joint_{k}" for k in range(joints)]
-    (folder / f"chain_{joints}.urdf").write_text(_urdf(names), encoding="utf-8")
+    (folder / f"chain_{joints}.urdf").write_text(_write_urdf(names), encoding="utf-8")
     data = {
         "name": f"chain_{joints}",
         "urdf": f"chain_{joints}.urdf",
@@ -49,7 +49,7 @@ def chain(folder: Path, joints: int, **keys: Any) -> Scene:
     return load_scene(file, keys)
 
 
-def _urdf(names: list[str]) -> str:
+def _write_urdf(names: list[str]) -> str:
     text, parent, mass = '<robot name="chain"><link name="base"/>', "base", BASE_MASS
     for k, name in enumerate(names):
         # Solid cylinder along z: ixx = iyy = m (3 r^2 + l^2) / 12, izz = m r^2 / 2.

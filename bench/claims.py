@@ -27,7 +27,7 @@ from typing import Any
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from bench import advice
-from bench.measure import progress
+from bench.measure import show_progress
 from oracles import alone, mixtures, random_machines
 
 Verdict = Any  # a dataclass; its `claims` state by name which hold
@@ -55,10 +55,10 @@ def main(arguments: list[str] | None = None) -> int:
     with (
         tempfile.TemporaryDirectory() as cache,  # of libraries that nobody needs again
         ProcessPoolExecutor(args.jobs, initializer=_begin, initargs=(cache,)) as pool,
-        progress(args.about, args.count) as done,
+        show_progress(args.about, args.count) as done,
     ):
         seeds = range(args.first, args.first + args.count)
-        waiting = {pool.submit(_judged, args.about, seed): seed for seed in seeds}
+        waiting = {pool.submit(_judge_seed, args.about, seed): seed for seed in seeds}
         try:
             for future in as_completed(waiting):
                 if future.exception():
@@ -81,7 +81,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 1 if broken else 0
 
 
-def _judged(about: str, seed: int) -> Sequence[Verdict]:
+def _judge_seed(about: str, seed: int) -> Sequence[Verdict]:
     return EVALUATORS[about](seed)
 
 

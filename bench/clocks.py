@@ -20,8 +20,8 @@ from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.servo_arm import ServoArm
-from bench.measure import progress
-from bench.tables import table
+from bench.measure import show_progress
+from bench.tables import format_table
 
 TITLE = "Two clocks"
 
@@ -38,25 +38,25 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure both clocks, and the offline run."""
     seconds = 10.0 if quick else SECONDS
     figures: dict[str, Any] = {"real_time": {}, "lockstep": {}, "offline": {}, "table": {}}
-    with progress("two clocks", 8) as done:
-        figures["real_time"]["three_axis"] = _in_own_process("real_time", "three_axis", seconds)
+    with show_progress("two clocks", 8) as done:
+        figures["real_time"]["three_axis"] = _measure_in_process("real_time", "three_axis", seconds)
         done("real time")
         with load_processors(1):
-            figures["real_time"]["three_axis, one core busy"] = _in_own_process(
+            figures["real_time"]["three_axis, one core busy"] = _measure_in_process(
                 "real_time", "three_axis", seconds
             )
         done("real time under load")
         for scene in ("three_axis", "ur5"):
-            figures["lockstep"][scene] = _in_own_process("lockstep", scene, 0.0)
+            figures["lockstep"][scene] = _measure_in_process("lockstep", scene, 0.0)
             done(f"lock-step, {scene}")
-            figures["offline"][scene] = _offline(scene)
+            figures["offline"][scene] = _measure_offline(scene)
             done(f"offline, {scene}")
-            figures["table"][scene] = _from_table(scene)
+            figures["table"][scene] = _measure_table(scene)
             done(f"targets from a table, {scene}")
     return figures
 
 
-def _in_own_process(clock: str, scene: str, seconds: float) -> dict[str, Any]:
+def _measure_in_process(clock: str, scene: str, seconds: float) -> dict[str, Any]:
     """Measure in a process of its own, on a ROS domain of its own."""
     command = [sys.executable, "-m", "bench.clocks", clock, scene, str(seconds)]
     with own_domain():
@@ -90,7 +90,7 @@ def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
         STATE_SUB_QOS,
     )
 
-    def moving() -> list[tuple[float, EmulatorStatus]]:
+    def wait_for_motion() -> list[tuple[float, EmulatorStatus]]:
         return [pair for pair in received if pair[1].tick > 0]
 
     with Bringup(scene, clock=clock, start="first_answer", log=Path("out/bench/log")) as network:
@@ -98,7 +98,7 @@ def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
             rclpy.spin_once(node, timeout_sec=0.1)
             if network.ended() is not None:
                 raise RuntimeError(f"a node ended: {network.ended()}")
-            ran = moving()
+            ran = wait_for_motion()
             if not ran:
                 continue
             # The time while processes start and meet is not measured.
@@ -106,7 +106,7 @@ def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
                 break
             if clock == "lockstep" and ran[-1][1].tick >= LOCKSTEP_TICKS:
                 break
-    (first_wall, first), (last_wall, last) = moving()[0], moving()[-1]
+    (first_wall, first), (last_wall, last) = wait_for_motion()[0], wait_for_motion()[-1]
     node.destroy_node()
     rclpy.try_shutdown()
     ticks = last.tick - first.tick
@@ -131,7 +131,7 @@ def is_punctual(figures: dict[str, Any]) -> bool:
     return not late and bool(figures["old_commands_share"] < OLD_SHARE)
 
 
-def _offline(scene: str) -> float:
+def _measure_offline(scene: str) -> float:
     """Return the real-time factor of the offline run."""
     from arm_emulator.runs.offline import load_offline_run
 
@@ -143,7 +143,7 @@ def _offline(scene: str) -> float:
     return OFFLINE_SECONDS / (time.perf_counter() - started)
 
 
-def _from_table(scene_name: str) -> dict[str, float]:
+def _measure_table(scene_name: str) -> dict[str, float]:
     """Return the real-time factor of our servo in C, with joint targets from a table.
 
     Beside it stands how far the links are from where steps of a sixteenth of the servo period lead
@@ -151,7 +151,7 @@ def _from_table(scene_name: str) -> dict[str, float]:
     """
     period = load_scene(scene_name).servo_period
     off = float(np.abs(_track(scene_name) - _track(scene_name, period / 16)).max())
-    table_run = _table_run(scene_name)
+    table_run = _load_table_run(scene_name)
     started = time.perf_counter()
     table_run.advance(round(TABLE_SECONDS / period))
     return {"factor": TABLE_SECONDS / (time.perf_counter() - started), "off": off}
@@ -159,14 +159,14 @@ def _from_table(scene_name: str) -> dict[str, float]:
 
 def _track(scene_name: str, step: float | None = None) -> Array:
     """Return where the links are at each look (TRACKED, N) [rad]."""
-    table_run, track = _table_run(scene_name, step), []
+    table_run, track = _load_table_run(scene_name, step), []
     for _ in range(TRACKED):
         table_run.advance(round(1.0 / table_run.session.scene.servo_period))
         track.append(table_run.session.state.q)
     return np.array(track)
 
 
-def _table_run(scene_name: str, step: float | None = None) -> TableRun:
+def _load_table_run(scene_name: str, step: float | None = None) -> TableRun:
     file = find_scene(scene_name)
     scene = load_scene(file, {"integrator.dt": step} if step else None)
     config = load_gains(file).servo
@@ -193,11 +193,11 @@ def report(figures: dict[str, Any]) -> str:
         rows.append((
             name, f"{row['seconds']:.1f}", f"{row['real_time_factor']:.5f}",
             f"{row['lost_periods']} of {row['ticks']}", f"{row['old_commands_share']:.3%}", late,
-            _yes(row["real_time_priority"]), _yes(row["memory_locked"]),
+            _format_flag(row["real_time_priority"]), _format_flag(row["memory_locked"]),
         ))  # fmt: skip
     heads = ("scene", "wall [s]", "real-time factor", "lost periods", "old commands",
              "lateness p50 / p99 / max [us]", "SCHED_FIFO", "memory locked")  # fmt: skip
-    lines.append(table(heads, rows))
+    lines.append(format_table(heads, rows))
     lines += [
         "",
         "Logical time: the same in lock-step, and offline (`arm_emulator run`: the same objects "
@@ -215,7 +215,7 @@ def report(figures: dict[str, Any]) -> str:
         ))  # fmt: skip
     titles = ("scene", "lock-step, real-time factor", "us per tick", "offline, real-time factor",
              "from a table", "there")  # fmt: skip
-    lines.append(table(titles, logical))
+    lines.append(format_table(titles, logical))
     lines += [
         "",
         "In lock-step nearly all of a tick is two messages through the middleware; the core's "
@@ -224,7 +224,7 @@ def report(figures: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _yes(value: bool) -> str:
+def _format_flag(value: bool) -> str:
     return "yes" if value else "no"
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from arm_emulator.design.new_scene import write_new
-from bench.measure import progress
-from bench.pictures import new_figure, save
-from bench.tables import table
+from bench.measure import show_progress
+from bench.pictures import make_figure, save
+from bench.tables import format_table
 from oracles.followed_line import AssumedNumbers, ToolLine, follow
 
 TITLE = "Feed-forward on a fast line"
@@ -48,7 +48,7 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
     chosen = list(scenes)[: 1 if quick else None]
     with (
         tempfile.TemporaryDirectory() as folder,
-        progress("lines", len(chosen) * len(CASES)) as done,
+        show_progress("lines", len(chosen) * len(CASES)) as done,
     ):
         for name in chosen:
             scene = (
@@ -107,12 +107,12 @@ def report(figures: dict[str, Any]) -> str:
         )
         rows.append((row["scene"], row["case"], f"{row['peak_speed']:.2f} m/s", *cells))
     heads = ("scene", "feed-forward", "speed", "off", "again", "along", "past the end", "unseen")
-    return "\n".join([*lines, table(heads, rows)])
+    return "\n".join([*lines, format_table(heads, rows)])
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the distance of the tool from its reference over time."""
-    figure = new_figure(7.0, 3.2)
+    figure = make_figure(7.0, 3.2)
     axes = figure.add_subplot()
     for name in PICTURED:
         curve = figures["curves"][name]

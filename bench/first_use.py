@@ -11,8 +11,8 @@ import time
 from dataclasses import asdict
 from typing import Any
 
-from bench.measure import WallTime, progress, timing
-from bench.tables import table
+from bench.measure import WallTime, make_wall_time, show_progress
+from bench.tables import format_table
 
 TITLE = "First use"
 
@@ -44,7 +44,7 @@ def run(quick: bool) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     with (
         tempfile.TemporaryDirectory() as cache,
-        progress("first use", len(SCENES) * (1 + repetitions)) as done,
+        show_progress("first use", len(SCENES) * (1 + repetitions)) as done,
     ):
         for name in SCENES:
             first, _ = _process(name, cache)
@@ -58,7 +58,7 @@ def run(quick: bool) -> dict[str, Any]:
     for figure in figures.values():
         runs = figure.pop("runs")
         for part in PARTS:
-            figure[part] = asdict(timing(run[part] for run in runs))
+            figure[part] = asdict(make_wall_time(run[part] for run in runs))
         figure["ros"] = runs[0]["ros"]
     return figures
 
@@ -91,4 +91,4 @@ def report(figures: dict[str, Any]) -> str:
     heads = ("scene", "first use: compiled, ready after", "cached: ready after", "of it imports",
              "scene file and URDF", "library and first step", "whole process",
              "ROS modules imported")  # fmt: skip
-    return "\n".join([*lines, table(heads, rows)])
+    return "\n".join([*lines, format_table(heads, rows)])

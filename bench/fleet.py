@@ -17,13 +17,13 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator_fleet import Fleet
 from bench.bare import BARE
-from bench.measure import Task, interleaved, progress
-from bench.motion import SERVO_PERIOD, sines
-from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, mujoco
-from bench.pictures import COLOURS, new_figure, save
-from bench.tables import table
-from bench.work_precision import steps_of
-from oracles.reference import reference
+from bench.measure import Task, show_progress, time_interleaved
+from bench.motion import SERVO_PERIOD, make_sines
+from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of, import_mujoco
+from bench.pictures import COLOURS, make_figure, save
+from bench.tables import format_table
+from bench.work_precision import list_steps
+from oracles.reference import solve_positions
 
 TITLE = "Many arms"
 
@@ -46,14 +46,14 @@ def run(quick: bool) -> dict[str, Any]:
     repetitions = 3 if quick else 9
     cores = len(os.sched_getaffinity(0))
     figures: dict[str, Any] = {"cores": cores, "count": COUNT, "throughput": {}}
-    with progress("many arms", repetitions * len(ARMS) * len(SCHEMES)) as done:
+    with show_progress("many arms", repetitions * len(ARMS) * len(SCHEMES)) as done:
         for name in ARMS:
             figures["throughput"][name] = {
-                scheme: _throughput(name, scheme, repetitions, done) for scheme in SCHEMES
+                scheme: _measure_throughput(name, scheme, repetitions, done) for scheme in SCHEMES
             }
-    figures["per_step"] = _per_step(repetitions)
-    figures["at_error"] = _at_error(quick)
-    figures["environment"] = _environment(repetitions)
+    figures["per_step"] = _measure_per_step(repetitions)
+    figures["at_error"] = _measure_at_error(quick)
+    figures["environment"] = _measure_environment(repetitions)
     return figures
 
 
@@ -70,21 +70,21 @@ def make_bare_scene(name: str, scheme: str, dt: float) -> Scene:
     )
 
 
-def _throughput(
+def _measure_throughput(
     name: str, scheme: str, repetitions: int, done: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return arm-steps per second: of one arm, and of a fleet on one core and on all."""
     scene = make_bare_scene(name, scheme, SERVO_PERIOD / STEPS_PER_PERIOD)
     N = len(scene.joints)
-    single = sines(N, 0)
-    rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
+    single = make_sines(N, 0)
+    rows = np.stack([make_sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
     plant, fleet, wide = Plant(scene), Fleet(scene, COUNT, workers=1), Fleet(scene, COUNT)
     tasks = {
-        "one arm": _task(plant, single),
-        "one core": _task(fleet, rows),
-        "all cores": _task(wide, rows),
+        "one arm": _make_task(plant, single),
+        "one core": _make_task(fleet, rows),
+        "all cores": _make_task(wide, rows),
     }
-    timings = interleaved(
+    timings = time_interleaved(
         tasks, repetitions, lambda task: done(name) if task == "one arm" else None
     )
     steps = {"one arm": len(single), "one core": rows.size // N, "all cores": rows.size // N}
@@ -110,10 +110,10 @@ class Rollout:
 
         self.arm = MujocoArm(scene, integrator, dt)
         self.model, self.count = self.arm.model, count
-        self._data = [mujoco().MjData(self.model) for _ in range(threads)]
+        self._data = [import_mujoco().MjData(self.model) for _ in range(threads)]
         self._pool = rollout.Rollout(nthread=threads)
-        self._kind = mujoco().mjtState.mjSTATE_FULLPHYSICS
-        self._size = mujoco().mj_stateSize(self.model, self._kind)
+        self._kind = import_mujoco().mjtState.mjSTATE_FULLPHYSICS
+        self._size = import_mujoco().mj_stateSize(self.model, self._kind)
         self._driven = [k for k, joint in enumerate(scene.joints) if joint.motor is not None]
         self.reset()
 
@@ -121,7 +121,7 @@ class Rollout:
         """Put all arms at the start."""
         self.arm.reset()
         state = np.empty(self._size)
-        mujoco().mj_getState(self.model, self.arm.data, state, self._kind)
+        import_mujoco().mj_getState(self.model, self.arm.data, state, self._kind)
         self._state = np.tile(state, (self.count, 1))
 
     def run(self, voltages: Array, steps: int) -> None:
@@ -134,33 +134,35 @@ class Rollout:
             self._state = states[:, -1].copy()
 
 
-def _task(machine: Plant | Fleet | Rollout, rows: Array, steps: int = STEPS_PER_PERIOD) -> Task:
+def _make_task(
+    machine: Plant | Fleet | Rollout, rows: Array, steps: int = STEPS_PER_PERIOD
+) -> Task:
     return Task(lambda _: machine.run(rows, steps), lambda _: machine.reset())
 
 
-def _per_step(repetitions: int) -> dict[str, Any]:
+def _measure_per_step(repetitions: int) -> dict[str, Any]:
     """Return the time of a step of one arm of many [s], on one core."""
     dt = SERVO_PERIOD / STEPS_PER_PERIOD
     scenes = {scheme: make_bare_scene(PEER, scheme, dt) for scheme in SCHEMES}
     N = len(scenes["paper"].joints)
-    rows = np.stack([sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
+    rows = np.stack([make_sines(N, arm, duration=0.5) for arm in range(COUNT)], axis=1)
     few = np.ascontiguousarray(rows[:20])
     tasks: dict[str, Task] = {}
     for scheme, scene in scenes.items():
         fleet = Fleet(scene, COUNT, workers=1)
-        tasks[scheme] = _task(fleet, rows)
+        tasks[scheme] = _make_task(fleet, rows)
     for integrator in INTEGRATORS:
         peer = Rollout(scenes["paper"], integrator, dt, COUNT, threads=1)
-        tasks[f"MuJoCo {integrator}"] = _task(peer, few)
-    with progress("per step", repetitions * len(tasks)) as done:
-        timings = interleaved(tasks, repetitions, done)
+        tasks[f"MuJoCo {integrator}"] = _make_task(peer, few)
+    with show_progress("per step", repetitions * len(tasks)) as done:
+        timings = time_interleaved(tasks, repetitions, done)
     return {
         task: asdict(timing.per((few if task not in SCHEMES else rows).size / N * STEPS_PER_PERIOD))
         for task, timing in timings.items()
     }
 
 
-def _environment(repetitions: int) -> dict[str, Any]:
+def _measure_environment(repetitions: int) -> dict[str, Any]:
     """Return the time of a step of one arm of examples/vector_env.py [s], by where the arms are."""
     make = runpy.run_path(str(EXAMPLE))["ReachEnv"]
     actions = np.random.default_rng(1).uniform(-0.3, 0.3, (ENV_STEPS, ENV_ARMS, 3))
@@ -176,21 +178,21 @@ def _environment(repetitions: int) -> dict[str, Any]:
             env.reset(seed=1)
 
         tasks[place] = Task(play, begin)
-    with progress("environment", repetitions) as done:
-        timings = interleaved(
+    with show_progress("environment", repetitions) as done:
+        timings = time_interleaved(
             tasks, repetitions, lambda task: done(task) if task == "lanes" else None
         )
     return {task: asdict(timing.per(ENV_STEPS * ENV_ARMS)) for task, timing in timings.items()}
 
 
-def _at_error(quick: bool) -> dict[str, Any]:
+def _measure_at_error(quick: bool) -> dict[str, Any]:
     """Return the wall time of a simulated second of one arm of many at an error of `TARGET`.
 
     On one core, by the largest step that keeps the error.
     """
     scene = make_bare_scene(PEER, "rosenbrock", SERVO_PERIOD)
-    inputs = [sines(len(scene.joints), seed) for seed in range(INPUTS)]
-    truths = [reference(scene, rows, SERVO_PERIOD)[-1] for rows in inputs]
+    inputs = [make_sines(len(scene.joints), seed) for seed in range(INPUTS)]
+    truths = [solve_positions(scene, rows, SERVO_PERIOD)[-1] for rows in inputs]
     rows = np.stack([inputs[arm % INPUTS] for arm in range(COUNT)], axis=1)
     part = np.ascontiguousarray(rows[: len(rows) // PART])
 
@@ -204,24 +206,24 @@ def _at_error(quick: bool) -> dict[str, Any]:
 
     tasks: dict[str, Task] = {}
     integrators = INTEGRATORS[-2:] if quick else INTEGRATORS
-    with progress("steps at an error", len(SCHEMES) + len(integrators)) as done:
+    with show_progress("steps at an error", len(SCHEMES) + len(integrators)) as done:
         for scheme in SCHEMES:
-            for dt in steps_of(COARSEST, FINEST):
+            for dt in list_steps(COARSEST, FINEST):
                 steps, own = round(SERVO_PERIOD / dt), make_bare_scene(PEER, scheme, dt)
                 if is_exact(Plant(own), steps):
-                    tasks[scheme] = _task(Fleet(own, COUNT, workers=1), rows, steps)
+                    tasks[scheme] = _make_task(Fleet(own, COUNT, workers=1), rows, steps)
                     break
             done(scheme)
         for integrator in integrators:
-            for dt in steps_of(COARSEST, FINEST_THEIRS):
+            for dt in list_steps(COARSEST, FINEST_THEIRS):
                 steps = round(SERVO_PERIOD / dt)
                 if is_exact(MujocoArm(scene, integrator, dt), steps):
                     peer = Rollout(scene, integrator, dt, COUNT, threads=1)
-                    tasks[f"MuJoCo {integrator}"] = _task(peer, part, steps)
+                    tasks[f"MuJoCo {integrator}"] = _make_task(peer, part, steps)
                     break
             done(integrator)
-    with progress("time at an error", len(tasks) * (1 if quick else 3)) as done:
-        timings = interleaved(tasks, 1 if quick else 3, done)
+    with show_progress("time at an error", len(tasks) * (1 if quick else 3)) as done:
+        timings = time_interleaved(tasks, 1 if quick else 3, done)
     return {
         "target": TARGET,
         "times": {
@@ -234,28 +236,28 @@ def _at_error(quick: bool) -> dict[str, Any]:
 # The report
 
 
-def _best(times: dict[str, float], theirs: bool) -> tuple[str, float]:
+def _choose_best(times: dict[str, float], theirs: bool) -> tuple[str, float]:
     name = min((n for n in times if (n in SCHEMES) != theirs), key=times.__getitem__)
     return name, times[name]
 
 
-def per_step_ratio(figures: dict[str, Any]) -> tuple[str, str, float]:
+def compare_per_step(figures: dict[str, Any]) -> tuple[str, str, float]:
     """Return MuJoCo's quickest, ours, and how many times longer its step takes."""
     times = {name: timing["median"] for name, timing in figures["per_step"].items()}
-    (ours, own), (peer, peer_result) = _best(times, False), _best(times, True)
+    (ours, own), (peer, peer_result) = _choose_best(times, False), _choose_best(times, True)
     return peer, ours, peer_result / own
 
 
-def at_error_ratio(figures: dict[str, Any]) -> tuple[str, str, float] | None:
+def compare_at_error(figures: dict[str, Any]) -> tuple[str, str, float] | None:
     """Return the same for the time at the error; None if one of them does not get there."""
     times = figures["at_error"]["times"]
     if not set(times) & set(SCHEMES) or not set(times) - set(SCHEMES):
         return None
-    (ours, own), (peer, peer_result) = _best(times, False), _best(times, True)
+    (ours, own), (peer, peer_result) = _choose_best(times, False), _choose_best(times, True)
     return peer, ours, peer_result / own
 
 
-def lanes_gain(figures: dict[str, Any], arm: str, scheme: str) -> float:
+def compare_lanes(figures: dict[str, Any], arm: str, scheme: str) -> float:
     """Return how many times the arm-steps of one arm a fleet takes on one core."""
     per_step = figures["throughput"][arm][scheme]["per_step"]
     return float(per_step["one arm"]["median"] / per_step["one core"]["median"])
@@ -282,24 +284,24 @@ def report(figures: dict[str, Any]) -> str:
                          f"{cores:.1f}", f"{alone / cores:.2f}"))  # fmt: skip
     heads = ("arm", "scheme", "lanes", "one arm", "fleet, one core", "times", "fleet, all cores",
              "times")  # fmt: skip
-    peer, ours, ratio = per_step_ratio(figures)
+    peer, ours, ratio = compare_per_step(figures)
     per_step = [(n, f"{1e9 * of['median']:.1f}") for n, of in figures["per_step"].items()]
     times = sorted(figures["at_error"]["times"].items(), key=lambda item: item[1])
     lines += [
-        table(heads, rows),
+        format_table(heads, rows),
         "",
         f"MuJoCo's `rollout` of as many {PEER}, each on one core (two that share a processor with "
         "others are seldom equally fast), a step of one arm:",
         "",
-        table(("", "ns"), per_step),
+        format_table(("", "ns"), per_step),
         "",
         f"Its quickest, {peer}, takes {ratio:.0f} times as long as {ours}. A simulated second of "
         f"one arm at an error of {figures['at_error']['target']:g} rad:",
         "",
-        table(("", "us"), [(name, f"{time * 1e6:.1f}") for name, time in times]),
+        format_table(("", "us"), [(name, f"{time * 1e6:.1f}") for name, time in times]),
         "",
     ]
-    if (at := at_error_ratio(figures)) is not None:
+    if (at := compare_at_error(figures)) is not None:
         lines += [f"There {at[0]} takes {at[2]:.0f} times as long as {at[1]}.", ""]
     if "environment" in figures:
         times = {place: timing["median"] for place, timing in figures["environment"].items()}
@@ -317,7 +319,7 @@ def report(figures: dict[str, Any]) -> str:
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw arm-steps per second of one arm and of fleets."""
-    figure = new_figure(10.0, 4.2)
+    figure = make_figure(10.0, 4.2)
     arms = list(figures["throughput"])
     panels = figure.subplots(1, len(arms), sharey=True, squeeze=False)[0]
     rates_of = ("one arm", "one core", "all cores")

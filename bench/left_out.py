@@ -13,9 +13,9 @@ import yaml
 
 from arm_emulator import OfflineRun, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_config_folder, find_scene
-from bench.assumed import ARMS, make_demo, outcome
-from bench.measure import progress
-from bench.tables import table
+from bench.assumed import ARMS, make_demo, measure_outcome
+from bench.measure import show_progress
+from bench.tables import format_table
 
 TITLE = "What the scenes of the arms leave out"
 
@@ -62,7 +62,7 @@ def _measure(name: str, instructions: int | None) -> dict[str, dict[str, Any]]:
     file = find_scene(name)
     gains, effects = load_gains(file), list_effects(load_scene(file))
     demos = {}
-    with progress(name, len(effects)) as done:
+    with show_progress(name, len(effects)) as done:
         for label, changes in effects.items():
             scene = load_scene(file, changes or None)
             demos[label] = make_demo(
@@ -70,7 +70,7 @@ def _measure(name: str, instructions: int | None) -> dict[str, dict[str, Any]]:
             )
             done(label)
     nominal = next(iter(demos.values()))
-    return {label: asdict(outcome(demo, nominal)) for label, demo in demos.items()}
+    return {label: asdict(measure_outcome(demo, nominal)) for label, demo in demos.items()}
 
 
 def report(figures: dict[str, Any]) -> str:
@@ -83,7 +83,7 @@ def report(figures: dict[str, Any]) -> str:
             settled = "never" if figures_of["settled"] is None else figures_of["settled"]
             cells.append(f"{figures_of['residual']:.2f} / {figures_of['away']:.2f} / {settled}")
         rows.append((label, *cells))
-    return table(("machine", *ARMS), rows)
+    return format_table(("machine", *ARMS), rows)
 
 
 if __name__ == "__main__":

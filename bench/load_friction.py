@@ -16,7 +16,7 @@ import numpy as np
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.arrays import Array
-from bench.measure import compile_all, progress
+from bench.measure import compile_all, show_progress
 
 PAIRS = 41
 STEPS, ROWS = 4, 2000  # of a servo period of 2 ms
@@ -47,13 +47,13 @@ def main() -> int:
             sections = {f"joints.*.{place}": law}
             plants[name] = load_scene("ur5", sections)
         compile_all(plants.values())
-        rows = _rows(rng, len(plants["load"].joints))
+        rows = _draw_rows(rng, len(plants["load"].joints))
         machines = {name: Plant(scene) for name, scene in plants.items()}
         times = dict[str, list[float]]({name: [] for name in machines})
-        with progress(place, PAIRS) as done:
+        with show_progress(place, PAIRS) as done:
             for _ in range(PAIRS):
                 for name, plant in machines.items():
-                    times[name].append(_time(plant, rows))
+                    times[name].append(_measure_time(plant, rows))
                 done()
         for name, own in times.items():
             ratios = np.array(own) / np.array(times["load"])
@@ -65,7 +65,7 @@ def main() -> int:
     return 0
 
 
-def _time(plant: Plant, rows: Array) -> float:
+def _measure_time(plant: Plant, rows: Array) -> float:
     """Return the time of the processor for a step of a run [ns], what other programs take apart."""
     plant.reset()
     began = time.process_time_ns()
@@ -73,7 +73,7 @@ def _time(plant: Plant, rows: Array) -> float:
     return (time.process_time_ns() - began) / (STEPS * len(rows))
 
 
-def _rows(rng: np.random.Generator, joints: int) -> Array:
+def _draw_rows(rng: np.random.Generator, joints: int) -> Array:
     """Return currents of a motion with stops and reversals [A]."""
     t = 0.002 * np.arange(ROWS)[:, None]
     amplitude = np.array([3.0, 6.0, 4.0, 1.0, 1.0, 1.0])[:joints]

@@ -61,7 +61,9 @@ class Steps(Protocol):
         """Hold each row of voltages for some steps."""
 
 
-def stepping(machine: Steps, voltages: ArrayLike, steps: int, about: float = ENOUGH) -> Task:
+def make_stepping_task(
+    machine: Steps, voltages: ArrayLike, steps: int, about: float = ENOUGH
+) -> Task:
     """Return the task of running a machine from its start, each row of voltages for `steps`."""
     return Task(lambda _: machine.run(voltages, steps), lambda _: machine.reset(), about)
 
@@ -85,7 +87,7 @@ class WallTime:
         return 0.5 * (self.high - self.low) / self.median
 
 
-def interleaved(
+def time_interleaved(
     tasks: Mapping[str, Task], repetitions: int, done: Callable[[str], None] | None = None
 ) -> dict[str, WallTime]:
     """Time every task `repetitions` times, all of them in turn, after one turn of warm-up.
@@ -98,7 +100,7 @@ def interleaved(
         if task.about < LONG:
             task.prepare(0)
             task.work(0)
-    with without_collector():
+    with pause_collector():
         for repetition in range(repetitions):
             for name, task in tasks.items():
                 for _ in range(task.times):
@@ -108,10 +110,10 @@ def interleaved(
                     walls[name].append(time.perf_counter() - started)
                 if done is not None:
                     done(name)
-    return {name: timing(values) for name, values in walls.items()}
+    return {name: make_wall_time(values) for name, values in walls.items()}
 
 
-def timing(walls: Iterable[float]) -> WallTime:
+def make_wall_time(walls: Iterable[float]) -> WallTime:
     """Return median and quartiles of some wall times [s]."""
     values = np.array(list(walls))
     low, median, high = np.quantile(values, (0.25, 0.5, 0.75))
@@ -119,7 +121,7 @@ def timing(walls: Iterable[float]) -> WallTime:
 
 
 @contextlib.contextmanager
-def without_collector() -> Iterator[None]:
+def pause_collector() -> Iterator[None]:
     """Keep Python's garbage collector away from what is timed."""
     gc.collect()
     gc.disable()
@@ -130,7 +132,7 @@ def without_collector() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def progress(title: str, steps: int) -> Iterator[Callable[..., None]]:
+def show_progress(title: str, steps: int) -> Iterator[Callable[..., None]]:
     """Show a bar; the function yielded moves it by one step and shows what comes next.
 
     The bar is drawn in these calls only, never by a thread that would disturb what is timed.
@@ -160,7 +162,7 @@ def compile_all(scenes: Iterable[Scene]) -> None:
     with (
         contextlib.redirect_stderr(quiet),
         ThreadPoolExecutor(os.cpu_count()) as pool,
-        progress("compile", len(different)) as done,
+        show_progress("compile", len(different)) as done,
     ):
         for scene, _ in zip(
             different.values(), pool.map(load_machine, different.values()), strict=True
@@ -168,7 +170,9 @@ def compile_all(scenes: Iterable[Scene]) -> None:
             done(scene.name)
 
 
-def side_by_side(title: str, work: Callable[[Case], Result], cases: Iterable[Case]) -> list[Result]:
+def map_on_all_cores(
+    title: str, work: Callable[[Case], Result], cases: Iterable[Case]
+) -> list[Result]:
     """Return `work` of every case, on all cores: for what takes long and is not timed.
 
     Args:
@@ -179,7 +183,10 @@ def side_by_side(title: str, work: Callable[[Case], Result], cases: Iterable[Cas
     cases = list(cases)
     # Processes that start anew inherit no threads that hold a lock.
     start = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), start) as pool, progress(title, len(cases)) as done:
+    with (
+        ProcessPoolExecutor(os.cpu_count(), start) as pool,
+        show_progress(title, len(cases)) as done,
+    ):
         jobs = [pool.submit(work, case) for case in cases]
         for job in as_completed(jobs):
             job.result()
@@ -187,14 +194,14 @@ def side_by_side(title: str, work: Callable[[Case], Result], cases: Iterable[Cas
     return [job.result() for job in jobs]
 
 
-def machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
     """Return what the figures depend on: processor, cores, versions."""
     version = subprocess.run(
         [*find_compiler(), "--version"], capture_output=True, text=True, check=False
     ).stdout.splitlines()
     packages = ("numpy", "scipy", "mujoco", "pin")
     return {
-        "processor": _processor(),
+        "processor": _find_processor(),
         "cores": os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
         "compiler": version[0] if version else "unknown",
@@ -204,7 +211,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _processor() -> str:
+def _find_processor() -> str:
     """Return the processor's model, generically: a hypervisor may hide the rest."""
     values: dict[str, str] = {}
     with contextlib.suppress(OSError):

@@ -38,7 +38,7 @@ page; a test compares it with the code.
 """
 
 
-def table_of(name: str) -> str:
+def make_modes_table(name: str) -> str:
     """Return a scene's section of the page."""
     file = find_scene(name)
     rows = build_mode_rows(load_scene(file), load_gains(file).servo)
@@ -47,7 +47,7 @@ def table_of(name: str) -> str:
 
 def main() -> None:
     """Write the page."""
-    PAGE.write_text("\n".join([HEAD, *map(table_of, SCENES)]), encoding="utf-8")
+    PAGE.write_text("\n".join([HEAD, *map(make_modes_table, SCENES)]), encoding="utf-8")
 
 
 if __name__ == "__main__":

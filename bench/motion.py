@@ -10,7 +10,9 @@ SERVO_PERIOD = 1e-3  # s
 AMPLITUDE = 12.0  # V, a quarter of the scenes' supply
 
 
-def sines(joints: int, seed: int, period: float = SERVO_PERIOD, duration: float = 1.0) -> Array:
+def make_sines(
+    joints: int, seed: int, period: float = SERVO_PERIOD, duration: float = 1.0
+) -> Array:
     """Return motor voltages, a sine per joint, each row to be held over one servo period.
 
     Frequencies of 0.3 to 1.5 Hz and phases are drawn by `seed`. The voltages start with a jump,

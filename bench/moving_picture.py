@@ -86,7 +86,9 @@ def picture(out: Path) -> Path:
     """Draw the picture into a folder and return its file."""
     begin, end = record(out / "square.rrd")
     moments = np.linspace(begin, end, FRAMES, endpoint=False) + 0.5 * (end - begin) / FRAMES
-    pictures = [frame.crop(CROP) for frame in screenshots(out / "square.rrd", moments.tolist())]
+    pictures = [
+        frame.crop(CROP) for frame in take_screenshots(out / "square.rrd", moments.tolist())
+    ]
     palette = pictures[FRAMES // 2].quantize(COLOURS)
     frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in pictures]
     each = round(1e3 * (end - begin) / FRAMES)
@@ -101,9 +103,9 @@ def picture(out: Path) -> Path:
     return out / "arm.gif"
 
 
-def screenshots(rrd: Path, moments: Sequence[float]) -> Iterator[Image.Image]:
+def take_screenshots(rrd: Path, moments: Sequence[float]) -> Iterator[Image.Image]:
     """Yield what a viewer without a screen shows at each moment [s]; it needs a Vulkan driver."""
-    with _viewer(rrd) as viewer:
+    with _start_viewer(rrd) as viewer:
         while viewer.get_state().loading:
             time.sleep(POLL)
         for number, at in enumerate(moments):
@@ -115,7 +117,7 @@ def screenshots(rrd: Path, moments: Sequence[float]) -> Iterator[Image.Image]:
 
 
 @contextlib.contextmanager
-def _viewer(rrd: Path) -> Iterator[Any]:
+def _start_viewer(rrd: Path) -> Iterator[Any]:
     import rerun_cli  # type: ignore[import-untyped]
     from rerun.experimental import ViewerClient
 

@@ -23,8 +23,8 @@ from arm_emulator import Diverged, Plant, Refusal, Scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.joint import Joint
-from bench.bare import odd_parts
-from oracles.reference import links_model
+from bench.bare import list_odd_parts
+from oracles.reference import make_links_model
 
 INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete", "RK4")
 
@@ -32,7 +32,7 @@ UNUSED = ("contact", "constraint", "equality", "limit", "frictionloss", "warmsta
 
 
 @cache
-def mujoco() -> Any:
+def import_mujoco() -> Any:
     """Return MuJoCo, of requirements-bench.txt: tests, which read reports, do without it."""
     module = importlib.import_module("mujoco")
     # Else it writes a file into the working directory; `PeerDiverged` reports the same.
@@ -54,8 +54,8 @@ class MujocoArm:
     """
 
     def __init__(self, scene: Scene, integrator: str, dt: float) -> None:
-        self.model = mujoco().MjModel.from_xml_string(mjcf(scene, integrator, dt))
-        self.data = mujoco().MjData(self.model)
+        self.model = import_mujoco().MjModel.from_xml_string(write_mjcf(scene, integrator, dt))
+        self.data = import_mujoco().MjData(self.model)
         self._start = scene.start
         self._elastic = [
             k for k, j in enumerate(scene.joints) if j.motor and j.gear.stiffness is not None
@@ -71,7 +71,7 @@ class MujocoArm:
 
     def reset(self) -> None:
         """Put the machine at its start: at rest, gears unloaded, no current."""
-        mujoco().mj_resetData(self.model, self.data)
+        import_mujoco().mj_resetData(self.model, self.data)
         self.data.qpos[self._q] = self._start
         if self._elastic:
             self.data.qpos[self._motors] = (self._start / self._ratio)[self._elastic]
@@ -82,7 +82,7 @@ class MujocoArm:
         Raises:
             PeerDiverged: see there.
         """
-        control, model, data, step = self.data.ctrl, self.model, self.data, mujoco().mj_step
+        control, model, data, step = self.data.ctrl, self.model, self.data, import_mujoco().mj_step
         for row in np.asarray(voltages)[:, self._driven]:
             control[:] = row
             step(model, data, nstep=steps)
@@ -90,7 +90,7 @@ class MujocoArm:
 
     def trace(self, voltages: ArrayLike, steps: int) -> Array:
         """Do as `run`, and return link positions after each row, (K, N) [rad or m]."""
-        rows, step = np.asarray(voltages), mujoco().mj_step
+        rows, step = np.asarray(voltages), import_mujoco().mj_step
         q = np.empty((len(rows), len(self._q)))
         for k, row in enumerate(rows):
             self.data.ctrl[:] = row[self._driven]
@@ -100,7 +100,7 @@ class MujocoArm:
         return q
 
     def _check(self) -> None:
-        kinds = mujoco().mjtWarning
+        kinds = import_mujoco().mjtWarning
         bad = kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC
         if any(self.data.warning[kind].number > 0 for kind in bad):
             raise PeerDiverged
@@ -131,29 +131,29 @@ def end_of(machine: Plant | MujocoArm, voltages: Array, steps: int) -> Array | N
     return end
 
 
-def mjcf(scene: Scene, integrator: str, dt: float) -> str:
+def write_mjcf(scene: Scene, integrator: str, dt: float) -> str:
     """Return the scene's machine as MJCF text.
 
     Raises:
         Refusal: it has a part that is not written here.
     """
-    if odd := odd_parts(scene):
+    if odd := list_odd_parts(scene):
         raise Refusal("MuJoCo", "parts", "be those of a bare scene", ", ".join(odd))
-    model = links_model(scene)
+    model = make_links_model(scene)
     flags = " ".join(f'{name}="disable"' for name in UNUSED)
     links, rotors, gears, motors = "", "", "", ""
     for index, joint in enumerate(scene.joints, start=1):
         links += _link(model, index, joint)
         if not isinstance(joint.motor, DcMotor):  # it has none
             continue
-        motors += _motor(joint, joint.motor)
+        motors += _write_motor(joint, joint.motor)
         if joint.gear.stiffness is not None:
-            rotors += _rotor(joint, joint.motor)
-            gears += _gear(joint)
+            rotors += _write_rotor(joint, joint.motor)
+            gears += _write_gear(joint)
     links += "</body>" * len(scene.joints)
     return f"""<mujoco>
 <compiler angle="radian"/>
-<option timestep="{dt!r}" integrator="{integrator}" gravity="{_words(scene.gravity or (0, 0, 0))}">
+<option timestep="{dt!r}" integrator="{integrator}" gravity="{_join(scene.gravity or (0, 0, 0))}">
 <flag {flags}/></option>
 <worldbody>{rotors}{links}</worldbody>
 <tendon>{gears}</tendon>
@@ -166,18 +166,18 @@ def _link(model: pin.Model, index: int, joint: Joint) -> str:
     turn = pin.Quaternion(placement.rotation)
     I = inertia.inertia  # noqa: E741
     tensor = (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
-    linear, angular = joint_axis(model, index)
+    linear, angular = find_joint_axis(model, index)
     kind, axis = ("hinge", angular) if angular.any() else ("slide", linear)
     rigid = joint.motor is not None and joint.gear.stiffness is None
     carried = joint.motor.inertia / joint.gear.ratio**2 if rigid and joint.motor else 0.0
     return f"""
-<body pos="{_words(placement.translation)}" quat="{_words((turn.w, turn.x, turn.y, turn.z))}">
-<inertial mass="{inertia.mass!r}" pos="{_words(inertia.lever)}" fullinertia="{_words(tensor)}"/>
-<joint name="{joint.name}" type="{kind}" axis="{_words(axis)}"
+<body pos="{_join(placement.translation)}" quat="{_join((turn.w, turn.x, turn.y, turn.z))}">
+<inertial mass="{inertia.mass!r}" pos="{_join(inertia.lever)}" fullinertia="{_join(tensor)}"/>
+<joint name="{joint.name}" type="{kind}" axis="{_join(axis)}"
  damping="{joint.friction.viscous!r}" armature="{carried!r}"/>"""
 
 
-def joint_axis(model: pin.Model, index: int) -> tuple[Array, Array]:
+def find_joint_axis(model: pin.Model, index: int) -> tuple[Array, Array]:
     """Return the linear and the angular part of a joint's motion, in its own frame, (3,) each."""
     joint = model.joints[index]
     data = joint.createData()
@@ -186,14 +186,14 @@ def joint_axis(model: pin.Model, index: int) -> tuple[Array, Array]:
     return S[:3], S[3:]
 
 
-def _rotor(joint: Joint, motor: DcMotor) -> str:
-    inertia = _words([motor.rotor_inertia] * 3)
+def _write_rotor(joint: Joint, motor: DcMotor) -> str:
+    inertia = _join([motor.rotor_inertia] * 3)
     return f"""
 <body><inertial mass="1" pos="0 0 0" diaginertia="{inertia}"/>
 <joint name="{joint.name}_rotor" type="hinge" axis="0 0 1"/></body>"""
 
 
-def _gear(joint: Joint) -> str:
+def _write_gear(joint: Joint) -> str:
     gear = joint.gear
     return f"""
 <fixed springlength="0" stiffness="{gear.stiffness!r}" damping="{gear.damping!r}">
@@ -201,7 +201,7 @@ def _gear(joint: Joint) -> str:
 </fixed>"""
 
 
-def _motor(joint: Joint, motor: DcMotor) -> str:
+def _write_motor(joint: Joint, motor: DcMotor) -> str:
     rigid = joint.gear.stiffness is None
     at, gear = (joint.name, 1.0 / joint.gear.ratio) if rigid else (f"{joint.name}_rotor", 1.0)
     return f"""
@@ -210,5 +210,5 @@ def _motor(joint: Joint, motor: DcMotor) -> str:
  inductance="{motor.inductance!r} 0"/>"""
 
 
-def _words(values: ArrayLike) -> str:
+def _join(values: ArrayLike) -> str:
     return " ".join(repr(float(value)) for value in np.ravel(values))

@@ -7,7 +7,7 @@ from typing import Any
 
 from bench import fleet
 from bench.clocks import FACTOR_ERROR, OLD_SHARE, is_punctual
-from bench.ns_per_step import fastest_mujoco
+from bench.ns_per_step import find_fastest_mujoco
 from bench.stability_map import is_bounded_everywhere
 from bench.threads import PAPER_RATIO, TITLES, TWO
 
@@ -29,29 +29,29 @@ FASTER = {"lockstep": 5.0, "offline": 200.0}  # smallest real-time factors
 FROM_TABLE = {"ur5": 1000.0, "three_axis": 2500.0}  # the same, servo in C and targets from a table
 
 
-def must_show(sections: dict[str, Any]) -> list[Row]:
+def list_requirements(sections: dict[str, Any]) -> list[Row]:
     """Return the table's rows, of the sections that were measured."""
     rows: list[Row] = []
     for name, make in (
-        ("ns_per_step", _per_step),
-        ("fleet", _fleet),
-        ("work_precision", _at_error),
-        ("stability_map", _stability),
-        ("threads", _threads),
-        ("clocks", _clocks),
-        ("first_use", _first_use),
+        ("ns_per_step", _check_per_step),
+        ("fleet", _check_fleet),
+        ("work_precision", _check_at_error),
+        ("stability_map", _check_stability),
+        ("threads", _check_threads),
+        ("clocks", _check_clocks),
+        ("first_use", _check_first_use),
     ):
         if name in sections:
             rows += make(sections[name])
     return rows
 
 
-def _per_step(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_per_step(figures: dict[str, Any]) -> Iterator[Row]:
     for arm, minimum in PER_STEP.items():
         if arm not in figures["arms"]:
             continue
         times = figures["arms"][arm]["times"]
-        name, mujoco = fastest_mujoco(times)
+        name, mujoco = find_fastest_mujoco(times)
         paper = times["paper"]["median"]
         ratio = mujoco / paper
         yield (
@@ -62,19 +62,19 @@ def _per_step(figures: dict[str, Any]) -> Iterator[Row]:
         )
 
 
-def _fleet(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_fleet(figures: dict[str, Any]) -> Iterator[Row]:
     schemes = figures["throughput"][fleet.PEER]
-    gain = min(fleet.lanes_gain(figures, fleet.PEER, scheme) for scheme in schemes)
+    gain = min(fleet.compare_lanes(figures, fleet.PEER, scheme) for scheme in schemes)
     quantity = (
         f"{figures['count']} {fleet.PEER} on one core: arm-steps/s over one arm's, every scheme"
     )
     yield quantity, f"at least {FLEET_GAIN:g}", f"{gain:.2f}", gain >= FLEET_GAIN
-    peer, ours, ratio = fleet.per_step_ratio(figures)
+    peer, ours, ratio = fleet.compare_per_step(figures)
     quantity = (
         f"{figures['count']} {fleet.PEER}, one core: time per step, {peer} by rollout / {ours}"
     )
     yield quantity, f"at least {FLEET_PER_STEP:g}", f"{ratio:.0f}", ratio >= FLEET_PER_STEP
-    at = fleet.at_error_ratio(figures)
+    at = fleet.compare_at_error(figures)
     quantity = (
         f"{figures['count']} {fleet.PEER}, one core: time at {fleet.TARGET:g} rad, rollout / ours"
     )
@@ -82,7 +82,7 @@ def _fleet(figures: dict[str, Any]) -> Iterator[Row]:
     yield quantity, f"at least {FLEET_AT_ERROR:g}", reached, at[2] >= FLEET_AT_ERROR if at else None
 
 
-def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_at_error(figures: dict[str, Any]) -> Iterator[Row]:
     for machine, targets in AT_ERROR.items():
         if machine not in figures:
             continue
@@ -120,14 +120,14 @@ def _at_error(figures: dict[str, Any]) -> Iterator[Row]:
         )
 
 
-def _stability(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_stability(figures: dict[str, Any]) -> Iterator[Row]:
     for scheme in ("rosenbrock", "extrapolated", "implicit"):
         holds = is_bounded_everywhere(figures, scheme)
         reached = "everywhere" if holds else "not everywhere"
         yield f"{scheme} bounded on the stability map", "everywhere", reached, holds
 
 
-def _threads(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_threads(figures: dict[str, Any]) -> Iterator[Row]:
     loop = figures["loops"][TWO_THREADS_N]
     ratios = {kind: loop[kind]["median"] / loop["one"]["median"] for kind in TWO}
     yield (
@@ -138,7 +138,7 @@ def _threads(figures: dict[str, Any]) -> Iterator[Row]:
     )
 
 
-def _clocks(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_clocks(figures: dict[str, Any]) -> Iterator[Row]:
     row = figures["real_time"]["three_axis"]
     factor, old = row["real_time_factor"], row["old_commands_share"]
     yield (
@@ -161,7 +161,7 @@ def _clocks(figures: dict[str, Any]) -> Iterator[Row]:
         yield quantity, f"at least {minimum:g}", f"{rate:.0f}", rate >= minimum
 
 
-def _first_use(figures: dict[str, Any]) -> Iterator[Row]:
+def _check_first_use(figures: dict[str, Any]) -> Iterator[Row]:
     for scene, figure in figures.items():
         ready = figure["ready"]["median"]
         yield (

@@ -12,11 +12,18 @@ import numpy as np
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench.bare import BARE
-from bench.chains import chain
-from bench.measure import Task, WallTime, compile_all, interleaved, progress, stepping
+from bench.chains import write_chain
+from bench.measure import (
+    Task,
+    WallTime,
+    compile_all,
+    make_stepping_task,
+    show_progress,
+    time_interleaved,
+)
 from bench.mujoco_peer import INTEGRATORS, MujocoArm
-from bench.pictures import COLOURS, PEERS, new_figure, save
-from bench.tables import table
+from bench.pictures import COLOURS, PEERS, make_figure, save
+from bench.tables import format_table
 
 TITLE = "Time per step"
 
@@ -34,52 +41,54 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure every arm."""
     repetitions = 5 if quick else 15
     with tempfile.TemporaryDirectory() as folder:
-        arms = {name: _schemes(name) for name in ROBOTS}
+        arms = {name: _load_schemes(name) for name in ROBOTS}
         for joints in () if quick else CHAINS:
             arms[f"chain_{joints}"] = {
-                scheme: chain(Path(folder), joints, **{"integrator.scheme": scheme})
+                scheme: write_chain(Path(folder), joints, **{"integrator.scheme": scheme})
                 for scheme in SCHEMES
             }
         compile_all(scene for schemes in arms.values() for scene in schemes.values())
         figures: dict[str, Any] = {"arms": {}}
-        with progress("time per step", repetitions * len(arms) * CASES_PER_MACHINE) as done:
+        with show_progress("time per step", repetitions * len(arms) * CASES_PER_MACHINE) as done:
             for name, schemes in arms.items():
-                tasks = _tasks(schemes)
-                timings = interleaved(tasks, repetitions, done)
-                per_step = {task: asdict(_per_step(task, t)) for task, t in timings.items()}
+                tasks = _make_tasks(schemes)
+                timings = time_interleaved(tasks, repetitions, done)
+                per_step = {task: asdict(_get_per_step(task, t)) for task, t in timings.items()}
                 figures["arms"][name] = {"joints": len(schemes["paper"].joints), "times": per_step}
-        figures["python_call"] = _calls(arms["three_axis"]["rosenbrock"], repetitions)
+        figures["python_call"] = _measure_calls(arms["three_axis"]["rosenbrock"], repetitions)
     return figures
 
 
-def _schemes(name: str) -> dict[str, Scene]:
+def _load_schemes(name: str) -> dict[str, Scene]:
     return {
         scheme: load_scene(name, {**BARE, "integrator.scheme": scheme, "integrator.dt": DT})
         for scheme in SCHEMES
     }
 
 
-def _tasks(schemes: dict[str, Scene]) -> dict[str, Task]:
+def _make_tasks(schemes: dict[str, Scene]) -> dict[str, Task]:
     N = len(schemes["paper"].joints)
     voltage = VOLTAGE * (-1.0) ** np.arange(N)[None, :]
     tasks: dict[str, Task] = {}
     for scheme, steps in STEPS.items():
-        tasks[scheme] = stepping(Plant(schemes[scheme]), voltage, steps, about=20e-9 * N * steps)
+        tasks[scheme] = make_stepping_task(
+            Plant(schemes[scheme]), voltage, steps, about=20e-9 * N * steps
+        )
     for integrator in INTEGRATORS:
         arm = MujocoArm(schemes["paper"], integrator, DT)
-        tasks[f"MuJoCo {integrator}"] = stepping(
+        tasks[f"MuJoCo {integrator}"] = make_stepping_task(
             arm, voltage, MUJOCO_STEPS, about=0.7e-6 * N * MUJOCO_STEPS
         )
     return tasks
 
 
-def _per_step(task: str, measured: WallTime) -> WallTime:
+def _get_per_step(task: str, measured: WallTime) -> WallTime:
     if task in STEPS:
         return measured.per(STEPS[task])
     return measured.per(MUJOCO_STEPS)
 
 
-def _calls(scene: Scene, repetitions: int) -> dict[str, Any]:
+def _measure_calls(scene: Scene, repetitions: int) -> dict[str, Any]:
     """Measure what a call from Python costs, with the voltages handed over and no step taken."""
     plant = Plant(scene)
     arm = MujocoArm(scene, "implicitfast", DT)
@@ -90,8 +99,9 @@ def _calls(scene: Scene, repetitions: int) -> dict[str, Any]:
         for _ in range(CALLS):
             plant.advance(row, 0)
 
-    timings = interleaved(
-        {"Plant.advance": Task(call_plant), "MuJoCo mj_step": stepping(arm, rows, 0)}, repetitions
+    timings = time_interleaved(
+        {"Plant.advance": Task(call_plant), "MuJoCo mj_step": make_stepping_task(arm, rows, 0)},
+        repetitions,
     )
     return {name: time.per(CALLS).median for name, time in timings.items()}
 
@@ -99,7 +109,7 @@ def _calls(scene: Scene, repetitions: int) -> dict[str, Any]:
 # The report
 
 
-def fastest_mujoco(times: dict[str, Any]) -> tuple[str, float]:
+def find_fastest_mujoco(times: dict[str, Any]) -> tuple[str, float]:
     """Return name and time per step [s] of MuJoCo's fastest integrator."""
     medians = {name: t["median"] for name, t in times.items() if name.startswith("MuJoCo")}
     name = min(medians, key=medians.__getitem__)
@@ -110,7 +120,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the time of a step over the number of joints."""
     arms = list(figures["arms"].values())
     joints = [arm["joints"] for arm in arms]
-    figure = new_figure(7.5, 5.5)
+    figure = make_figure(7.5, 5.5)
     axes = figure.subplots()
     styles = {**{name: (colour, "o") for name, colour in COLOURS.items()}, **PEERS}
     for name in arms[0]["times"]:
@@ -148,10 +158,12 @@ def report(figures: dict[str, Any]) -> str:
         rows.append((name, *cells))
     for scheme in STEPS:
         if scheme in names:
-            ratios = (fastest_mujoco(arm["times"])[1] / arm["times"][scheme]["median"]
+            ratios = (find_fastest_mujoco(arm["times"])[1] / arm["times"][scheme]["median"]
                       for arm in arms.values())  # fmt: skip
             rows.append((f"MuJoCo's fastest / {scheme}", *(f"{ratio:.1f}" for ratio in ratios)))
-    lines.append(table(("[ns]", *(f"{n}, N = {a['joints']}" for n, a in arms.items())), rows))
+    lines.append(
+        format_table(("[ns]", *(f"{n}, N = {a['joints']}" for n, a in arms.items())), rows)
+    )
     calls = {name: f"{seconds * 1e6:.1f} us" for name, seconds in figures["python_call"].items()}
     lines += [
         "",

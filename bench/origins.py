@@ -39,7 +39,7 @@ class NumberOrigin:
         return [f"joints.{joint}.{self.section}.{self.key}" for joint in self.joints]
 
 
-def origins(file: Path) -> list[NumberOrigin]:
+def list_origins(file: Path) -> list[NumberOrigin]:
     """Return the origin of each number of motors, gears and friction, in the order of the file.
 
     Raises:
@@ -50,22 +50,22 @@ def origins(file: Path) -> list[NumberOrigin]:
     lines = text.splitlines()
     named = dict(re.findall(r"^# \[(\d+)\] (.*)", text, re.M))
     origin_by_place: dict[tuple[int, int], tuple[str, str, float, list[str]]] = {}
-    joints = _entries(yaml.compose(text)).get("joints")
-    for joint, node in _entries(joints).items():
+    joints = _list_entries(yaml.compose(text)).get("joints")
+    for joint, node in _list_entries(joints).items():
         for section in SECTIONS:
-            for path, number in _numbers(_entries(node).get(section), section):
+            for path, number in _list_numbers(_list_entries(node).get(section), section):
                 mark, (at, _, key) = number.start_mark, path.rpartition(".")
                 place = mark.line, mark.column
                 origin_by_place.setdefault(place, (at, key, float(number.value), []))[3].append(
                     joint
                 )
     return [
-        _origin(file, lines[line], line + 1, named, at, key, value, tuple(joints))
+        _find_origin(file, lines[line], line + 1, named, at, key, value, tuple(joints))
         for (line, _), (at, key, value, joints) in sorted(origin_by_place.items())
     ]
 
 
-def _origin(
+def _find_origin(
     file: Path, text: str, line: int, named: dict[str, str], section: str, key: str, value: float,
     joints: tuple[str, ...],
 ) -> NumberOrigin:  # fmt: skip
@@ -83,14 +83,14 @@ def _origin(
     return NumberOrigin(section, key, value, joints, line, None, named[source[1]])
 
 
-def _entries(node: yaml.Node | None) -> dict[str, yaml.Node]:
+def _list_entries(node: yaml.Node | None) -> dict[str, yaml.Node]:
     if not isinstance(node, yaml.MappingNode):
         return {}
     return {key.value: value for key, value in node.value}
 
 
-def _numbers(node: yaml.Node | None, path: str) -> Iterator[tuple[str, yaml.ScalarNode]]:
-    for key, value in _entries(node).items():
+def _list_numbers(node: yaml.Node | None, path: str) -> Iterator[tuple[str, yaml.ScalarNode]]:
+    for key, value in _list_entries(node).items():
         if isinstance(value, yaml.ScalarNode) and value.tag.endswith((":float", ":int")):
             yield f"{path}.{key}", value
-        yield from _numbers(value, f"{path}.{key}")
+        yield from _list_numbers(value, f"{path}.{key}")

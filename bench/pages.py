@@ -34,7 +34,7 @@ END = "<!-- end {} -->"
 ANY_BEGIN = re.compile(BEGIN.format(r"(\w+)"))
 
 
-def tables() -> dict[str, Path]:
+def find_tables() -> dict[str, Path]:
     """Return the page of each measured table, by the name of its bench."""
     page_by_table = {}
     for page in (ROOT / "README.md", *page_files().values()):
@@ -73,7 +73,7 @@ def _command(file: str, *words: str, into: str = "--out") -> Callable[[Path], Pa
     return make
 
 
-def _bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
+def _draw_by_bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
     """Return what makes a picture by a bench that draws at once."""
 
     def make(scratch: Path) -> Path:
@@ -83,7 +83,7 @@ def _bench(name: str, function: str = "picture") -> Callable[[Path], Path]:
     return make
 
 
-def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:
+def _draw_by_section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path]:
     """Return what makes a picture of what a bench measures."""
 
     def make(scratch: Path) -> Path:
@@ -95,26 +95,26 @@ def _section(name: str, file: str, quick: bool = False) -> Callable[[Path], Path
 
 
 PAINTERS: dict[str, Callable[[Path], Path]] = {
-    "arm.gif": _bench("moving_picture"),
+    "arm.gif": _draw_by_bench("moving_picture"),
     "campaign.png": _command("influences.png", "campaign", "examples/campaign.yaml", into="--into"),
-    "faults.png": _section("fault_matrix", "faults.png"),
-    "feedforward.png": _section("feedforward", "feedforward.png", quick=True),
+    "faults.png": _draw_by_section("fault_matrix", "faults.png"),
+    "feedforward.png": _draw_by_section("feedforward", "feedforward.png", quick=True),
     "fig4.png": _command("fig4.png", "demo", "three_axis"),
     "kuka_kr300_run_B.png": _command("kuka_kr300_run_B.png", "validate", "kuka_kr300"),
-    "live_page.png": _bench("page_picture", "live"),
-    "look.png": _bench("page_picture", "look"),
+    "live_page.png": _draw_by_bench("page_picture", "live"),
+    "look.png": _draw_by_bench("page_picture", "look"),
     "manutec_r3.png": _command("manutec_r3.png", "validate", "manutec_r3"),
-    "published_joints.png": _section("published_joints", "published_joints.png"),
-    "published_responses.png": _section("published_responses", "published_responses.png"),
-    "tool_paths.png": _bench("tool_paths"),
-    "vibration.png": _section("vibration", "vibration.png"),
+    "published_joints.png": _draw_by_section("published_joints", "published_joints.png"),
+    "published_responses.png": _draw_by_section("published_responses", "published_responses.png"),
+    "tool_paths.png": _draw_by_bench("tool_paths"),
+    "vibration.png": _draw_by_section("vibration", "vibration.png"),
     "tune_ur5.png": _command("tune_ur5.png", "tune", "ur5"),
 }
 
 
 def main() -> int:
     """Measure and draw all, or what is named; exit code 1 where something failed."""
-    names = [*tables(), *PAINTERS]
+    names = [*find_tables(), *PAINTERS]
     parser = argparse.ArgumentParser(prog="pages", description="Measure the pages' figures anew.")
     parser.add_argument("names", nargs="*", help=f"of {', '.join(names)} (default: all)")
     chosen = parser.parse_args().names or names
@@ -128,7 +128,7 @@ def main() -> int:
                 with tempfile.TemporaryDirectory() as scratch:
                     shutil.copy(PAINTERS[name](Path(scratch)), PICTURES / name)
             else:
-                _write_table(name, tables()[name])
+                _write_table(name, find_tables()[name])
         except (Refusal, subprocess.CalledProcessError) as error:
             failed.append(name)
             console.print(f"[red]{name}: {error}")

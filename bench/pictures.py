@@ -22,7 +22,7 @@ PEERS = {
 }
 
 
-def new_figure(width: float, height: float) -> Figure:
+def make_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches; no screen, no global state."""
     return Figure(figsize=(width, height), layout="constrained")
 

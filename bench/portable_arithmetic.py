@@ -10,8 +10,8 @@ import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from arm_emulator_fleet import Fleet
-from bench.measure import Task, interleaved, progress
-from bench.tables import table
+from bench.measure import Task, show_progress, time_interleaved
+from bench.tables import format_table
 
 TITLE = "Portable arithmetic"
 
@@ -34,22 +34,22 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure each scheme on each shipped scene, of single arms and of an arm in a fleet."""
     names = SHIPPED[:1] if quick else SHIPPED
     rows = []
-    with progress("portable arithmetic", 2 * len(names) * len(SCHEMES)) as done:
+    with show_progress("portable arithmetic", 2 * len(names) * len(SCHEMES)) as done:
         for name in names:
             for scheme in SCHEMES:
                 events = "located" if scheme in LOCATING_SCHEMES else "step"
                 own = {"integrator.scheme": scheme, "integrator.events": events}
                 for fleet in (False, True):
                     scene = load_scene(name, overrides=own)
-                    rows.append(_row(scene, fleet, 5 if quick else 15))
+                    rows.append(_measure_row(scene, fleet, 5 if quick else 15))
                     done(f"{name}, {scheme}")
     return {"rows": rows}
 
 
-def _row(scene: Scene, fleet: bool, repetitions: int) -> dict[str, Any]:
-    machines = {name: _machine(scene, fleet, flags) for name, flags in FLAGS.items()}
-    tasks = {name: _stepping(machine) for name, machine in machines.items()}
-    timings = interleaved(tasks, repetitions)
+def _measure_row(scene: Scene, fleet: bool, repetitions: int) -> dict[str, Any]:
+    machines = {name: _make_machine(scene, fleet, flags) for name, flags in FLAGS.items()}
+    tasks = {name: _make_stepping(machine) for name, machine in machines.items()}
+    timings = time_interleaved(tasks, repetitions)
     steps = STEPS[fleet] * (ARMS if fleet else 1)
     # Other work on the machine only adds to times.
     portable, free = (timings[name].low / steps for name in (PORTABLE, FREE))
@@ -76,11 +76,11 @@ def report(figures: dict[str, Any]) -> str:
         "times within one run, each pair in turn. The last column shows whether both kept the same "
         "motion, and with it the same events.",
         "",
-        table(("scene", "scheme", "", "ns per step", "ratio", "apart [rad]"), rows),
+        format_table(("scene", "scheme", "", "ns per step", "ratio", "apart [rad]"), rows),
     ])  # fmt: skip
 
 
-def _machine(scene: Scene, fleet: bool, flags: tuple[str, ...]) -> Plant | Fleet:
+def _make_machine(scene: Scene, fleet: bool, flags: tuple[str, ...]) -> Plant | Fleet:
     of_machines.FLAGS = flags
     try:
         return Fleet(scene, ARMS) if fleet else Plant(scene)
@@ -88,7 +88,7 @@ def _machine(scene: Scene, fleet: bool, flags: tuple[str, ...]) -> Plant | Fleet
         of_machines.FLAGS = FLAGS[PORTABLE]
 
 
-def _stepping(machine: Plant | Fleet) -> Task:
+def _make_stepping(machine: Plant | Fleet) -> Task:
     joints = len(machine.scene.joints)
     fleet = isinstance(machine, Fleet)
     rows = np.full((ARMS, joints) if fleet else joints, COMMAND)

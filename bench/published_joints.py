@@ -18,9 +18,9 @@ from scipy.optimize import brentq
 from arm_emulator import ExternalWrench, Plant, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_config_folder
-from bench.measure import progress
-from bench.pictures import new_figure, save
-from bench.tables import table
+from bench.measure import show_progress
+from bench.pictures import make_figure, save
+from bench.tables import format_table
 from oracles.random_chain import LINK
 
 TITLE = "Friction of published joints"
@@ -213,7 +213,7 @@ class Stand:
 def run(quick: bool) -> dict[str, Any]:
     """Measure the friction of all joints."""
     chosen = list(JOINTS)[: 1 if quick else None]
-    with tempfile.TemporaryDirectory() as folder, progress("joints", len(chosen)) as done:
+    with tempfile.TemporaryDirectory() as folder, show_progress("joints", len(chosen)) as done:
         joints = {}
         for name in chosen:
             joints[name] = _measure_joint(JOINTS[name], Stand(name, Path(folder)))
@@ -253,7 +253,7 @@ def report(figures: dict[str, Any]) -> str:
         ))  # fmt: skip
     heads = ("joint", "load", "friction", "points", "at rest: largest, rms error",
              "in motion: largest, rms error", "largest, of the friction there")  # fmt: skip
-    return table(heads, rows)
+    return format_table(heads, rows)
 
 
 def _join(cases: list[dict[str, Any]], key: str) -> Array:
@@ -262,7 +262,7 @@ def _join(cases: list[dict[str, Any]], key: str) -> Array:
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the measured points over the published curves."""
-    figure = new_figure(12.0, 6.6)
+    figure = make_figure(12.0, 6.6)
     joints = figures["joints"].items()
     for axes, (name, cases) in zip(figure.subplots(2, 3).flat, joints, strict=False):
         published = JOINTS[name]

@@ -15,8 +15,8 @@ from scipy import signal
 from arm_emulator import LinearMachine, Plant, linearise, load_scene
 from arm_emulator.analysis.stability import compute_rest
 from arm_emulator.base.arrays import Array
-from bench.pictures import new_figure, save
-from bench.tables import table
+from bench.pictures import make_figure, save
+from bench.tables import format_table
 
 TITLE = "Published frequency responses"
 
@@ -165,12 +165,12 @@ def report(figures: dict[str, Any]) -> str:
         rows.append((f"`kuka_kr300`, run {name}", "largest swing of the torques, axes 1 to 3",
                      show(spectrum["peaks"]), ", ".join(ranges) + " Hz", ""))  # fmt: skip
     heads = ("arm", "quantity", "published", "ours", "off")
-    return table(heads, rows)
+    return format_table(heads, rows)
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the responses of the ABB axes, and torques of the KR 300 beside its first mode."""
-    figure = new_figure(12.0, 3.6)
+    figure = make_figure(12.0, 3.6)
     *left, right = figure.subplots(1, 1 + len(ABB))
     for axes, (name, abb) in zip(left, figures["abb"].items(), strict=True):
         axes.loglog(FREQUENCIES, abb["theirs"], color="C1", lw=3.0, label="published")

@@ -15,9 +15,9 @@ from typing import Any
 from rich.console import Console
 
 from arm_emulator.base.refusal import Refusal
-from bench.measure import machine
-from bench.must_show import must_show
-from bench.tables import table
+from bench.measure import describe_machine
+from bench.must_show import list_requirements
+from bench.tables import format_table
 
 # A section is a module of this folder with TITLE, run(quick) -> figures (JSON), report(figures) ->
 # Markdown, and, if it has pictures, draw(figures, folder).
@@ -86,7 +86,7 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
     out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     figures: dict[str, Any] = {
-        "machine": machine(),
+        "machine": describe_machine(),
         "date": datetime.date.today().isoformat(),
         "quick": quick,
         "seconds": {},
@@ -106,13 +106,13 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
         figures["seconds"][name] = time.monotonic() - started
         _write_figures(figures, out)
     if publish is not None and only:
-        figures = _renewed(_read_figures(publish), figures)
+        figures = _merge_reports(_read_figures(publish), figures)
         _write_figures(figures, out)
     write_report(figures, out)
-    for quantity, required, reached, met in must_show(figures["sections"]):
+    for quantity, required, reached, met in list_requirements(figures["sections"]):
         colour = {True: "green", False: "red", None: "dim"}[met]
         console.print(
-            f"[{colour}]{_verdict(met):>12}[/{colour}]  {quantity}: {reached} ({required})"
+            f"[{colour}]{_format_verdict(met):>12}[/{colour}]  {quantity}: {reached} ({required})"
         )
     minutes = (time.monotonic() - began) / 60.0
     console.print(f"{minutes:.1f} min; look at {out / 'report.md'}")
@@ -126,7 +126,7 @@ def bench(quick: bool, only: list[str], out: Path, publish: Path | None) -> int:
 
 def write_report(figures: dict[str, Any], out: Path) -> None:
     """Write report.md and the pictures from figures."""
-    for name, values in _plain(figures)["sections"].items():
+    for name, values in _convert_to_json(figures)["sections"].items():
         section: ModuleType = importlib.import_module(f"bench.{name}")
         if hasattr(section, "draw"):
             section.draw(values, out)
@@ -135,8 +135,15 @@ def write_report(figures: dict[str, Any], out: Path) -> None:
 
 def report_text(figures: dict[str, Any]) -> str:
     """Return the report in Markdown."""
-    figures = _plain(figures)
-    lines = ["# Speed against error", "", *_heading(figures), "", _must_show_table(figures), ""]
+    figures = _convert_to_json(figures)
+    lines = [
+        "# Speed against error",
+        "",
+        *_write_heading(figures),
+        "",
+        _write_requirements(figures),
+        "",
+    ]
     lines += ["## What this does not prove", "", NOT_PROVEN]
     for name, values in figures["sections"].items():
         section: ModuleType = importlib.import_module(f"bench.{name}")
@@ -146,7 +153,7 @@ def report_text(figures: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _plain(figures: dict[str, Any]) -> dict[str, Any]:
+def _convert_to_json(figures: dict[str, Any]) -> dict[str, Any]:
     """Return figures as JSON keeps them."""
     plain: dict[str, Any] = json.loads(json.dumps(figures))
     return plain
@@ -161,7 +168,7 @@ def _read_figures(folder: Path) -> dict[str, Any]:
     return figures
 
 
-def _renewed(published: dict[str, Any], measured: dict[str, Any]) -> dict[str, Any]:
+def _merge_reports(published: dict[str, Any], measured: dict[str, Any]) -> dict[str, Any]:
     """Return a published report's figures with the sections that were measured anew."""
     renewal = {"date": measured["date"], "machine": measured["machine"]}
     sections = published["sections"] | measured["sections"]
@@ -173,7 +180,7 @@ def _renewed(published: dict[str, Any], measured: dict[str, Any]) -> dict[str, A
     }
 
 
-def _heading(figures: dict[str, Any]) -> list[str]:
+def _write_heading(figures: dict[str, Any]) -> list[str]:
     m = figures["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in m["versions"].items())
     minutes = sum(figures["seconds"].values()) / 60.0
@@ -195,12 +202,14 @@ def _heading(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _must_show_table(figures: dict[str, Any]) -> str:
-    rows = must_show(figures["sections"])
-    return table(("", "wanted", "reached", ""), ((*row, _verdict(met)) for *row, met in rows))
+def _write_requirements(figures: dict[str, Any]) -> str:
+    rows = list_requirements(figures["sections"])
+    return format_table(
+        ("", "wanted", "reached", ""), ((*row, _format_verdict(met)) for *row, met in rows)
+    )
 
 
-def _verdict(met: bool | None) -> str:
+def _format_verdict(met: bool | None) -> str:
     return {True: "reached", False: "**not reached**", None: ""}[met]
 
 

@@ -17,11 +17,11 @@ from scipy.optimize import brentq
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.arrays import Array
-from bench.measure import progress
-from bench.mujoco_peer import mujoco
+from bench.measure import show_progress
+from bench.mujoco_peer import import_mujoco
 from bench.sticking import HARD_AND_SHORT
 from bench.sticking_peers import SAMPLE, G
-from bench.tables import table
+from bench.tables import format_table
 
 TITLE = "A gear that locks itself"
 
@@ -74,7 +74,7 @@ def predict_stop(hoist: Hoist) -> float:
     return math.copysign(hoist.speed**2 / (2.0 * abs(a)), hoist.speed)
 
 
-def urdf(hoist: Hoist) -> str:
+def write_urdf(hoist: Hoist) -> str:
     """Return the description of the load on its guide."""
     return f"""<robot name="hoist"><link name="base"/><link name="load"><inertial>
 <mass value="{hoist.mass!r}"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -82,7 +82,7 @@ def urdf(hoist: Hoist) -> str:
 <limit lower="-1e3" upper="1e3" effort="1e9" velocity="1e9"/><axis xyz="0 0 1"/></joint></robot>"""
 
 
-def emulator(dt: float, events: str) -> Peer:
+def make_emulator(dt: float, events: str) -> Peer:
     """Return the emulator: the worm is `load` and `back_load` of a rotor behind a stiff gear."""
     stiffness = 1e8  # N/m; yields by less than 0.02 mm under the loads
 
@@ -92,7 +92,7 @@ def emulator(dt: float, events: str) -> Peer:
         gear = {"ratio": RATIO, "stiffness": stiffness, "damping": 3e4}
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "hoist.yaml"
-            (Path(folder) / "hoist.urdf").write_text(urdf(hoist))
+            (Path(folder) / "hoist.urdf").write_text(write_urdf(hoist))
             scene = {
                 "name": "hoist", "urdf": "hoist.urdf", "tool": "load", "gravity": [0.0, 0.0, -G],
                 "joints": {"guide": {"motor": motor, "gear": gear}}, "servo_period": SAMPLE,
@@ -113,7 +113,9 @@ def emulator(dt: float, events: str) -> Peer:
     return run
 
 
-def mujoco_hoist(dt: float, joint: str = "", option: str = "", *, is_loaded: bool = False) -> Peer:
+def make_mujoco_hoist(
+    dt: float, joint: str = "", option: str = "", *, is_loaded: bool = False
+) -> Peer:
     """Return MuJoCo: `frictionloss` that holds TUNED as the worm does.
 
     Args:
@@ -124,26 +126,26 @@ def mujoco_hoist(dt: float, joint: str = "", option: str = "", *, is_loaded: boo
     """
 
     def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
-        model = mujoco().MjModel.from_xml_string(f"""<mujoco>
+        model = import_mujoco().MjModel.from_xml_string(f"""<mujoco>
 <option timestep="{dt!r}" gravity="0 0 {-G}" {option}/><worldbody><body>
 <inertial pos="0 0 0" mass="{hoist.mass!r}" diaginertia="1 1 1"/>
 <joint type="slide" axis="0 0 1" armature="{CARRIED!r}" frictionloss="{LOWERING * TUNED * G!r}"
  {joint}/></body></worldbody></mujoco>""")
-        data, reached = mujoco().MjData(model), []
+        data, reached = import_mujoco().MjData(model), []
         data.qvel[0], data.qfrc_applied[0] = hoist.speed, hoist.force
         for _ in range(round(duration / SAMPLE)):
             for _ in range(round(SAMPLE / dt)):
                 if is_loaded:
                     T = hoist.mass * (G + float(data.qacc[0]))
                     model.dof_frictionloss[0] = compute_lossy_torque(float(data.qvel[0]), T)
-                mujoco().mj_step(model, data)
+                import_mujoco().mj_step(model, data)
             reached.append([data.qpos[0], data.qvel[0]])
         return np.array(reached)[:, 0], np.array(reached)[:, 1]
 
     return run
 
 
-def smoothed_force(hoist: Hoist, v: float, slow: float) -> float:
+def compute_smoothed_force(hoist: Hoist, v: float, slow: float) -> float:
     """Return the worm's friction on a load at a speed, tanh(v / slow) of the law's [N].
 
     The acceleration, which the law's force depends on, follows from the rigid hoist's equation.
@@ -153,17 +155,17 @@ def smoothed_force(hoist: Hoist, v: float, slow: float) -> float:
     return -mu * hoist.mass * (G + a)
 
 
-def pinocchio_hoist(dt: float, slow: float) -> Peer:
+def make_pinocchio_hoist(dt: float, slow: float) -> Peer:
     """Return Pinocchio's ABA under the smoothed law, in semi-implicit Euler steps."""
 
     def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
-        model = pin.buildModelFromXML(urdf(hoist))
+        model = pin.buildModelFromXML(write_urdf(hoist))
         model.gravity.linear = np.array([0.0, 0.0, -G])
         model.armature = np.array([CARRIED])
         data, q, v, reached = model.createData(), np.zeros(1), np.array([hoist.speed]), []
         for _ in range(round(duration / SAMPLE)):
             for _ in range(round(SAMPLE / dt)):
-                tau = hoist.force + smoothed_force(hoist, float(v[0]), slow)
+                tau = hoist.force + compute_smoothed_force(hoist, float(v[0]), slow)
                 v = v + dt * pin.aba(model, data, q, v, np.array([tau]))
                 q = q + dt * v
             reached.append([q[0], v[0]])
@@ -172,7 +174,7 @@ def pinocchio_hoist(dt: float, slow: float) -> Peer:
     return run
 
 
-def drake_hoist(slow: float) -> Peer:
+def make_drake_hoist(slow: float) -> Peer:
     """Return Drake's continuous plant with its own integrator, under the smoothed law."""
 
     def run(hoist: Hoist, duration: float) -> tuple[Array, Array]:
@@ -191,11 +193,11 @@ def drake_hoist(slow: float) -> Peer:
 
             def compute(self, context: Any, output: Any) -> None:
                 v = float(self.get_input_port().Eval(context)[1])
-                output.SetFromVector([hoist.force + smoothed_force(hoist, v, slow)])
+                output.SetFromVector([hoist.force + compute_smoothed_force(hoist, v, slow)])
 
         builder = framework.DiagramBuilder()
         plant = builder.AddSystem(plants.MultibodyPlant(0.0))
-        parsing.Parser(plant).AddModelsFromString(urdf(hoist), "urdf")
+        parsing.Parser(plant).AddModelsFromString(write_urdf(hoist), "urdf")
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
         guide = plant.GetJointByName("guide")
         actuator = plant.AddJointActuator("motor", guide)
@@ -220,24 +222,24 @@ def drake_hoist(slow: float) -> Peer:
 
 
 PEERS: dict[str, Peer] = {
-    "emulator, `located`, 1 ms": emulator(1e-3, "located"),
-    "emulator, `located`, 0.1 ms": emulator(1e-4, "located"),
-    "emulator, `step`, 1 ms": emulator(1e-3, "step"),
-    "MuJoCo, `frictionloss` that holds 50 kg, 2 ms": mujoco_hoist(2e-3),
-    "the same, noslip_iterations 10, 2 ms": mujoco_hoist(2e-3, option=NO_SLIP),
-    "the same, tuned, 0.1 ms": mujoco_hoist(1e-4, HARD_AND_SHORT, NO_SLIP),
-    "MuJoCo, tuned, the caller sets `frictionloss` before each step, 0.1 ms": mujoco_hoist(
+    "emulator, `located`, 1 ms": make_emulator(1e-3, "located"),
+    "emulator, `located`, 0.1 ms": make_emulator(1e-4, "located"),
+    "emulator, `step`, 1 ms": make_emulator(1e-3, "step"),
+    "MuJoCo, `frictionloss` that holds 50 kg, 2 ms": make_mujoco_hoist(2e-3),
+    "the same, noslip_iterations 10, 2 ms": make_mujoco_hoist(2e-3, option=NO_SLIP),
+    "the same, tuned, 0.1 ms": make_mujoco_hoist(1e-4, HARD_AND_SHORT, NO_SLIP),
+    "MuJoCo, tuned, the caller sets `frictionloss` before each step, 0.1 ms": make_mujoco_hoist(
         1e-4, HARD_AND_SHORT, NO_SLIP, is_loaded=True
     ),
-    "Drake, tanh(v / 1 mm/s) of the law, its own steps": drake_hoist(1e-3),
-    "Pinocchio, tanh(v / 1 mm/s) of the law, 0.1 ms": pinocchio_hoist(1e-4, 1e-3),
+    "Drake, tanh(v / 1 mm/s) of the law, its own steps": make_drake_hoist(1e-3),
+    "Pinocchio, tanh(v / 1 mm/s) of the law, 0.1 ms": make_pinocchio_hoist(1e-4, 1e-3),
 }
 
 
 def run(quick: bool) -> dict[str, Any]:
     """Let every hoist hold, lift, lower and stop."""
     rows = []
-    with progress("hoists", len(PEERS)) as done:
+    with show_progress("hoists", len(PEERS)) as done:
         for name, peer in PEERS.items():
             rows.append(
                 {"name": name, **_measure(peer, 0.2 * LOADED_TIME if quick else LOADED_TIME)}
@@ -250,7 +252,7 @@ def _measure(peer: Peer, zoh_torque: float) -> dict[str, Any]:
     masses = [share * TUNED for share in LOADS]
     directions = {"up": STOPPED, "down": -STOPPED}
     return {
-        "sunk": [_creep(peer, Hoist(mass), zoh_torque) for mass in masses],
+        "sunk": [_measure_creep(peer, Hoist(mass), zoh_torque) for mass in masses],
         "force": {
             direction: [_keep_speed(peer, Hoist(mass, speed=0.5 * speed)) for mass in masses]
             for direction, speed in directions.items()
@@ -262,7 +264,7 @@ def _measure(peer: Peer, zoh_torque: float) -> dict[str, Any]:
     }
 
 
-def _creep(peer: Peer, hoist: Hoist, zoh_torque: float) -> float:
+def _measure_creep(peer: Peer, hoist: Hoist, zoh_torque: float) -> float:
     """Return how fast a load sinks that was at rest [m/min], over the second half of the time."""
     q, _ = peer(hoist, zoh_torque)
     half = len(q) // 2
@@ -296,7 +298,7 @@ def report(figures: dict[str, Any]) -> str:
     """Return the section of the report."""
     loads = [f"{share * TUNED:g} kg" for share in LOADS]
 
-    def stated(value: float | None) -> str:
+    def format_value(value: float | None) -> str:
         return "does not stop" if value is None else f"{value:.4f}"
 
     holding = [
@@ -308,7 +310,7 @@ def report(figures: dict[str, Any]) -> str:
             (
                 row["name"],
                 *(
-                    stated(row[key][direction][k])
+                    format_value(row[key][direction][k])
                     for direction in ("up", "down")
                     for k in range(len(loads))
                 ),
@@ -334,13 +336,13 @@ closed form's.
 
 How fast a load sinks without power [m/min]:
 
-{table(("held without power", *loads), holding)}
+{format_table(("held without power", *loads), holding)}
 
 Force of the motor that keeps {0.5 * STOPPED:g} m/s, by that of the closed form:
 
-{table(("kept moving", *heads), driving)}
+{format_table(("kept moving", *heads), driving)}
 
 Way to rest from {STOPPED:g} m/s after an emergency stop (no power, no brake), by that of the closed
 form:
 
-{table(("stopped", *heads), stopping)}"""
+{format_table(("stopped", *heads), stopping)}"""

@@ -13,8 +13,8 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.runs.offline import load_offline_run
 from bench.bare import BARE
-from bench.measure import Task, compile_all, interleaved, progress
-from bench.tables import table
+from bench.measure import Task, compile_all, show_progress, time_interleaved
+from bench.tables import format_table
 
 TITLE = "A step of each scene as shipped"
 
@@ -30,10 +30,10 @@ def run(quick: bool) -> dict[str, Any]:
     stripped = {name: load_scene(name, BARE) for name in SCENES}
     compile_all([*shipped.values(), *stripped.values()])
     figures = {}
-    with progress("a step as shipped", 3 * repetitions * len(SCENES)) as done:
+    with show_progress("a step as shipped", 3 * repetitions * len(SCENES)) as done:
         for name, scene in shipped.items():
-            tasks, steps = _tasks(scene, stripped[name])
-            timings = interleaved(tasks, repetitions, done)
+            tasks, steps = _make_tasks(scene, stripped[name])
+            timings = time_interleaved(tasks, repetitions, done)
             figures[name] = {
                 "joints": len(scene.joints),
                 "dt": scene.integrator.dt,
@@ -44,21 +44,23 @@ def run(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _tasks(scene: Scene, stripped: Scene) -> tuple[dict[str, Task], dict[str, int]]:
+def _make_tasks(scene: Scene, stripped: Scene) -> tuple[dict[str, Task], dict[str, int]]:
     """Return what is timed of a scene, and how many steps each task takes."""
-    rows, settle = _demo_commands(scene)
+    rows, settle = _record_demo_commands(scene)
     moving = rows[settle:]
     rest = np.repeat(rows[-1:], round(REST / scene.servo_period), axis=0)
     tasks = {
-        MOVING: _timed(Plant(scene), rows[:settle], moving),
-        RESTING: _timed(Plant(scene), np.concatenate((rows, rest)), rest),
-        STRIPPED: _timed(Plant(stripped), moving[:0], _voltages(stripped, len(moving))),
+        MOVING: _make_timed_task(Plant(scene), rows[:settle], moving),
+        RESTING: _make_timed_task(Plant(scene), np.concatenate((rows, rest)), rest),
+        STRIPPED: _make_timed_task(
+            Plant(stripped), moving[:0], _make_voltages(stripped, len(moving))
+        ),
     }
     lengths = {MOVING: len(moving), RESTING: len(rest), STRIPPED: len(moving)}
-    return tasks, {task: lengths[task] * _steps(scene) for task in tasks}
+    return tasks, {task: lengths[task] * _count_steps(scene) for task in tasks}
 
 
-def _demo_commands(scene: Scene) -> tuple[Array, int]:
+def _record_demo_commands(scene: Scene) -> tuple[Array, int]:
     """Return the commands of settling and of the demo's first second (K, N), and the first's K."""
     offline_run = load_offline_run(scene.name)
     plan = DemoPlan.load(
@@ -73,9 +75,9 @@ def _demo_commands(scene: Scene) -> tuple[Array, int]:
     return np.array(rows), settle
 
 
-def _timed(plant: Plant, before: Array, rows: Array) -> Task:
+def _make_timed_task(plant: Plant, before: Array, rows: Array) -> Task:
     """Return the task of running under `rows`, once the machine has run under `before`."""
-    steps = _steps(plant.scene)
+    steps = _count_steps(plant.scene)
 
     def prepare(_: int) -> None:
         plant.reset()
@@ -84,11 +86,11 @@ def _timed(plant: Plant, before: Array, rows: Array) -> Task:
     return Task(lambda _: plant.run(rows, steps), prepare)
 
 
-def _steps(scene: Scene) -> int:
+def _count_steps(scene: Scene) -> int:
     return scene.steps_per_period
 
 
-def _voltages(scene: Scene, periods: int) -> Array:
+def _make_voltages(scene: Scene, periods: int) -> Array:
     """Return 3 V of changing sign from joint to joint: a stripped motor takes voltages."""
     return np.tile(3.0 * (-1.0) ** np.arange(len(scene.joints)), (periods, 1))
 
@@ -100,4 +102,4 @@ def report(figures: dict[str, Any]) -> str:
         times = (f"{1e9 * scene['times'][task]['median']:.0f} ns" for task in scene["times"])
         about = f"{scene['joints']} joints, {1e6 * scene['dt']:g} µs, events `{scene['events']}`"
         rows.append((f"`{name}` ({about})", *times))
-    return table(("one step on one core", MOVING, RESTING, STRIPPED), rows)
+    return format_table(("one step on one core", MOVING, RESTING, STRIPPED), rows)

@@ -14,12 +14,12 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
-from bench.measure import compile_all, side_by_side
-from bench.motion import sines
+from bench.measure import compile_all, map_on_all_cores
+from bench.motion import make_sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, PeerDiverged
-from bench.pictures import new_figure, save
-from bench.tables import table
-from oracles.reference import links_model
+from bench.pictures import make_figure, save
+from bench.tables import format_table
+from oracles.reference import make_links_model
 
 TITLE = "Stability map"
 
@@ -44,9 +44,9 @@ MEANING = ("accurate", "bounded", "diverged, detected", "diverged, not detected"
 
 def run(quick: bool) -> dict[str, Any]:
     """Fill the maps."""
-    axes = _axes(quick)
+    axes = _list_axes(quick)
     compile_all(
-        _scene(overrides, scheme, PERIOD)
+        _load_scene(overrides, scheme, PERIOD)
         for axis in axes.values()
         for overrides in axis["overrides"]
         for scheme in SCHEMES
@@ -54,7 +54,7 @@ def run(quick: bool) -> dict[str, Any]:
     figures: dict[str, Any] = {"steps": STEPS, "meaning": MEANING, "accurate": ACCURATE}
     figures["axes"] = {}
     machines = [overrides for axis in axes.values() for overrides in axis["overrides"]]
-    measured = iter(side_by_side("stability map", _column, machines))
+    measured = iter(map_on_all_cores("stability map", _try_column, machines))
     for name, axis in axes.items():
         columns = [next(measured) for _ in axis["values"]]
         figures["axes"][name] = {
@@ -67,7 +67,7 @@ def run(quick: bool) -> dict[str, Any]:
     return figures
 
 
-def _axes(quick: bool) -> dict[str, dict[str, Any]]:
+def _list_axes(quick: bool) -> dict[str, dict[str, Any]]:
     """Return the three parameters that are varied, each as overrides of the scene."""
     per_decade = 1 if quick else 2
 
@@ -106,49 +106,53 @@ def _axes(quick: bool) -> dict[str, dict[str, Any]]:
 
 def _link_inertia(scene: Scene) -> Array:
     """Return the diagonal of M at the start (N,) [kg m2]."""
-    model = links_model(scene)
+    model = make_links_model(scene)
     M = pin.crba(model, model.createData(), scene.start)
     return np.array(np.diag(M))
 
 
-def _scene(overrides: Mapping[str, Any], scheme: str, dt: float) -> Scene:
+def _load_scene(overrides: Mapping[str, Any], scheme: str, dt: float) -> Scene:
     own = {"servo_period": PERIOD, "integrator.scheme": scheme, "integrator.dt": dt}
     return load_scene(SCENE, {**overrides, **own, "varied": VARIED})
 
 
-def _column(overrides: Mapping[str, Any]) -> dict[str, Any]:
+def _try_column(overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Try every scheme and step on one machine."""
-    scene = _scene(overrides, "rosenbrock", FINE)
-    voltages = sines(len(scene.joints), 0, PERIOD)
+    scene = _load_scene(overrides, "rosenbrock", FINE)
+    voltages = make_sines(len(scene.joints), 0, PERIOD)
     fine, half = (
-        Plant(_scene(overrides, "rosenbrock", dt)).run(voltages, round(PERIOD / dt))
+        Plant(_load_scene(overrides, "rosenbrock", dt)).run(voltages, round(PERIOD / dt))
         for dt in (FINE, 2 * FINE)
     )
     column: dict[str, Any] = {"truth": float(np.abs(fine - half).max())}
     for scheme in SCHEMES:
-        column[scheme] = _cells([_ours(overrides, scheme, dt, voltages) for dt in STEPS], fine)
+        column[scheme] = _judge_cells(
+            [_run_ours(overrides, scheme, dt, voltages) for dt in STEPS], fine
+        )
     for integrator in INTEGRATORS:
-        column[f"MuJoCo {integrator}"] = _cells(
-            [_mujoco(scene, integrator, dt, voltages) for dt in STEPS], fine
+        column[f"MuJoCo {integrator}"] = _judge_cells(
+            [_run_mujoco(scene, integrator, dt, voltages) for dt in STEPS], fine
         )
     return column
 
 
-def _ours(overrides: Mapping[str, Any], scheme: str, dt: float, voltages: Array) -> Array | None:
+def _run_ours(
+    overrides: Mapping[str, Any], scheme: str, dt: float, voltages: Array
+) -> Array | None:
     try:
-        return Plant(_scene(overrides, scheme, dt)).run(voltages, round(PERIOD / dt))
+        return Plant(_load_scene(overrides, scheme, dt)).run(voltages, round(PERIOD / dt))
     except Diverged:
         return None
 
 
-def _mujoco(scene: Scene, integrator: str, dt: float, voltages: Array) -> Array | None:
+def _run_mujoco(scene: Scene, integrator: str, dt: float, voltages: Array) -> Array | None:
     try:
         return MujocoArm(scene, integrator, dt).trace(voltages, round(PERIOD / dt))
     except PeerDiverged:
         return None
 
 
-def _cells(runs: list[Array | None], truth: Array) -> tuple[list[int], list[float | None]]:
+def _judge_cells(runs: list[Array | None], truth: Array) -> tuple[list[int], list[float | None]]:
     cells: list[int] = []
     errors: list[float | None] = []
     for q in runs:
@@ -181,7 +185,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the maps: a row for each parameter, a column for each scheme."""
     axes = figures["axes"]
     names = list(next(iter(axes.values()))["cells"])
-    figure = new_figure(2.3 * len(names) + 1.5, 8.2)
+    figure = make_figure(2.3 * len(names) + 1.5, 8.2)
     panels = figure.subplots(len(axes), len(names), squeeze=False)
     # Decades of the error: blue is accurate, yellow to brown bounded, red and black diverged.
     edges = [*np.arange(-10.0, 2.0), 2.0, 3.0]
@@ -196,8 +200,8 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
         for panel, name in zip(row, names, strict=True):
             levels = _grade_cells(axis["cells"][name], axis["errors"][name])
             image = panel.pcolormesh(
-                _borders(axis["values"]),
-                _borders(figures["steps"]),
+                _find_borders(axis["values"]),
+                _find_borders(figures["steps"]),
                 levels,
                 cmap=colours,
                 norm=norm,
@@ -233,7 +237,7 @@ def _grade_cells(cells: list[list[int]], errors: list[list[float | None]]) -> Ar
     return levels
 
 
-def _borders(centres: Sequence[float]) -> Array:
+def _find_borders(centres: Sequence[float]) -> Array:
     """Return the borders of cells about `centres` on a logarithmic scale."""
     log = np.log10(np.array(centres))
     middle = 0.5 * (log[1:] + log[:-1])
@@ -270,7 +274,7 @@ def report(figures: dict[str, Any]) -> str:
         rows.append((name, *counts))
     holding = [name for name in names if is_bounded_everywhere(figures, name)]
     lines += [
-        table(("", *(axis["label"] for axis in axes.values())), rows),
+        format_table(("", *(axis["label"] for axis in axes.values())), rows),
         "",
         "Bounded everywhere on these maps: " + (", ".join(holding) or "none") + ". A grid is no "
         "proof: between its cells and beyond its borders nothing was tried.",

@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from bench.measure import progress
-from bench.pictures import new_figure, save
+from bench.measure import show_progress
+from bench.pictures import make_figure, save
 from bench.sticking_peers import (
     SAMPLE,
     Bar,
     Peer,
-    drake_block,
-    emulator,
-    mujoco_bar,
-    pinocchio_bar,
+    make_drake_block,
+    make_emulator,
+    make_mujoco_bar,
+    make_pinocchio_bar,
     predict_stick_slip,
     solve_swing,
 )
-from bench.tables import table
+from bench.tables import format_table
 
 TITLE = "Machines that stick"
 PICTURE = "sticking"
@@ -34,37 +34,45 @@ HARD = 'solimpfriction="0.9999 0.9999 0.001 0.5 2"'
 HARD_AND_SHORT = f'{HARD} solreffriction="0.002 1"'
 # Name, peer, seconds at rest: a creep that is constant shows in few of them.
 HOLDS: tuple[tuple[str, Peer, float], ...] = (
-    *((f"{name}, 1 ms", emulator(1e-3, events), 60.0) for events, name in EVENTS.items()),
-    ("MuJoCo, as delivered, 2 ms", mujoco_bar(2e-3), 60.0),
-    ("MuJoCo, as delivered, 0.1 ms", mujoco_bar(1e-4), 60.0),
-    ("MuJoCo, RK4, 2 ms", mujoco_bar(2e-3, option='integrator="RK4"'), 60.0),
-    ("MuJoCo, solimpfriction 0.9999, 2 ms", mujoco_bar(2e-3, HARD), 60.0),
+    *((f"{name}, 1 ms", make_emulator(1e-3, events), 60.0) for events, name in EVENTS.items()),
+    ("MuJoCo, as delivered, 2 ms", make_mujoco_bar(2e-3), 60.0),
+    ("MuJoCo, as delivered, 0.1 ms", make_mujoco_bar(1e-4), 60.0),
+    ("MuJoCo, RK4, 2 ms", make_mujoco_bar(2e-3, option='integrator="RK4"'), 60.0),
+    ("MuJoCo, solimpfriction 0.9999, 2 ms", make_mujoco_bar(2e-3, HARD), 60.0),
     (
         "MuJoCo, and solreffriction 0.002, 0.1 ms",
-        mujoco_bar(1e-4, HARD_AND_SHORT),
+        make_mujoco_bar(1e-4, HARD_AND_SHORT),
         60.0,
     ),
-    ("MuJoCo, noslip_iterations 10, 2 ms", mujoco_bar(2e-3, option='noslip_iterations="10"'), 60.0),
-    ("Drake, TAMSI as delivered, 1 ms (block)", drake_block(1e-3, "Tamsi"), 60.0),
-    ("Drake, Lagged, 1 ms (block)", drake_block(1e-3, "Lagged"), 60.0),
-    ("Drake, Lagged, stiction 1e-6 m/s, 1 ms (block)", drake_block(1e-3, "Lagged", 1e-6), 60.0),
-    ("Pinocchio, tanh(v / 0.1 rad/s), 1 ms", pinocchio_bar(1e-3, 0.1), 4.0),
-    ("Pinocchio, tanh(v / 0.001 rad/s), 0.01 ms", pinocchio_bar(1e-5, 1e-3), 1.0),
+    (
+        "MuJoCo, noslip_iterations 10, 2 ms",
+        make_mujoco_bar(2e-3, option='noslip_iterations="10"'),
+        60.0,
+    ),
+    ("Drake, TAMSI as delivered, 1 ms (block)", make_drake_block(1e-3, "Tamsi"), 60.0),
+    ("Drake, Lagged, 1 ms (block)", make_drake_block(1e-3, "Lagged"), 60.0),
+    (
+        "Drake, Lagged, stiction 1e-6 m/s, 1 ms (block)",
+        make_drake_block(1e-3, "Lagged", 1e-6),
+        60.0,
+    ),
+    ("Pinocchio, tanh(v / 0.1 rad/s), 1 ms", make_pinocchio_bar(1e-3, 0.1), 4.0),
+    ("Pinocchio, tanh(v / 0.001 rad/s), 0.01 ms", make_pinocchio_bar(1e-5, 1e-3), 1.0),
 )
 SWINGS: dict[str, Callable[[float], Peer]] = {
-    EVENTS["located"]: lambda dt: emulator(dt, "located"),
-    EVENTS["step"]: lambda dt: emulator(dt, "step"),
-    "MuJoCo, as delivered": mujoco_bar,
-    "MuJoCo, noslip_iterations 10": lambda dt: mujoco_bar(dt, option='noslip_iterations="10"'),
-    "MuJoCo, solimpfriction 0.9999": lambda dt: mujoco_bar(dt, HARD),
-    "MuJoCo, and solreffriction 0.002": lambda dt: mujoco_bar(dt, HARD_AND_SHORT),
+    EVENTS["located"]: lambda dt: make_emulator(dt, "located"),
+    EVENTS["step"]: lambda dt: make_emulator(dt, "step"),
+    "MuJoCo, as delivered": make_mujoco_bar,
+    "MuJoCo, noslip_iterations 10": lambda dt: make_mujoco_bar(dt, option='noslip_iterations="10"'),
+    "MuJoCo, solimpfriction 0.9999": lambda dt: make_mujoco_bar(dt, HARD),
+    "MuJoCo, and solreffriction 0.002": lambda dt: make_mujoco_bar(dt, HARD_AND_SHORT),
 }
 PULLED = Bar(friction=2.0, breakaway=1.5, pull=(50.0, 0.05))
 PULLS: dict[str, Peer] = {
-    "emulator, `located`, 1 ms": emulator(1e-3, "located"),
-    "emulator, `step`, 1 ms": emulator(1e-3, "step"),
-    "Pinocchio, tanh(v / 0.01 rad/s), 1 ms": pinocchio_bar(1e-3, 1e-2, 0.1),
-    "Pinocchio, tanh(v / 0.001 rad/s), 0.1 ms": pinocchio_bar(1e-4, 1e-3, 1e-2),
+    "emulator, `located`, 1 ms": make_emulator(1e-3, "located"),
+    "emulator, `step`, 1 ms": make_emulator(1e-3, "step"),
+    "Pinocchio, tanh(v / 0.01 rad/s), 1 ms": make_pinocchio_bar(1e-3, 1e-2, 0.1),
+    "Pinocchio, tanh(v / 0.001 rad/s), 0.1 ms": make_pinocchio_bar(1e-4, 1e-3, 1e-2),
 }
 
 
@@ -72,11 +80,11 @@ def run(quick: bool) -> dict[str, Any]:
     """Let them rest, swing and be pulled."""
     draws = 2 if quick else DRAWS
     steps = STEPS[1:4] if quick else STEPS
-    with progress("machines", len(HOLDS) + len(SWINGS) * len(steps) + len(PULLS)) as done:
+    with show_progress("machines", len(HOLDS) + len(SWINGS) * len(steps) + len(PULLS)) as done:
         return {
             "hold": [_hold(name, peer, 0.1 * t if quick else t, done) for name, peer, t in HOLDS],
-            "loads": _largest_creep(20 if quick else 1000),
-            "swing": _swing(draws, steps, done),
+            "loads": _measure_largest_creep(20 if quick else 1000),
+            "swing": _measure_swing(draws, steps, done),
             "pull": [_pull(name, peer, done) for name, peer in PULLS.items()],
         }
 
@@ -89,18 +97,18 @@ def _hold(name: str, peer: Peer, duration: float, done: Any) -> dict[str, Any]:
     return {"name": name, "creep": creep, "step": ran.step}
 
 
-def _largest_creep(count: int) -> dict[str, Any]:
+def _measure_largest_creep(count: int) -> dict[str, Any]:
     """Return the largest way of random bars under loads within their friction, in a minute."""
     rng = np.random.default_rng(9)
     bars = [
         Bar(mass=m, reach=r, friction=share * m * 9.81 * r)
         for m, r, share in rng.uniform((0.1, 0.05, 1.0001), (50.0, 1.0, 3.0), (count, 3)).tolist()
     ]
-    moved = [float(np.abs(emulator(1e-3, "located")(bar, 60.0, 0.0).q).max()) for bar in bars]
+    moved = [float(np.abs(make_emulator(1e-3, "located")(bar, 60.0, 0.0).q).max()) for bar in bars]
     return {"count": count, "largest": max(moved)}
 
 
-def _swing(draws: int, steps: tuple[float, ...], done: Any) -> list[dict[str, Any]]:
+def _measure_swing(draws: int, steps: tuple[float, ...], done: Any) -> list[dict[str, Any]]:
     """Return the median over random bars of the largest error on the way."""
     rng = np.random.default_rng(10)
     bars = []
@@ -159,7 +167,7 @@ weight's torque. Drake has no dry friction in joints: there a block of 4 kg rest
 contact of twice the friction that it needs, and the creep is in m. Pinocchio has none either: its
 rows are ABA under a smooth law in a loop of Python, whose time is not stated.
 
-{table(("at rest", "creep [rad/min, m/min]", "step [ns]"), rest)}
+{format_table(("at rest", "creep [rad/min, m/min]", "step [ns]"), rest)}
 
 {loads["count"]} random bars of the emulator under loads up to 99.99 % of their friction, a minute
 each: they moved by {loads["largest"]:g} rad.
@@ -169,7 +177,7 @@ the largest on the way against a solution that is cut at every stop (SciPy, 1e-1
 largest of the bars. `located` keeps order 2. Steps of MuJoCo are its own kinematics, constraint and
 solver, which serve many more machines than this one.
 
-{table(("swinging", "step [ms]", "median error [rad]", "largest", "µs per s"), moving)}
+{format_table(("swinging", "step [ms]", "median error [rad]", "largest", "µs per s"), moving)}
 
 The bar, without gravity, is pulled at 0.05 rad/s through a spring of 50 N m/rad, with 2 N m of
 sliding friction and 3 N m to break away. In closed form it sticks and slips with a period of
@@ -178,12 +186,12 @@ discrete time have one coefficient: they slide evenly.
 
 ![Error over time of computation, and the spring of the bar that is pulled]({PICTURE}.png)
 
-{table(("pulled", "period [s]", "swing [rad]"), cycles)}"""
+{format_table(("pulled", "period [s]", "swing [rad]"), cycles)}"""
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw errors over the time of computation, and the spring of the bar that is pulled."""
-    figure = new_figure(9.0, 3.4)
+    figure = make_figure(9.0, 3.4)
     left, right = figure.subplots(1, 2)
     for name in SWINGS:
         rows = [row for row in figures["swing"] if row["name"] == name]

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.base.arrays import Array
-from bench.mujoco_peer import mujoco
+from bench.mujoco_peer import import_mujoco
 
 G = 9.81
 SAMPLE = 1e-2  # s
@@ -64,7 +64,7 @@ class PeerRun:
 Peer = Callable[[Bar, float, float], PeerRun]
 
 
-def timed(advance: Callable[[], float], duration: float, dt: float) -> PeerRun:
+def time_samples(advance: Callable[[], float], duration: float, dt: float) -> PeerRun:
     """Return a run of which `advance` gives the place after each sample."""
     q = np.empty(round(duration / SAMPLE))
     began = time.perf_counter()
@@ -73,7 +73,7 @@ def timed(advance: Callable[[], float], duration: float, dt: float) -> PeerRun:
     return PeerRun(q, 1e9 * (time.perf_counter() - began) / (duration / dt))
 
 
-def urdf(bar: Bar) -> str:
+def write_urdf(bar: Bar) -> str:
     """Return the bar's description."""
     inertia = f'iyy="{bar.own_inertia!r}" izz="{bar.own_inertia!r}" ixy="0" ixz="0" iyz="0"'
     return f"""<robot name="bar"><link name="base"/><link name="bar"><inertial>
@@ -82,7 +82,7 @@ def urdf(bar: Bar) -> str:
 <limit lower="-1e3" upper="1e3" effort="1e9" velocity="1e9"/><axis xyz="0 1 0"/></joint></robot>"""
 
 
-def emulator(dt: float, events: str) -> Peer:
+def make_emulator(dt: float, events: str) -> Peer:
     """Return the emulator with a step and a way to treat events."""
 
     def run(bar: Bar, duration: float, start: float) -> PeerRun:
@@ -95,7 +95,7 @@ def emulator(dt: float, events: str) -> Peer:
                               "rotor_inertia": HEAVY}  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "bar.yaml"
-            (Path(folder) / "bar.urdf").write_text(urdf(bar))
+            (Path(folder) / "bar.urdf").write_text(write_urdf(bar))
             scene = {
                 "name": "bar", "urdf": "bar.urdf", "tool": "bar", "supply_voltage": 48.0,
                 "joints": {"hinge": joint}, "gravity": [0.0, 0.0, 0.0 if bar.pull else -G],
@@ -116,29 +116,29 @@ def emulator(dt: float, events: str) -> Peer:
     return run
 
 
-def mujoco_bar(dt: float, joint: str = "", option: str = "") -> Peer:
+def make_mujoco_bar(dt: float, joint: str = "", option: str = "") -> Peer:
     """Return MuJoCo's `frictionloss`, with further attributes of the joint and of the options."""
 
     def run(bar: Bar, duration: float, start: float) -> PeerRun:
-        model = mujoco().MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
+        model = import_mujoco().MjModel.from_xml_string(f"""<mujoco><compiler angle="radian"/>
 <option timestep="{dt!r}" gravity="0 0 {-G}" {option}/><worldbody><body>
 <inertial pos="{bar.reach!r} 0 0" mass="{bar.mass!r}"
  diaginertia="1e-6 {bar.own_inertia!r} {bar.own_inertia!r}"/>
 <joint type="hinge" axis="0 1 0" frictionloss="{bar.friction!r}" {joint}/>
 </body></worldbody></mujoco>""")
-        data, every = mujoco().MjData(model), round(SAMPLE / dt)
+        data, every = import_mujoco().MjData(model), round(SAMPLE / dt)
         data.qpos[0] = start
 
         def advance() -> float:
-            mujoco().mj_step(model, data, nstep=every)
+            import_mujoco().mj_step(model, data, nstep=every)
             return float(data.qpos[0])
 
-        return timed(advance, duration, dt)
+        return time_samples(advance, duration, dt)
 
     return run
 
 
-def pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
+def make_pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
     """Return Pinocchio's ABA under regularised friction, in semi-implicit Euler steps.
 
     Friction is tanh(v / smooth); breakaway falls to sliding over the speed `fall`. The loop is
@@ -146,7 +146,7 @@ def pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
     """
 
     def run(bar: Bar, duration: float, start: float) -> PeerRun:
-        model = pin.buildModelFromXML(urdf(bar))
+        model = pin.buildModelFromXML(write_urdf(bar))
         model.gravity.linear = np.array([0.0, 0.0, 0.0 if bar.pull else -G])
         data, every = model.createData(), round(SAMPLE / dt)
         q, v, t = np.array([start]), np.zeros(1), 0.0
@@ -164,12 +164,12 @@ def pinocchio_bar(dt: float, smooth: float, fall: float = 0.0) -> Peer:
                 q, t = q + dt * v, t + dt
             return float(q[0])
 
-        return PeerRun(timed(advance, duration, dt).q)
+        return PeerRun(time_samples(advance, duration, dt).q)
 
     return run
 
 
-def drake_block(dt: float, approximation: str, stiction: float | None = None) -> Peer:
+def make_drake_block(dt: float, approximation: str, stiction: float | None = None) -> Peer:
     """Return Drake's block on a slope, held by Coulomb contact: joints have no dry friction there.
 
     The bar's mass and the share of friction in its weight become the block's. The places [m] are
@@ -213,7 +213,7 @@ def drake_block(dt: float, approximation: str, stiction: float | None = None) ->
             simulator.AdvanceTo(t)
             return float(plant.EvalBodyPoseInWorld(context, block).translation()[0] - place)
 
-        return timed(advance, duration, dt)
+        return time_samples(advance, duration, dt)
 
     return run
 

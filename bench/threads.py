@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Plant
-from bench.chains import chain
-from bench.measure import Task, compile_all, interleaved, progress
-from bench.tables import table
+from bench.chains import write_chain
+from bench.measure import Task, compile_all, show_progress, time_interleaved
+from bench.tables import format_table
 
 TITLE = "Two threads"
 
@@ -42,16 +42,16 @@ def run(quick: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         scenes = {
             n: {
-                name: chain(Path(folder), n, **{"integrator.scheme": "implicit", **kind})
+                name: write_chain(Path(folder), n, **{"integrator.scheme": "implicit", **kind})
                 for name, kind in KINDS.items()
             }
             for n in joints
         }
         compile_all(scene for kinds in scenes.values() for scene in kinds.values())
-        with progress("time per loop", len(joints)) as done:
+        with show_progress("time per loop", len(joints)) as done:
             for n, kinds in scenes.items():
-                tasks = {name: _task(Plant(scene)) for name, scene in kinds.items()}
-                timings = interleaved(tasks, repetitions)
+                tasks = {name: _make_task(Plant(scene)) for name, scene in kinds.items()}
+                timings = time_interleaved(tasks, repetitions)
                 loops[str(n)] = {
                     name: asdict(timing.per(LOOP_STEPS)) for name, timing in timings.items()
                 }
@@ -59,7 +59,7 @@ def run(quick: bool) -> dict[str, Any]:
     return {"loops": loops}
 
 
-def _task(plant: Plant) -> Task:
+def _make_task(plant: Plant) -> Task:
     voltage = 3.0 * (-1.0) ** np.arange(len(plant.scene.joints))
     return Task(
         work=lambda _: plant.advance(voltage, LOOP_STEPS),
@@ -89,7 +89,7 @@ def report(figures: dict[str, Any]) -> str:
     heads = "N", *(f"{TITLES[k]} [ns]" for k in KINDS), *(f"{TITLES[k]} / one" for k in TWO)
     begin = f"from N = {min(pays)} on" if pays else "at none of these N"
     lines += [
-        table(heads, rows),
+        format_table(heads, rows),
         "",
         f"Two threads paid {begin}; the paper had {PAPER_RATIO} at N = 3 on a machine whose single "
         "step took far longer than its handshake.",

@@ -18,9 +18,9 @@ from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.motion.executor.path_monitor import measure_distances
-from bench.measure import progress
-from bench.pictures import new_figure
-from bench.tables import table
+from bench.measure import show_progress
+from bench.pictures import make_figure
+from bench.tables import format_table
 
 TITLE = "Tool paths all the way"
 
@@ -46,7 +46,7 @@ class PathRun:
     reason: str
 
 
-def poses(kind: str, home: Pose) -> list[Array]:
+def list_poses(kind: str, home: Pose) -> list[Array]:
     """Return the points of a path about the tool's start."""
     if kind == "line":
         points = [(0.0, -0.15, 0.0), (0.0, 0.15, 0.0)]
@@ -78,7 +78,7 @@ def drive(
     offline_run = OfflineRun(scene, gains.servo, motion)
     kinematics, session = offline_run.controller.kinematics, offline_run.session
     R_WT, p_WT = kinematics.forward(scene.start)
-    path = [Pose(p, R_WT) for p in poses(kind, Pose(p_WT, R_WT))]
+    path = [Pose(p, R_WT) for p in list_poses(kind, Pose(p_WT, R_WT))]
     settle = round(2.0 / scene.servo_period)
     if comes_from is not None:
         offline_run.instructor.add(0, Pose(path[0].p_WT + np.array(comes_from), R_WT))
@@ -108,7 +108,7 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure all paths."""
     cases = [(s, k, v) for s in SCENES for k in KINDS for v in SPEEDS]
     rows = []
-    with progress("paths", len(cases[:: 4 if quick else 1])) as done:
+    with show_progress("paths", len(cases[:: 4 if quick else 1])) as done:
         for scene, kind, speed in cases[:: 4 if quick else 1]:
             followed = drive(scene, kind, speed)
             rows.append(
@@ -141,12 +141,12 @@ def report(figures: dict[str, Any]) -> str:
         for row in figures["rows"]
     )  # fmt: skip
     heads = ("scene", "path", "asked", "ends", "beside it", "speed / limit")
-    return "\n".join([*lines, table(heads, rows)])
+    return "\n".join([*lines, format_table(heads, rows)])
 
 
 def picture(folder: Path) -> Path:
     """Draw one path of each kind: where the tool goes, speeds over limits, distance from it."""
-    figure = new_figure(9.0, 7.0)
+    figure = make_figure(9.0, 7.0)
     axes = figure.subplots(3, len(KINDS))
     for column, kind in enumerate(KINDS):
         followed = drive("ur5", kind, SPEEDS[-1])

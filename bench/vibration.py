@@ -25,9 +25,9 @@ from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.model.input_shaper import ShapedMode
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.servo.servo_config import ServoConfig
-from bench.measure import progress
-from bench.pictures import new_figure, save
-from bench.tables import table
+from bench.measure import show_progress
+from bench.pictures import make_figure, save
+from bench.tables import format_table
 
 TITLE = "Vibration after a fast line"
 
@@ -52,7 +52,7 @@ def run(quick: bool, scenes: Sequence[str] = SCENES) -> dict[str, Any]:
     """Measure each scene with each servo, feed-forward and shaper."""
     rows, curves = [], {}
     chosen = list(scenes)[: 1 if quick else None]
-    with progress("lines", len(chosen) * 2) as done:
+    with show_progress("lines", len(chosen) * 2) as done:
         for scene in chosen:
             for stiff in (1.0, STIFF):
                 arm = _ArmAtLine(scene, stiff)
@@ -115,7 +115,7 @@ class _ArmAtLine:
         period = self.scene.servo_period
         run.advance(round(SETTLE / period))
         kinematics = run.controller.kinematics
-        R_WT, start = kinematics.forward(_reference(run))
+        R_WT, start = kinematics.forward(_read_reference(run))
         along = np.array([0.0, 1.0, 0.0])
         ends = Pose(start, R_WT), Pose(start + LENGTH * along, R_WT)
         run.instructor.add_path(run.controller, ends)
@@ -125,7 +125,7 @@ class _ArmAtLine:
             for _ in range(run.motion_ticks):
                 run.advance(1)
                 places.append(kinematics.forward(run.session.state.q)[1])
-            targets.append(_reference(run))
+            targets.append(_read_reference(run))
             tools.append(kinematics.forward(targets[-1])[1] - start)
         tool, reference = np.array(places), np.array(tools)
         end = find_reference_end(np.array(targets)) * run.motion_ticks
@@ -151,7 +151,7 @@ class _ArmAtLine:
         }
 
 
-def _reference(run: OfflineRun) -> np.ndarray:
+def _read_reference(run: OfflineRun) -> np.ndarray:
     """Return the angles of the links that the servo was asked for last (N,)."""
     target: np.ndarray = run.drives.servo.state["q_target"] - run.wind_up
     return target
@@ -184,13 +184,13 @@ def report(figures: dict[str, Any]) -> str:
         ))  # fmt: skip
     heads = ("scene", "servo", "modes (damping)", "feed-forward", "shaper", "speed", "delay",
              "swing", "largest", "within 0.1 mm", "wrong, mm", "beside")  # fmt: skip
-    return "\n".join([*lines, table(heads, rows)])
+    return "\n".join([*lines, format_table(heads, rows)])
 
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw the tool about its rest over time, a scene beside the other."""
     names = list(dict.fromkeys(name.rpartition(", ")[0] for name in figures["curves"]))
-    figure = new_figure(3.6 * len(names), 3.2)
+    figure = make_figure(3.6 * len(names), 3.2)
     for axes, name in zip(figure.subplots(1, len(names), squeeze=False)[0], names, strict=True):
         curves = [figures["curves"][f"{name}, {kind}"] for kind in KINDS]
         for kind, curve in zip(KINDS, curves, strict=True):

@@ -11,12 +11,12 @@ import numpy as np
 from arm_emulator import Plant
 from arm_emulator.base.arrays import Array
 from bench.fleet import make_bare_scene
-from bench.measure import progress
-from bench.motion import SERVO_PERIOD, sines
+from bench.measure import show_progress
+from bench.motion import SERVO_PERIOD, make_sines
 from bench.mujoco_peer import MujocoArm, end_of
-from bench.pictures import COLOURS, new_figure, save
-from bench.tables import table
-from oracles.reference import reference
+from bench.pictures import COLOURS, make_figure, save
+from bench.tables import format_table
+from oracles.reference import solve_positions
 
 TITLE = "Errors beside MuJoCo Warp"
 
@@ -30,11 +30,11 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure the error of each arm after a second."""
     arms, steps = (ARMS[:1], STEPS[:1]) if quick else (ARMS, STEPS)
     figures: dict[str, Any] = {"steps": list(steps), "arms": {}}
-    with progress("MuJoCo Warp", len(arms) * len(steps) * len(INTEGRATORS)) as done:
+    with show_progress("MuJoCo Warp", len(arms) * len(steps) * len(INTEGRATORS)) as done:
         for name in arms:
             scene = make_bare_scene(name, OURS, SERVO_PERIOD)
-            rows = sines(len(scene.joints), 0)
-            truth = reference(scene, rows, SERVO_PERIOD)[-1]
+            rows = make_sines(len(scene.joints), 0)
+            truth = solve_positions(scene, rows, SERVO_PERIOD)[-1]
             errors: dict[str, list[float | None]] = {}
             for count in steps:
                 dt = SERVO_PERIOD / count
@@ -70,7 +70,7 @@ def _end_in_warp(arm: MujocoArm, rows: Array, steps: int) -> Array | None:
 
 def draw(figures: dict[str, Any], folder: Path) -> None:
     """Draw error against step."""
-    figure = new_figure(4.6 * len(figures["arms"]), 4.4)
+    figure = make_figure(4.6 * len(figures["arms"]), 4.4)
     panels = figure.subplots(1, len(figures["arms"]), squeeze=False)[0]
     steps = [1e3 * SERVO_PERIOD / count for count in figures["steps"]]
     for axes, (name, errors) in zip(panels, figures["arms"].items(), strict=True):
@@ -103,6 +103,6 @@ what MuJoCo lacks. MuJoCo Warp computes in single precision; here it runs on the
 its kernels give the same numbers as on a card up to rounding. Its time means nothing for a card
 and is left out.
 
-{table(("arm", "series", *heads), rows)}
+{format_table(("arm", "series", *heads), rows)}
 
 ![error against step](warp_error.png)"""

@@ -17,16 +17,16 @@ from bench.bare import BARE
 from bench.measure import (
     Task,
     compile_all,
-    interleaved,
-    progress,
-    side_by_side,
-    timing,
-    without_collector,
+    make_wall_time,
+    map_on_all_cores,
+    pause_collector,
+    show_progress,
+    time_interleaved,
 )
-from bench.motion import SERVO_PERIOD, sines
+from bench.motion import SERVO_PERIOD, make_sines
 from bench.mujoco_peer import INTEGRATORS, MujocoArm, end_of
 from bench.work_precision_report import FROM_PYTHON, INPUTS, draw, report
-from oracles.reference import reference
+from oracles.reference import solve_positions
 
 TITLE = "Work and precision"
 
@@ -79,13 +79,13 @@ def run(quick: bool) -> dict[str, Any]:
     """Measure all cases."""
     cases = dict(list(CASES.items())[:1] + list(CASES.items())[-1:]) if quick else CASES
     scenes = {
-        (key, scheme): _scene(case, scheme, case.period)
+        (key, scheme): _load_scene(case, scheme, case.period)
         for key, case in cases.items()
         for scheme in SCHEMES
     }
     compile_all(scenes.values())
     motions = [(key, seed) for key in cases for seed in range(INPUTS)]
-    truths = dict(zip(motions, side_by_side("reference", _truth, motions), strict=True))
+    truths = dict(zip(motions, map_on_all_cores("reference", _compute_truth, motions), strict=True))
     return {
         key: _measure(
             case,
@@ -97,20 +97,22 @@ def run(quick: bool) -> dict[str, Any]:
     }
 
 
-def _truth(motion: tuple[str, int]) -> Array:
+def _compute_truth(motion: tuple[str, int]) -> Array:
     key, seed = motion
     case = CASES[key]
-    scene = _scene(case, "rosenbrock", case.period)
-    end: Array = reference(scene, sines(len(scene.joints), seed, case.period), case.period)[-1]
+    scene = _load_scene(case, "rosenbrock", case.period)
+    end: Array = solve_positions(
+        scene, make_sines(len(scene.joints), seed, case.period), case.period
+    )[-1]
     return end
 
 
-def _scene(case: MotionCase, scheme: str, dt: float) -> Scene:
+def _load_scene(case: MotionCase, scheme: str, dt: float) -> Scene:
     own = {"servo_period": case.period, "integrator.scheme": scheme, "integrator.dt": dt}
     return load_scene(case.scene, {**BARE, **case.overrides, **own})
 
 
-def steps_of(largest: float, smallest: float) -> list[float]:
+def list_steps(largest: float, smallest: float) -> list[float]:
     """Return step sizes from `largest` to `smallest` [s], three in a decade, dividing `largest`."""
     decades = round(math.log10(largest / smallest))
     sizes = [largest * f / 10**d for d in range(decades + 1) for f in FACTORS]
@@ -150,18 +152,18 @@ def _measure(
 ) -> dict[str, Any]:
     scene = scenes["rosenbrock"]
     N = len(scene.joints)
-    voltages = [sines(N, seed, case.period) for seed in range(INPUTS)]
+    voltages = [make_sines(N, seed, case.period) for seed in range(INPUTS)]
     smallest, theirs = (case.ours, case.theirs) if not quick else (1e-6, 1e-5)
     series: list[_Series] = []
     for scheme in SCHEMES:
-        for dt in steps_of(case.period, smallest):
-            plant, about = Plant(_scene(case, scheme, dt)), GUESS * N / dt
+        for dt in list_steps(case.period, smallest):
+            plant, about = Plant(_load_scene(case, scheme, dt)), GUESS * N / dt
             series.append(_Series(scheme, dt, about, plant))
             if scheme == "rosenbrock" and dt >= 1e-5:
                 calls = 4e-6 / case.period
                 series.append(_Series(FROM_PYTHON, dt, about + calls, plant, called=True))
     for integrator in INTEGRATORS:
-        for dt in steps_of(case.period, theirs):
+        for dt in list_steps(case.period, theirs):
             about = GUESS_MUJOCO.get(integrator, GUESS_MUJOCO_OTHERS) * N / dt
             if about <= case.longest:
                 arm = MujocoArm(scene, integrator, dt)
@@ -171,8 +173,8 @@ def _measure(
         f"{peer_series.name}, {peer_series.dt:g} s": peer_series.task(voltages, case.period)
         for peer_series in series
     }
-    with progress("work and precision", len(tasks) * INPUTS) as done:
-        timings = interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
+    with show_progress("work and precision", len(tasks) * INPUTS) as done:
+        timings = time_interleaved(tasks, INPUTS, lambda name: done(f"{case.title}: {name}"))
     points: dict[str, list[dict[str, Any]]] = {}
     for series_of in series:
         errors = [
@@ -182,24 +184,26 @@ def _measure(
         points.setdefault(series_of.name, []).append(
             {
                 "dt": series_of.dt,
-                "error": _rms(errors),
+                "error": _compute_rms(errors),
                 "errors": errors,
                 "time": asdict(timings[f"{series_of.name}, {series_of.dt:g} s"]),
             }
         )
     if not quick:
-        points |= _scipy(case, scene, voltages[0], truths[0])
+        points |= _time_scipy(case, scene, voltages[0], truths[0])
     return {
         "title": case.title,
         "period": case.period,
-        "agreement": _agreement(case, scene, voltages[0], truths[0]),
+        "agreement": _check_agreement(case, scene, voltages[0], truths[0]),
         "series": points,
-        "at_error": {f"{target:g}": _at_error(points, target) for target in TARGETS},
-        "faster_below": {kind: _faster_below(points, kind) for kind in ("mujoco", "scipy")},
+        "at_error": {f"{target:g}": _compare_at_error(points, target) for target in TARGETS},
+        "faster_below": {kind: _find_faster_below(points, kind) for kind in ("mujoco", "scipy")},
     }
 
 
-def _agreement(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+def _check_agreement(
+    case: MotionCase, scene: Scene, voltages: Array, truth: Array
+) -> dict[str, Any]:
     """Check that MuJoCo's machine and ours are one: both against the reference after 1 s.
 
     With inductance MuJoCo's error is of first order in the step, so twice the result at h less the
@@ -211,21 +215,24 @@ def _agreement(case: MotionCase, scene: Scene, voltages: Array, truth: Array) ->
         arm = MujocoArm(scene, "RK4", dt)
         arm.run(voltages, round(case.period / dt))
         ends.append(arm.q)
-    own = Plant(_scene(case, "rosenbrock", h)).run(voltages, round(case.period / h))[-1]
+    own = Plant(_load_scene(case, "rosenbrock", h)).run(voltages, round(case.period / h))[-1]
     mujoco = float(np.abs(2.0 * ends[0] - ends[1] - truth).max())
     ours = float(np.abs(own - truth).max())
     return {"mujoco": mujoco, "ours": ours, "agree": max(mujoco, ours) < AGREEMENT}
 
 
-def _scipy(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
+def _time_scipy(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dict[str, Any]:
     """Time Pinocchio's dynamics in SciPy's integrators, once each: they take seconds."""
     points: dict[str, list[dict[str, Any]]] = {}
     runs = [(method, rtol) for method in SCIPY_METHODS for rtol in case.rtol]
-    with progress("Pinocchio + SciPy", len(runs)) as done, without_collector():
+    with show_progress("Pinocchio + SciPy", len(runs)) as done, pause_collector():
         for method, rtol in runs:
             began = time.perf_counter()
-            end = reference(scene, voltages, case.period, rtol, method=method)[-1]
-            spent, error = timing([time.perf_counter() - began]), float(np.abs(end - truth).max())
+            end = solve_positions(scene, voltages, case.period, rtol, method=method)[-1]
+            spent, error = (
+                make_wall_time([time.perf_counter() - began]),
+                float(np.abs(end - truth).max()),
+            )
             points.setdefault(f"Pinocchio + SciPy {method}", []).append(
                 {"rtol": rtol, "error": error, "errors": [error], "time": asdict(spent)}
             )
@@ -233,24 +240,24 @@ def _scipy(case: MotionCase, scene: Scene, voltages: Array, truth: Array) -> dic
     return points
 
 
-def _rms(errors: list[float | None]) -> float | None:
+def _compute_rms(errors: list[float | None]) -> float | None:
     if any(error is None or not math.isfinite(error) for error in errors):
         return None
     return math.sqrt(sum(error**2 for error in errors if error is not None) / len(errors))
 
 
-def _faster_below(points: Mapping[str, list[dict[str, Any]]], kind: str) -> float | None:
+def _find_faster_below(points: Mapping[str, list[dict[str, Any]]], kind: str) -> float | None:
     """Return the error below which `kind`'s best is faster than ours; None: it never is."""
     for exponent in np.arange(-4.0, -13.0, -0.1):
-        at = _at_error(points, 10.0**exponent)
+        at = _compare_at_error(points, 10.0**exponent)
         ours, theirs = at["ours"], at[kind]
         if theirs and (ours is None or theirs["time"] < ours["time"]):
             return float(10.0**exponent)
     return None
 
 
-def _at_error(points: Mapping[str, list[dict[str, Any]]], target: float) -> dict[str, Any]:
-    times = {name: time_at_error(values, target) for name, values in points.items()}
+def _compare_at_error(points: Mapping[str, list[dict[str, Any]]], target: float) -> dict[str, Any]:
+    times = {name: find_time_at_error(values, target) for name, values in points.items()}
     reached = {name: time for name, time in times.items() if time is not None}
 
     def best(choose: Callable[[str], bool]) -> dict[str, Any] | None:
@@ -270,7 +277,7 @@ def _at_error(points: Mapping[str, list[dict[str, Any]]], target: float) -> dict
     }
 
 
-def time_at_error(points: list[dict[str, Any]], target: float) -> float | None:
+def find_time_at_error(points: list[dict[str, Any]], target: float) -> float | None:
     """Return the wall time [s] at which a series' error falls to `target`, None if it never does.
 
     Interpolated on the logarithms of error and time. Where the coarsest step is better than that

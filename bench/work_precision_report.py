@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.measure import WallTime
-from bench.pictures import COLOURS, PEERS, new_figure, save
-from bench.tables import table
+from bench.pictures import COLOURS, PEERS, make_figure, save
+from bench.tables import format_table
 
 INPUTS = 3  # motions; the error is the root mean square over them
 FROM_PYTHON = "rosenbrock, called every period"
@@ -24,7 +24,7 @@ def draw(figures: dict[str, Any], folder: Path) -> None:
 
 
 def _draw(cases: list[dict[str, Any]], folder: Path, name: str) -> None:
-    figure = new_figure(5.2 * len(cases), 5.6)
+    figure = make_figure(5.2 * len(cases), 5.6)
     panels = figure.subplots(1, len(cases), squeeze=False)[0]
     for axes, case in zip(panels, cases, strict=True):
         for series, points in case["series"].items():
@@ -70,19 +70,19 @@ def report(figures: dict[str, Any]) -> str:
         "Both machines are one: results of both, extrapolated in the step for MuJoCo, against the "
         "reference after 1 s (must be below 1e-6 rad, else a comparison would be void).",
         "",
-        table(("machine", "MuJoCo RK4, extrapolated [rad]", "rosenbrock, 10 us [rad]",
-               "same machine"), map(_agreement, figures.values())),
+        format_table(("machine", "MuJoCo RK4, extrapolated [rad]", "rosenbrock, 10 us [rad]",
+               "same machine"), map(_write_agreement, figures.values())),
         "",
         "Wall time per simulated second at a given error, interpolated between the measured steps "
         "on logarithmic scales. Where the longest step that a period allows is already better than "
         "that error, its time stands there: nothing coarser exists.",
         "",
-        table(("machine", "error [rad]", "ours", "called every period", "MuJoCo's best",
+        format_table(("machine", "error [rad]", "ours", "called every period", "MuJoCo's best",
                "SciPy's best", "MuJoCo / ours", "MuJoCo / ours called"),
-              ((case["title"], target, *_cells(case, at)) for case in figures.values()
+              ((case["title"], target, *_format_cells(case, at)) for case in figures.values()
                for target, at in case["at_error"].items())),
         "",
-        *_limits(figures),
+        *_write_limits(figures),
     ]  # fmt: skip
     pictures = [("work_precision", "the robots")]
     if any(key not in ("three_axis", "ur5", "panda") for key in figures):
@@ -91,19 +91,19 @@ def report(figures: dict[str, Any]) -> str:
         lines += ["", f"![Error against wall time, {title}]({name}.png)"]
     lines += ["", "<details><summary>Error and time at each step size</summary>", ""]
     for case in figures.values():
-        lines += _table(case)
+        lines += _write_table(case)
     lines += ["</details>"]
     return "\n".join(lines)
 
 
-def _agreement(case: dict[str, Any]) -> list[str]:
+def _write_agreement(case: dict[str, Any]) -> list[str]:
     a = case["agreement"]
     verdict = "yes" if a["agree"] else "**no: comparison void**"
     return [case["title"], f"{a['mujoco']:.1e}", f"{a['ours']:.1e}", verdict]
 
 
-def _cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
-    cells = [_best(at[key]) for key in ("ours", "ours_from_python", "mujoco", "scipy")]
+def _format_cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
+    cells = [_format_best(at[key]) for key in ("ours", "ours_from_python", "mujoco", "scipy")]
     called = at["ours_from_python"]
     for ours in (at["ours"], called):
         comparable = ours and at["mujoco"] and case["agreement"]["agree"]
@@ -111,19 +111,19 @@ def _cells(case: dict[str, Any], at: dict[str, Any]) -> list[str]:
     return cells
 
 
-def _best(best: dict[str, Any] | None) -> str:
+def _format_best(best: dict[str, Any] | None) -> str:
     if best is None:
         return "not reached"
     name = best["name"].removeprefix("MuJoCo ").removeprefix("Pinocchio + SciPy ")
     method_text = "" if name == FROM_PYTHON else f" ({name})"
-    return f"{_milliseconds(best['time'])}{method_text}"
+    return f"{_format_milliseconds(best['time'])}{method_text}"
 
 
-def _milliseconds(seconds: float) -> str:
+def _format_milliseconds(seconds: float) -> str:
     return f"{seconds * 1e3:.3g} ms"
 
 
-def _limits(figures: dict[str, Any]) -> list[str]:
+def _write_limits(figures: dict[str, Any]) -> list[str]:
     """State where the comparison is not in our favour, and why it is as it is."""
     lines = [
         "What bounds these figures. With inductance all of MuJoCo's integrators are of first order,"
@@ -143,7 +143,7 @@ def _limits(figures: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _table(case: dict[str, Any]) -> list[str]:
+def _write_table(case: dict[str, Any]) -> list[str]:
     """Return one machine's errors and times, whole decades of the step."""
     dts = {p["dt"] for points in case["series"].values() for p in points if "dt" in p}
     steps = [dt for dt in PRINTED_STEPS if dt in dts]
@@ -151,25 +151,25 @@ def _table(case: dict[str, Any]) -> list[str]:
     for name, points in case["series"].items():
         if "dt" in points[0]:
             by_step = {p["dt"]: p for p in points}
-            rows.append((name, *(_point(by_step.get(dt)) for dt in steps)))
+            rows.append((name, *(_format_point(by_step.get(dt)) for dt in steps)))
     lines = [
         f"{case['title']}: error [rad], time per simulated second (spread: half the distance of "
         "the quartiles)",
         "",
-        table(("", *(f"{dt:g} s" for dt in steps)), rows),
+        format_table(("", *(f"{dt:g} s" for dt in steps)), rows),
     ]
     for name, points in case["series"].items():
         if "rtol" in points[0]:
-            points_text = "; ".join(f"rtol {p['rtol']:g}: {_point(p)}" for p in points)
+            points_text = "; ".join(f"rtol {p['rtol']:g}: {_format_point(p)}" for p in points)
             lines += ["", f"{name}: {points_text}."]
     return [*lines, ""]
 
 
-def _point(point: dict[str, Any] | None) -> str:
+def _format_point(point: dict[str, Any] | None) -> str:
     if point is None:
         return ""
     if point["error"] is None:
         return "diverged"
     time = WallTime(**point["time"])
     percent = f" ± {100 * time.spread:.0f} %" if time.repetitions > 1 else ""
-    return f"{point['error']:.1e}, {_milliseconds(time.median)}{percent}"
+    return f"{point['error']:.1e}, {_format_milliseconds(time.median)}{percent}"

@@ -36,7 +36,7 @@ from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import mixtures
 from oracles.mixtures import BRAKED, PERIOD, STEPS, Numbers, Rng, run
 from oracles.part_samples import draw_part, draw_scaled
-from oracles.random_chain import moving_joints, random_chain_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain
 from oracles.smoothed_reference import InputRow, SmoothedMachine, Smoothing
 
 ROWS = 14  # commands, each for a period
@@ -50,7 +50,7 @@ RESOLVED, ROUNDED = 1e-6, 1e-8
 SHARPER = Smoothing(speed=2e-6, resistance=1e6, rtol=1e-10)
 
 
-def _law(rng: Rng, name: str, dry: float, speed: float) -> Numbers:
+def _draw_friction(rng: Rng, name: str, dry: float, speed: float) -> Numbers:
     breakaway = {"coulomb": dry, "breakaway": dry * float(rng.uniform(1.05, 1.6))}
     return {
         "viscous": {"viscous": 0.1 * dry / speed},
@@ -88,7 +88,7 @@ def draw_joint(rng: Rng) -> Numbers:
             if at_rotor
             else (draw_scaled(rng, 0.2, 2.0), draw_scaled(rng, 0.05, 0.5))
         )
-        (joint["motor"] if at_rotor else joint)["friction"] = _law(rng, law, dry, speed)
+        (joint["motor"] if at_rotor else joint)["friction"] = _draw_friction(rng, law, dry, speed)
     for part in (EndStops, Brake):
         if rng.random() < 0.25:
             joint[part.section] = draw_part(part, rng)
@@ -98,21 +98,21 @@ def draw_joint(rng: Rng) -> Numbers:
 def write_sample(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 6161])
-    urdf = random_chain_urdf(rng, int(rng.integers(1, 3)))
-    joints = {name: draw_joint(rng) for name in moving_joints(urdf)}
+    urdf = write_random_chain(rng, int(rng.integers(1, 3)))
+    joints = {name: draw_joint(rng) for name in list_moving_joints(urdf)}
     return mixtures.write_scene(folder, urdf, joints)
 
 
-def commands(scene: Scene, seed: int) -> Array:
+def draw_commands(scene: Scene, seed: int) -> Array:
     """Return commands (ROWS, N) that jump, half of them 0, all of them in the first rows."""
     rng = np.random.default_rng([seed, 62])
-    rows = mixtures.commands(scene, seed)[:ROWS]
+    rows = mixtures.draw_commands(scene, seed)[:ROWS]
     rows[rng.random(rows.shape) < 0.5] = 0.0
     rows[: int(rng.integers(0, 4))] = 0.0
     return rows
 
 
-def truth_of(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
+def compute_truth(scene: Scene, rows: Array, smoothing: Smoothing) -> Array:
     """Return the reference's positions after each row."""
     dt = PERIOD / STEPS[0]  # that brakes follow in whole steps of
     braked = [BRAKED.start <= k < BRAKED.stop for k in range(len(rows))]
@@ -197,24 +197,24 @@ def judge(seed: int) -> AloneVerdict:
     with tempfile.TemporaryDirectory() as folder:
         file = write_sample(Path(folder), seed)
 
-        def scene(steps: int, events: str) -> Scene:
+        def load(steps: int, events: str) -> Scene:
             scheme = schemes[0 if events == "located" else 1]
             integrator = {"scheme": scheme, "events": events, "dt": PERIOD / steps}
             return load_scene(file, {"integrator": integrator})
 
-        first = scene(STEPS[0], "located")
+        first = load(STEPS[0], "located")
         parts = sorted({type(part).__name__ for joint in first.joints for part in joint.parts})
-        rows = commands(first, seed)
-        truth, sharper = truth_of(first, rows, Smoothing()), 0.0
+        rows = draw_commands(first, seed)
+        truth, sharper = compute_truth(first, rows, Smoothing()), 0.0
         try:
             located, q = mixtures.converge(
-                seed, parts, lambda steps: run(scene(steps, "located"), seed, rows, steps)
+                seed, parts, lambda steps: run(load(steps, "located"), seed, rows, steps)
             )
             if np.abs(q - truth).max() > RESOLVED:
-                blunt, truth = truth, truth_of(first, rows, SHARPER)
+                blunt, truth = truth, compute_truth(first, rows, SHARPER)
                 sharper = float(np.abs(truth - blunt).max())
             coarse, fine, finer = (
-                _worst([run(scene(n, "step"), seed, rows, n) for n in steps], q)
+                _find_worst([run(load(n, "step"), seed, rows, n) for n in steps], q)
                 for steps in (COARSE, FINE, FINER)
             )
             error, left = (
@@ -222,7 +222,7 @@ def judge(seed: int) -> AloneVerdict:
             )
             lanes = 0.0
             if seed % 4 == 0:
-                lanes = mixtures.lanes_apart(scene(COARSE[1], "step"), seed, rows)
+                lanes = mixtures.compare_lanes(load(COARSE[1], "step"), seed, rows)
         except Diverged as fault:
             return AloneVerdict(seed, parts, schemes, note=str(fault))
     return AloneVerdict(
@@ -233,5 +233,5 @@ def judge(seed: int) -> AloneVerdict:
     )  # fmt: skip
 
 
-def _worst(runs: list[tuple[Array, float]], q: Array) -> tuple[float, float]:
+def _find_worst(runs: list[tuple[Array, float]], q: Array) -> tuple[float, float]:
     return max(float(np.abs(own - q).max()) for own, _ in runs), max(left for _, left in runs)

@@ -2,7 +2,7 @@
 
 For every arm a scene is made by `arm_emulator new`; the whole machine, servo and motion controller
 are then sent on random moves of 50 and 300 mm (less for small arms) between poses within the
-joint limits. A move counts as arrived if the true tool rests where `predicted_residual` predicts.
+joint limits. A move counts as arrived if the true tool rests where `predict_residual` states.
 What the true tool does on the way is judged, too: how far it goes past the place where it comes to
 rest, how far from the straight line it is, and the links' speeds, accelerations and torques.
 Without names: every robot of example-robot-data with an arm, and those of oracles/own_robots.py.
@@ -34,7 +34,7 @@ from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.runs.gains import Gains
 from oracles.own_robots import OWN
-from oracles.predicted_residual import predicted_residual
+from oracles.predicted_residual import predict_residual
 
 DISTANCES = (0.05, 0.3)  # m, for arms that reach `FULL_REACH`; smaller ones go as much less
 DISTANCES_NAMED = [f"{distance * 1e3:g} mm" for distance in DISTANCES]
@@ -112,7 +112,7 @@ class ArmOutcome:
         return [tool_move for tool_move in self.moves if not tool_move.words]
 
 
-def arms() -> dict[str, Path | str]:
+def list_arms() -> dict[str, Path | str]:
     """Return all arms by name: the file of a description, or the name of one of ours."""
     robots: dict[str, Path | str] = {f"own: {name}": name for name in OWN}
     shipped = find_example_robot_data()
@@ -132,7 +132,7 @@ def examine(name: str, robot: Path | str, count: int) -> ArmOutcome:
         else:
             file = robot
         try:
-            written = scene_of(file, Path(folder) / "new")
+            written = make_arm_scene(file, Path(folder) / "new")
             scene, gains = load_scene(written.file), load_gains(written.file)
         except Refusal as refusal:
             outcome.refused = str(refusal)
@@ -143,13 +143,13 @@ def examine(name: str, robot: Path | str, count: int) -> ArmOutcome:
         for distance, key in zip(DISTANCES, DISTANCES_NAMED, strict=True):
             length = distance * min(1.0, kinematics.reach / FULL_REACH)
             for _ in range(count):
-                pair = reachable(kinematics, length, rng)
+                pair = draw_reachable(kinematics, length, rng)
                 if pair is not None:
                     outcome.moves.append(move(scene, gains, key, *pair))
     return outcome
 
 
-def scene_of(file: Path, folder: Path) -> NewScene:
+def make_arm_scene(file: Path, folder: Path) -> NewScene:
     """Make a scene of an arm; some robots of example-robot-data have impossible inertias."""
     try:
         return write_new(file, folder)
@@ -159,7 +159,7 @@ def scene_of(file: Path, folder: Path) -> NewScene:
         return write_new(file, folder, replace_inertias=True)
 
 
-def reachable(
+def draw_reachable(
     kinematics: Kinematics, length: float, rng: np.random.Generator
 ) -> tuple[Array, Array] | None:
     """Draw two poses within the limits between which the tool moves by `length` [m].
@@ -221,7 +221,7 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> To
             if step and step % look == 0:
                 error = kinematics.tool_error(state.q, target)
                 wind_up = scene.wind_up(state.gear_torque) - run.wind_up
-                predicted = predicted_residual(run.controller, state.q, counts, wind_up)
+                predicted = predict_residual(run.controller, state.q, counts, wind_up)
                 off = np.abs(error - predicted.wind_up) - predicted.encoder
                 rested = rested + 1 if (off <= 0.0).all() else 0
                 words = f"off by {np.abs(error[:3]).max() * 1e3:.3g} mm, " + "; ".join(
@@ -239,7 +239,7 @@ def move(scene: Scene, gains: Gains, distance: str, q: Array, goal: Array) -> To
     accelerations = np.diff(speeds, axis=0) / sample
     tool_move.peak_acceleration = _find_largest(accelerations, kinematics.acceleration_limit)
     tool_move.peak_torque = _find_largest(np.array(torques), kinematics.effort_limit)
-    tool_move.length, tool_move.past, tool_move.aside = along_its_line(np.array(tool_path))
+    tool_move.length, tool_move.past, tool_move.aside = measure_along_line(np.array(tool_path))
     return tool_move
 
 
@@ -248,7 +248,7 @@ def _find_largest(rows: Array, limits: Array) -> float:
     return float((np.abs(rows) / limits).max(initial=0.0))
 
 
-def along_its_line(tool_path: Array) -> tuple[float, float, float]:
+def measure_along_line(tool_path: Array) -> tuple[float, float, float]:
     """Return length of the line from a way's first to its last point, how far the way goes past its
     end, and how far aside of it, for points (K, 3) [m].
     """

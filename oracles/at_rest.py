@@ -30,7 +30,7 @@ from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, remove_kind
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
-from oracles.reference import links_model
+from oracles.reference import make_links_model
 
 SHIPPED = ("three_axis", "ur5", "panda", "manutec_r3", "kuka_kr300")
 STEPS = 40  # of the scene's length, which a machine must survive
@@ -93,7 +93,7 @@ class RestEquations:
     """Equilibrium of a scene at rest: Pinocchio's M and nle, and the magnitudes of friction."""
 
     def __init__(self, scene: Scene, payload: Mapping[str, Any] | None) -> None:
-        self.model = links_model(scene, payload)
+        self.model = make_links_model(scene, payload)
         self.data = self.model.createData()
         self.carried = np.array(
             [
@@ -140,13 +140,13 @@ class RestEquations:
         return slides * felt, holds * felt
 
 
-def equations_of(name: str) -> RestEquations:
+def load_equations(name: str) -> RestEquations:
     """Return those of a shipped scene."""
     payload = read_yaml(find_config(name, ".yaml")).get("payload")
     return RestEquations(load_scene(name, ALONE), payload)
 
 
-def scene_of(case: RestCase, equations: RestEquations, dt: float | None = None) -> Scene:
+def make_case_scene(case: RestCase, equations: RestEquations, dt: float | None = None) -> Scene:
     """Return the scene of a case, friction sized to what its joints carry; dt: of its steps."""
     at_rotor = case.place == "rotor"
     ratio = equations.ratio if at_rotor else np.ones_like(equations.ratio)
@@ -170,8 +170,8 @@ def scene_of(case: RestCase, equations: RestEquations, dt: float | None = None) 
 def judge(case: RestCase, poses: int, equations: RestEquations) -> list[str]:
     """Return in a line each what is wrong in so many random poses."""
     rng = np.random.default_rng(zlib.crc32(repr(case).encode()))
-    plant = Plant(scene_of(case, equations))
-    instant = Plant(scene_of(case, equations, INSTANT))
+    plant = Plant(make_case_scene(case, equations))
+    instant = Plant(make_case_scene(case, equations, INSTANT))
     still, wrong = np.zeros(len(equations.ratio)), []
     for _ in range(poses):
         q = rng.uniform(-REACH, REACH, len(still))
@@ -189,7 +189,7 @@ def judge(case: RestCase, poses: int, equations: RestEquations) -> list[str]:
     return wrong
 
 
-def cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[RestCase]:
+def list_cases(scenes: tuple[str, ...], schemes: tuple[str, ...]) -> list[RestCase]:
     """Return all cases; schemes that locate events do so and do not."""
     return [
         RestCase(scene, place, law, scheme, events, weightless)

@@ -10,7 +10,7 @@ from arm_emulator.base.arrays import Array
 SMALL = 0.02  # of the way: errors below count no more
 
 
-def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> Array:
+def predict_errors(weight: float, step_response: npt.ArrayLike, instructions: int) -> Array:
     """Return the error of the tool after each instruction of eq. (6), in parts of its way.
 
     Let S_m be the part of a step of its target that the servo has gone m motion periods later,
@@ -41,7 +41,7 @@ def expected_errors(weight: float, step_response: npt.ArrayLike, instructions: i
     return errors[1:]
 
 
-def convergence_factor(errors: npt.ArrayLike) -> float:
+def compute_convergence_factor(errors: npt.ArrayLike) -> float:
     """Return the factor by which an instruction makes the error smaller, in the mean.
 
     Args:

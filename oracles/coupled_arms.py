@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from arm_emulator.base.arrays import Array
-from oracles.own_robots import RobotPart, serial
+from oracles.own_robots import RobotPart, write_serial
 
 GRAVITY = (0.4, -1.1, -9.7)
 Shares = dict[str, dict[str, float]]
@@ -50,7 +50,7 @@ ARMS: dict[str, tuple[list[RobotPart], Shares]] = {
 }
 
 
-def shafts_of(parts: list[RobotPart], shares: Shares) -> list[str]:
+def list_shafts(parts: list[RobotPart], shares: Shares) -> list[str]:
     """Return the joints by whose names shafts go."""
     names = [f"j{k + 1}" for k in range(len(parts))]
     used = {shaft for row in shares.values() for shaft in row}
@@ -91,14 +91,14 @@ class Lagrange:
         return np.linalg.solve(system, np.concatenate([-nle, -T, np.zeros(L)]))[L : L + N]
 
 
-def matrix(parts: list[RobotPart], shares: Shares) -> Array:
+def make_coupling_matrix(parts: list[RobotPart], shares: Shares) -> Array:
     """Return C, a row per joint, a column per shaft."""
-    shafts = shafts_of(parts, shares)
+    shafts = list_shafts(parts, shares)
     rows = [shares.get(name, {name: 1.0}) for name in (f"j{k + 1}" for k in range(len(parts)))]
     return np.array([[row.get(shaft, 0.0) for shaft in shafts] for row in rows])
 
 
-def mimicking(text: str, joint: str, of: str, multiplier: float, offset: float) -> str:
+def write_mimic(text: str, joint: str, of: str, multiplier: float, offset: float) -> str:
     """Return a description one of whose joints copies another."""
     robot = ET.fromstring(text)
     for element in robot.findall("joint"):
@@ -109,10 +109,10 @@ def mimicking(text: str, joint: str, of: str, multiplier: float, offset: float) 
     return ET.tostring(robot, encoding="unicode")
 
 
-def described(name: str) -> str:
+def write_description(name: str) -> str:
     """Return the description of one of `ARMS`, with its couplings."""
     parts, shares = ARMS[name]
-    robot = ET.fromstring(serial(name.replace(" ", "_"), parts))
+    robot = ET.fromstring(write_serial(name.replace(" ", "_"), parts))
     for joint in robot.findall("joint"):
         for shaft, share in shares.get(joint.get("name", ""), {}).items():
             ET.SubElement(joint, "coupling", joint=shaft, multiplier=repr(share))

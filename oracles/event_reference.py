@@ -161,7 +161,7 @@ class MachineWithModes(ReferenceMachine):
         return room
 
 
-def reference_with_events(
+def solve_with_events(
     scene: Scene, commands: ArrayLike, period: float, rtol: float = 1e-12
 ) -> tuple[Array, int]:
     """Return the link positions after each row (K, N) from rest at the scene's start, and events.

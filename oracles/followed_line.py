@@ -135,10 +135,10 @@ def follow(
     )
     run = OfflineRun(scene, dataclasses.replace(gains.servo, joints=joints), motion)
     names = run.controller.kinematics.joint_names
-    run.controller = make_controller(_scaled(scene.urdf, assumed.inertia), names, motion)
+    run.controller = make_controller(_scale_inertia(scene.urdf, assumed.inertia), names, motion)
     kinematics, along = run.controller.kinematics, np.array(line.along)
     run.advance(round(SETTLE / scene.servo_period))
-    R_WT, start = kinematics.forward(_reference(run))
+    R_WT, start = kinematics.forward(_read_reference(run))
     ends = Pose(start, R_WT), Pose(start + line.length * along, R_WT)
     if practised:
         run.instructor.add_path(run.controller, (*ends, ends[0]))
@@ -154,12 +154,12 @@ def follow(
         tool = kinematics.forward(run.session.state.q)[1]
         times.append(run.session.logical_ns * 1e-9)
         run.advance(run.motion_ticks)
-        references.append(_reference(run))
+        references.append(_read_reference(run))
         wind_ups.append(run.wind_up)
         reference = kinematics.forward(references[-1])[1]
         places.append(float((reference - start) @ along))
         deviations.append((tool - reference) @ frame)
-    ahead = np.array(wind_ups) - _wind_up(scene, np.array(references), motion.period)
+    ahead = np.array(wind_ups) - _compute_wind_up(scene, np.array(references), motion.period)
     astray = [
         np.linalg.norm(kinematics.forward(q + off)[1] - kinematics.forward(q)[1])
         for q, off in zip(references, ahead, strict=True)
@@ -172,7 +172,7 @@ def _is_at_end(places: list[float], line: ToolLine) -> bool:
     return bool(places) and places[-1] > line.length - 1e-6
 
 
-def _wind_up(scene: Scene, q: Array, period: float) -> Array:
+def _compute_wind_up(scene: Scene, q: Array, period: float) -> Array:
     """Return by how much the scene's own gears are wound up along a motion of the links (K, N)."""
     drives = list_drive_parameters(scene.joints)
     arm = ElasticArm(
@@ -187,13 +187,13 @@ def _wind_up(scene: Scene, q: Array, period: float) -> Array:
     return np.array([arm.at(*row, still).theta - row[0] for row in rows])
 
 
-def _reference(run: OfflineRun) -> Array:
+def _read_reference(run: OfflineRun) -> Array:
     """Return the angles of the links that the servo was asked for last (N,)."""
     target: Array = run.drives.servo.state["q_target"] - run.wind_up
     return target
 
 
-def _scaled(urdf: str, part: float) -> str:
+def _scale_inertia(urdf: str, part: float) -> str:
     """Return a robot description whose links have a part of their mass and inertia."""
     robot = ET.fromstring(urdf)
     for inertial in robot.iter("inertial"):

@@ -45,7 +45,7 @@ from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator_fleet import Fleet
 from oracles.part_samples import draw_part, draw_scaled
-from oracles.random_chain import moving_joints, random_chain_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them
 STEPS = (20, 40, 80)  # in a period
@@ -62,13 +62,13 @@ Numbers = dict[str, Any]
 Kind = TypeVar("Kind")
 
 
-def _rotor(rng: Rng) -> Numbers:
+def _draw_rotor(rng: Rng) -> Numbers:
     inertia = draw_scaled(rng, 5e-5, 3e-4)
-    law = draw_part(any_of(rng, ROTOR_FRICTIONS), rng)
+    law = draw_part(choose_any(rng, ROTOR_FRICTIONS), rng)
     return {"rotor_inertia": inertia, **({"friction": law} if rng.random() < 0.5 else {})}
 
 
-def any_of(rng: Rng, kinds: Sequence[Kind]) -> Kind:
+def choose_any(rng: Rng, kinds: Sequence[Kind]) -> Kind:
     """Return one of some kinds of parts, each as often as the others."""
     return kinds[int(rng.integers(len(kinds)))]
 
@@ -82,7 +82,7 @@ def draw_motor(rng: Rng, kind: type[Motor]) -> Numbers:
             and is_suitable(decorator, motor | {"rotor_inertia": 1e-4})
             and rng.random() < 0.5
         ):
-            motor[key_of(decorator)] = draw_part(decorator, rng)
+            motor[get_section_key(decorator)] = draw_part(decorator, rng)
     return motor
 
 
@@ -90,17 +90,17 @@ def draw_joint(rng: Rng) -> Numbers:
     """Return the scene's section of a joint with random parts."""
     joint: Numbers = {}
     if rng.random() < 0.6:
-        joint["friction"] = draw_part(any_of(rng, LINK_FRICTIONS), rng)
+        joint["friction"] = draw_part(choose_any(rng, LINK_FRICTIONS), rng)
     if rng.random() < 0.9:
-        joint["motor"] = {**draw_motor(rng, any_of(rng, MOTORS)), **_rotor(rng)}
-        joint["gear"] = draw_part(any_of(rng, GEARS), rng)
+        joint["motor"] = {**draw_motor(rng, choose_any(rng, MOTORS)), **_draw_rotor(rng)}
+        joint["gear"] = draw_part(choose_any(rng, GEARS), rng)
     for extra in EXTRAS:
         if rng.random() < 0.3 and (place := place_of(joint, extra)) is not None:
-            place[key_of(extra)] = draw_part(extra, rng)
+            place[get_section_key(extra)] = draw_part(extra, rng)
     return joint
 
 
-def key_of(part: type[Part]) -> str:
+def get_section_key(part: type[Part]) -> str:
     """Return the key of a part's section in the one above."""
     return part.section.rpartition(".")[2]
 
@@ -119,7 +119,7 @@ def add_surroundings(rng: Rng, scene: Numbers) -> None:
             continue
         for kind in DECORATORS[::-1]:
             if is_suitable(kind, motor) and rng.random() < 0.3:
-                motor[key_of(kind)] = draw_part(kind, rng)
+                motor[get_section_key(kind)] = draw_part(kind, rng)
         if rng.random() < 0.2:
             joint[Brake.section] = draw_part(Brake, rng)
     scene["external_wrench"] = bool(rng.random() < 0.3)
@@ -140,8 +140,8 @@ def is_suitable(kind: type[DriveStage], motor: Numbers) -> bool:
 def write_mixture(folder: Path, seed: int) -> Path:
     """Write the scene of a mixture and return its path."""
     rng = np.random.default_rng([seed, 4242])
-    urdf = random_chain_urdf(rng, 2)
-    joints = {name: draw_joint(rng) for name in moving_joints(urdf)}
+    urdf = write_random_chain(rng, 2)
+    joints = {name: draw_joint(rng) for name in list_moving_joints(urdf)}
     scene: Numbers = {"joints": joints}
     add_surroundings(np.random.default_rng([seed, 4243]), scene)
     return write_scene(folder, urdf, joints, external_wrench=scene["external_wrench"])
@@ -167,7 +167,7 @@ def draw_alone(part: type[Part], seed: int) -> Numbers:
     else:
         section, place = draw_part(part, rng), place_of(joint, part)
         assert place is not None, "it has a motor and a gear"
-        place[key_of(part)] = section
+        place[get_section_key(part)] = section
     return joint
 
 
@@ -230,7 +230,7 @@ class MixtureVerdict:
         }
 
 
-def commands(scene: Scene, seed: int) -> np.ndarray:
+def draw_commands(scene: Scene, seed: int) -> np.ndarray:
     """Return commands (ROWS, N) that jump, in the unit of each motor."""
     rng = np.random.default_rng([seed, 77])
     size = np.array([LARGEST[joint.unit] if joint.motor else 0.0 for joint in scene.joints])
@@ -265,18 +265,18 @@ def judge(seed: int) -> MixtureVerdict:
     with tempfile.TemporaryDirectory() as folder:
         file = write_mixture(Path(folder), seed)
 
-        def scene(steps: int, events: str = "located") -> Scene:
+        def load(steps: int, events: str = "located") -> Scene:
             return load_scene(file, {"integrator.dt": PERIOD / steps, "integrator.events": events})
 
-        first = scene(STEPS[0])
+        first = load(STEPS[0])
         parts = sorted({type(part).__name__ for joint in first.joints for part in joint.parts})
         if first.external_wrench:
             parts.append("ExternalWrench")
-        rows = commands(first, seed)
+        rows = draw_commands(first, seed)
         try:
-            verdict, _ = converge(seed, parts, lambda steps: run(scene(steps), seed, rows, steps))
+            verdict, _ = converge(seed, parts, lambda steps: run(load(steps), seed, rows, steps))
             if seed % 3 == 0:
-                verdict = replace(verdict, lanes=lanes_apart(scene(STEPS[1], "step"), seed, rows))
+                verdict = replace(verdict, lanes=compare_lanes(load(STEPS[1], "step"), seed, rows))
         except Diverged as fault:
             return MixtureVerdict(
                 seed, parts, 0.0, (0.0, 0.0), (), (), 0.0, f"Diverged: {fault.joint}"
@@ -295,15 +295,15 @@ def converge(
         run_in: positions after each row, and what is left of the energy, by steps in a period.
     """
     steps, runs = STEPS[-1], [run_in(steps) for steps in STEPS]
-    verdict = _verdict(seed, parts, runs, STEPS)
+    verdict = _judge(seed, parts, runs, STEPS)
     while not (verdict.is_in_order and verdict.is_balanced) and 2 * steps <= FINEST:
         steps *= 2
         runs = [*runs[1:], run_in(steps)]
-        verdict = _verdict(seed, parts, runs, (steps // 4, steps // 2, steps))
+        verdict = _judge(seed, parts, runs, (steps // 4, steps // 2, steps))
     return verdict, runs[-1][0]
 
 
-def _verdict(
+def _judge(
     seed: int, parts: list[str], runs: list[tuple[np.ndarray, float]], steps: tuple[int, ...]
 ) -> MixtureVerdict:
     d = [float(np.abs(a - b).max()) for (a, _), (b, _) in pairwise(runs)]
@@ -313,7 +313,7 @@ def _verdict(
     )
 
 
-def lanes_apart(scene: Scene, seed: int, rows: np.ndarray) -> float:
+def compare_lanes(scene: Scene, seed: int, rows: np.ndarray) -> float:
     """Return by how much machines side by side differ from the same machines alone."""
     fleet, worst = Fleet(scene, LANES), 0.0
     factors = 1.0 - 0.1 * np.arange(LANES)

@@ -34,7 +34,7 @@ class Robot:
 
     def link(self, name: str, part: RobotPart | None = None) -> None:
         """Add a link, with the inertia of a part."""
-        inertial = _inertial(part) if part is not None and part.mass > 0.0 else ""
+        inertial = _write_inertial(part) if part is not None and part.mass > 0.0 else ""
         self.elements.append(f'<link name="{name}">{inertial}</link>')
 
     def joint(self, name: str, kind: str, ends: tuple[str, str], xyz: str, inside: str) -> None:
@@ -55,7 +55,9 @@ class Robot:
         )
 
 
-def serial(name: str, parts: list[RobotPart], base_rpy: str = "0 0 0", tool: str = "tool0") -> str:
+def write_serial(
+    name: str, parts: list[RobotPart], base_rpy: str = "0 0 0", tool: str = "tool0"
+) -> str:
     """Return the URDF of a serial arm with joints j1, j2, ... and a massless tool frame."""
     robot = Robot(name)
     robot.link("world")
@@ -64,14 +66,20 @@ def serial(name: str, parts: list[RobotPart], base_rpy: str = "0 0 0", tool: str
     at, link = (0.0, 0.0, 0.0), "base"
     for k, part in enumerate(parts, start=1):
         robot.link(f"l{k}", part)
-        robot.joint(f"j{k}", part.kind, (link, f"l{k}"), _words(at), f"{part.rpy}|{_rest(part)}")
+        robot.joint(
+            f"j{k}",
+            part.kind,
+            (link, f"l{k}"),
+            _format_words(at),
+            f"{part.rpy}|{_write_rest(part)}",
+        )
         at, link = part.rod, f"l{k}"
     robot.link(tool)
-    robot.joint("flange", "fixed", (link, tool), _words(at), "0 0 0|")
+    robot.joint("flange", "fixed", (link, tool), _format_words(at), "0 0 0|")
     return robot.text()
 
 
-def _rest(part: RobotPart) -> str:
+def _write_rest(part: RobotPart) -> str:
     words = f'<axis xyz="{part.axis}"/>'
     limits = {"effort": part.effort, "velocity": part.velocity}
     if part.limits is not None:
@@ -83,11 +91,11 @@ def _rest(part: RobotPart) -> str:
     return words + (f"<limit{attributes}/>" if attributes else "") + mimic
 
 
-def _words(p: tuple[float, float, float]) -> str:
+def _format_words(p: tuple[float, float, float]) -> str:
     return " ".join(map(repr, p))
 
 
-def _inertial(part: RobotPart) -> str:
+def _write_inertial(part: RobotPart) -> str:
     """Return the inertia of a solid cylinder along the rod, upright where the rod has no length."""
     x, y, z = part.rod
     length = math.hypot(x, y, z)
@@ -105,12 +113,12 @@ def _inertial(part: RobotPart) -> str:
                 entries[f"i{a}{b}"] = value
     tensor = " ".join(f'{key}="{value!r}"' for key, value in entries.items())
     return (
-        f'<inertial><origin xyz="{_words((x / 2, y / 2, z / 2))}"/><mass value="{m!r}"/>'
+        f'<inertial><origin xyz="{_format_words((x / 2, y / 2, z / 2))}"/><mass value="{m!r}"/>'
         f"<inertia {tensor}/></inertial>"
     )
 
 
-def _wrist(mass: float = 0.8) -> list[RobotPart]:
+def _make_wrist(mass: float = 0.8) -> list[RobotPart]:
     """Return three joints whose axes meet in a point."""
     return [
         RobotPart("1 0 0", (0.0, 0.0, 0.0), mass),
@@ -121,12 +129,12 @@ def _wrist(mass: float = 0.8) -> list[RobotPart]:
 
 def pendulum() -> str:
     """Return one joint."""
-    return serial("pendulum", [RobotPart("0 1 0", (0.5, 0.0, 0.0), 2.0)])
+    return write_serial("pendulum", [RobotPart("0 1 0", (0.5, 0.0, 0.0), 2.0)])
 
 
 def planar() -> str:
     """Return two joints in a vertical plane."""
-    return serial(
+    return write_serial(
         "planar", [RobotPart("0 1 0", (0.4, 0.0, 0.0), 3.0), RobotPart("0 1 0", (0.3, 0.0, 0.0))]
     )
 
@@ -134,7 +142,7 @@ def planar() -> str:
 def scara() -> str:
     """Return a SCARA: two turns, a slide, a turn."""
     slide = RobotPart("0 0 1", (0.0, 0.0, -0.2), 1.0, "prismatic", (-0.2, 0.0), 200.0, 1.0)
-    return serial(
+    return write_serial(
         "scara",
         [
             RobotPart(
@@ -155,7 +163,7 @@ def gantry() -> str:
     def axis(direction: str, reach: float, mass: float) -> RobotPart:
         return RobotPart(direction, (0.0, 0.0, 0.0), mass, "prismatic", (0.0, reach), None, 1.0)
 
-    return serial(
+    return write_serial(
         "gantry",
         [axis("1 0 0", 2.0, 60.0), axis("0 1 0", 1.2, 30.0), axis("0 0 1", 0.8, 12.0)],
     )
@@ -167,7 +175,7 @@ def gantry_with_turn() -> str:
     def axis(direction: str, reach: float, mass: float) -> RobotPart:
         return RobotPart(direction, (0.0, 0.0, 0.1), mass, "prismatic", (-reach, reach), None, None)
 
-    return serial(
+    return write_serial(
         "gantry_with_turn",
         [
             axis("1 0 0", 0.6, 20.0),
@@ -180,7 +188,7 @@ def gantry_with_turn() -> str:
 
 def telescopic() -> str:
     """Return two turns and a boom of two slides."""
-    return serial(
+    return write_serial(
         "telescopic",
         [
             RobotPart("0 0 1", (0.0, 0.0, 0.4), 20.0),
@@ -193,7 +201,7 @@ def telescopic() -> str:
 
 def five_joints() -> str:
     """Return a hobby arm."""
-    return serial(
+    return write_serial(
         "five_joints",
         [
             RobotPart("0 0 1", (0.0, 0.0, 0.15), 1.0, effort=6.0, velocity=4.0),
@@ -207,7 +215,7 @@ def five_joints() -> str:
 
 def spherical_wrist() -> str:
     """Return a heavy arm whose last axes meet."""
-    return serial(
+    return write_serial(
         "spherical_wrist",
         [
             RobotPart("0 0 1", (0.15, 0.0, 0.4), 60.0, effort=1500.0, velocity=2.2, radius=0.12),
@@ -217,20 +225,20 @@ def spherical_wrist() -> str:
             RobotPart(
                 "0 1 0", (0.7, 0.0, 0.0), 25.0, limits=(-2.9, 1.2), effort=800.0, velocity=2.2
             ),
-            *_wrist(6.0),
+            *_make_wrist(6.0),
         ],
     )
 
 
 def tilted() -> str:
     """Return the arm with the spherical wrist, hung from a slope."""
-    return serial(
+    return write_serial(
         "tilted",
         [
             RobotPart("0 0 1", (0.0, 0.0, 0.2), 5.0),
             RobotPart("0 1 0", (0.0, 0.0, 0.4), 4.0),
             RobotPart("0 1 0", (0.35, 0.0, 0.0), 3.0),
-            *_wrist(),
+            *_make_wrist(),
         ],
         base_rpy="2.6 0.3 0.5",
     )
@@ -238,21 +246,21 @@ def tilted() -> str:
 
 def seven_joints() -> str:
     """Return a redundant arm."""
-    return serial(
+    return write_serial(
         "seven_joints",
         [
             RobotPart("0 0 1", (0.0, 0.0, 0.3), 4.0),
             RobotPart("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
             RobotPart("0 0 1", (0.05, 0.0, 0.2), 3.0),
             RobotPart("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
-            *_wrist(),
+            *_make_wrist(),
         ],
     )
 
 
 def on_a_rail() -> str:
     """Return eight joints, a rail first."""
-    return serial(
+    return write_serial(
         "on_a_rail",
         [
             RobotPart("0 1 0", (0.0, 0.0, 0.2), 50.0, "prismatic", (-2.0, 2.0), None, 1.5),
@@ -260,7 +268,7 @@ def on_a_rail() -> str:
             RobotPart("0 1 0", (0.0, 0.0, 0.2), 3.0, limits=(-2.0, 2.0)),
             RobotPart("0 0 1", (0.05, 0.0, 0.2), 3.0),
             RobotPart("0 -1 0", (-0.05, 0.0, 0.35), 2.0, limits=(-2.5, -0.1)),
-            *_wrist(),
+            *_make_wrist(),
         ],
     )
 
@@ -268,7 +276,7 @@ def on_a_rail() -> str:
 def nine_joints() -> str:
     """Return a snake of continuous joints without any limits."""
     axes = ["0 0 1", "0 1 0", "1 0 0"] * 3
-    return serial(
+    return write_serial(
         "nine_joints",
         [RobotPart(axis, (0.05, 0.0, 0.15), 1.0, "continuous", None) for axis in axes],
     )

@@ -1,8 +1,8 @@
 """Pairs of parts, at one joint and at two: the order that the pages promise.
 
-A machine is a random chain of two links whose joints have many parts each. `machines` continues
-until each part has stood beside every part that a joint can have with it, and opposite every part
-at the other joint.
+A machine is a random chain of two links whose joints have many parts each. `draw_machines`
+continues until each part has stood beside every part that a joint can have with it, and opposite
+every part at the other joint.
 
 All numbers are data of a machine, so that many draws share one library. A draw replaces all of
 them. Some parts get the numbers that switch them off, and others 0 where 0 is allowed: the
@@ -49,14 +49,14 @@ from oracles.mixtures import (
     LARGEST,
     ORDER,
     RESOLVED,
-    any_of,
+    choose_any,
+    get_section_key,
     is_suitable,
-    key_of,
     place_of,
     write_scene,
 )
 from oracles.part_samples import draw_part
-from oracles.random_chain import moving_joints, random_chain_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain
 
 Rng = np.random.Generator
 Kind = type[Part]
@@ -103,14 +103,17 @@ class RandomJoint:
             kind = kind.of(read_motor(Section(self.section["motor"], "pair")))
         place = place_of(self.section, kind)
         if place is not None:
-            place[key_of(kind)] = {**draw_part(kind, rng), **place.get(key_of(kind), {})}
+            place[get_section_key(kind)] = {
+                **draw_part(kind, rng),
+                **place.get(get_section_key(kind), {}),
+            }
             self.kinds.append(kind)
 
 
 def draw_random_joint(rng: Rng) -> RandomJoint:
     """Return a joint with a motor, a gear, friction of both shafts, and half of all else."""
     joint = RandomJoint()
-    motor = any_of(rng, MOTORS)
+    motor = choose_any(rng, MOTORS)
     joint.section["motor"] = {"kind": motor.kind, "rotor_inertia": float(rng.uniform(5e-5, 3e-4))}
     joint.put(motor, rng)
     for decorator in DECORATORS:
@@ -118,7 +121,7 @@ def draw_random_joint(rng: Rng) -> RandomJoint:
             joint.put(decorator, rng)
     always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
     for kinds in always:
-        joint.put(any_of(rng, kinds), rng)
+        joint.put(choose_any(rng, kinds), rng)
     gear = joint.section["gear"]
     within_gear = GEAR_STAGES if "stiffness" in gear and "backlash" not in gear else ()
     sometimes: tuple[Kind, ...] = (Brake, *within_gear, *EXTRAS)
@@ -128,7 +131,7 @@ def draw_random_joint(rng: Rng) -> RandomJoint:
     return joint
 
 
-def pairs_of(joints: tuple[RandomJoint, RandomJoint]) -> set[Pair]:
+def list_pairs(joints: tuple[RandomJoint, RandomJoint]) -> set[Pair]:
     """Return the pairs of parts that stand beside or opposite each other."""
     names = [[kind.__name__ for kind in joint.kinds] for joint in joints]
     beside = (itertools.combinations(kinds, 2) for kinds in names)
@@ -138,27 +141,27 @@ def pairs_of(joints: tuple[RandomJoint, RandomJoint]) -> set[Pair]:
 
 
 @cache
-def all_pairs() -> frozenset[Pair]:
+def list_all_pairs() -> frozenset[Pair]:
     """Return the pairs that machines can have."""
     rng = np.random.default_rng(0)
-    pairs = (pairs_of((draw_random_joint(rng), draw_random_joint(rng))) for _ in range(1500))
+    pairs = (list_pairs((draw_random_joint(rng), draw_random_joint(rng))) for _ in range(1500))
     return frozenset(set().union(*pairs))
 
 
-def machines() -> Iterator[tuple[RandomJoint, RandomJoint]]:
+def draw_machines() -> Iterator[tuple[RandomJoint, RandomJoint]]:
     """Yield the joints of machines until they have had all pairs."""
-    rng, left = np.random.default_rng(1), set(all_pairs())
+    rng, left = np.random.default_rng(1), set(list_all_pairs())
     while left:
         some = [(draw_random_joint(rng), draw_random_joint(rng)) for _ in range(CANDIDATES)]
-        best = max(some, key=lambda joints: len(left & pairs_of(joints)))
-        left -= pairs_of(best)
+        best = max(some, key=lambda joints: len(left & list_pairs(joints)))
+        left -= list_pairs(best)
         yield best
 
 
 def write_machine(folder: Path, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Path:
     """Write the scene of a machine, all of whose numbers may differ, and return its path."""
-    urdf = random_chain_urdf(np.random.default_rng([seed, 51]), 2)
-    sections = dict(zip(moving_joints(urdf), (joint.section for joint in joints), strict=True))
+    urdf = write_random_chain(np.random.default_rng([seed, 51]), 2)
+    sections = dict(zip(list_moving_joints(urdf), (joint.section for joint in joints), strict=True))
     return write_scene(folder, urdf, sections, varied=["joints.*"], energy_flow=False)
 
 
@@ -228,7 +231,7 @@ class PairVerdict:
     in_order: bool
 
 
-def moved(file: Path, sample: Draw, steps: int, scheme: str, events: str) -> np.ndarray:
+def simulate_sample(file: Path, sample: Draw, steps: int, scheme: str, events: str) -> np.ndarray:
     """Return the positions after each command."""
     integrator = {"dt": PERIOD / steps, "scheme": scheme, "events": events}
     plant = Plant(
@@ -255,11 +258,11 @@ def judge(
     @cache
     def run(steps: int, scheme: str = scheme, events: str = "step") -> np.ndarray | None:
         try:
-            return moved(file, sample, steps, scheme, events)
+            return simulate_sample(file, sample, steps, scheme, events)
         except Diverged:
             return None
 
-    def verdict(
+    def make_verdict(
         differences: tuple[float, ...], steps: int, halvings: int, order_needed: float
     ) -> PairVerdict:
         first, last = differences[0], differences[-1]
@@ -271,23 +274,28 @@ def judge(
     if not located:
         finest = COARSE[-1] * FINER
         truth = run(2 * finest, LOCATING_SCHEMES[0], "located")
-        coarse = [_apart(run(steps), truth) for steps in COARSE]
+        coarse = [_measure_distance(run(steps), truth) for steps in COARSE]
         largest = max((error for error in coarse if error < math.inf), default=math.inf)
-        errors = largest, _apart(run(finest), truth)
-        judged = verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
+        errors = largest, _measure_distance(run(finest), truth)
+        judged = make_verdict(errors, COARSE[0], round(math.log2(FINER)), math.log(FALLS, FINER))
         if judged.in_order:
             return judged
         # Coarse runs that diverge, or whose events lie alike, hide the order of small steps.
         truth = run(2 * STILL_FINER * finest, LOCATING_SCHEMES[0], "located")
-        errors = _apart(run(finest), truth), _apart(run(STILL_FINER * finest), truth)
-        return verdict(errors, finest, round(math.log2(STILL_FINER)), math.log(FALLS, STILL_FINER))
+        errors = (
+            _measure_distance(run(finest), truth),
+            _measure_distance(run(STILL_FINER * finest), truth),
+        )
+        return make_verdict(
+            errors, finest, round(math.log2(STILL_FINER)), math.log(FALLS, STILL_FINER)
+        )
     for steps, halvings in WINDOWS:
         runs = [run(steps << k, scheme, "located") for k in range(halvings + 2)]
-        judged = verdict(tuple(map(_apart, runs, runs[1:])), steps, halvings, ORDER)
+        judged = make_verdict(tuple(map(_measure_distance, runs, runs[1:])), steps, halvings, ORDER)
         if judged.in_order:
             break
     return judged
 
 
-def _apart(first: np.ndarray | None, second: np.ndarray | None) -> float:
+def _measure_distance(first: np.ndarray | None, second: np.ndarray | None) -> float:
     return math.inf if first is None or second is None else float(np.abs(first - second).max())

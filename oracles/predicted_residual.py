@@ -32,7 +32,7 @@ class PredictedResidual:
         return self.encoder + np.abs(self.wind_up)
 
 
-def predicted_residual(
+def predict_residual(
     controller: Controller,
     q: npt.ArrayLike,
     count_angle: npt.ArrayLike,

@@ -27,17 +27,19 @@ LINK = """
   </link>"""
 
 
-def random_chain_urdf(rng: np.random.Generator, joints: int) -> str:
+def write_random_chain(rng: np.random.Generator, joints: int) -> str:
     """A chain of random joints about random axes, fixed joints with masses in between."""
-    return _random_urdf(rng, joints, lambda links: links[-1])
+    return _write_random_urdf(rng, joints, lambda links: links[-1])
 
 
-def random_tree_urdf(rng: np.random.Generator, joints: int) -> str:
+def write_random_tree(rng: np.random.Generator, joints: int) -> str:
     """The same as a tree: each moving link hangs on any link before it, or on the base."""
-    return _random_urdf(rng, joints, lambda links: str(rng.choice(links)))
+    return _write_random_urdf(rng, joints, lambda links: str(rng.choice(links)))
 
 
-def _random_urdf(rng: np.random.Generator, joints: int, hang: Callable[[list[str]], str]) -> str:
+def _write_random_urdf(
+    rng: np.random.Generator, joints: int, hang: Callable[[list[str]], str]
+) -> str:
     text, links = '<robot name="random"><link name="base"/>', ["base"]
     for index in range(joints):
         parent = hang(links)
@@ -48,9 +50,9 @@ def _random_urdf(rng: np.random.Generator, joints: int, hang: Callable[[list[str
             A = rng.normal(size=(3, 3))
             I = 0.02 * (multiply_matrices(A, A.T) + np.eye(3))  # noqa: E741
             text += LINK.format(
-                name=name, kind=kind, parent=parent, xyz=_words(rng.normal(0, 0.2, 3)),
-                rpy=_words(rng.uniform(-3, 3, 3)), axis=_words(rng.normal(size=3)),
-                com=_words(rng.normal(0, 0.1, 3)), com_rpy=_words(rng.uniform(-3, 3, 3)),
+                name=name, kind=kind, parent=parent, xyz=_join(rng.normal(0, 0.2, 3)),
+                rpy=_join(rng.uniform(-3, 3, 3)), axis=_join(rng.normal(size=3)),
+                com=_join(rng.normal(0, 0.1, 3)), com_rpy=_join(rng.uniform(-3, 3, 3)),
                 mass=rng.uniform(0.5, 3.0), ixx=I[0, 0], iyy=I[1, 1], izz=I[2, 2], ixy=I[0, 1],
                 ixz=I[0, 2], iyz=I[1, 2],
             )  # fmt: skip
@@ -59,11 +61,11 @@ def _random_urdf(rng: np.random.Generator, joints: int, hang: Callable[[list[str
     return text + "</robot>"
 
 
-def moving_joints(urdf: str) -> list[str]:
+def list_moving_joints(urdf: str) -> list[str]:
     """Return the names of a robot's joints that are not fixed, in their order."""
     joints = ET.fromstring(urdf).findall("joint")
     return [joint.get("name", "") for joint in joints if joint.get("type") != "fixed"]
 
 
-def _words(values: Any) -> str:
+def _join(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)

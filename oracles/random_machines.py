@@ -26,8 +26,8 @@ import yaml
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import KNOWN, LOCATING_SCHEMES
-from oracles.event_reference import reference_with_events
-from oracles.random_chain import random_chain_urdf
+from oracles.event_reference import solve_with_events
+from oracles.random_chain import write_random_chain
 from oracles.reference import ReferenceMachine
 
 PERIOD, ROWS = 0.02, 6  # s, that each voltage is held, and how many of them
@@ -85,14 +85,14 @@ class MachineVerdict:
         }
 
 
-def machine(folder: Path, seed: int) -> tuple[Path, Array]:
+def write_machine(folder: Path, seed: int) -> tuple[Path, Array]:
     """Write a random machine into `folder`; return its scene's file and its voltages."""
     rng = np.random.default_rng(seed)
-    urdf = random_chain_urdf(rng, int(rng.integers(1, 4)))
+    urdf = write_random_chain(rng, int(rng.integers(1, 4)))
     names = [name for name in pin.buildModelFromXML(urdf).names if name != "universe"]
-    joints = {name: _joint(rng) for name in names}
+    joints = {name: _draw_joint(rng) for name in names}
     if not any("motor" in joint for joint in joints.values()):
-        joints[names[0]] |= {"motor": _motor(rng), "gear": _gear(rng)}
+        joints[names[0]] |= {"motor": _draw_motor(rng), "gear": _draw_gear(rng)}
     apart = np.random.default_rng([seed, 1])  # so that all else is drawn as without
     for joint in joints.values():
         _stiffen(apart, joint.get("gear", {}))
@@ -114,7 +114,7 @@ def machine(folder: Path, seed: int) -> tuple[Path, Array]:
     return file, rng.uniform(-20.0, 20.0, size=(ROWS, len(names)))
 
 
-def _joint(rng: np.random.Generator) -> dict[str, Any]:
+def _draw_joint(rng: np.random.Generator) -> dict[str, Any]:
     joint: dict[str, Any] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
     if rng.random() < 0.7:
         Dc = float(rng.uniform(0.5, 5.0))
@@ -122,11 +122,11 @@ def _joint(rng: np.random.Generator) -> dict[str, Any]:
         if rng.random() < 0.5:
             joint["friction"]["breakaway"] = Dc * float(rng.uniform(1.0, 1.6))
     if rng.random() < 0.9:
-        joint |= {"motor": _motor(rng), "gear": _gear(rng)}
+        joint |= {"motor": _draw_motor(rng), "gear": _draw_gear(rng)}
     return joint
 
 
-def _motor(rng: np.random.Generator) -> dict[str, float]:
+def _draw_motor(rng: np.random.Generator) -> dict[str, float]:
     motor = {
         "resistance": float(rng.uniform(0.5, 2.0)),
         "torque_constant": 0.05,
@@ -140,7 +140,7 @@ def _motor(rng: np.random.Generator) -> dict[str, float]:
     return motor
 
 
-def _gear(rng: np.random.Generator) -> dict[str, float]:
+def _draw_gear(rng: np.random.Generator) -> dict[str, float]:
     gear = {"ratio": float(rng.uniform(0.01, 0.03))}
     if rng.random() < 0.6:
         gear["stiffness"] = float(10 ** rng.uniform(3.0, 4.5))
@@ -158,11 +158,11 @@ def _stiffen(rng: np.random.Generator, gear: dict[str, float]) -> None:
 def judge(seed: int, schemes: tuple[str, ...] = LOCATING_SCHEMES) -> list[MachineVerdict]:
     """Hold one machine against the claims."""
     with tempfile.TemporaryDirectory() as folder:
-        file, voltages = machine(Path(folder), seed)
+        file, voltages = write_machine(Path(folder), seed)
         scene = load_scene(file)
         equations = ReferenceMachine(scene, smooth=False)
         rate = equations.fastest_rate(equations.at_rest(scene.start, None))
-        truth, events = reference_with_events(scene, voltages, PERIOD)
+        truth, events = solve_with_events(scene, voltages, PERIOD)
         steps = math.ceil(PERIOD * max(rate, 1e3) / STEP_OF_RATE)
         verdicts = []
         for scheme in schemes:
@@ -185,7 +185,7 @@ def _judge(
 ) -> MachineVerdict:
     try:
         runs = [
-            run(_with(file, scheme, PERIOD / n), voltages, n)
+            run(_load_with(file, scheme, PERIOD / n), voltages, n)
             for n in (steps, 10 * steps, round(PERIOD / MICROSECOND))
         ]
     except Diverged as fault:
@@ -197,7 +197,7 @@ def _judge(
     return MachineVerdict(*about, steps, errors, (left, left_fine, left_there))
 
 
-def _with(file: Path, scheme: str, dt: float) -> Scene:
+def _load_with(file: Path, scheme: str, dt: float) -> Scene:
     events = "located" if scheme in LOCATING_SCHEMES else "step"
     integrator = {"scheme": scheme, "dt": dt, "events": events}
     return load_scene(file, {"integrator": integrator})

@@ -53,18 +53,18 @@ class Beginning(TypedDict, total=False):
     payload: Mapping[str, Any] | None
 
 
-def reference(
+def solve_positions(
     scene: Scene,
     commands: ArrayLike,
     period: float,
     rtol: float = 1e-11,
     **beginning: Unpack[Beginning],
 ) -> Array:
-    """Return link positions after each row, (K, N) [rad or m]; else as `reference_states`."""
-    return reference_states(scene, commands, period, rtol, **beginning)[:, 3]
+    """Return link positions after each row, (K, N) [rad or m]; else as `solve_states`."""
+    return solve_states(scene, commands, period, rtol, **beginning)[:, 3]
 
 
-def reference_states(
+def solve_states(
     scene: Scene,
     commands: ArrayLike,
     period: float,
@@ -126,7 +126,7 @@ SUPPORTED_PARTS = (
 )  # fmt: skip
 
 
-def _motor_of(joint: Joint) -> DcMotor | None:
+def _get_motor(joint: Joint) -> DcMotor | None:
     """Return a joint's motor; refuse parts whose equations are not here."""
     for part in joint.parts:
         if type(part) not in SUPPORTED_PARTS:
@@ -166,7 +166,7 @@ class ReferenceMachine:
         self, scene: Scene, payload: Mapping[str, Any] | None = None, smooth: bool = True
     ) -> None:
         self.N = len(scene.joints)
-        motors = [_motor_of(joint) for joint in scene.joints]
+        motors = [_get_motor(joint) for joint in scene.joints]
         gears = [joint.gear for joint in scene.joints]
         if smooth:
             _check_smooth(scene, motors)
@@ -193,7 +193,7 @@ class ReferenceMachine:
         self.limit = np.where(self.looped, np.inf, limits)
         self.largest = np.where(self.looped, limits, self.supply)
         self.P, self.I, self.E = np.array(
-            [_control(*pair) for pair in zip(loops, motors, strict=True)]
+            [_get_current_loop(*pair) for pair in zip(loops, motors, strict=True)]
         ).T
         self.Ng = np.array([gear.ratio for gear in gears])
         self.Kg = np.array([gear.stiffness or 0.0 for gear in gears])
@@ -215,12 +215,12 @@ class ReferenceMachine:
         self.rigid = np.array([gear.stiffness is None for gear in gears])
         self.elastic = self.motor & ~self.rigid
         self.inductive = self.L > 0.0
-        self.model = links_model(scene, payload)
+        self.model = make_links_model(scene, payload)
         self.model.armature = np.where(self.motor & self.rigid, self.Mm / self.Ng**2, 0.0)
         self.data = self.model.createData()
 
     def at_rest(self, q: ArrayLike, v: ArrayLike | None) -> Array:
-        """Return x, (6, N), without current and with gears unloaded; see `reference_states`."""
+        """Return x, (6, N), without current and with gears unloaded; see `solve_states`."""
         x = np.zeros((ROWS, self.N))
         x[3] = q
         if v is not None:
@@ -283,7 +283,9 @@ class ReferenceMachine:
         return dx.ravel()
 
 
-def _control(loop: CurrentLoop | None, motor: DcMotor | None) -> tuple[float, float, float]:
+def _get_current_loop(
+    loop: CurrentLoop | None, motor: DcMotor | None
+) -> tuple[float, float, float]:
     """Return a current loop's P [V/A], I [V/(A s)] and the EMF fed forward [V s/rad]."""
     if loop is None or motor is None:
         return 1.0, 0.0, 0.0
@@ -294,7 +296,7 @@ def _control(loop: CurrentLoop | None, motor: DcMotor | None) -> tuple[float, fl
     return rate * motor.inductance, rate * motor.resistance, emf
 
 
-def links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.Model:
+def make_links_model(scene: Scene, payload: Mapping[str, Any] | None = None) -> pin.Model:
     """Return the scene's links in Pinocchio, with plain joint angles in the scene's order.
 
     Raises:
@@ -345,15 +347,15 @@ def _name_in_order(robot: ET.Element, names: list[str]) -> None:
     for joint in robot.iter("joint"):
         below.setdefault(joint.find("parent").get("link"), []).append(joint)  # type: ignore[union-attr, arg-type]
 
-    def first(joint: ET.Element) -> int:
+    def find_first(joint: ET.Element) -> int:
         """Return the place of the first moving joint at or behind a joint."""
         if (name := joint.get("name", "")) in places:
             return places[name]
         behind = below.get(joint.find("child").get("link"), [])  # type: ignore[union-attr, arg-type]
-        return min(map(first, behind), default=len(places))
+        return min(map(find_first, behind), default=len(places))
 
     places = {name: k for k, name in enumerate(names)}
     for joint in list(robot.iter("joint")):
-        joint.set("order", f"{first(joint):04}")
+        joint.set("order", f"{find_first(joint):04}")
     for joint in robot.iter("joint"):
         joint.set("name", f"{joint.get('order')} {joint.get('name')}")

@@ -34,7 +34,7 @@ from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from arm_emulator.machine.scene.joint import Joint
-from oracles.reference import links_model
+from oracles.reference import make_links_model
 
 SUPPORTED_PARTS = (
     DcMotor, CurrentLoop, TorqueMotor, CurrentMotor, RigidGear, ElasticGear, ProgressiveGear,
@@ -93,7 +93,7 @@ def push(K: float, D: float, u: float, du: float) -> float:
     return max(0.0, K * u + D * du) if u > 0.0 else 0.0
 
 
-def within(x: float, limit: float | None) -> float:
+def clamp(x: float, limit: float | None) -> float:
     """Return x clamped to a limit; None: unlimited."""
     return x if limit is None else min(max(x, -limit), limit)
 
@@ -143,7 +143,7 @@ class SmoothJoint:
         else:
             assert isinstance(motor, CurrentMotor)
             limit, per_state = motor.current_limit, motor.torque_constant
-        u = within(u, limit)
+        u = clamp(u, limit)
         if motor.bandwidth is None:
             return per_state * u, []
         return per_state * z[0], [2.0 * math.pi * motor.bandwidth * (u - z[0])]
@@ -157,16 +157,16 @@ class SmoothJoint:
             P = loop.proportional_gain or rate * L
             I = loop.integral_gain if loop.integral_gain is not None else rate * R  # noqa: E741
             i, x = z
-            error = within(u, motor.current_limit) - i
+            error = clamp(u, motor.current_limit) - i
             requested = P * error + x + loop.emf_feedforward * emf
-            V = within(requested, self.supply)
+            V = clamp(requested, self.supply)
             return motor.torque_constant * i, [
                 (V - R * i - emf) / L, I * error + I / P * (V - requested)
             ]  # fmt: skip
-        V = within(u, self.supply)
+        V = clamp(u, self.supply)
         if L == 0.0:
-            return motor.torque_constant * within((V - emf) / R, motor.current_limit), []
-        beyond = z[0] - within(z[0], motor.current_limit)
+            return motor.torque_constant * clamp((V - emf) / R, motor.current_limit), []
+        beyond = z[0] - clamp(z[0], motor.current_limit)
         drop = V - emf - R * (z[0] + self.smoothing.resistance * beyond)
         return motor.torque_constant * z[0], [drop / L]
 
@@ -231,7 +231,7 @@ class SmoothedMachine:
     def __init__(self, scene: Scene, smoothing: Smoothing | None = None) -> None:
         self.smoothing = smoothing or Smoothing()
         self.joints = [SmoothJoint(j, self.smoothing, scene.supply_voltage) for j in scene.joints]
-        self.model = links_model(scene)
+        self.model = make_links_model(scene)
         self.model.armature = np.array([joint.armature for joint in self.joints])
         self.data = self.model.createData()
         self.start = [float(q) for q in scene.start]

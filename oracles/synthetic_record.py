@@ -39,13 +39,13 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
     N, period = len(scene.joints), scene.servo_period
     ratio = scene.gear_ratios
     t: Array = period * np.arange(round(seconds / period) + 1.0, dtype=np.float64)
-    target = _motion(rng, t, scene.start)
+    target = _make_motion(rng, t, scene.start)
     rate = np.gradient(target, period, axis=0)
     plant = Plant(scene)
     for name, value in (numbers or {}).items():
         plant.set_parameter(name, value)
     plant.reset(target[0], rate[0])
-    stiff = _gains(scene)
+    stiff = _choose_gains(scene)
     q, tau, at_link = (np.zeros((len(t), N)) for _ in range(3))
     for k in range(len(t)):
         if drift is not None and k % 25 == 0:
@@ -69,7 +69,7 @@ def make_record(scene: Scene, seed: int, seconds: float, angle_noise: float = 0.
     )
 
 
-def _motion(rng: np.random.Generator, t: Array, start: Array) -> Array:
+def _make_motion(rng: np.random.Generator, t: Array, start: Array) -> Array:
     """Return a sum of waves for each joint that begins at rest at the start (K, N)."""
     rows = np.tile(start, (len(t), 1))
     for j in range(len(start)):
@@ -79,7 +79,7 @@ def _motion(rng: np.random.Generator, t: Array, start: Array) -> Array:
     return rows
 
 
-def _gains(scene: Scene) -> tuple[Array, Array]:
+def _choose_gains(scene: Scene) -> tuple[Array, Array]:
     """Return gains of position and speed (N,), for 6 Hz at the inertia of each joint."""
     plant = Plant(scene)
     N, q = len(scene.joints), scene.start

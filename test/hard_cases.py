@@ -23,7 +23,7 @@ from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_config_folder
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
-from oracles.reference import links_model, reference
+from oracles.reference import make_links_model, solve_positions
 
 HELD, DRIFTS, DETECTED, FAILED = "held", "drifts", "detected", "FAILED"
 
@@ -185,7 +185,7 @@ def choose_schemes(quick: bool, case: str) -> tuple[str, ...]:
 def undamped_stiff_gear(quick: bool) -> Iterator[Outcome]:
     """Gear of 1e7 N m/rad without damping: rings at 8 kHz, and may not be seen to."""
     period, rows = 1e-2, sines(3, 50, 1e-2)
-    truth = reference(three_axis("paper", 1e-3, **RIGID), rows, period, 1e-7)  # to 1e-9 rad
+    truth = solve_positions(three_axis("paper", 1e-3, **RIGID), rows, period, 1e-7)  # to 1e-9 rad
     machine = {**SHARED, "joints.*.gear.stiffness": 1e7, "joints.*.gear.damping": 0.0}
     # Wind-up of T / Kg, twice when it rings: T = 25 N m. The scheme's own error is that of the
     # rigid machine: 0.45 dt, and 0.65 dt^2.
@@ -204,7 +204,7 @@ def fast_current(quick: bool) -> Iterator[Outcome]:
     """L/R = 1e-7 s at steps of up to 1 ms."""
     period, rows = 1e-3, sines(3, 300, 1e-3)
     arm_case = three_axis("paper", 1e-3, period, **NO_INDUCTANCE)
-    truth = reference(arm_case, rows, period, 1e-8)  # to 1e-10 rad
+    truth = solve_positions(arm_case, rows, period, 1e-8)  # to 1e-10 rad
     machine = {**SHARED, "joints.*.motor.inductance": 1e-7}
     lag, own = 5e-7, of_order(3.0, 8.0)  # L/R at 3 rad/s; the errors without inductance
     yield from against(
@@ -235,7 +235,7 @@ def light_distal_link(quick: bool) -> Iterator[Outcome]:
         (folder / "light.urdf").write_text(head + forearm + tail, encoding="utf-8")
         where: dict[str, Any] = {"urdf": str(folder / "light.urdf"), "name": "light_distal_link"}
         # Ten times as stiff as the others; at 1e-7 a step it is good to 1e-10 rad all the same.
-        truth = reference(three_axis("paper", 1e-3, **where), rows, period, 1e-7)
+        truth = solve_positions(three_axis("paper", 1e-3, **where), rows, period, 1e-7)
         yield from against(
             truth,
             rows,
@@ -257,7 +257,7 @@ def spin(quick: bool) -> Iterator[Outcome]:
     for scheme in choose_schemes(quick, "rosenbrock"):
         for dt in (1e-3, 1e-4) if quick else (1e-3, 1e-4, 1e-5):
             plant = Plant(three_axis(scheme, dt, 1e-1, **LINKS_ALONE))
-            model = links_model(plant.scene)
+            model = make_links_model(plant.scene)
             data = model.createData()
 
             def momentum(plant: Plant = plant, model: Any = model, data: Any = data) -> float:
@@ -295,7 +295,7 @@ def fifty_links(quick: bool) -> Iterator[Outcome]:
             own = {"integrator.scheme": scheme, "integrator.dt": dt, "servo_period": period}
             return load_scene(file, overrides=own)
 
-        truth = reference(scene("paper", 1e-3), rows, period, rtol=1e-8, method="DOP853")
+        truth = solve_positions(scene("paper", 1e-3), rows, period, rtol=1e-8, method="DOP853")
         yield from against(
             truth,
             rows,

@@ -16,7 +16,7 @@ from arm_emulator.machine.plant.compiler import load_equations
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.link_dynamics import LinkDynamics
 from arm_emulator.machine.scene.scene import Scene, load_scene
-from oracles.random_chain import LINK, moving_joints, random_chain_urdf, random_tree_urdf
+from oracles.random_chain import LINK, list_moving_joints, write_random_chain, write_random_tree
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 
@@ -134,14 +134,18 @@ def write_scene(folder: Path, urdf: str, joints: dict[str, Any], **keys: Any) ->
 
 def random_chain(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
     """A random chain whose joints swing freely."""
-    urdf = random_chain_urdf(np.random.default_rng(seed), joints)
-    return load_scene(write_scene(folder, urdf, {name: {} for name in moving_joints(urdf)}, **keys))
+    urdf = write_random_chain(np.random.default_rng(seed), joints)
+    return load_scene(
+        write_scene(folder, urdf, {name: {} for name in list_moving_joints(urdf)}, **keys)
+    )
 
 
 def random_tree(folder: Path, seed: int, joints: int, **keys: Any) -> Scene:
     """The same as a tree."""
-    urdf = random_tree_urdf(np.random.default_rng(seed), joints)
-    return load_scene(write_scene(folder, urdf, {name: {} for name in moving_joints(urdf)}, **keys))
+    urdf = write_random_tree(np.random.default_rng(seed), joints)
+    return load_scene(
+        write_scene(folder, urdf, {name: {} for name in list_moving_joints(urdf)}, **keys)
+    )
 
 
 def links_of(scene: Scene) -> LinkDynamics:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import some
-from machines import moving_joints, write_scene
+from machines import list_moving_joints, write_scene
 from test_servo_loop import Rng, draw_axis, log_uniform
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
@@ -20,13 +20,13 @@ from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, mak
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from arm_emulator.servo.zoh_motor import discretise_zoh
-from oracles.random_chain import random_chain_urdf
+from oracles.random_chain import write_random_chain
 
 
 def draw_scene(rng: Rng, folder: Path) -> tuple[Scene, ServoConfig]:
     """Return a random chain behind drawn motors, and servos with gains that may hold or not."""
-    urdf = random_chain_urdf(rng, int(rng.integers(2, 5)))
-    names = moving_joints(urdf)
+    urdf = write_random_chain(rng, int(rng.integers(2, 5)))
+    names = list_moving_joints(urdf)
     sections, joints = {}, []
     period = 1e-3
     for name in names:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from draws import some
-from machines import random_chain_urdf
+from machines import write_random_chain
 
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.arm_tree import ArmTree
@@ -21,7 +21,7 @@ GRAVITY = (1.0, -2.0, -9.0)
 
 def sliding() -> str:
     """Return a chain of random joints, some of which slide on links that turn."""
-    urdf = random_chain_urdf(np.random.default_rng(2), 6)
+    urdf = write_random_chain(np.random.default_rng(2), 6)
     kinds = re.findall(r'<joint name="\w+" type="(\w+)"', urdf)
     assert kinds.count("prismatic") == 3 and "revolute" in kinds[:2], kinds
     return urdf

@@ -11,8 +11,8 @@ from documents import page_of
 from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
-from bench.assumed import ARMS, assumed_of, demos
-from bench.origins import SECTIONS, origins
+from bench.assumed import ARMS, list_assumed, simulate_demos
+from bench.origins import SECTIONS, list_origins
 
 PAGE = page_of("assumed").read_text()
 # Scenes that mark anything mark everything.
@@ -23,7 +23,7 @@ MARKED = sorted(
 
 @pytest.mark.parametrize("file", MARKED, ids=lambda file: file.stem)
 def test_every_figure_has_a_source_or_a_range(file: Path) -> None:
-    result = origins(file)
+    result = list_origins(file)
     names = [name for figure in result for name in figure.names()]
     assert len(names) == len(set(names)), "a figure is reported twice"
     there = {
@@ -61,7 +61,7 @@ def test_a_figure_that_does_not_state_where_it_is_from_is_refused(
     lines, rng = text.splitlines(), np.random.default_rng(1)
     of_figures = {
         origin.line - 1: f"{origin.section}.{origin.key}"
-        for origin in origins(file)
+        for origin in list_origins(file)
         if origin.assumed
     }
     assert of_figures, "figures that are assumed"
@@ -76,7 +76,7 @@ def test_a_figure_that_does_not_state_where_it_is_from_is_refused(
         line = str(rng.choice(wrong[rule]))
         second.write_text("\n".join([*lines[:k], line, *lines[k + 1 :]]))
         with pytest.raises(Refusal) as refusal:
-            origins(second)
+            list_origins(second)
         printed = str(refusal.value)
         expected = f"{file.name}, line {k + 1}: {figure} must {rule}"
         assert printed.startswith(expected) and "\n" not in printed, printed
@@ -87,7 +87,7 @@ def test_a_figure_may_have_a_source_that_the_head_names(tmp_path: Path) -> None:
     (k,) = [k for k, line in enumerate(lines) if "resistance: 0.3 " in line]
     lines[k] = "      resistance: 0.3  # ohm [1]"
     (tmp_path / "ur5.yaml").write_text("\n".join(lines))
-    (origin,) = [origin for origin in origins(tmp_path / "ur5.yaml") if origin.line == k + 1]
+    (origin,) = [origin for origin in list_origins(tmp_path / "ur5.yaml") if origin.line == k + 1]
     assert origin.assumed is None and origin.source.startswith(
         "Universal Robots, Max. joint torques"
     )
@@ -95,7 +95,7 @@ def test_a_figure_may_have_a_source_that_the_head_names(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ARMS)
 def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
-    for figure in assumed_of(CONFIG / f"{name}.yaml"):
+    for figure in list_assumed(CONFIG / f"{name}.yaml"):
         joints = f"{figure.joints[0]} to {figure.joints[-1]} | {figure.value:.3g}"
         row = f"| `{figure.label}` | {joints} | {figure.low:.3g} to {figure.high:.3g} | "
         assert row in PAGE, f"{row}: make the tables anew by python -m bench --only assumed"
@@ -103,7 +103,7 @@ def test_the_page_has_a_row_of_every_figure_that_is_assumed(name: str) -> None:
 
 def test_a_gear_of_another_ratio_is_as_motors_of_scaled_constants() -> None:
     """A rotor turns 1/r times as fast: constants, dry friction grow by r0/r, the rest squared."""
-    for figure in assumed_of(CONFIG / "ur5.yaml"):
+    for figure in list_assumed(CONFIG / "ur5.yaml"):
         if figure.label == "gear.ratio":
             values = figure.at(0.5 * figure.value)
             for name, value in values.items():
@@ -118,7 +118,7 @@ def test_an_arm_with_changed_numbers_runs_another_demo() -> None:
     stiff = {
         number: value * (2.0 if "stiffness" in number else 1.0) for number, value in numbers.items()
     }
-    result = demos(name, [{}, numbers, stiff], 6)
+    result = simulate_demos(name, [{}, numbers, stiff], 6)
     assert result[1] == pytest.approx(result[0], abs=1e-9), "the scene's own numbers"
     assert np.abs(result[0, -1]).max() < 0.5 * np.abs(result[0, 0]).max(), "the tool is on its way"
     assert np.abs(result[2] - result[0]).max() > 1e-6, "the other arm moves otherwise"

@@ -12,9 +12,9 @@ from draws import some
 from machines import ROTOR, write_scene
 
 from arm_emulator import Plant, load_scene
-from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, RestCase, equations_of, judge
-from oracles.random_chain import moving_joints, random_chain_urdf
-from oracles.reference import links_model
+from oracles.at_rest import FRICTIONS, INSTANT, PARTS, PLACES, RestCase, judge, load_equations
+from oracles.random_chain import list_moving_joints, write_random_chain
+from oracles.reference import make_links_model
 
 DRY, LOADED = ("viscous", "coulomb", "breakaway"), ("load", "load and coulomb")
 # Laws of one kind share a library.
@@ -33,7 +33,7 @@ def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     place: str, frictions: tuple[str, ...], scheme: str, events: str, weightless: bool
 ) -> None:
     """Rotors that rub viscously ended as a divergence in 34 of 200 poses without weights."""
-    equations = equations_of("three_axis")
+    equations = load_equations("three_axis")
     wrong = [
         line
         for law in frictions
@@ -52,16 +52,17 @@ def test_joints_that_break_away_together_are_solved_together(tmp_path: Path, eve
     another that it draws along.
     """
     rng = np.random.default_rng(3)
-    urdf = random_chain_urdf(np.random.default_rng(2), 3)
+    urdf = write_random_chain(np.random.default_rng(2), 3)
     motor = {"kind": "torque", "rotor_inertia": ROTOR}
     joint = {"motor": motor, "gear": {"ratio": 1.0}, "friction": {"coulomb": 1.0}}
     file = write_scene(
-        tmp_path, urdf, dict.fromkeys(moving_joints(urdf), joint), servo_period=PARTS * INSTANT,
+        tmp_path, urdf, dict.fromkeys(list_moving_joints(urdf), joint),
+        servo_period=PARTS * INSTANT,
         integrator={"scheme": "rosenbrock", "dt": INSTANT, "events": events},
         varied=["joints.*.friction.coulomb"],
     )  # fmt: skip
     scene = load_scene(file)
-    plant, model = Plant(scene), links_model(scene)
+    plant, model = Plant(scene), make_links_model(scene)
     data = model.createData()
     for _ in range(300):
         q, dry = rng.uniform(-1.5, 1.5, 3), rng.uniform(0.5, 2.0, 3)

@@ -16,7 +16,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES
 from bench import PACKAGES, report
-from bench.bare import BARE, odd_parts
+from bench.bare import BARE, list_odd_parts
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLISHED = ROOT / "docs" / "validation" / "report"
@@ -28,7 +28,7 @@ SHIPPED = sorted(file.stem for file in find_config_folder().glob("*.yaml"))
 @pytest.mark.parametrize(("name", "scheme"), [*zip(SHIPPED, itertools.cycle(SCHEMES))])
 def test_a_scene_without_its_extras_has_the_parts_of_peers(name: str, scheme: str) -> None:
     scene = load_scene(name, {**BARE, "integrator.scheme": scheme})
-    assert not [part for part in odd_parts(scene) if not part.endswith(".motor")]  # they stay
+    assert not [part for part in list_odd_parts(scene) if not part.endswith(".motor")]  # they stay
     assert scene.integrator.events == "step"
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from draws import some
-from machines import Oracle, moving_joints, random_chain_urdf, write_scene
+from machines import Oracle, list_moving_joints, write_random_chain, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
 
@@ -99,9 +99,9 @@ class Balance:
 
 def sample_scene(folder: Path, seed: int, scheme: str, events: str) -> Scene:
     rng = np.random.default_rng([seed, 77])
-    urdf = random_chain_urdf(rng, int(rng.integers(1, 4)))
+    urdf = write_random_chain(rng, int(rng.integers(1, 4)))
     joints = {}
-    for name in moving_joints(urdf):
+    for name in list_moving_joints(urdf):
         motor = sample_motor(rng)
         at_once = not (motor.get("inductance") or motor.get("bandwidth"))
         link = sample_friction(rng, float(10 ** rng.uniform(-1.0, 0.5)), at_once)

@@ -24,7 +24,7 @@ from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.config import MotionConfig
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.view_of import get_view
-from oracles.random_chain import moving_joints, random_chain_urdf, random_tree_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain, write_random_tree
 
 needs_robots = pytest.mark.skipif(
     find_example_robot_data() is None, reason="needs the package example-robot-data (make robots)"
@@ -122,11 +122,11 @@ def tool_by_pinocchio(urdf: str, scene: Scene, q: np.ndarray) -> np.ndarray:
 def test_the_machine_stands_as_its_calibration_has_it(tmp_path: Path, seed: int) -> None:
     """Turning and sliding joints, fixed ones and branches: dynamics and tool."""
     rng = np.random.default_rng(seed)
-    make = (random_chain_urdf, random_tree_urdf)[seed % 2]
+    make = (write_random_chain, write_random_tree)[seed % 2]
     urdf = make(rng, 4)
     names = [element.get("name", "") for element in ET.fromstring(urdf).findall("joint")]
     deltas = draw_deltas(rng, names)
-    joints = {name: {} for name in moving_joints(urdf)}
+    joints = {name: {} for name in list_moving_joints(urdf)}
     tool = f"{names[-1]}_link"
     keys = {"gravity": GRAVITY, "tool": tool, "calibration": {"joints": deltas}}
     scene = load_scene(write_scene(tmp_path, urdf, joints, **keys))
@@ -339,9 +339,9 @@ def test_foreign_files_of_universal_robots_are_refused(tmp_path: Path) -> None:
     driver.write_text(driver.read_text().replace("forearm", "elbow"))
     with pytest.raises(Refusal, match=r"kinematics.forearm must be a section"):
         ur10_scene(tmp_path, {"file": driver.name})
-    file = write_scene(tmp_path, random_chain_urdf(np.random.default_rng(0), 3), {})
+    file = write_scene(tmp_path, write_random_chain(np.random.default_rng(0), 3), {})
     controller_file(tmp_path, deltas)
-    names = moving_joints((tmp_path / "robot.urdf").read_text())
+    names = list_moving_joints((tmp_path / "robot.urdf").read_text())
     with pytest.raises(Refusal, match="arm must have 6 revolute joints to its flange"):
         load_scene(file, {"joints": {name: {} for name in names}, "calibration": calibration,
                           "tool": f"{names[-1]}_link"})  # fmt: skip

@@ -11,7 +11,7 @@ from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.config_files import find_scene
 from arm_emulator.servo.servo_arm import ServoArm, Target
-from oracles.convergence import convergence_factor, expected_errors
+from oracles.convergence import compute_convergence_factor, predict_errors
 
 SCENE = "three_axis"  # at its start the waist alone moves the tool along y
 DISTANCE = 0.02  # m; a count of the encoder is 1e-3 of it
@@ -56,7 +56,7 @@ def measured_factor(weight: float, period: float) -> float:
     for _ in range(INSTRUCTIONS):
         run.advance(run.motion_ticks)
         errors.append(kinematics.tool_error(run.drives.servo.q_measured, target)[1] / DISTANCE)
-    return convergence_factor(errors)
+    return compute_convergence_factor(errors)
 
 
 def test_closed_forms() -> None:
@@ -64,10 +64,10 @@ def test_closed_forms() -> None:
     for _ in range(50):
         w, g = rng.uniform(0.01, 1.0, 2)
         k = np.arange(1, 60)
-        errors = expected_errors(w, 1.0 - (1.0 - g) ** k, len(k))
+        errors = predict_errors(w, 1.0 - (1.0 - g) ** k, len(k))
         assert np.allclose(errors, (1.0 - w * g) ** k, rtol=0, atol=1e-13), (w, g)  # rounding
-        assert convergence_factor(errors) == pytest.approx(1.0 - w * g, abs=1e-9)
-        always_there = expected_errors(w, [1.0], len(k))
+        assert compute_convergence_factor(errors) == pytest.approx(1.0 - w * g, abs=1e-9)
+        always_there = predict_errors(w, [1.0], len(k))
         assert np.allclose(always_there, (1.0 - w) ** k, rtol=0, atol=1e-13)
 
 
@@ -86,7 +86,7 @@ def test_the_errors_of_any_servo_are_those_of_the_loop_step_by_step() -> None:
         for _ in range(30):
             x = A @ x + b * (x[0] + w * (1.0 - x[0]))
             errors.append(1.0 - x[0])
-        assert np.allclose(expected_errors(w, response, 30), errors, rtol=0, atol=1e-12)
+        assert np.allclose(predict_errors(w, response, 30), errors, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
@@ -94,6 +94,6 @@ def test_the_machine_converges_as_predicted(period: float) -> None:
     rng = np.random.default_rng(round(period * 1e3))
     response = step_response(period)
     for w in rng.uniform(0.2, 0.95, 2):
-        expected = convergence_factor(expected_errors(w, response, INSTRUCTIONS))
+        expected = compute_convergence_factor(predict_errors(w, response, INSTRUCTIONS))
         # Counts of the encoder (1e-3 of the way), limits, and an arm whose Jacobian changes.
         assert measured_factor(w, period) == pytest.approx(expected, abs=0.03), w

@@ -34,7 +34,7 @@ from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.motion.model.link_torques import LinkTorques
 from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_fleet import Fleet
-from oracles.any_arm import move, reachable
+from oracles.any_arm import draw_reachable, move
 from oracles.coupled_arms import (
     ARMS,
     BOOM,
@@ -42,11 +42,11 @@ from oracles.coupled_arms import (
     WRIST,
     Lagrange,
     Shares,
-    matrix,
-    mimicking,
-    shafts_of,
+    list_shafts,
+    make_coupling_matrix,
+    write_mimic,
 )
-from oracles.own_robots import RobotPart, serial
+from oracles.own_robots import RobotPart, write_serial
 
 
 def drive(ratio: float) -> dict[str, Any]:
@@ -60,8 +60,8 @@ def drive(ratio: float) -> dict[str, Any]:
 
 
 def machine(folder: Path, parts: list[RobotPart], shares: Shares, **more: Any) -> Scene:
-    (folder / "arm.urdf").write_text(serial("arm", parts))
-    shafts = shafts_of(parts, shares)
+    (folder / "arm.urdf").write_text(write_serial("arm", parts))
+    shafts = list_shafts(parts, shares)
     draw = np.random.default_rng(5)
     drives = {name: drive(0.03) | {"start": float(draw.uniform(-0.2, 0.3))} for name in shafts}
     scene = {
@@ -110,11 +110,11 @@ CASES: dict[str, Callable[[], tuple[list[RobotPart], Shares]]] = {
 )
 def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) -> None:
     parts, shares = CASES[name]()
-    free: dict[str, Any] = {name: {} for name in shafts_of(parts, shares)}
+    free: dict[str, Any] = {name: {} for name in list_shafts(parts, shares)}
     scene = machine(tmp_path, parts, shares, joints=free)
-    assert list(scene.joint_names) == shafts_of(parts, shares)
-    C = matrix(parts, shares)
-    truth = Lagrange(serial("arm", parts), C, np.zeros(len(parts)))
+    assert list(scene.joint_names) == list_shafts(parts, shares)
+    C = make_coupling_matrix(parts, shares)
+    truth = Lagrange(write_serial("arm", parts), C, np.zeros(len(parts)))
     links, draw = links_of(scene), np.random.default_rng(1)
     loads = LinkLoads(scene)
     for _ in range(20):
@@ -133,8 +133,8 @@ def test_the_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
     """Rotors, gears, friction of rotors and shafts, on the right side of the coupling: order 2."""
     parts, shares = ARMS[name]
     scene = machine(tmp_path, parts, shares)
-    C = matrix(parts, shares)
-    truth = Lagrange(serial("arm", parts), C, np.zeros(len(parts)))
+    C = make_coupling_matrix(parts, shares)
+    truth = Lagrange(write_serial("arm", parts), C, np.zeros(len(parts)))
     N, Ng, Kg, Dg, Mm, Dl, Dv = C.shape[1], 0.03, 4e3, 6.0, 2e-4, 0.8, 1e-3
     u = 0.2 * np.cos(np.arange(N))
     assert any(abs(entry) not in (0.0, 1.0) or (row != 0.0).sum() > 1 for row in C for entry in row)
@@ -164,8 +164,8 @@ def test_the_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
 
 def test_mimic_joints_between_base_and_tool_move_along(tmp_path: Path) -> None:
     """Kinematics, limits, torques and dynamics of a telescope, by its description alone."""
-    text = mimicking(serial("arm", BOOM), "j4", "j3", 0.5, 0.02)
-    text = mimicking(text, "j5", "j4", -0.6, 0.1)  # a mimic of a mimic
+    text = write_mimic(write_serial("arm", BOOM), "j4", "j3", 0.5, 0.02)
+    text = write_mimic(text, "j5", "j4", -0.6, 0.1)  # a mimic of a mimic
     (tmp_path / "arm.urdf").write_text(text)
     names = ("j1", "j2", "j3")
     scene = {
@@ -208,11 +208,11 @@ def test_limits_of_shafts_keep_all_joints_within_theirs(seed: int) -> None:
 
     draw = np.random.default_rng(seed)
     parts, shares = any_arm(seed)
-    robot = ET.fromstring(serial("arm", parts))
+    robot = ET.fromstring(write_serial("arm", parts))
     for joint in robot.findall("joint"):
         for shaft, share in shares.get(joint.get("name", ""), {}).items():
             ET.SubElement(joint, "coupling", joint=shaft, multiplier=repr(share))
-    names = shafts_of(parts, shares)
+    names = list_shafts(parts, shares)
     shafts = Shafts(ET.tostring(robot, encoding="unicode"), names)
     L = len(shafts.joints)
     lower = draw.uniform(-2.0, -0.5, L)
@@ -267,12 +267,14 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
     masses = {"links.l4.mass": 2.5, "links.l5.mass": 0.4}
     scene = machine(
         tmp_path, parts, shares, external_wrench=True, imus={"unit": unit}, varied=list(masses),
-        faults=["base_tilts"], joints={shaft: {} for shaft in shafts_of(parts, shares)},
+        faults=["base_tilts"], joints={shaft: {} for shaft in list_shafts(parts, shares)},
     )  # fmt: skip
     plant, draw = Plant(scene), np.random.default_rng(7)
     assert_keeps_energy(plant)
     assert list(plant.external_wrenches) == [link.link for link in scene.chain.links]
-    truth = Lagrange(serial("arm", parts), matrix(parts, shares), np.zeros(len(parts)))
+    truth = Lagrange(
+        write_serial("arm", parts), make_coupling_matrix(parts, shares), np.zeros(len(parts))
+    )
     model = truth.model
     tool = model.frames[model.getFrameId("tool0")]
     pose = pin.SE3(pin.rpy.rpyToMatrix(*unit["rpy"]), np.array(unit["xyz"]))
@@ -327,8 +329,8 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
 
 def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path) -> None:
     """By its description: one drive for all slides; the whole machine arrives."""
-    text = mimicking(serial("arm", BOOM), "j4", "j3", 0.6, 0.0)
-    text = mimicking(text, "j5", "j3", 0.4, 0.0)
+    text = write_mimic(write_serial("arm", BOOM), "j4", "j3", 0.6, 0.0)
+    text = write_mimic(text, "j5", "j3", 0.4, 0.0)
     file = tmp_path / "arm.urdf"
     file.write_text(text)
     written = write_new(file, tmp_path / "new")
@@ -336,7 +338,7 @@ def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path
     assert written.choice.tool == "tool0"
     scene, gains = load_scene(written.file), load_gains(written.file)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
-    pair = reachable(kinematics, 0.2, np.random.default_rng(1))
+    pair = draw_reachable(kinematics, 0.2, np.random.default_rng(1))
     assert pair is not None
     outcome = move(scene, gains, "50 mm", *pair)
     assert not outcome.words and outcome.peak_speed <= 1.0 and not outcome.has_overshot, outcome
@@ -349,7 +351,7 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     # Both motors of the differential carry what its first axis takes.
     efforts = (60.0, 120.0, 30.0, 20.0, 20.0)
     parts = [replace(part, effort=value) for part, value in zip(WRIST, efforts, strict=True)]
-    file.write_text(serial("arm", parts))
+    file.write_text(write_serial("arm", parts))
     written = write_new(file, tmp_path / "new")
     _, shares = ARMS["differential"]
     scene = yaml.safe_load(written.file.read_text()) | {"couplings": shares}
@@ -362,13 +364,13 @@ def test_an_arm_with_a_differential_goes_where_it_is_sent(tmp_path: Path) -> Non
     assert tune(str(written.file), write=True) == 0
     scene, gains = load_scene(written.file), load_gains(written.file)
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
-    truth = Lagrange(serial("arm", WRIST), matrix(WRIST, shares), np.zeros(5))
+    truth = Lagrange(write_serial("arm", WRIST), make_coupling_matrix(WRIST, shares), np.zeros(5))
     frame, p = truth.model.getFrameId("tool0"), np.array([0.3, -0.2, 0.5, 0.4, -0.7])
     pin.framesForwardKinematics(truth.model, truth.data, truth.C @ p)
     expected = truth.data.oMf[frame].translation
     np.testing.assert_allclose(kinematics.forward(p)[1], expected, atol=1e-12)
     assert not find_overloads(scene)
-    pair = reachable(kinematics, 0.1, np.random.default_rng(1))
+    pair = draw_reachable(kinematics, 0.1, np.random.default_rng(1))
     assert pair is not None
     value = move(scene, gains, "50 mm", *pair)
     assert not value.words and value.peak_speed <= 1.0 and not value.has_overshot, value

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from arm_emulator import Plant, Refusal, load_scene
-from oracles.reference import reference_states
+from oracles.reference import solve_states
 
 PERIOD = 2e-3  # s, over which a command is held
 SUPPLY = 24.0
@@ -155,7 +155,7 @@ def test_it_saturates_and_recovers_as_an_independent_solution_does(
     rows = commanded()
     file = write(tmp_path, events=events)
     assert 0.1 < at_the_supply(file, rows) < 0.9, "commands that saturate, and some that do not"
-    solved = reference_states(load_scene(file), rows, PERIOD, 1e-10, method="DOP853")
+    solved = solve_states(load_scene(file), rows, PERIOD, 1e-10, method="DOP853")
     truth, errors = solved[:, [0, 3, 4]], []  # what both has behind any gear
     size = np.abs(truth).max(axis=0)
     for dt in (1e-4, 5e-5, 2.5e-5, 1.25e-5):

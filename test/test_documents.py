@@ -283,7 +283,7 @@ def test_the_board_of_the_example_is_that_of_its_firmware(tmp_path: Path) -> Non
 
 def test_a_command_draws_every_picture_and_measured_table() -> None:
     assert {file.name for file in pages.PICTURES.iterdir()} == set(pages.PAINTERS)
-    for name, page in pages.tables().items():
+    for name, page in pages.find_tables().items():
         bench = importlib.import_module(f"bench.{name}")
         assert callable(bench.run) and callable(bench.report)
         text = page.read_text()

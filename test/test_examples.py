@@ -17,7 +17,7 @@ from arm_emulator import load_scene, load_servo_config
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
-from oracles.predicted_residual import predicted_residual
+from oracles.predicted_residual import predict_residual
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
@@ -58,7 +58,7 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
                 return False
             q = np.array(user.truth.position)
             # This servo has no integral action, and holds within a whole count.
-            bound = predicted_residual(controller, q, count, held_within=1.0).encoder
+            bound = predict_residual(controller, q, count, held_within=1.0).encoder
             if (np.abs(target - controller.kinematics.forward(q)[1]) > bound).any():
                 inside.clear()
                 return False

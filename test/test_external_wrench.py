@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 import yaml
 from draws import FULL, some
-from machines import GRAVITY, MOTOR, SENSED, moving_joints, random_chain_urdf, write_scene
+from machines import GRAVITY, MOTOR, SENSED, list_moving_joints, write_random_chain, write_scene
 from scipy.integrate import solve_ivp
 from test_fleet_step import LOCATED
 
@@ -37,8 +37,8 @@ PAYLOAD = {"mass": MASS, "com": [0.1, 0.0, 0.05]}
 
 def driven_arm(folder: Path, scheme: str = "extrapolated", **keys: Any) -> Path:
     """Three joints, elastic, rigid (one that slides) and without a motor, with a payload."""
-    urdf = random_chain_urdf(np.random.default_rng(0), 3)
-    names = moving_joints(urdf)
+    urdf = write_random_chain(np.random.default_rng(0), 3)
+    names = list_moving_joints(urdf)
     joints = {
         names[0]: {"motor": MOTOR, "gear": {"ratio": 0.02, "stiffness": 2e3, "damping": 4.0}},
         names[1]: {"motor": MOTOR, "gear": {"ratio": 0.03}},

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from arm_emulator import Plant, Refusal, Scene, load_scene, load_servo_config
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.runs.gains import check_joints
-from oracles.reference import reference
+from oracles.reference import solve_positions
 
 PERIOD = 1e-2  # s, over which a command is held
 TORQUE = {"kind": "torque", "rotor_inertia": ROTOR}
@@ -174,7 +174,7 @@ def test_a_servo_for_voltages_and_the_reference_refuse_them(motor: dict[str, Any
     with pytest.raises(
         Refusal, match="shoulder.motor must be a part that the reference".replace(".", "[.]")
     ):
-        reference(scene, [[0.0, 0.0, 0.0]], 1e-3)
+        solve_positions(scene, [[0.0, 0.0, 0.0]], 1e-3)
 
 
 @pytest.mark.parametrize("scheme", ["extrapolated"])

@@ -22,7 +22,7 @@ from arm_emulator.design.joint_data import JointData, list_joint_names, load_joi
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.parts.frictions.friction import Friction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
-from bench.origins import origins
+from bench.origins import list_origins
 from bench.published_joints import JOINTS
 
 # At the output; of the servo of model M1 Coulomb's and viscous friction alone.
@@ -69,7 +69,7 @@ def test_the_joints_are_those_of_the_source() -> None:
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_every_figure_of_a_joint_has_a_source_or_a_range(name: str) -> None:
-    figures = origins(CONFIG / "joints" / f"{name}.yaml")
+    figures = list_origins(CONFIG / "joints" / f"{name}.yaml")
     assert {figure.section for figure in figures} >= {"motor", "motor.friction", "gear"}
     published = {figure.key for figure in figures if figure.assumed is None}
     assert {"torque_constant", "rotor_inertia", "coulomb", "viscous"} <= published

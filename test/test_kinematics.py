@@ -19,7 +19,7 @@ from kinematic_arms import (
     three_axis,
     turning_chain,
 )
-from machines import random_chain_urdf
+from machines import write_random_chain
 from scipy.spatial.transform import Rotation
 
 from arm_emulator import JacobianController, Kinematics, Pose, Refusal, load_scene
@@ -47,7 +47,7 @@ def test_forward_kinematics_of_the_three_axis_arm() -> None:
 def test_jacobian_is_the_derivative_of_forward_kinematics(joints: int, seed: int) -> None:
     """Random joints of every kind about random axes, against central differences."""
     rng = np.random.default_rng([joints, seed])
-    urdf = random_chain_urdf(rng, joints)
+    urdf = write_random_chain(rng, joints)
     names = [
         f"{kind}_{i}"
         for i in range(joints)

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.machine.schemes.known import SCHEMES
-from oracles.reference import reference
+from oracles.reference import solve_positions
 
 
 def sample_three_axis(
@@ -45,7 +45,7 @@ def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int
     """Rotors that start within a step: near at 1 ms, of second order where steps resolve them."""
     period = 0.02
     scene, voltages = sample_three_axis(seed, "rosenbrock", 1e-3)
-    truth = reference(scene, voltages, period, 1e-10, method="LSODA")
+    truth = solve_positions(scene, voltages, period, 1e-10, method="LSODA")
     errors = []
     for dt in (1e-3, 1e-4, 1e-5):
         scene, _ = sample_three_axis(seed, "rosenbrock", dt)

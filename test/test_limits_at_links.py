@@ -11,7 +11,7 @@ from draws import some
 from arm_emulator import Kinematics, Scene, load_gains, load_scene
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.runs.gains import Gains
-from oracles.any_arm import move, reachable
+from oracles.any_arm import draw_reachable, move
 from oracles.own_robots import OWN
 
 ARMS = "scara", "spherical_wrist", "tilted"
@@ -41,7 +41,7 @@ def test_links_keep_their_accelerations(
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     rng = np.random.default_rng(round(period * 1e4))
     for _ in range(3):
-        pair = reachable(kinematics, 0.3 * min(1.0, kinematics.reach / 0.8), rng)
+        pair = draw_reachable(kinematics, 0.3 * min(1.0, kinematics.reach / 0.8), rng)
         assert pair is not None
         outcome = move(scene, dataclasses.replace(gains, servo=servo, motion=motion), "", *pair)
         assert not outcome.words

@@ -14,8 +14,8 @@ from test_new_drives import untuned
 from arm_emulator import Kinematics, Plant, load_gains, load_scene
 from arm_emulator.analysis.holding import find_overloads
 from arm_emulator.design.new_scene import write_new
-from oracles.any_arm import move, reachable
-from oracles.own_robots import RobotPart, serial
+from oracles.any_arm import draw_reachable, move
+from oracles.own_robots import RobotPart, write_serial
 
 __all__ = ["untuned"]  # a fixture
 
@@ -34,12 +34,12 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     R_WB = Rotation.from_euler("xyz", MOUNTS[mount]).as_matrix()
     gravity = (R_WB.T @ DOWN).tolist()
     file = tmp_path / "arm.urdf"
-    file.write_text(serial("arm", PARTS))
+    file.write_text(write_serial("arm", PARTS))
     written = write_new(file, tmp_path / "new")
     upright = load_scene(written.file, {"gravity": gravity})
     text = written.file.read_text()
     rpy = " ".join(map(repr, MOUNTS[mount]))
-    (tmp_path / "turned.urdf").write_text(serial("arm", PARTS, base_rpy=rpy))
+    (tmp_path / "turned.urdf").write_text(write_serial("arm", PARTS, base_rpy=rpy))
     turned_file = tmp_path / "turned.yaml"
     turned_file.write_text(text.replace("urdf/arm.urdf", "turned.urdf"))
     turned = load_scene(turned_file)
@@ -57,7 +57,7 @@ def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Pat
     )
     gains = dataclasses.replace(gains, motion=motion)
     kinematics = Kinematics(upright.urdf, upright.joint_names, upright.tool)
-    pair = reachable(kinematics, 0.1, np.random.default_rng(3))
+    pair = draw_reachable(kinematics, 0.1, np.random.default_rng(3))
     assert pair is not None
     done = move(upright, gains, "100 mm", *pair)
     assert not done.words and done.peak_speed <= 1.0 and done.seconds < 6.0, done
@@ -69,7 +69,7 @@ def test_a_mount_that_the_motors_do_not_hold_is_reported(tmp_path: Path) -> None
     """The first joint carries weight as soon as the base is turned."""
     file = tmp_path / "arm.urdf"
     weak = [dataclasses.replace(PARTS[0], effort=4.0), *PARTS[1:]]
-    file.write_text(serial("arm", weak))
+    file.write_text(write_serial("arm", weak))
     written = write_new(file, tmp_path / "new")
     assert not written.overloads, "upright, the first joint carries no weight"
     on_wall = find_overloads(load_scene(written.file, {"gravity": [9.81, 0.0, 0.0]}))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import MOTOR, moving_joints, random_chain_urdf, write_scene
+from machines import MOTOR, list_moving_joints, write_random_chain, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops
@@ -46,12 +46,12 @@ KINDS: dict[str, list[dict[str, Any]]] = {
 
 def pair(folder: Path, rng: np.random.Generator, kind: str, scheme: str) -> list[Scene]:
     """Three random joints, and the same machine with gears the other way round."""
-    urdf = random_chain_urdf(rng, 3)
+    urdf = write_random_chain(rng, 3)
     ratios = rng.uniform(0.01, 0.04, 3)
     scenes = []
     for sign in (1.0, -1.0):
         joints = {}
-        for name, ratio, parts in zip(moving_joints(urdf), ratios, KINDS[kind], strict=True):
+        for name, ratio, parts in zip(list_moving_joints(urdf), ratios, KINDS[kind], strict=True):
             gear = {"ratio": float(sign * ratio), **parts.get("gear", {})}
             motor = {**MOTOR, **parts.get("motor", {})}
             joints[name] = {"motor": motor, "gear": gear,

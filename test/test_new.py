@@ -22,8 +22,8 @@ from arm_emulator.design.robot_file import read_limits
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.runs.gains import check_fit
-from oracles.any_arm import move, reachable
-from oracles.own_robots import OWN, Robot, RobotPart, serial
+from oracles.any_arm import draw_reachable, move
+from oracles.own_robots import OWN, Robot, RobotPart, write_serial
 
 __all__ = ["untuned"]  # a fixture
 
@@ -113,7 +113,7 @@ def test_rods_of_a_palletizer_beside_its_wrist_are_no_gripper(joints: int) -> No
         f'<child link="rod{k}"/><mimic joint="j3" multiplier="{multiplier}"/></joint>'
         for k, multiplier in ((2, -1), (3, 1))
     )
-    text = serial("arm", parts).replace("</robot>", f"{rods}</robot>")
+    text = write_serial("arm", parts).replace("</robot>", f"{rods}</robot>")
     choice = choose_joints(ET.fromstring(text), "robot")
     assert choice.joints == tuple(f"j{k + 1}" for k in range(joints))
     assert choice.tool == "tool0" and set(choice.locked) == {"r2", "r3"}
@@ -381,7 +381,7 @@ def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     rng = np.random.default_rng(3)
     for _ in range(3):
-        pair = reachable(kinematics, 0.05, rng)
+        pair = draw_reachable(kinematics, 0.05, rng)
         assert pair is not None
         outcome = move(scene, gains, "50 mm", *pair)
         assert not outcome.words, outcome.words

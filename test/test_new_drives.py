@@ -29,7 +29,7 @@ from arm_emulator.design.survey import survey
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.kinematics import Kinematics
-from oracles.own_robots import OWN, RobotPart, serial
+from oracles.own_robots import OWN, RobotPart, write_serial
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def arm(efforts: list[float | None], first_axis: str = "0 1 0") -> str:
         RobotPart(axis, (length, 0.0, 0.0), mass, effort=effort, velocity=2.0)
         for axis, length, mass, effort in zip(axes, lengths, masses, efforts, strict=True)
     ]
-    return serial("arm", parts)
+    return write_serial("arm", parts)
 
 
 def make_new(folder: Path, text: str, payload: float | None = None) -> tuple[NewScene, list[str]]:
@@ -191,7 +191,7 @@ def test_loads_that_the_arm_cannot_hold_are_reported(
 def test_published_figures_come_before_rules(tmp_path: Path) -> None:
     """A servo's motor is that of its data sheet: stall torque and no-load speed at its supply."""
     five = [RobotPart("0 1 0", (0.08, 0.0, 0.0), 0.1, effort=35.0, velocity=1.0)] * 5
-    written, how = make_new(tmp_path / "hobby", serial("so101_new_calib", five))
+    written, how = make_new(tmp_path / "hobby", write_serial("so101_new_calib", five))
     assert how == ["published"] * 5
     scene = load_scene(written.file)
     assert scene.supply_voltage == STS3215.supply == 12.0
@@ -201,7 +201,7 @@ def test_published_figures_come_before_rules(tmp_path: Path) -> None:
         stall = motor.torque_constant * 12.0 / motor.resistance / Ng
         free = 12.0 / motor.back_emf_constant * Ng
         assert stall == pytest.approx(2.94, rel=1e-2) and free == pytest.approx(4.71, rel=1e-2)
-    unknown, how = make_new(tmp_path / "unknown", serial("my_arm", five[:2]))
+    unknown, how = make_new(tmp_path / "unknown", write_serial("my_arm", five[:2]))
     assert how == ["guess"] * 2, "35 N m in every joint of an arm that needs 0.5"
     assert load_scene(unknown.file).supply_voltage == 24.0
 
@@ -239,7 +239,7 @@ def test_the_survey_bounds_the_demands_of_poses(tmp_path: Path) -> None:
     """A rod on a hinge: its inertia and weight are known in closed form."""
     length, mass = 0.5, 2.0
     file = tmp_path / "rod.urdf"
-    file.write_text(serial("rod", [RobotPart("0 1 0", (length, 0.0, 0.0), mass, radius=0.0)]))
+    file.write_text(write_serial("rod", [RobotPart("0 1 0", (length, 0.0, 0.0), mass, radius=0.0)]))
     scene = load_scene(write_new(file, tmp_path / "new").file)
     result = survey(scene, Kinematics(scene.urdf, scene.joint_names, scene.tool))
     np.testing.assert_allclose(result.inertia, mass * length**2 / 3.0, rtol=1e-12)

@@ -15,7 +15,7 @@ from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config
-from oracles.own_robots import RobotPart, serial
+from oracles.own_robots import RobotPart, write_serial
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +32,7 @@ def with_balls(rng: np.random.Generator) -> str:
     parts = [
         RobotPart(axis, (float(rod), 0.0, 0.05), 1.0) for axis, rod in zip(axes, rods, strict=True)
     ]
-    text = serial("balls", parts)
+    text = write_serial("balls", parts)
     for k, rod in enumerate(rods, start=1):
         ball = (
             f'<collision><origin xyz="{rod} 0 0.05"/>'

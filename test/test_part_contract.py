@@ -20,9 +20,9 @@ from arm_emulator.machine.parts.part import Part
 from oracles.mixtures import (
     PERIOD,
     STEPS,
-    commands,
     converge,
     draw_alone,
+    draw_commands,
     run,
     write_scene,
 )
@@ -50,7 +50,7 @@ def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
 
 @pytest.mark.parametrize("parts", BESIDE, ids=names)
 def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_path: Path) -> None:
-    rows = commands(scene_of(tmp_path, parts, STEPS[0]), 0)
+    rows = draw_commands(scene_of(tmp_path, parts, STEPS[0]), 0)
 
     @cache
     def moved(steps: int) -> tuple[np.ndarray, float]:
@@ -65,7 +65,7 @@ def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_pa
 @pytest.mark.parametrize("parts", BESIDE, ids=names)
 def test_a_machine_that_is_saved_goes_on_to_the_last_bit(parts: Parts, tmp_path: Path) -> None:
     scene = scene_of(tmp_path, parts, STEPS[0])
-    rows = commands(scene, 1)
+    rows = draw_commands(scene, 1)
     plant, restored = Plant(scene), Plant(scene)
     for k, row in enumerate(rows):
         plant.powered = k % 5 != 3

@@ -20,7 +20,7 @@ AT_STEPS = [scheme for scheme in SCHEMES if scheme not in LOCATING_SCHEMES]
 
 @cache
 def machines() -> list[tuple[part_pairs.RandomJoint, part_pairs.RandomJoint]]:
-    return list(part_pairs.machines())
+    return list(part_pairs.draw_machines())
 
 
 def judge(share: int, scheme: str, folder: Path) -> None:
@@ -48,7 +48,7 @@ def test_events_at_steps_have_order_1(share: int, scheme: str, tmp_path: Path) -
 
 def test_the_machines_have_every_part_beside_and_opposite_every_part() -> None:
     """The list of pairs is drawn: each part must be in it, with all that a joint may have."""
-    pairs = set().union(*map(part_pairs.pairs_of, machines()))
-    assert pairs == part_pairs.all_pairs()
+    pairs = set().union(*map(part_pairs.list_pairs, machines()))
+    assert pairs == part_pairs.list_all_pairs()
     for kind in PARTS:
         assert (False, frozenset({kind.__name__})) in pairs, f"{kind.__name__} opposite itself"

@@ -11,12 +11,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from draws import some
-from machines import moving_joints, random_chain_urdf, write_scene
+from machines import list_moving_joints, write_random_chain, write_scene
 from scipy.integrate import solve_ivp
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.parts.motors.pmsm import Pmsm
-from oracles.reference import links_model
+from oracles.reference import make_links_model
 
 PERIOD = 1e-3  # s, over which a command is held
 SUPPLY = 48.0
@@ -37,9 +37,9 @@ def draw_motor(rng: np.random.Generator) -> dict[str, Any]:
 def draw_arm(folder: Path, seed: int) -> Path:
     """Three random joints: elastic, rigid and elastic gears; gravity aslant."""
     rng = np.random.default_rng([seed, 31])
-    urdf = random_chain_urdf(rng, 3)
+    urdf = write_random_chain(rng, 3)
     joints = {}
-    for k, name in enumerate(moving_joints(urdf)):
+    for k, name in enumerate(list_moving_joints(urdf)):
         gear = {"ratio": float(rng.uniform(0.02, 0.05))}
         if k != 1:
             gear |= {"stiffness": float(rng.uniform(1e3, 3e3)), "damping": float(rng.uniform(1, 5))}
@@ -75,7 +75,7 @@ def solved(scene: Scene, ud: np.ndarray, uq: np.ndarray) -> np.ndarray:
         for name in ("ratio", "stiffness", "damping")
     )
     Dl = np.array([joint.friction.viscous for joint in scene.joints])
-    model = links_model(scene, None)
+    model = make_links_model(scene, None)
     model.armature = np.where(rigid, Mm / Ng**2, 0.0)
     data = model.createData()
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some
-from machines import make_link_urdf, moving_joints, random_chain_urdf, write_scene
+from machines import list_moving_joints, make_link_urdf, write_random_chain, write_scene
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
@@ -21,7 +21,7 @@ from arm_emulator.machine.plant.compiler import FLAGS
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from arm_emulator.toolchain.compiler_command import find_compiler
-from oracles.reference import reference, reference_states
+from oracles.reference import solve_positions, solve_states
 
 PERIOD = 1e-2  # s, over which a voltage is held
 # A scheme of second order and one of first first.
@@ -55,12 +55,12 @@ def draw_motor(rng: np.random.Generator, inductance: bool) -> dict[str, float]:
 def draw_arm(folder: Path, seed: int) -> Path:
     """Three random joints, at least one with such a gear; others linear, rigid or without motor."""
     rng = np.random.default_rng([seed, 77])
-    urdf = random_chain_urdf(rng, 3)
+    urdf = write_random_chain(rng, 3)
     joints: dict[str, dict[str, Any]] = {}
     kinds = rng.permutation(
         ["progressive", *rng.choice(["progressive", "linear", "rigid", "no"], 2)]
     )
-    for place, (name, kind) in enumerate(zip(moving_joints(urdf), kinds, strict=True)):
+    for place, (name, kind) in enumerate(zip(list_moving_joints(urdf), kinds, strict=True)):
         joints[name] = {"friction": {"viscous": float(rng.uniform(0.0, 1.0))}}
         if kind == "no":
             continue
@@ -112,7 +112,7 @@ def orders_of(errors: list[float]) -> Array:
 def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) -> None:
     file = draw_arm(tmp_path, seed)
     voltages = np.random.default_rng(seed).uniform(-20.0, 20.0, (4, 3))
-    truth = reference_states(load_scene(file), voltages, PERIOD, 1e-12, method="DOP853")
+    truth = solve_states(load_scene(file), voltages, PERIOD, 1e-12, method="DOP853")
     for scheme, order in some(SCHEME_ORDERS, 1):
         errors = []
         for steps in (40, 80, 160, 320):
@@ -209,7 +209,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
         except Diverged:
             outcomes.append("diverged")
             continue
-        truth = reference(plant.scene, voltages, PERIOD, 1e-8)
+        truth = solve_positions(plant.scene, voltages, PERIOD, 1e-8)
         off = float(np.abs(q - truth).max() / np.abs(truth).max())
         assert off < 0.1, f"Kg3 = {Kg3:g}: a wrong motion in silence, off by {off:.0%}"
         outcomes.append("followed")

@@ -14,7 +14,7 @@ from test_new_drives import untuned
 
 from arm_emulator.design.new_scene import NewScene, write_new
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
-from oracles.own_robots import RobotPart, serial
+from oracles.own_robots import RobotPart, write_serial
 
 __all__ = ["untuned"]  # a fixture
 pytestmark = pytest.mark.usefixtures("untuned")
@@ -45,7 +45,7 @@ def described(name: str, joints: list[dict[str, str]]) -> str:
         axis = " ".join(joint[f"axis_{axis}"] for axis in "xyz")
         speed = float(joint["speed"])
         parts.append(RobotPart(axis, (x, y, z), float(joint["mass"]), velocity=speed))
-    return serial(name, parts)
+    return write_serial(name, parts)
 
 
 def make_new(folder: Path, text: str, payload: float | None) -> NewScene:
@@ -113,7 +113,7 @@ def test_a_flange_that_rolls_holds_and_rotates_a_cube_beside_its_axis(
         RobotPart("0 1 0", (1.0, 0.0, 0.0), 30.0),
         RobotPart(axis, (0.1, 0.0, 0.0), 1e-6, velocity=4.0),
     ]
-    written = make_new(tmp_path / "roll", serial("roll", parts), payload)
+    written = make_new(tmp_path / "roll", write_serial("roll", parts), payload)
     a = (payload / 1000.0) ** (1.0 / 3.0)
     static, dynamic = payload * G * a / 2.0, payload * (a**2 / 4.0 + a**2 / 6.0)
     # The heaviest of the poses drawn is not quite the horizontal one.
@@ -129,12 +129,12 @@ def test_a_flange_that_rolls_holds_and_rotates_a_cube_beside_its_axis(
 
 def test_a_last_joint_that_bends_the_arm_holds_its_tool_at_the_end(tmp_path: Path) -> None:
     parts = [RobotPart("0 1 0", (0.5, 0.0, 0.0), 5.0), RobotPart("0 1 0", (0.3, 0.0, 0.0), 1e-6)]
-    written = make_new(tmp_path / "bend", serial("bend", parts), 8.0)
+    written = make_new(tmp_path / "bend", write_serial("bend", parts), 8.0)
     np.testing.assert_allclose(written.tools[0].centre, [0.1, 0.1, 0.0], atol=1e-9)
 
 
 def test_both_arms_of_a_tree_have_tools_and_fingers_have_none(tmp_path: Path) -> None:
-    left = serial("two", [RobotPart("0 1 0", (0.3, 0.0, 0.0), 4.0, velocity=3.0)] * 4)
+    left = write_serial("two", [RobotPart("0 1 0", (0.3, 0.0, 0.0), 4.0, velocity=3.0)] * 4)
     right = left
     for k in range(4, 0, -1):
         right = right.replace(f'"l{k}"', f'"r{k}"').replace(f'"j{k}"', f'"i{k}"')

@@ -24,7 +24,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import make_controller
-from oracles.predicted_residual import predicted_residual
+from oracles.predicted_residual import predict_residual
 
 
 def test_predicted_residual_of_a_single_joint_is_1_5_counts() -> None:
@@ -38,7 +38,7 @@ def test_predicted_residual_of_a_single_joint_is_1_5_counts() -> None:
         "tool",
     )  # fmt: skip
     count = 1e-4
-    bound = predicted_residual(JacobianController(kinematics), [0.0], [count], [2e-3])
+    bound = predict_residual(JacobianController(kinematics), [0.0], [count], [2e-3])
     assert bound.encoder[1] == pytest.approx(0.43 * count * (0.5 / 0.5 + 0.5), rel=0.01)
     assert bound.wind_up[1] == pytest.approx(0.43 * 2e-3, rel=1e-5)
     assert np.array_equal(bound.total, bound.encoder + np.abs(bound.wind_up))
@@ -90,7 +90,7 @@ def test_fig_4_ten_millimetres(axis: int, sign: int) -> None:
     displacement = sign * 0.010 * np.eye(3)[axis]
     R_WT, p_WT = experiment.controller.kinematics.forward(START)
     deviations = np.array(list(experiment.deviations(Pose(p_WT + displacement, R_WT), 60)))
-    bound = predicted_residual(
+    bound = predict_residual(
         experiment.controller, experiment.plant.state.q, experiment.count_angle
     )
     assert np.allclose(deviations[0], displacement, rtol=0, atol=1e-12)
@@ -112,7 +112,7 @@ def test_residual_stays_within_the_bound_and_the_bound_is_tight() -> None:
         displacement *= 0.010 / np.linalg.norm(displacement)
         R_WT, p_WT = experiment.controller.kinematics.forward(q)
         rest = np.array(list(experiment.deviations(Pose(p_WT + displacement, R_WT), 40)))[25:]
-        bound = predicted_residual(
+        bound = predict_residual(
             experiment.controller, experiment.plant.state.q, experiment.count_angle
         )
         ratios.append(np.abs(rest).max(axis=0) / bound.encoder)
@@ -128,7 +128,7 @@ def test_gravity_adds_the_wind_up_of_the_gears() -> None:
     target = Pose(p_WT + np.array([0.0, 0.010, 0.0]), R_WT)
     deviation = list(experiment.deviations(target, 60))[-1]
     state = experiment.plant.state
-    bound = predicted_residual(
+    bound = predict_residual(
         experiment.controller,
         state.q,
         experiment.count_angle,
@@ -164,7 +164,7 @@ def test_robots_move_50_mm_with_constant_orientation(scene: str, method: str) ->
     for _ in range(round(9.0 / motion.period)):
         deviations.append(kinematics.tool_error(session.state.q, target))
         run.advance(run.motion_ticks)
-    bound = predicted_residual(
+    bound = predict_residual(
         run.controller,
         session.state.q,
         [joint.count_angle for joint in servo.joints],

@@ -14,16 +14,16 @@ from machines import (
     GRAVITY,
     LINK_INERTIA,
     MOTOR,
+    list_moving_joints,
     make_link_urdf,
-    moving_joints,
-    random_chain_urdf,
+    write_random_chain,
     write_scene,
 )
 from scipy.linalg import expm
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
-from oracles.reference import reference, reference_states
+from oracles.reference import solve_positions, solve_states
 
 PERIOD = 1e-2  # s, over which a voltage is held
 ROWS = 30
@@ -58,9 +58,9 @@ MACHINES: dict[str, dict[str, Any]] = {
 def random_scene() -> Path:
     """A chain of four random joints, prismatic ones among them, with motors, and gravity aslant."""
     folder = Path(tempfile.mkdtemp())
-    urdf = random_chain_urdf(np.random.default_rng(11), 4)
+    urdf = write_random_chain(np.random.default_rng(11), 4)
     gear = {"ratio": 0.02, "stiffness": 5e3, "damping": 20.0}
-    names = moving_joints(urdf)
+    names = list_moving_joints(urdf)
     assert any("prismatic" in name for name in names), f"no prismatic joint among {names}"
     joint = {"motor": MOTOR, "gear": gear, "friction": {"viscous": 0.5}}
     return write_scene(folder, urdf, dict.fromkeys(names, joint), gravity=GRAVITY)
@@ -94,7 +94,7 @@ def voltages(joints: int) -> np.ndarray:
 @cache
 def truth(machine: str) -> np.ndarray:
     machine_scene = scene(machine, "paper", 100)
-    return reference(
+    return solve_positions(
         machine_scene,
         voltages(len(machine_scene.joints)),
         PERIOD,
@@ -118,10 +118,10 @@ def test_reference_by_three_methods() -> None:
     """Implicit, explicit and of many steps: what they agree on is no matter of method."""
     machine = scene("everything", "paper", 100)
     rows = voltages(3)[:2]
-    explicit = reference(machine, rows, PERIOD, 1e-9, method="DOP853")
+    explicit = solve_positions(machine, rows, PERIOD, 1e-9, method="DOP853")
     # Each makes an error of 1e-9 per step at most, in some hundred steps that damping forgets.
     for method in ("Radau", "LSODA"):
-        motion_by_method = reference(machine, rows, PERIOD, 1e-9, method=method)
+        motion_by_method = solve_positions(machine, rows, PERIOD, 1e-9, method=method)
         assert motion_by_method == pytest.approx(explicit, abs=1e-9), (
             f"motions by {method} and by DOP853"
         )
@@ -157,7 +157,7 @@ def test_reference_equals_the_closed_form(tmp_path: Path, rigid: bool, L: float)
         motor_rows = [wm, (K * i - Ng * T) / Mm]
     di = (V * np.eye(6)[5] - R * i - K * wm) / L if L else np.zeros(6)
     A = np.array([di, *motor_rows, np.eye(6)[4], dv, np.zeros(6)])
-    states = reference_states(machine, np.full((10, 1), V), PERIOD)
+    states = solve_states(machine, np.full((10, 1), V), PERIOD)
     for k, state in enumerate(states):
         exact = expm(A * PERIOD * (k + 1))[:5, 5]
         # 1e-11 of the largest entry, the motor's 90 rad/s, in each of a hundred steps.
@@ -173,7 +173,7 @@ def test_reference_states_the_parts_that_it_cannot_solve() -> None:
         {"payload": {"mass": 1.0}},  # a loaded scene does not state where its payload is
     ):
         with pytest.raises(Refusal, match="reference: "):
-            reference(scene("everything", "paper", 100, **overrides), voltages(3), PERIOD)
+            solve_positions(scene("everything", "paper", 100, **overrides), voltages(3), PERIOD)
 
 
 # Orders
@@ -203,7 +203,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
     machine = scene("everything", "rosenbrock", 1)
     t = PERIOD * np.arange(100)[:, None]
     rows = 12.0 * np.sin(2.0 * np.pi * (0.5 + 0.3 * np.arange(3)) * t + np.arange(3))
-    exact = reference(machine, rows, PERIOD, 1e-6)
+    exact = solve_positions(machine, rows, PERIOD, 1e-6)
     assert Plant(machine).run(rows, 1)[-1] == pytest.approx(exact[-1], abs=5e-4), "arm after 1 s"
 
 
@@ -337,9 +337,9 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
     """A thrown chain of four joints with dry friction alone loses energy till all of it is gone."""
-    urdf = random_chain_urdf(np.random.default_rng(7), 4)
+    urdf = write_random_chain(np.random.default_rng(7), 4)
     joint = {"friction": {"coulomb": 1.5, "breakaway": 2.5}}
-    joints = dict.fromkeys(moving_joints(urdf), joint)
+    joints = dict.fromkeys(list_moving_joints(urdf), joint)
     plant = Plant(
         load_scene(
             write_scene(tmp_path, urdf, joints),

@@ -26,7 +26,7 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.varied import Varied
-from oracles.mixtures import PERIOD, commands, draw_alone, write_mixture, write_scene
+from oracles.mixtures import PERIOD, draw_alone, draw_commands, write_mixture, write_scene
 
 Parts = tuple[type[Part], ...]
 
@@ -97,7 +97,7 @@ def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> 
     joints = {name: draw_alone(part, 0) for name, part in zip(GANTRY, parts, strict=True)}
     file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / 4, "integrator.events": "located"})
-    compare(scene, commands(scene, 0))
+    compare(scene, draw_commands(scene, 0))
 
 
 def test_derivatives_by_every_number_of_friction_that_knows_the_direction_of_power(
@@ -119,7 +119,7 @@ def test_derivatives_by_every_number_of_friction_that_knows_the_direction_of_pow
     joints = dict(zip(GANTRY, sections, strict=True))
     file = write_scene(tmp_path, gantry_urdf(), joints, gravity=GRAVITY)
     scene = load_scene(file, {"integrator.dt": PERIOD / 4, "integrator.events": "located"})
-    compare(scene, commands(scene, 0))
+    compare(scene, draw_commands(scene, 0))
 
 
 def mixture(folder: Path, seed: int) -> Scene:
@@ -131,7 +131,7 @@ def mixture(folder: Path, seed: int) -> Scene:
 @pytest.mark.parametrize("seed", range(20) if FULL else [8])
 def test_derivatives_by_every_number_of_a_mixture(seed: int, tmp_path: Path) -> None:
     scene = mixture(tmp_path, seed)
-    compare(scene, commands(scene, seed))
+    compare(scene, draw_commands(scene, seed))
 
 
 @pytest.mark.slow
@@ -142,7 +142,7 @@ def test_derivatives_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None
     """
     scene = mixture(tmp_path, 8)
     machine = SensitiveMachine(scene, [*inner(scene), "start.*"])
-    rows, rng = commands(scene, 8), np.random.default_rng(0)
+    rows, rng = draw_commands(scene, 8), np.random.default_rng(0)
     every, places = machine.run(rows).by, np.array(machine._places)
     for count in (1, 7, 8, 9, 16, 17, 64, 65):
         which = rng.integers(len(places), size=count)

@@ -29,8 +29,8 @@ from arm_emulator.machine.varied import (
     vary_child,
     write_expressions,
 )
-from oracles.mixtures import STEPS, commands, push, write_mixture
-from oracles.random_chain import moving_joints, random_chain_urdf
+from oracles.mixtures import STEPS, draw_commands, push, write_mixture
+from oracles.random_chain import list_moving_joints, write_random_chain
 
 SENSORS: dict[str, Any] = {
     "link_encoder": {"counts_per_turn": 8192, "noise": 1e-3, "eccentricity": 1e-3},
@@ -117,12 +117,12 @@ def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1
 @pytest.mark.parametrize("seed", some(range(12), 1))
 def test_varied_links_on_skewed_axes_are_those_of_pinocchio(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng([seed, 12])
-    urdf = skew(rng, random_chain_urdf(rng, 3))
+    urdf = skew(rng, write_random_chain(rng, 3))
     changed_urdf = change_links(rng, urdf)
     files = []
     for name, text in (("one", urdf), ("other", changed_urdf)):
         (tmp_path / name).mkdir()
-        joints: dict[str, Any] = {joint: {} for joint in moving_joints(text)}
+        joints: dict[str, Any] = {joint: {} for joint in list_moving_joints(text)}
         common: dict[str, Any] = {"gravity": [0.0, 0.0, -9.81], "varied": ["links.*"]}
         files.append(write_scene(tmp_path / name, text, joints, **common))
     scene, changed = map(load_scene, files)
@@ -149,7 +149,7 @@ def write_skewed_mixture(folder: Path, seed: int) -> tuple[Path, Path]:
     for joint in scene["joints"].values():
         sensors = SENSORS | (MOTOR_SENSORS if "motor" in joint else {})
         joint |= {key: section for key, section in sensors.items() if rng.random() < 0.5}
-    first = moving_joints((folder / "mixture.urdf").read_text())[0]
+    first = list_moving_joints((folder / "mixture.urdf").read_text())[0]
     gyroscope = {"noise": 1e-3, "bias_x": 0.01}
     scene["imus"] = {"hand": {"link": f"{first}_link", "gyroscope": gyroscope}}
     scene["seed"] = 3
@@ -215,7 +215,7 @@ def moved(scene: Scene, values: dict[str, float], seed: int) -> tuple[np.ndarray
         plant.set_parameter(name, value)
     plant.reset()
     push(plant, seed)
-    for command in commands(scene, seed):
+    for command in draw_commands(scene, seed):
         plant.exchange(command)
         x = plant.state
         rows.append([x.q, x.v, x.current, x.theta_m, x.omega_m, x.gear_torque])

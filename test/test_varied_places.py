@@ -15,7 +15,7 @@ from test_calibration import displaced_urdf, draw_deltas, tool_by_pinocchio
 from arm_emulator import ExternalWrench, Plant, Refusal, Scene, load_scene, sensitivities
 from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator_fleet.fleet import Fleet
-from oracles.random_chain import moving_joints, random_chain_urdf, random_tree_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain, write_random_tree
 
 Deltas = dict[str, dict[str, float]]
 
@@ -37,8 +37,8 @@ def set_all(plant: Plant, deltas: Deltas) -> None:
 def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
     """At the values of the scene and at others; chains, branches, turning and sliding joints."""
     rng = np.random.default_rng(seed)
-    urdf = (random_chain_urdf, random_tree_urdf)[seed % 2](rng, int(rng.integers(1, 7)))
-    names = moving_joints(urdf)
+    urdf = (write_random_chain, write_random_tree)[seed % 2](rng, int(rng.integers(1, 7)))
+    names = list_moving_joints(urdf)
     base = draw_deltas(rng, names[:2])
     keys: dict[str, Any] = {"gravity": GRAVITY, "tool": f"{names[-1]}_link"}
     keys |= {"calibration": {"joints": base}, "varied": ["calibration.*"]}

@@ -42,8 +42,15 @@ from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN
 from arm_emulator_fmu.export import export
 from arm_emulator_identification.link_regressor import compute_link_torques
-from oracles.coupled_arms import ARMS, GRAVITY, Lagrange, described, matrix, mimicking
-from oracles.own_robots import RobotPart, serial
+from oracles.coupled_arms import (
+    ARMS,
+    GRAVITY,
+    Lagrange,
+    make_coupling_matrix,
+    write_description,
+    write_mimic,
+)
+from oracles.own_robots import RobotPart, write_serial
 
 NS = 1_000_000_000
 SWING = [RobotPart("0 1 0", (0.5, 0.0, 0.0)), RobotPart("0 1 0", (0.5, 0.0, 0.0))]
@@ -58,14 +65,16 @@ class Machine:
         if name == "telescope":  # with room to move in: the slides of ARMS keep each other at 0
             shares = {"j4": {"j3": 0.8}, "j5": {"j3": 0.4}}
         file = folder / "arm.urdf"
-        text = described(name)
+        text = write_description(name)
         if name == "telescope":
-            text = mimicking(serial("arm", parts), "j4", "j3", 0.8, 0.0)
-            text = mimicking(text, "j5", "j3", 0.4, 0.0)
+            text = write_mimic(write_serial("arm", parts), "j4", "j3", 0.8, 0.0)
+            text = write_mimic(text, "j5", "j3", 0.4, 0.0)
         file.write_text(text)
         new_machine = write_new(file, folder / "new")
         self.scene, self.gains = load_scene(new_machine.file), load_gains(new_machine.file)
-        self.truth = Lagrange(serial("arm", parts), matrix(parts, shares), np.zeros(len(parts)))
+        self.truth = Lagrange(
+            write_serial("arm", parts), make_coupling_matrix(parts, shares), np.zeros(len(parts))
+        )
         robot = ET.fromstring(self.scene.urdf)
         self.limits = read_limits(robot)
         self.torque = np.array([drive.peak_torque for drive in new_machine.drives])
@@ -273,7 +282,7 @@ def test_the_picture_shows_the_joints(machine: Machine, tmp_path: Path) -> None:
 
 def test_joints_that_follow_touch_obstacles() -> None:
     """A second link that keeps its direction in the world: its ball stays level with its elbow."""
-    robot = ET.fromstring(serial("arm", SWING))
+    robot = ET.fromstring(write_serial("arm", SWING))
     for joint in robot.findall("joint"):
         if joint.get("name") == "j2":
             ET.SubElement(joint, "coupling", joint="j1", multiplier="-1.0")
@@ -314,7 +323,7 @@ def test_a_unit_moves_as_the_machine(machine: Machine, tmp_path: Path) -> None:
 )
 def test_limits_that_couplings_cannot_keep_are_refused(multiplier: float, offset: float) -> None:
     """The leader goes from 0 to 0.6 m, the follower from 0 to 0.4 m."""
-    text = mimicking(serial("arm", ARMS["telescope"][0]), "j4", "j3", multiplier, offset)
+    text = write_mimic(write_serial("arm", ARMS["telescope"][0]), "j4", "j3", multiplier, offset)
     shafts = Shafts(text, ("j1", "j2", "j3"), "tool0")
     ends = [read_limits(ET.fromstring(text)).get(name, (-9.0, 9.0)) for name in shafts.joints]
     with pytest.raises(Refusal, match=r"joint j[34] must have limits that its couplings can keep"):

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machines import moving_joints, random_chain_urdf, write_scene
+from machines import list_moving_joints, write_random_chain, write_scene
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.scene.integrator import DEEPEST_EXCHANGE
@@ -142,8 +142,8 @@ def random_sensors(rng: np.random.Generator, joints: dict[str, Any], link: str) 
 
 def random_machine(rng: np.random.Generator, folder: Path, joints: int) -> Path:
     """Write a random scene of so many joints and return its path."""
-    urdf = random_chain_urdf(rng, joints)
-    names = moving_joints(urdf)
+    urdf = write_random_chain(rng, joints)
+    names = list_moving_joints(urdf)
     scheme = str(rng.choice(SCHEMES))
     dt = float(rng.choice([1e-3, 5e-4, 1e-4, 2e-5]))
     keys: dict[str, Any] = {"integrator": {"scheme": scheme, "dt": dt}}

@@ -118,7 +118,7 @@ class ExcitationMotions:
         return Plant(dataclasses.replace(scene, integrator=integrator, threads=1))
 
 
-def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[JudgedMotion]:
+def list_motions(scene: Scene, seconds: float = SECONDS) -> list[JudgedMotion]:
     """Return the default test motions of a scene, always the same."""
     excitation = ExcitationMotions(scene, seconds)
     kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # often of the largest errors
@@ -131,14 +131,14 @@ def judged_motions(scene: Scene, seconds: float = SECONDS) -> list[JudgedMotion]
 # References of one joint over the times t (K,), in units of its size
 
 
-def _telegraph(t: Array, rng: Rng) -> Array:
+def _make_telegraph(t: Array, rng: Rng) -> Array:
     """Reversals after 20 to 150 ms each."""
     changes = np.cumsum(rng.uniform(0.02, 0.15, 2 + int(t[-1] / 0.02)))
     sign: Array = rng.choice([-1.0, 1.0]) * (-1.0) ** np.searchsorted(changes, t)
     return sign
 
 
-def _steps(t: Array, rng: Rng) -> Array:
+def _make_steps(t: Array, rng: Rng) -> Array:
     """Jumps to random positions, after 0.1 to 0.4 s each."""
     changes = np.cumsum(rng.uniform(0.1, 0.4, 2 + int(t[-1] / 0.1)))
     places: Array = rng.uniform(-1.0, 1.0, len(changes) + 1)
@@ -154,24 +154,24 @@ def _sweep(t: Array, rng: Rng) -> Array:
     return wave
 
 
-def _reversals(t: Array, rng: Rng) -> Array:
+def _make_reversals(t: Array, rng: Rng) -> Array:
     """Back and forth at constant speed, with sharp turns."""
     phase = rng.uniform(1.0, 3.0) * t + rng.uniform(0.0, 1.0)
     wave: Array = 0.5 * (4.0 * np.abs(phase % 1.0 - 0.5) - 1.0)
     return wave
 
 
-def _creep(t: Array, rng: Rng) -> Array:
+def _make_creep(t: Array, rng: Rng) -> Array:
     """The same at a twentieth of the distance, after a rest."""
     begun = t - rng.uniform(0.05, 0.2) * t[-1]
-    return 0.05 * _reversals(np.maximum(begun, 0.0), rng)
+    return 0.05 * _make_reversals(np.maximum(begun, 0.0), rng)
 
 
 KINDS: dict[str, Callable[[Array, Rng], Array]] = {
-    "limits": _telegraph,
-    "steps": _steps,
+    "limits": _make_telegraph,
+    "steps": _make_steps,
     "sweep": _sweep,
-    "reversals": _reversals,
-    "creep": _creep,
+    "reversals": _make_reversals,
+    "creep": _make_creep,
     "stop": _sweep,  # without commands from the middle on
 }

@@ -148,7 +148,7 @@ def find_truth(runs: Runs, commands: Array, max_error: float, max_steps: int) ->
             differences = []
         elif last is not None:
             differences.append(float(np.abs(q - last).max()))
-            left = RESERVE * remainder(differences)
+            left = RESERVE * estimate_remainder(differences)
             closer = runs.q(FINEST, CLOSER * steps, commands) if left <= max_error else None
             if closer is not None and (off := float(np.abs(closer - q).max())) <= max_error:
                 return Truth(closer, max(0.5 * off, left / CLOSER), CLOSER * steps)
@@ -162,7 +162,7 @@ def find_truth(runs: Runs, commands: Array, max_error: float, max_steps: int) ->
     )
 
 
-def remainder(differences: list[float]) -> float:
+def estimate_remainder(differences: list[float]) -> float:
     """Return the error of the last run, from the differences of halved steps."""
     if len(differences) < 3:
         return np.inf

@@ -22,24 +22,24 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.cli.command_line import main
 from arm_emulator_analysis.advice import Judge, advise, reserve, step_counts
 from arm_emulator_analysis.commands.advise import advise as advise_scene
-from arm_emulator_analysis.commands.advise import demo_commands, read_commands
+from arm_emulator_analysis.commands.advise import read_commands, record_demo_commands
 from arm_emulator_analysis.judged_motions import (
     KINDS,
     ExcitationMotions,
     JudgedMotion,
-    judged_motions,
+    list_motions,
 )
 from arm_emulator_analysis.true_motion import (
     IntegrationMethod,
     Runs,
+    estimate_remainder,
     find_truth,
     is_confirmed,
-    remainder,
 )
 from bench.advice import CLASSES, judge_scene
-from oracles.event_reference import reference_with_events
-from oracles.random_machines import machine
-from oracles.reference import reference
+from oracles.event_reference import solve_with_events
+from oracles.random_machines import write_machine
+from oracles.reference import solve_positions
 
 STEP = "step"
 SHARE = 0.05  # of the requested error, to which docs/how_to/advice.md promises the truth
@@ -49,10 +49,10 @@ SHARE = 0.05  # of the requested error, to which docs/how_to/advice.md promises 
 def demo() -> tuple[Judge, Array]:
     """The first 0.4 s of three_axis' demo (its target holds from 0.2 s on), and the true motion."""
     scene = load_scene("three_axis")
-    commands = demo_commands(scene, CONFIG / "three_axis.yaml")
+    commands = record_demo_commands(scene, CONFIG / "three_axis.yaml")
     assert commands is not None, "a demo"
     judge = Judge(scene, [JudgedMotion("demo", commands[:400])])
-    truth = reference(scene, commands[:400], scene.servo_period)
+    truth = solve_positions(scene, commands[:400], scene.servo_period)
     assert np.ptp(truth, axis=0).max() > 1e-2, "10 mm of the tool at 0.6 m [rad]"
     return judge, truth
 
@@ -97,9 +97,9 @@ def test_settings_keep_the_error_by_an_independent_solution(expected: float) -> 
 @pytest.mark.parametrize("seed", some([31, 10, 381, 138, 1, 470, 3, 0, 2], 1))
 def test_truths_of_machines_that_stick_are_as_good_as_is_stated(seed: int, tmp_path: Path) -> None:
     """Dry friction and limits of currents, against SciPy from event to event."""
-    file, rows = machine(tmp_path, seed)
+    file, rows = write_machine(tmp_path, seed)
     scene = load_scene(file, {"integrator.dt": 1e-3})
-    expected, events = reference_with_events(scene, rows, scene.servo_period)
+    expected, events = solve_with_events(scene, rows, scene.servo_period)
     assert events > 0, "nothing sticks, and nothing is limited"
     runs = Runs(scene)
     for target in (1e-4, 1e-7):
@@ -114,12 +114,12 @@ def test_truths_of_machines_that_stick_are_as_good_as_is_stated(seed: int, tmp_p
 
 
 def test_the_remaining_error_follows_from_the_ratio_of_differences() -> None:
-    assert remainder([1.0, 0.25]) == np.inf, "two differences show nothing"
-    assert remainder([16.0, 4.0, 1.0]) == pytest.approx(1.0 / 3.0), "order 2"
-    assert remainder([4.0, 2.0, 1.0]) == pytest.approx(1.0), "order 1"
-    assert remainder([1.0, 1.0, 0.9]) == np.inf, "no order"
-    assert remainder([1.0, 0.3, 1e-9]) > 1e-2, "a difference that is small by chance"
-    assert remainder([0.0, 0.0, 0.0]) == 0.0, "nothing moves"
+    assert estimate_remainder([1.0, 0.25]) == np.inf, "two differences show nothing"
+    assert estimate_remainder([16.0, 4.0, 1.0]) == pytest.approx(1.0 / 3.0), "order 2"
+    assert estimate_remainder([4.0, 2.0, 1.0]) == pytest.approx(1.0), "order 1"
+    assert estimate_remainder([1.0, 1.0, 0.9]) == np.inf, "no order"
+    assert estimate_remainder([1.0, 0.3, 1e-9]) > 1e-2, "a difference that is small by chance"
+    assert estimate_remainder([0.0, 0.0, 0.0]) == 0.0, "nothing moves"
 
 
 def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
@@ -226,7 +226,7 @@ def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path
     amplitude = 48.0 / math.sqrt(3.0)  # of which the core clamps commands of a pmsm
     target = {"dc": 48.0, "loop": 48.0, "pmsm": amplitude, "torque": 0.2, "current": 3.0}
     assert limits == [target.get(kind) for kind in kinds], "limits [V, A, N m]"
-    motions = judged_motions(scene, 0.1)
+    motions = list_motions(scene, 0.1)
     assert {motion.name for motion in motions} == set(KINDS), "kinds of motions"
     largest = np.max([np.abs(motion.commands).max(axis=0) for motion in motions], axis=0)
     for j, limit in enumerate(limits):
@@ -238,7 +238,7 @@ def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path
 
 def test_motions_are_the_same_every_time_and_begin_at_rest() -> None:
     scene = load_scene("three_axis")
-    for first, second in zip(judged_motions(scene, 0.1), judged_motions(scene, 0.1), strict=True):
+    for first, second in zip(list_motions(scene, 0.1), list_motions(scene, 0.1), strict=True):
         assert np.array_equal(first.commands, second.commands), first.name
     stop = ExcitationMotions(scene, 0.1).drawn("stop", np.random.default_rng(3)).commands
     assert (stop[50:] == 0.0).all() and np.abs(stop[:50]).max() > 0.0, "no commands from the middle"
@@ -352,4 +352,4 @@ def test_a_motion_of_the_user_is_judged_alone(
 
 def test_a_scene_without_a_demo_is_judged_all_the_same(tmp_path: Path) -> None:
     file = scene_copy(tmp_path).rename(tmp_path / "mine.yaml")
-    assert demo_commands(load_scene(file), file) is None, "it has none"
+    assert record_demo_commands(load_scene(file), file) is None, "it has none"

@@ -182,7 +182,7 @@ class Moment:
         return "before" if before == 0 else "amid" if before < after else "after"
 
 
-def digest_alone(file: Path, folder: Path) -> str:
+def digest_runs(file: Path, folder: Path) -> str:
     """Return the digest of all runs, one after the other in this process."""
     campaign = load_campaign(file)
     simulator, results = make_simulator(campaign), Results(folder, campaign)
@@ -191,7 +191,7 @@ def digest_alone(file: Path, folder: Path) -> str:
     return compute_digest(results.columns())
 
 
-def begun(file: Path, into: Path, place: Place) -> Process:
+def start_campaign(file: Path, into: Path, place: Place) -> Process:
     """Begin a campaign, in a group of processes of its own, as from a terminal."""
     words = [sys.executable, "-m", "arm_emulator", "campaign", str(file), "--into", str(into)]
     return subprocess.Popen(
@@ -206,15 +206,15 @@ def has_begun(client: Process, into: Path) -> bool:
     return client.poll() is None
 
 
-def parts_in(into: Path) -> set[Path]:
+def list_parts(into: Path) -> set[Path]:
     """Return the files of results that are written."""
     return set((into / "parts").glob("*.parquet"))
 
 
 def count_of_parts(file: Path, into: Path, place: Place) -> int:
     """Return how many parts a campaign writes if nobody is killed."""
-    begun(file, into, place).communicate(timeout=LONGEST)
-    return len(parts_in(into))
+    start_campaign(file, into, place).communicate(timeout=LONGEST)
+    return len(list_parts(into))
 
 
 def simulate_kill(
@@ -237,25 +237,25 @@ def simulate_kill(
         rng: chooses a worker.
         parts: see `after`.
     """
-    client = begun(file, into, place)
+    client = start_campaign(file, into, place)
     has_begun(client, into)
     before = set[Path]()
     try:
-        has_come_true(lambda: len(parts_in(into)) >= parts or client.poll() is not None)
+        has_come_true(lambda: len(list_parts(into)) >= parts or client.poll() is not None)
         with contextlib.suppress(subprocess.TimeoutExpired):
             client.wait(after)
-        processes, before = [client.pid, *list_descendants(client.pid)], parts_in(into)
+        processes, before = [client.pid, *list_descendants(client.pid)], list_parts(into)
         place.kill(victim, client, rng)
         if victim in ("client", "ctrl-c"):
             client.communicate(timeout=LONGEST)
             if not has_come_true(lambda: not any(map(is_running, processes)), ENDING):
                 return Moment("", (len(before), 0), "somebody stays behind")
-            client = begun(file, into, place)
+            client = start_campaign(file, into, place)
         out, wrong = client.communicate(timeout=LONGEST)
     except subprocess.TimeoutExpired:
         os.killpg(client.pid, signal.SIGKILL)
         return Moment("", (len(before), 0), f"hung: {client.communicate()[1][-600:]}")
-    facts, last = json.loads(out) if out.strip() else {}, parts_in(into)
+    facts, last = json.loads(out) if out.strip() else {}, list_parts(into)
     words = "" if before <= last else "parts are lost"
     digest = "" if words else facts.get("digest", "")
     words = words or facts.get("refused", "") or wrong[-1500:]
@@ -273,7 +273,7 @@ def main() -> None:
         folder = Path(empty)
         file = folder / "campaign.yaml"
         file.write_text(yaml.safe_dump(CAMPAIGN), encoding="utf-8")
-        expected = digest_alone(file, folder / "alone")
+        expected = digest_runs(file, folder / "alone")
 
         places: dict[str, Place] = {name: make_place() for name, make_place in PLACES.items()}
         kinds = [(name, victim) for name, place in places.items() for victim in place.victims]

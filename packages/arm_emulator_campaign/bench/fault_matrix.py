@@ -6,7 +6,7 @@ from pathlib import Path
 
 from arm_emulator_campaign import fault_matrix as matrix
 from arm_emulator_campaign.fault_matrix import UNDETECTED, FaultRow, find_worst, try_faults
-from bench.tables import table
+from bench.tables import format_table
 
 
 def run(quick: bool) -> list[FaultRow]:
@@ -20,7 +20,7 @@ def report(rows_of: list[FaultRow]) -> str:
     for row in find_worst(rows_of):
         after = "" if row.detected_by == UNDETECTED else f"{1e3 * row.after:.0f} ms"
         rows.append((f"`{row.fault}`", row.detected_by, after, f"{1e3 * row.travel:.2g} mm"))
-    return table(("fault", "detected by", "after", "tool off its way"), rows)
+    return format_table(("fault", "detected by", "after", "tool off its way"), rows)
 
 
 def draw(rows: list[FaultRow], folder: Path) -> Path:

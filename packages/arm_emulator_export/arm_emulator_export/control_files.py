@@ -20,7 +20,7 @@ STATES = (
 FASTEST = 500  # Hz: of the controllers
 
 
-def description(scene: Scene, compiled: str) -> str:
+def describe_control(scene: Scene, compiled: str) -> str:
     """Return the scene's URDF with a ``<ros2_control>`` element.
 
     Args:
@@ -80,7 +80,7 @@ def update_rate(scene: Scene) -> int:
     raise Refusal("ros2-control", "servo_period", rule, f"{scene.servo_period:g} s")
 
 
-def controllers(scene: Scene) -> str:
+def describe_controllers(scene: Scene) -> str:
     """Return parameters of a controller manager with the usual controllers, as YAML.
 
     Raises:

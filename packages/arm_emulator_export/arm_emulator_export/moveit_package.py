@@ -123,12 +123,12 @@ def generate_launch_description():
 '''
 
 
-def package_name(scene: Scene) -> str:
+def make_package_name(scene: Scene) -> str:
     """Return the name of a scene's package, as ROS allows names."""
     return f"{_make_ros_name(scene.name)}_moveit_config"
 
 
-def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, str]:
+def write_moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, str]:
     """Return the texts of a scene's package by their paths in it.
 
     The compiled scene belongs into its folder `MACHINE`.
@@ -139,27 +139,27 @@ def moveit_files(scene: Scene, motion: MotionConfig, bringup: str) -> dict[str, 
         bringup: the scene, as `bringup.launch.py` takes it.
 
     Raises:
-        Refusal: as `control_files.description`; a scene without a rate for controllers, or with
-            unreadable meshes.
+        Refusal: as `control_files.describe_control`; a scene without a rate for controllers, or
+            with unreadable meshes.
     """
-    name, package = _make_ros_name(scene.name), package_name(scene)
+    name, package = _make_ros_name(scene.name), make_package_name(scene)
     words = {"name": name, "package": package, "scene": bringup, "machine": MACHINE}
     texts = {
         "package.xml": _write_package_xml(package, scene.name),
         "CMakeLists.txt": _CMAKE.format(**words),
         ".setup_assistant": _dump_yaml(_configure_assistant(name, package)),
         f"config/{name}.urdf.xacro": _describe_robot(scene, package),
-        f"config/{name}.srdf": srdf(scene),
-        "config/ros2_controllers.yaml": control_files.controllers(scene),
+        f"config/{name}.srdf": write_srdf(scene),
+        "config/ros2_controllers.yaml": control_files.describe_controllers(scene),
         "config/moveit.rviz": _dump_yaml(_configure_rviz()),
         "launch/network.launch.py": _NETWORK.format(**words),
     }
     contents = {
-        "kinematics": kinematics(scene),
-        "joint_limits": joint_limits(scene, motion),
-        "pilz_cartesian_limits": cartesian_limits(motion),
-        "moveit_controllers": trajectory_execution(scene, network=False),
-        "network_controllers": trajectory_execution(scene, network=True),
+        "kinematics": describe_kinematics(scene),
+        "joint_limits": describe_joint_limits(scene, motion),
+        "pilz_cartesian_limits": describe_cartesian_limits(motion),
+        "moveit_controllers": describe_execution(scene, network=False),
+        "network_controllers": describe_execution(scene, network=True),
     }
     texts |= {f"config/{file}.yaml": _dump_yaml(content) for file, content in contents.items()}
     for file, function in LAUNCHES.items():
@@ -179,7 +179,7 @@ def _dump_yaml(content: Mapping[str, Any]) -> str:
 
 def _describe_robot(scene: Scene, package: str) -> str:
     """Return the robot description as a xacro source that finds the machine in its package."""
-    robot = ET.fromstring(control_files.description(scene, f"MACHINE/{name_stem(scene.name)}"))
+    robot = ET.fromstring(control_files.describe_control(scene, f"MACHINE/{name_stem(scene.name)}"))
     folders = [Path(folder) for folder in list_package_folders()]
     for mesh in robot.iter("mesh"):
         # A wheel's packages are not in the index of ROS packages.
@@ -252,14 +252,14 @@ ACTION = "follow_joint_trajectory"
 FREE = 6  # joints that can reach any pose
 
 
-def base_link(scene: Scene) -> str:
+def find_base_link(scene: Scene) -> str:
     """Return the link that no joint moves."""
     robot = ET.fromstring(scene.urdf)
     links = list_element_names(robot, "link", scene.where)
     return find_root_link(links, read_urdf_joints(robot, links, scene.where), scene.where)
 
 
-def named_states(scene: Scene) -> dict[str, list[float]]:
+def list_named_states(scene: Scene) -> dict[str, list[float]]:
     """Return poses by name: where the scene starts, and all joints at 0 where limits allow it."""
     arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     states = {"start": [float(position) for position in scene.start]}
@@ -269,7 +269,7 @@ def named_states(scene: Scene) -> dict[str, list[float]]:
     return states
 
 
-def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
+def write_srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
     """Return the SRDF of a scene's robot.
 
     Args:
@@ -279,11 +279,11 @@ def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
     Raises:
         Refusal: a mesh of the robot that cannot be read.
     """
-    base = base_link(scene)
+    base = find_base_link(scene)
     robot = ET.Element("robot", name=ET.fromstring(scene.urdf).get("name") or scene.name)
     group = ET.SubElement(robot, "group", name=GROUP)
     ET.SubElement(group, "chain", base_link=base, tip_link=scene.tool)
-    for name, positions in named_states(scene).items():
+    for name, positions in list_named_states(scene).items():
         state = ET.SubElement(robot, "group_state", name=name, group=GROUP)
         for joint, value in zip(scene.joint_names, positions, strict=True):
             ET.SubElement(state, "joint", name=joint, value=f"{value!r}")
@@ -297,7 +297,7 @@ def srdf(scene: Scene, drawn: int = DRAWN_CONFIGURATIONS) -> str:
     return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def joint_limits(scene: Scene, motion: MotionConfig) -> dict[str, Any]:
+def describe_joint_limits(scene: Scene, motion: MotionConfig) -> dict[str, Any]:
     """Return the content of joint_limits.yaml: what our motion control would keep, too."""
     limits = read_rate_limits(scene.urdf)
     of_joints = {}
@@ -318,7 +318,7 @@ def joint_limits(scene: Scene, motion: MotionConfig) -> dict[str, Any]:
     }
 
 
-def cartesian_limits(motion: MotionConfig) -> dict[str, Any]:
+def describe_cartesian_limits(motion: MotionConfig) -> dict[str, Any]:
     """Return the content of pilz_cartesian_limits.yaml: of the tool on our paths."""
     limits = {
         "max_trans_vel": motion.tool_speed,
@@ -329,7 +329,7 @@ def cartesian_limits(motion: MotionConfig) -> dict[str, Any]:
     return {"cartesian_limits": limits}
 
 
-def kinematics(scene: Scene) -> dict[str, Any]:
+def describe_kinematics(scene: Scene) -> dict[str, Any]:
     """Return the content of kinematics.yaml; fewer than `FREE` joints reach positions alone."""
     solver = {
         "kinematics_solver": "kdl_kinematics_plugin/KDLKinematicsPlugin",
@@ -342,7 +342,7 @@ def kinematics(scene: Scene) -> dict[str, Any]:
     return {GROUP: solver}
 
 
-def trajectory_execution(scene: Scene, network: bool) -> dict[str, Any]:
+def describe_execution(scene: Scene, network: bool) -> dict[str, Any]:
     """Return the content of a file *_controllers.yaml of MoveIt.
 
     Args:

@@ -20,9 +20,9 @@ from arm_emulator_export.moveit_package import (
     GROUP,
     LAUNCHES,
     MACHINE,
-    moveit_files,
-    package_name,
-    srdf,
+    make_package_name,
+    write_moveit_files,
+    write_srdf,
 )
 
 SCENES = ("three_axis", "ur5", "panda")
@@ -36,13 +36,13 @@ def files(request: pytest.FixtureRequest) -> tuple[str, dict[str, str]]:
         patch.setattr(
             "arm_emulator_export.moveit_package.srdf.__defaults__", (SAMPLED_CONFIGURATIONS,)
         )
-        return name, moveit_files(load_scene(name), load_gains(name).motion, name)
+        return name, write_moveit_files(load_scene(name), load_gains(name).motion, name)
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_pinocchio_reads_the_srdf(name: str) -> None:
     scene = load_scene(name)
-    text = srdf(scene, SAMPLED_CONFIGURATIONS)
+    text = write_srdf(scene, SAMPLED_CONFIGURATIONS)
     model = pin.buildModelFromXML(scene.urdf)
     pin.loadReferenceConfigurationsFromXML(model, text)
     places = [model.joints[model.getJointId(joint)] for joint in scene.joint_names]
@@ -126,7 +126,9 @@ def test_the_description_finds_its_machine_and_meshes(files: tuple[str, dict[str
     name, texts = files
     scene, package = load_scene(name), f"{name}_moveit_config"
     robot = ET.fromstring(texts[f"config/{name}.urdf.xacro"])
-    plain = ET.fromstring(control_files.description(scene, f"$(find {package})/{MACHINE}/{name}"))
+    plain = ET.fromstring(
+        control_files.describe_control(scene, f"$(find {package})/{MACHINE}/{name}")
+    )
     for element, source in zip(robot.iter(), plain.iter(), strict=True):
         if element.tag == "mesh":
             assert Path(unquote(urlparse(element.get("filename", "")).path)).is_file()
@@ -141,14 +143,16 @@ def test_the_description_finds_its_machine_and_meshes(files: tuple[str, dict[str
 def test_a_dollar_of_a_description_stays_a_dollar() -> None:
     scene = load_scene("three_axis")
     object.__setattr__(scene, "urdf", scene.urdf.replace('"three_axis"', '"$(a) ${b}"'))
-    texts = moveit_files(scene, load_gains("three_axis").motion, "three_axis")
+    texts = write_moveit_files(scene, load_gains("three_axis").motion, "three_axis")
     assert 'name="$$(a) $${b}"' in texts["config/three_axis.urdf.xacro"]
 
 
 def test_files_are_complete(files: tuple[str, dict[str, str]]) -> None:
     name, texts = files
     package = ET.fromstring(texts["package.xml"])
-    assert package.findtext("name") == f"{name}_moveit_config" == package_name(load_scene(name))
+    assert (
+        package.findtext("name") == f"{name}_moveit_config" == make_package_name(load_scene(name))
+    )
     assert {f"launch/{launch}.launch.py" for launch in (*LAUNCHES, "network")} <= texts.keys()
     runs = {dependency.text for dependency in package.findall("exec_depend")}
     for path, text in texts.items():
@@ -172,7 +176,7 @@ def test_files_are_complete(files: tuple[str, dict[str, str]]) -> None:
 def test_packages_have_names_that_ros_takes(name: str, package: str) -> None:
     scene = load_scene("three_axis")
     object.__setattr__(scene, "name", name)
-    assert package_name(scene) == f"{package}_moveit_config"
+    assert make_package_name(scene) == f"{package}_moveit_config"
     assert re.fullmatch("[a-z][a-z0-9_]*", package)
 
 

@@ -16,11 +16,11 @@ from arm_emulator_export.control_files import (
     COMMANDS,
     PLUGIN,
     STATES,
-    controllers,
-    description,
+    describe_control,
+    describe_controllers,
     update_rate,
 )
-from oracles.coupled_arms import ARMS, shafts_of
+from oracles.coupled_arms import ARMS, list_shafts
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "packages/arm_emulator_hardware"
@@ -29,7 +29,7 @@ PACKAGE = ROOT / "packages/arm_emulator_hardware"
 @pytest.mark.parametrize("name", some(["three_axis", "kuka_kr300", "ur5", "panda"], 2))
 def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
     scene = load_scene(name)
-    robot = ET.fromstring(description(scene, f"{tmp_path / name}"))
+    robot = ET.fromstring(describe_control(scene, f"{tmp_path / name}"))
     was = ET.fromstring(scene.urdf)
     (control,) = robot.findall("ros2_control")
     assert control.findtext("hardware/plugin") == PLUGIN
@@ -53,7 +53,7 @@ def test_a_description_has_every_drive_once(name: str, tmp_path: Path) -> None:
 def test_varied_numbers_are_commands_with_the_scene_s_values(tmp_path: Path) -> None:
     changed = {"varied": ["joints.elbow.gear.*"], "faults": ["elbow.gear_breaks"]}
     scene = load_scene("three_axis", changed)
-    robot = ET.fromstring(description(scene, f"{tmp_path}/three_axis"))
+    robot = ET.fromstring(describe_control(scene, f"{tmp_path}/three_axis"))
     commands = robot.findall("ros2_control/gpio[@name='three_axis_varied']/command_interface")
     values = {
         command.get("name"): float(command.findtext("param") or "nan") for command in commands
@@ -66,9 +66,9 @@ def test_joints_that_follow_a_single_joint_are_mimics_and_further_couplings_are_
     tmp_path: Path,
 ) -> None:
     parts, shares = ARMS["telescope"]
-    robot = ET.fromstring(description(machine(tmp_path, parts, shares), "anywhere"))
+    robot = ET.fromstring(describe_control(machine(tmp_path, parts, shares), "anywhere"))
     (control,) = robot.findall("ros2_control")
-    assert [mimic.get("name") for mimic in control.findall("joint")] == shafts_of(parts, shares)
+    assert [mimic.get("name") for mimic in control.findall("joint")] == list_shafts(parts, shares)
     mimics = {
         joint.get("name", ""): {mimic.get("joint", ""): float(mimic.get("multiplier", ""))}
         for joint in robot.findall("joint")
@@ -77,7 +77,7 @@ def test_joints_that_follow_a_single_joint_are_mimics_and_further_couplings_are_
     assert mimics == shares and not list(robot.iter("coupling"))
     for name in ("palletizer", "bevel wrist", "differential"):
         with pytest.raises(Refusal, match="follow one other joint each"):
-            description(machine(tmp_path, *ARMS[name]), "anywhere")
+            describe_control(machine(tmp_path, *ARMS[name]), "anywhere")
 
 
 def test_interfaces_are_those_of_the_plugin() -> None:
@@ -111,7 +111,7 @@ def test_the_package_exports_the_plugin_of_descriptions() -> None:
 def test_controllers_wait_for_complete_servo_periods(period: float, rate: int) -> None:
     scene = load_scene("three_axis", {"servo_period": period, "integrator.dt": 5e-4})
     assert update_rate(scene) == rate
-    parameters = yaml.safe_load(controllers(scene))
+    parameters = yaml.safe_load(describe_controllers(scene))
     assert parameters["controller_manager"]["ros__parameters"]["update_rate"] == rate
     trajectory = parameters["joint_trajectory_controller"]["ros__parameters"]
     assert tuple(trajectory["joints"]) == scene.joint_names

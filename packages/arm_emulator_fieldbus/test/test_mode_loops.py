@@ -25,8 +25,8 @@ from arm_emulator.design.joint_gains import GearData, MotorData, design, make_jo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig
 from arm_emulator_fieldbus.object_dictionary import Aborted, list_entries, modes
-from bench.modes import PAGE, table_of
-from oracles.any_arm import arms
+from bench.modes import PAGE, make_modes_table
+from oracles.any_arm import list_arms
 
 ROOT = Path(__file__).resolve().parents[3]
 SHIPPED = ("ur5", "three_axis", "panda")
@@ -69,7 +69,7 @@ def test_torques_are_as_requested_on_every_joint(name: str) -> None:
 @pytest.mark.skipif(not FULL, reason="some 60 arms are made and compiled: make test-in-full")
 def test_torques_are_as_requested_on_new_arms() -> None:
     bad, count = [], 0
-    for robot in arms().values():
+    for robot in list_arms().values():
         if not isinstance(robot, Path):
             continue
         with tempfile.TemporaryDirectory() as folder:
@@ -272,7 +272,7 @@ def test_the_page_has_the_table_of_every_mode(name: str) -> None:
     """Its eigenvalues are those of today, but for a unit of their last place."""
     page = PAGE.read_text()
     number = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
-    there, now = (text[text.index(f"#### {name}\n") :] for text in (page, table_of(name)))
+    there, now = (text[text.index(f"#### {name}\n") :] for text in (page, make_modes_table(name)))
     there, now = (text.split("\n\n", 2)[1].strip() for text in (there, now))
     advice = "make it anew: python -m bench.modes"
     for line, expected in zip(there.splitlines(), now.splitlines(), strict=True):

@@ -20,7 +20,7 @@ from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.runs.gains import check_fit
 from arm_emulator_fieldbus.object_dictionary import modes
-from oracles.any_arm import arms, move, reachable
+from oracles.any_arm import draw_reachable, list_arms, move
 from oracles.own_robots import OWN
 
 KINDS = {kind.kind: kind for kind in SIZED_MOTORS}
@@ -59,7 +59,7 @@ def test_every_kind_gives_the_requested_torque(kind: type[Motor]) -> None:
 def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     arm: str, kind: str, tmp_path: Path
 ) -> None:
-    robot = arms().get(arm)
+    robot = list_arms().get(arm)
     if not isinstance(robot, Path):
         robot = tmp_path / f"{arm}.urdf"
         robot.write_text(OWN[arm]())
@@ -72,7 +72,7 @@ def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     kinematics = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     rng = np.random.default_rng(3)
     for _ in range(2):
-        pair = reachable(kinematics, 0.05, rng)
+        pair = draw_reachable(kinematics, 0.05, rng)
         assert pair is not None
         motion = move(scene, gains, "50 mm", *pair)
         assert not motion.words, motion.words

@@ -224,11 +224,11 @@ class CudaDevice(Device):
 
     def _copy_in(self, target: int, host: int, size: int) -> None:
         with self.current():
-            self.driver.call("cuMemcpyHtoD_v2", target, _host_pointer(host), size)
+            self.driver.call("cuMemcpyHtoD_v2", target, _find_host_pointer(host), size)
 
     def _copy_out(self, host: int, source: int, size: int) -> None:
         with self.current():
-            self.driver.call("cuMemcpyDtoH_v2", _host_pointer(host), source, size)
+            self.driver.call("cuMemcpyDtoH_v2", _find_host_pointer(host), source, size)
 
     def _copy_within(self, target: int, source: int, size: int) -> None:
         with self.current():
@@ -334,5 +334,5 @@ class CudaModule(Module):
             self._driver.call("cuLaunchKernel", function, *grid, 0, C_NULL, parameters, C_NULL)
 
 
-def _host_pointer(address: int) -> CData:
+def _find_host_pointer(address: int) -> CData:
     return DRIVER.ffi.cast("void *", address)

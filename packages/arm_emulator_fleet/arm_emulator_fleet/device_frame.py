@@ -82,12 +82,12 @@ class DeviceMeasured:
         # Nothing is ever written to it: it knows where each output is.
         self._layout: Measured = MeasuredPlace(scene, count).view()
         record = self._layout.arrays
-        self._begin = _address(record)
+        self._begin = _get_address(record)
         self._memory: Memory = core.device.allocate(record.itemsize)
         core.device.fill(self._memory, 0)
         there = {output.symbol.partition(".")[0] for output in list_outputs(scene)}
         self.places = {
-            name: cast_address(self._memory.pointer + _address(record[name]) - self._begin)
+            name: cast_address(self._memory.pointer + _get_address(record[name]) - self._begin)
             for name in record.dtype.names or ()
             if name in there and record[name].size
         }
@@ -98,7 +98,7 @@ class DeviceMeasured:
             raise AttributeError(name)
         view = self._layout.find(name)
         kind = np.float64 if view.dtype.kind == "f" else np.int64
-        if not view.size or not 0 <= _address(view) - self._begin < self._memory.size:
+        if not view.size or not 0 <= _get_address(view) - self._begin < self._memory.size:
             raise AttributeError(f"the arms have no {name}", name=name, obj=self)
         if name not in self._arrays:
             self._arrays[name] = DeviceArray(view.shape, kind, self._core.device)
@@ -108,7 +108,7 @@ class DeviceMeasured:
         self._core.launch(
             "fleet_gather",
             to.size,
-            given=cast_address(self._memory.pointer + _address(view) - self._begin),
+            given=cast_address(self._memory.pointer + _get_address(view) - self._begin),
             size=view.itemsize,
             shape=shape,
             stride=strides,
@@ -120,5 +120,5 @@ class DeviceMeasured:
         return dir(self._layout)
 
 
-def _address(array: NDArray[Any]) -> int:
+def _get_address(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])

@@ -168,9 +168,7 @@ class CoreMachines(Synchronized):
             raise Refusal(where, "arms", "be a mask of bool or uint8", mask.dtype)
         starts = (("q", q, self.scene.start), ("v", v, np.zeros(self._N)))
         rows = [
-            take_array(
-                where, name, device, _row_of_each(start_values, at, count), shape, np.float64
-            )
+            take_array(where, name, device, _make_rows(start_values, at, count), shape, np.float64)
             for name, start_values, at in starts
         ]
         for name in varied:
@@ -434,7 +432,7 @@ def has_device_array(numbers: Sequence[object]) -> bool:
     return any(map(is_device_array, numbers))
 
 
-def _row_of_each(rows: Any, otherwise: Array, count: int) -> Any:
+def _make_rows(rows: Any, otherwise: Array, count: int) -> Any:
     """Return numbers with a row for each arm, as they are if they are on a device."""
     if rows is not None and not isinstance(rows, np.ndarray):
         return rows

@@ -16,7 +16,7 @@ from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from arm_emulator.toolchain.unit import compile_units
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.unit import build_fleet_unit
-from oracles.random_machines import machine
+from oracles.random_machines import write_machine
 
 STEPS = 7  # of a row: not a whole number of checks, which are 16 steps apart
 BACKLASH = {"joints.elbow.gear.backlash": 1e-3}
@@ -29,7 +29,7 @@ def mixture(folder: Path, seed: int, scheme: str = "extrapolated", **keys: Any) 
 
     Its events are located where the scheme can, so that most tests share one library.
     """
-    file, _ = machine(folder, seed)
+    file, _ = write_machine(folder, seed)
     overrides = {"integrator.scheme": scheme, "varied": ["joints.*"], "integrator.dt": 2e-4}
     if scheme in ("extrapolated", "rosenbrock"):
         overrides["integrator.events"] = "located"

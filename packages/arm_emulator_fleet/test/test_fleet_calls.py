@@ -13,7 +13,7 @@ from machines import SENSED
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator_fleet import Fleet
-from oracles.random_machines import machine
+from oracles.random_machines import write_machine
 
 COUNT = 11  # more than one group, and none that is full
 NUMBER = "joints.elbow.friction.viscous"
@@ -150,7 +150,7 @@ def test_commands_by_names_of_joints(scene: Scene) -> None:
 
 @pytest.mark.skipif(not FULL, reason="two threads are compiled for it: make test-in-full")
 def test_exchanges_without_lanes(tmp_path: Path) -> None:
-    file, _ = machine(tmp_path, 23)
+    file, _ = write_machine(tmp_path, 23)
     more = {"integrator.scheme": "extrapolated", "integrator.dt": 2e-4, "threads": 2}
     scene = load_scene(file, more)
     rows = np.random.default_rng(3).uniform(-9.0, 9.0, (10, 3, len(scene.joints)))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from arm_emulator.extension.base import escape_xml
 from arm_emulator.extension.machine import Scene
-from arm_emulator_fmu.names import convention, make_identifier, write_name
+from arm_emulator_fmu.names import find_convention, make_identifier, write_name
 from arm_emulator_fmu.units import BASE, DISPLAYED, OFFSETS, find_powers
 from arm_emulator_fmu.variables import Variable
 
@@ -36,7 +36,7 @@ def describe_model(scene: Scene, variables: Sequence[Variable], token: str) -> b
         variables: of it, in the order of their value references.
         token: that the binary expects.
     """
-    naming = convention(variable.name for variable in variables)
+    naming = find_convention(variable.name for variable in variables)
     root = ET.Element("fmiModelDescription", fmiVersion="3.0", instantiationToken=token)
     ET.SubElement(
         root,
@@ -75,7 +75,7 @@ def describe_model_2(scene: Scene, variables: Sequence[Variable], token: str) ->
         variables: of it, single numbers, in the order of their value references.
         token: that the binary expects.
     """
-    naming = convention(variable.name for variable in variables)
+    naming = find_convention(variable.name for variable in variables)
     root = ET.Element("fmiModelDescription", fmiVersion="2.0", guid=token)
     ET.SubElement(
         root,
@@ -112,7 +112,7 @@ def _write_header(root: ET.Element, scene: Scene, variables: Sequence[Variable])
         modelName=escape_xml(scene.name) or "arm",
         description=f"{len(scene.joints)} joints with their drives, base to tool: {joints}",
         generationTool=TOOL,
-        variableNamingConvention=convention(variable.name for variable in variables),
+        variableNamingConvention=find_convention(variable.name for variable in variables),
     )
     root.append(_add_units(variables))
     categories = ET.SubElement(root, "LogCategories")

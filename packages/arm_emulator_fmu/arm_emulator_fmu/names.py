@@ -14,7 +14,7 @@ Parts = Sequence[str]  # of a name, from the root of the tree on
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z_0-9]*")
 
 
-def convention(names: Iterable[Parts]) -> str:
+def find_convention(names: Iterable[Parts]) -> str:
     """Return the attribute `variableNamingConvention` that fits all names."""
     ascii_only = all(
         part and part.isascii() and part.isprintable() for name in names for part in name
@@ -28,7 +28,7 @@ def write_name(name: Parts, index: int | None, convention: str) -> str:
     Args:
         name: its parts.
         index: of an element, from 1; None: of the whole.
-        convention: see `convention`.
+        convention: see `find_convention`.
     """
     bracket = "" if index is None else f"[{index}]"
     if convention == "flat":

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from arm_emulator.extension.base import escape_html
 from arm_emulator.extension.machine import Scene
-from arm_emulator_fmu.names import convention, write_name
+from arm_emulator_fmu.names import find_convention, write_name
 from arm_emulator_fmu.variables import Variable
 
 
@@ -18,7 +18,7 @@ def write_page(scene: Scene, variables: Sequence[Variable], command: str) -> byt
         variables: of it.
         command: that compiles the sources.
     """
-    naming = convention(variable.name for variable in variables)
+    naming = find_convention(variable.name for variable in variables)
     rows = "\n".join(
         "<tr>"
         + "".join(f"<td>{escape_html(text)}</td>" for text in _format_cells(variable, naming))

@@ -256,22 +256,22 @@ class DataMistakes:
             of = "" if j < 0 else f" of {self.names[j]}"
             here = every == j if j >= 0 else np.full(self.N, True)
 
-            def torque(size: float, here: Mask = here) -> RecordView:
+            def scale_torque(size: float, here: Mask = here) -> RecordView:
                 return replace(view, scale=np.where(here, size, 1.0))
 
             sizes = SIZES if j >= 0 else np.concatenate([SIZES, 10.0 ** np.arange(-6.0, 7.0)])
-            size = self._search(torque, sizes, True)
+            size = self._search(scale_torque, sizes, True)
             actual = f"torques{of} {_describe_scale(size)}"
             if j >= 0 and abs(size * abs(self.scene.gear_ratios[j]) - 1.0) < 0.1:
                 actual = f"torque{of} at the link, not at the motor's shaft"
-            yield self._try_searched(f"scale of the torques{of}", actual, torque(size), size)
+            yield self._try_searched(f"scale of the torques{of}", actual, scale_torque(size), size)
 
-            def angle(size: float, here: Mask = here) -> RecordView:
+            def scale_angle(size: float, here: Mask = here) -> RecordView:
                 return self._scale_angles(np.where(here, 1.0 / size, 1.0))
 
-            size = self._search(angle, SIZES[2:-2:2], True)
+            size = self._search(scale_angle, SIZES[2:-2:2], True)
             actual = f"angles{of} {_describe_scale(size)}"
-            yield self._try_searched(f"scale of the angles{of}", actual, angle(size))
+            yield self._try_searched(f"scale of the angles{of}", actual, scale_angle(size))
             if j >= 0:
                 for factor, actual in (
                     (DEG, "deg, given as rad"),
@@ -313,7 +313,7 @@ class DataMistakes:
         actual = f"a time base in which a second is {size:.3g} s"
         yield self._try_searched("t", actual, self.scale_time(size))
 
-        def late(seconds: float, j: int = -1) -> RecordView:
+        def shift(seconds: float, j: int = -1) -> RecordView:
             tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
             here = np.arange(self.N) == j if j >= 0 else np.full(self.N, True)
             return replace(view, tau=np.where(here, tau, view.tau))
@@ -321,13 +321,13 @@ class DataMistakes:
         for j in (-1, *(range(self.N) if self.N > 1 else ())):
             of = "" if j < 0 else f" of {self.names[j]}"
             delays = LATEST * np.array([-1.0, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
-            seconds = self._search(lambda d, j=j: late(d, j), delays, False)  # type: ignore[misc]
+            seconds = self._search(lambda d, j=j: shift(d, j), delays, False)  # type: ignore[misc]
             direction = "late" if seconds > 0.0 else "early"
             actual = f"torques that come {1e3 * abs(seconds):.3g} ms {direction}"
             # The torques of all joints have the same delay.
             alone = SEARCHED if j < 0 and seconds > 0.0 else RARE
             yield self._try_searched(
-                f"time of the torques{of}", actual, late(seconds, j), alone=alone
+                f"time of the torques{of}", actual, shift(seconds, j), alone=alone
             )
 
     def _try_zeros(self) -> Iterator[Mistake]:
@@ -339,13 +339,13 @@ class DataMistakes:
             if slides:
                 continue
 
-            def turned(zero: float, j: int = j) -> RecordView:
+            def turn(zero: float, j: int = j) -> RecordView:
                 return replace(view, q=view.q - np.where(np.arange(self.N) == j, zero, 0.0))
 
             zeros = TURN * np.array([k for k in range(-12, 13) if k])
-            zero = self._search(turned, zeros, False)
+            zero = self._search(turn, zeros, False)
             actual = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
-            yield self._try_searched(f"zero of {name}'s angle", actual, turned(zero))
+            yield self._try_searched(f"zero of {name}'s angle", actual, turn(zero))
 
     def _search(self, of: Callable[[float], RecordView], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip

@@ -85,10 +85,10 @@ class _Normal:
     prior: Array  # (U + effects,) prior, in units of its width
 
     def inverse(self) -> Array:
-        return _inverse(sum(A.T @ A for A in self.rows) + np.diag(self.prior))
+        return _invert(sum(A.T @ A for A in self.rows) + np.diag(self.prior))
 
 
-def _inverse(H: Array) -> Array:
+def _invert(H: Array) -> Array:
     """Return the inverse of a positive definite matrix, after scaling."""
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     within = H * size[:, None] * size[None, :] + 1e-12 * np.eye(len(H))
@@ -110,7 +110,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     """
     masks = [data.moving[:, j] & (weights[:, j] > 0.0) for j in range(error.shape[1])]
     noise = np.array([
-        _noise(-error[m, j], weights[m, j], estimate_correlation(error[:, j], m))
+        _estimate_noise(-error[m, j], weights[m, j], estimate_correlation(error[:, j], m))
         for j, m in enumerate(masks)
     ])  # fmt: skip
     per = [np.sqrt(weights[m, j]) / noise[j] for j, m in enumerate(masks)]
@@ -125,10 +125,10 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     effects = list[Effect]()
     candidates = [
         (effect, {j: C[masks[j]] * per[j][:, None] for j, C in effect.of.items()})
-        for effect in _catalogue(data, load, error, masks)
+        for effect in _list_candidates(data, load, error, masks)
     ]
     for _ in range(MAX_EFFECTS):
-        best = _best(normal, candidates, masks)
+        best = _find_best(normal, candidates, masks)
         if best is None:
             break
         names, index, share = best
@@ -148,7 +148,7 @@ def find_structure(data: Filtered, slopes: Array, error: Array, weights: Array, 
     independent = np.array(
         [_find_correlation_time(r, m) for r, m in zip(normal.left, masks, strict=True)]
     )
-    covariance = _sandwich(normal, masks, independent)[:U, :U]
+    covariance = _estimate_covariance(normal, masks, independent)[:U, :U]
     scaled = covariance * widths[:, None] * widths[None, :]
     return ResidualEffects(tuple(effects), shift * widths, scaled)
 
@@ -173,18 +173,18 @@ def _find_correlation_time(left: Array, rows: Mask) -> float:
     return total
 
 
-def _noise(left: Array, weights: Array, independent: float) -> float:
+def _estimate_noise(left: Array, weights: Array, independent: float) -> float:
     if not len(left):
         return 1.0
     power = float(np.sum(weights * left**2) / max(np.sum(weights), 1.0))
     return max(float(np.sqrt(power * independent)), 1e-12)
 
 
-def _best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
+def _find_best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
           masks: list[Mask]) -> tuple[list[str], int, float] | None:  # fmt: skip
     """Return names, index and share of the likeliest effect, if one is likely enough."""
     inverse = normal.inverse()
-    gains = np.array([_gain(normal, inverse, columns) for _, columns in candidates])
+    gains = np.array([_compute_gain(normal, inverse, columns) for _, columns in candidates])
     ranking = []
     for index in np.argsort(-gains)[:CLOSELY]:
         candidate, columns = candidates[int(index)]
@@ -211,7 +211,7 @@ def _best(normal: _Normal, candidates: list[tuple[Columns, dict[int, Array]]],
     return names, ranking[0][2], ranking[0][1]
 
 
-def _parts(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array, Array]:
+def _compute_products(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array, Array]:
     """Return A'C, C'C and C'left."""
     g: Array = np.array([normal.rows[j].T @ C for j, C in columns.items()]).sum(axis=0)
     S: Array = np.array([C.T @ C for C in columns.values()]).sum(axis=0)
@@ -219,9 +219,9 @@ def _parts(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array, Ar
     return g, S, c
 
 
-def _gain(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> float:
+def _compute_gain(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> float:
     """Return the share of its joints' residual that an effect would explain, linearly."""
-    g, S, c = _parts(normal, columns)
+    g, S, c = _compute_products(normal, columns)
     own = S - g.T @ inverse @ g
     own += np.diag(1e-3 * np.diag(S) + 1e-300)  # effects within the model
     left = sum(float(normal.left[j] @ normal.left[j]) for j in columns)
@@ -230,7 +230,7 @@ def _gain(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> float:
 
 def _solve(normal: _Normal, inverse: Array, columns: dict[int, Array]) -> tuple[Array, Array]:
     """Return the shift of the unknowns beside an effect, and its coefficients."""
-    g, S, c = _parts(normal, columns)
+    g, S, c = _compute_products(normal, columns)
     own = S - g.T @ inverse @ g + np.diag(1e-3 * np.diag(S) + 1e-300)
     b = np.array(np.linalg.solve(own, c), np.float64)
     return np.array(-inverse @ g @ b, np.float64), b
@@ -249,7 +249,7 @@ def _take(normal: _Normal, columns: dict[int, Array]) -> tuple[Array, Array]:
     return dx, b
 
 
-def _sandwich(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
+def _estimate_covariance(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
     """Return the covariance of the unknowns and effects.
 
     Rows count by their number of independent samples in the present residual; if blocks of rows
@@ -259,10 +259,12 @@ def _sandwich(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
     for A, r, last in zip(normal.rows, normal.left, independent, strict=True):
         power = float(r @ r) / max(len(r), 1)
         bent = max(len(r) / last, 1.0)
-        per = 1.0 / max(np.sqrt(power * last * bent / max(bent - _used(A), 0.3 * bent)), 1e-150)
+        per = 1.0 / max(
+            np.sqrt(power * last * bent / max(bent - _count_used(A), 0.3 * bent)), 1e-150
+        )
         rows.append(A * per)
         left.append(r * per)
-    inverse = _inverse(sum(A.T @ A for A in rows) + np.diag(normal.prior))
+    inverse = _invert(sum(A.T @ A for A in rows) + np.diag(normal.prior))
     K = len(masks[0])
     block = int(np.clip(2.0 * float(np.max(independent)), 1, max(1, K // 12)))
     scores = np.zeros((-(-K // block), len(inverse)))
@@ -275,12 +277,12 @@ def _sandwich(normal: _Normal, masks: list[Mask], independent: Array) -> Array:
     return covariance
 
 
-def _used(A: Array) -> float:
+def _count_used(A: Array) -> float:
     """Return the number of directions of the unknowns that some rows determine."""
     return float((np.linalg.eigvalsh(A.T @ A) > 1.0).sum()) if A.size else 0.0
 
 
-def _catalogue(data: Filtered, load: Array, error: Array,
+def _list_candidates(data: Filtered, load: Array, error: Array,
                masks: list[Mask]) -> Iterator[Columns]:  # fmt: skip
     """Return the effects to try, at each joint and at all of them."""
     fine = data.fine
@@ -316,7 +318,7 @@ def _catalogue(data: Filtered, load: Array, error: Array,
         yield propose(DRIFTS, (data.t - data.t[0]) / T - 0.5)
         every[j] = rate[:, j : j + 1]
         yield Columns(EARLY, {j: every[j]}, LATE, 1e3, "ms")
-        for order in _orders(data, error[:, j], masks[j], j):
+        for order in _find_orders(data, error[:, j], masks[j], j):
             wave = settle(np.column_stack([np.sin(order * q), np.cos(order * q)]))
             yield propose(RIPPLE, wave)
             yield propose(RIPPLE, wave * computed[:, j : j + 1])
@@ -333,7 +335,7 @@ def _measure_travel(q: Array, sign: Array) -> Array:
     return travel
 
 
-def _orders(data: Filtered, error: Array, rows: Mask, j: int) -> list[float]:
+def _find_orders(data: Filtered, error: Array, rows: Mask, j: int) -> list[float]:
     """Return the orders, in waves per turn of the link, of the largest waves in an error."""
     q, v, e = data.q[rows, j], np.abs(data.v[rows, j]), error[rows]
     travel = float(np.ptp(q)) if len(q) else 0.0

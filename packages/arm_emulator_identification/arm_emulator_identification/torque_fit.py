@@ -40,7 +40,7 @@ class TorqueFit:
     values: Array  # (U,)
     covariance: Array  # (U, U); 0 where not sought
     directions: int  # of the unknowns' space that the motion determines, by SVD
-    explained: Array  # (N,) %, see `explained`
+    explained: Array  # (N,) %, see `compute_explained`
     effects: tuple[Effect, ...] = ()  # that the model lacks
     far_out: Array = field(default_factory=lambda: np.zeros(0))  # rows that stand out (N,)
     left: dict[int, str] = field(default_factory=dict)  # reasons for keeping numbers
@@ -52,7 +52,7 @@ class TorqueFit:
         return deviations
 
 
-def explained(torque: Array, error: Array, moving: Mask) -> Array:
+def compute_explained(torque: Array, error: Array, moving: Mask) -> Array:
     """Return 100 (1 - |error| / |torque - its mean|) of each joint where it moves (N,) [%]."""
     shares = []
     for y, e, rows in zip(torque.T, error.T, moving.T, strict=True):
@@ -78,7 +78,7 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     left = dict[int, str]()
     while True:
         values, weights, motion = _search(model, data, fitted, motion)
-        driven = _driven(model, fitted, values)
+        driven = _find_driven(model, fitted, values)
         if not driven:
             break
         for u, bound in driven.items():
@@ -98,8 +98,8 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     far_out = np.array([int(((weights[:, j] < STANDS_OUT / FAR_OUT) & r).sum())
                         for j, r in enumerate(rows.T)])  # fmt: skip
     return TorqueFit(
-        model.unknowns, fitted, values, covariance, _directions(per_noise),
-        explained(data.tau, error, rows), structure.effects, far_out, left,
+        model.unknowns, fitted, values, covariance, _count_directions(per_noise),
+        compute_explained(data.tau, error, rows), structure.effects, far_out, left,
     )  # fmt: skip
 
 
@@ -126,18 +126,23 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
     for _ in range(ITERATIONS):
         per = (np.sqrt(weights) / noise)[rows]
 
-        def residuals(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
+        def compute_residuals(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
             every = fill(some)
             error = (at.torques(every) - data.tau)[rows] * per
             return np.concatenate([error, (every - start)[fitted] / widths])
 
-        def slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
+        def compute_slopes(some: Array, per: Array = per, at: MotionTorques = motion) -> Array:
             scaled = at.slopes(fill(some))[:, :, fitted][rows] * per[:, None]
             return np.concatenate([scaled, np.diag(1.0 / widths)])
 
         inside = np.clip(values[fitted], low + 1e-4 * inner, high - 1e-4 * inner)
         solution = least_squares(
-            residuals, inside, slopes, bounds=(low, high), x_scale=widths, max_nfev=60
+            compute_residuals,
+            inside,
+            compute_slopes,
+            bounds=(low, high),
+            x_scale=widths,
+            max_nfev=60,
         )
         values = fill(solution.x)
         motion = motion.under(values)
@@ -151,14 +156,14 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             last = estimate_correlation(error[:, j], r)
             noise[j] = _find_deviation(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
             samples += r.sum() / last
-        used = _directions(slopes(values[fitted])[: rows.sum()] * widths)
+        used = _count_directions(compute_slopes(values[fitted])[: rows.sum()] * widths)
         # The residual lacks the part absorbed by the fit.
         noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
         noise = np.clip(noise, 1e-9 * deviation, deviation)
     return values, weights, motion
 
 
-def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]:
+def _find_driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]:
     """Return the bounds reached by numbers above 0, by unknown."""
     driven = {}
     for u in np.flatnonzero(fitted):
@@ -170,7 +175,7 @@ def _driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, float]
     return driven
 
 
-def _directions(per_width: Array) -> int:
+def _count_directions(per_width: Array) -> int:
     """Return the number of directions of the unknowns in which the record adds information."""
     return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
 

@@ -34,10 +34,10 @@ from arm_emulator_identification.read_run import read_run
 from arm_emulator_identification.residual_effects import FALLS, RIPPLE, RISES, TRAVEL, WARMS
 from arm_emulator_identification.torque_fit import TorqueFit, fit_torques
 from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
-from bench.identification import ANGLE_NOISE, LOW_PASS, SECONDS, SIGMAS, model_of
-from bench.identification import truth as three_axis
-from bench.measure import progress
-from bench.tables import table
+from bench.identification import ANGLE_NOISE, LOW_PASS, SECONDS, SIGMAS, make_model
+from bench.identification import load_truth as three_axis
+from bench.measure import show_progress
+from bench.tables import format_table
 from oracles.synthetic_record import make_record
 
 TITLE = "Doubtful records"
@@ -47,7 +47,7 @@ OFF = 0.15  # share by which the machine that is recorded differs from the scene
 SEED = 0  # of the spoiled records
 
 
-def ur5() -> Scene:
+def load_ur5() -> Scene:
     """Return the arm with friction at its rotors that sticks, and rigid gears."""
     friction = {"viscous": 3e-4, "coulomb": 0.03}
     overrides: dict[str, Any] = {"joints.*.friction": None, "joints.*.encoder": None}
@@ -58,17 +58,17 @@ def ur5() -> Scene:
     return load_scene("ur5", overrides)
 
 
-def kuka() -> Scene:
+def load_kuka() -> Scene:
     """Return the machine whose real records are at hand, as published."""
     return load_scene(DATA / "given.yaml")
 
 
 MACHINES: dict[str, Callable[[], Scene]] = {
-    "three_axis": cache(three_axis), "ur5": cache(ur5), "kuka": cache(kuka),
+    "three_axis": cache(three_axis), "ur5": cache(load_ur5), "kuka": cache(load_kuka),
 }  # fmt: skip
 
 
-def torque_driven(scene: Scene, period: float, fitted: Collection[str]) -> Scene:
+def make_torque_driven(scene: Scene, period: float, fitted: Collection[str]) -> Scene:
     """Return a scene with ideal torque motors, otherwise unchanged.
 
     Parts between a voltage or a current and the torque of the windings are left out.
@@ -100,7 +100,7 @@ def torque_driven(scene: Scene, period: float, fitted: Collection[str]) -> Scene
     )  # fmt: skip
 
 
-def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, float]]:
+def draw_changes(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, float]]:
     """Return a scene with varied numbers, and values of a machine that differs from it."""
     links = [
         f"links.{joint.link}.{name}" for joint in scene.chain.joints for name in vary_child(joint)
@@ -108,7 +108,7 @@ def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, fl
     inertias = [f"joints.{joint.name}.motor.rotor_inertia" for joint in scene.joints]
     of_friction = [f"joints.{joint.name}.motor.friction.{key}" for joint in scene.joints
                    for key in ("viscous", "coulomb")]  # fmt: skip
-    driven = torque_driven(scene, PERIOD, [*links, *inertias, *of_friction])
+    driven = make_torque_driven(scene, PERIOD, [*links, *inertias, *of_friction])
     values = {number.name: number.value for number in driven.varied}
     for joint in scene.chain.joints:
         numbers = inertia.map_logarithm(joint.body)
@@ -124,7 +124,7 @@ def changed(scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, fl
 # Effects: what a scene has more, and under which names it may go.
 
 
-def _each(scene: Scene, of: Callable[[Joint], Joint]) -> Scene:
+def _change_joints(scene: Scene, of: Callable[[Joint], Joint]) -> Scene:
     return dataclasses.replace(scene, joints=tuple(of(joint) for joint in scene.joints))
 
 
@@ -141,7 +141,7 @@ def stribeck(scene: Scene, rng: np.random.Generator) -> Scene:
         )
         return dataclasses.replace(joint, rotor_friction=law)
 
-    return _each(scene, of)
+    return _change_joints(scene, of)
 
 
 def bristles(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -157,7 +157,7 @@ def bristles(scene: Scene, rng: np.random.Generator) -> Scene:
         viscous = RotorFriction(viscous=own.viscous)
         return dataclasses.replace(joint, rotor_friction=viscous, extras=(*joint.extras, law))
 
-    return _each(scene, of)
+    return _change_joints(scene, of)
 
 
 def ripple(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -170,7 +170,7 @@ def ripple(scene: Scene, rng: np.random.Generator) -> Scene:
             joint, decorators=(*joint.decorators, TorqueRipple(waves=(wave,)))
         )
 
-    return _each(scene, of)
+    return _change_joints(scene, of)
 
 
 def as_it_is(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -188,7 +188,7 @@ EFFECTS: dict[str, tuple[Callable[[Scene, np.random.Generator], Scene], tuple[st
 RECORDS = [("three_axis", 0), ("three_axis", 1), ("ur5", 0), ("ur5", 1), ("kuka", 0)]
 
 
-def warmer(values: Mapping[str, float], share: float) -> dict[str, float]:
+def scale_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
     """Return what friction is at a time of the record, from 0 to 1, its mean that of `values`."""
     lost = 0.5 * np.exp(-2.0 * share)
     lost -= 0.25 * (1.0 - np.exp(-2.0))
@@ -197,7 +197,9 @@ def warmer(values: Mapping[str, float], share: float) -> dict[str, float]:
     }  # fmt: skip
 
 
-def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str], TorqueFit]:
+def identify_with_effect(
+    machine: str, effect: str, seed: int
+) -> tuple[float, list[str], TorqueFit]:
     """Identify a record with an effect.
 
     Returns:
@@ -206,20 +208,20 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
     """
     rng = np.random.default_rng([seed, 7])
     scene = MACHINES[machine]()
-    driven, values = changed(scene, rng)
+    driven, values = draw_changes(scene, rng)
     real = EFFECTS[effect][0](driven, rng) if effect else driven
-    has = {number.name for number in real.varied} & _names(real)
+    has = {number.name for number in real.varied} & _list_names(real)
     real = dataclasses.replace(
         real, varied=tuple(number for number in real.varied if number.name in has)
     )
     numbers = {name: value for name, value in values.items() if name in has}
 
     def drift(share: float) -> Mapping[str, float]:
-        return warmer(numbers, share) if effect == "temperature" else {}
+        return scale_friction(numbers, share) if effect == "temperature" else {}
 
     run = make_record(real, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, numbers, drift)
     run, motion, _ = filter_record(scene, run, LOW_PASS, as_is=True)
-    model = model_of(scene, motion)
+    model = make_model(scene, motion)
     fit = fit_torques(model, motion, model.choose(["*"], "bench"))
     inside = [
         abs(number.value - values[number.name]) < SIGMAS * number.deviation
@@ -228,7 +230,7 @@ def with_effect(machine: str, effect: str, seed: int) -> tuple[float, list[str],
     return float(np.mean(inside)), [fitted_effect.name for fitted_effect in fit.effects], fit
 
 
-def _names(scene: Scene) -> set[str]:
+def _list_names(scene: Scene) -> set[str]:
     return {number.name for number in list_variable_numbers(scene.joints, scene.chain, ())}
 
 
@@ -237,7 +239,7 @@ def _names(scene: Scene) -> set[str]:
 Spoiled = tuple[MeasuredRun, tuple[str, ...]]
 
 
-def spoils(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str, Spoiled]:
+def spoil_record(run: MeasuredRun, scene: Scene, rng: np.random.Generator) -> dict[str, Spoiled]:
     """Return a record spoiled in each way, and what must be reported: one of the words."""
     N, K = len(run.joints), len(run.t)
     every = np.arange(N)
@@ -309,7 +311,7 @@ def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
     try:
         check_samples(run)
         run, motion, warnings = filter_record(scene, run, LOW_PASS)
-        model = model_of(scene, motion)
+        model = make_model(scene, motion)
         fit = fit_torques(model, motion, model.choose(["*"], "bench"))
         check_fit(run.where, run.joints, fit.explained)
     except Refusal as refusal:
@@ -321,13 +323,13 @@ def answer_to(scene: Scene, run: MeasuredRun) -> tuple[str, bool]:
     return "; ".join([*warnings, *effects]), False
 
 
-def clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
+def make_clean_record(machine: str, seed: int) -> tuple[Scene, MeasuredRun]:
     """Return a scene and a record of a machine like it: of the KUKA a measured one."""
     scene = MACHINES[machine]()
     if machine == "kuka":
         path = SHIPPED[seed % len(SHIPPED)]
         return scene, read_run(path, scene, angles="deg").shift_back(DELAYS)
-    driven, values = changed(scene, np.random.default_rng([seed, 3]))
+    driven, values = draw_changes(scene, np.random.default_rng([seed, 3]))
     return scene, make_record(driven, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE, values)
 
 
@@ -338,16 +340,16 @@ def run(quick: bool) -> dict[str, Any]:
     ]
     machines = list(MACHINES)[: 1 if quick else None]
     rows, spoiled = list[dict[str, Any]](), list[dict[str, Any]]()
-    with progress("records", len(effects) + 20 * len(machines)) as done:
+    with show_progress("records", len(effects) + 20 * len(machines)) as done:
         for machine, seed, effect in effects:
-            share, names, _ = with_effect(machine, effect, seed)
+            share, names, _ = identify_with_effect(machine, effect, seed)
             named = any(text in name for text in EFFECTS[effect][1] for name in names)
             rows.append({"machine": machine, "effect": effect, "seed": seed, "inside": share,
                          "named": named, "names": sorted(set(names))})  # fmt: skip
             done(f"{machine}, {effect}")
         for machine in machines:
-            scene, record = clean_record(machine, SEED)
-            of = spoils(record, scene, np.random.default_rng([SEED, len(machine), 5]))
+            scene, record = make_clean_record(machine, SEED)
+            of = spoil_record(record, scene, np.random.default_rng([SEED, len(machine), 5]))
             for kind, (bad, words) in of.items():
                 answer, refused = answer_to(scene, bad)
                 right = any(word in answer for word in words)
@@ -370,7 +372,8 @@ def report(figures: dict[str, Any]) -> str:
     text = (
         f"Of {len(rows)} records with an effect that the scene lacks, two deviations hold for at "
         f"least 90 % of the numbers in {well}, the effect is named in {named}, one or the other in "
-        f"{good}.\n\n" + table(("machine", "effect", "within two deviations, %", "named"), cells)
+        f"{good}.\n\n"
+        + format_table(("machine", "effect", "within two deviations, %", "named"), cells)
     )
     right = sum(record["right"] for record in spoiled)
     silent = sum(not record["answer"] for record in spoiled)

@@ -13,10 +13,10 @@ from arm_emulator_identification.found import list_numbers
 from arm_emulator_identification.identified import FitRequest, identify_numbers
 from arm_emulator_identification.loop_fit import list_gear_numbers, list_loops
 from arm_emulator_identification.read_run import read_run
-from arm_emulator_identification.torque_fit import explained, fit_torques
+from arm_emulator_identification.torque_fit import compute_explained, fit_torques
 from arm_emulator_identification.torque_model import LOADED, TorqueModel
 from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
-from bench.measure import progress
+from bench.measure import show_progress
 from oracles.synthetic_record import make_record
 
 TITLE = "Identification"
@@ -31,7 +31,7 @@ SIGMAS = 2.0
 EXPECTED = 0.954  # of a normal distribution, within two standard deviations
 
 
-def truth() -> Scene:
+def load_truth() -> Scene:
     """Return the machine whose numbers are to be found: rotors and links, friction, weight."""
     motor = {
         "kind": "torque",
@@ -105,7 +105,7 @@ def draw_hysteretic(seed: int) -> tuple[Scene, Scene]:
     return load_scene(SCENE, overrides), load_scene(SCENE, overrides | changes)
 
 
-def off_loops(seed: int) -> np.ndarray:
+def judge_loops(seed: int) -> np.ndarray:
     """Return by how many of the published deviations each number of a gear found is off."""
     scene, nominal = draw_hysteretic(seed)
     record = make_record(scene, seed, 2.0 * SECONDS, LOOP_NOISE, 0.02, link_noise=LOOP_NOISE)
@@ -122,12 +122,12 @@ def off_loops(seed: int) -> np.ndarray:
     return np.array([(loop.value - true[loop.name]) / loop.deviation for loop in loops])
 
 
-def model_of(scene: Scene, data: Filtered) -> TorqueModel:
+def make_model(scene: Scene, data: Filtered) -> TorqueModel:
     """Return the model of a scene for what was measured."""
     return TorqueModel(scene, (data.tau.std(axis=0), np.abs(data.v).max(axis=0)), TRUST)
 
 
-def off(scene: Scene, seed: int) -> np.ndarray:
+def judge_numbers(scene: Scene, seed: int) -> np.ndarray:
     """Return by how many of the published deviations each number found is off.
 
     What is known before is off by as much as it is trusted to be, drawn anew for each seed.
@@ -135,7 +135,7 @@ def off(scene: Scene, seed: int) -> np.ndarray:
     record = make_record(scene, seed, SECONDS, ANGLE_NOISE, TORQUE_NOISE)
     ratio = scene.gear_ratios
     data = filter_run(record, ratio, LOW_PASS)
-    model = model_of(scene, data)
+    model = make_model(scene, data)
     fitted = model.choose(["*"], "bench")
     true = {unknown.name: unknown.value for unknown in model.unknowns}
     for joint in scene.chain.joints:
@@ -175,30 +175,30 @@ def predict_second_run(law: dict[str, float]) -> np.ndarray:
     })  # fmt: skip
     runs = (read_run(file, scene, angles="deg").shift_back(DELAYS) for file in SHIPPED)
     first, second = (filter_run(part, scene.gear_ratios, LOW_PASS) for part in runs)
-    model = model_of(scene, first)
+    model = make_model(scene, first)
     loads = np.array([unknown.name.endswith("load") for unknown in model.unknowns])
     model.widths = np.where(loads, WIDE_PRIOR, model.widths)
     fit = fit_torques(model, first, model.choose(["*"], "bench"))
     motion = model.of(second)
     for _ in range(LOADED):
         motion = motion.under(fit.values)
-    return explained(second.tau, motion.torques(fit.values) - second.tau, second.moving)
+    return compute_explained(second.tau, motion.torques(fit.values) - second.tau, second.moving)
 
 
 def run(quick: bool) -> dict[str, Any]:
     """Measure over seeds."""
-    scene, seeds, machines = truth(), 5 if quick else 50, 5 if quick else 20
+    scene, seeds, machines = load_truth(), 5 if quick else 50, 5 if quick else 20
     every, loaded, rigid, loops = [], [], [], []
-    with progress("identification", seeds + 3 * machines) as done:
+    with show_progress("identification", seeds + 3 * machines) as done:
         for seed in range(seeds):
-            every.append(off(scene, seed))
+            every.append(judge_numbers(scene, seed))
             done(f"seed {seed}")
         for seed in range(machines):
-            loaded.append(off(draw_loaded(seed), seed))
+            loaded.append(judge_numbers(draw_loaded(seed), seed))
             done(f"machine {seed}")
-            rigid.append(off(draw_loaded(seed, is_rigid=True), seed))
+            rigid.append(judge_numbers(draw_loaded(seed, is_rigid=True), seed))
             done(f"machine {seed}, rigid gears")
-            loops.append(off_loops(seed))
+            loops.append(judge_loops(seed))
             done(f"machine {seed}, loops of gears")
     shares = {name: float(predict_second_run(law).mean()) for name, law in FRICTIONS.items()}
     beside = {"machines": machines, "loaded": _judge(loaded), "rigid": _judge(rigid)}

@@ -31,7 +31,7 @@ from arm_emulator_identification.calibration.pose_fit import (
     fit_poses,
 )
 from arm_emulator_identification.commands.accuracy import accuracy
-from oracles.random_chain import moving_joints, random_chain_urdf, random_tree_urdf
+from oracles.random_chain import list_moving_joints, write_random_chain, write_random_tree
 
 CENTRE = 0.3, 0.1, 0.5  # m, amid the reach of the three-axis arm
 EXACT = 1e-9  # m and rad: noise that leaves the prior without effect
@@ -75,9 +75,9 @@ def _se3(twist: np.ndarray | None) -> pin.SE3:
 def random_arm(seed: int) -> tuple[str, list[str], str]:
     """Turning and sliding joints, also on branches; the tool is fixed to the last one."""
     rng = np.random.default_rng(seed)
-    make = (random_chain_urdf, random_tree_urdf)[seed % 2]
+    make = (write_random_chain, write_random_tree)[seed % 2]
     urdf = make(rng, int(rng.integers(2, 7)))
-    names = moving_joints(urdf)
+    names = list_moving_joints(urdf)
     mount = (
         f'<joint name="mount" type="fixed"><origin xyz="0.1 -0.2 0.15" rpy="0.3 0.2 0.1"/>'
         f'<parent link="{names[-1]}_link"/><child link="tool"/></joint><link name="tool"/></robot>'

@@ -16,10 +16,10 @@ from bench.doubtful_records import (
     MACHINES,
     RECORDS,
     answer_to,
-    changed,
-    clean_record,
-    spoils,
-    with_effect,
+    draw_changes,
+    identify_with_effect,
+    make_clean_record,
+    spoil_record,
 )
 from oracles.synthetic_record import make_record
 
@@ -33,14 +33,14 @@ KINDS = [
 
 @cache
 def record(seed: int) -> tuple[Scene, MeasuredRun]:
-    return clean_record("three_axis", seed)
+    return make_clean_record("three_axis", seed)
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_spoiled_record_is_refused_or_doubted_with_the_cause(kind: str, seed: int) -> None:
     scene, run = record(seed)
-    bad, words = spoils(run, scene, np.random.default_rng([seed, 10, 5]))[kind]
+    bad, words = spoil_record(run, scene, np.random.default_rng([seed, 10, 5]))[kind]
     answer, _ = answer_to(scene, bad)
     assert any(word in answer for word in words), f"not {words[0]!r}: {answer}"
 
@@ -60,7 +60,7 @@ CASES = [("three_axis", 0, effect) for effect in EFFECTS] + [
 def test_effects_that_a_scene_lacks_are_named_and_widen_the_deviations(
     machine: str, seed: int, effect: str
 ) -> None:
-    inside, names, _ = with_effect(machine, effect, seed)
+    inside, names, _ = identify_with_effect(machine, effect, seed)
     assert any(text in name for text in EFFECTS[effect][1] for name in names), names
     # Of normal errors 95 % are; those of one record go together.
     assert inside >= 0.85, f"{inside} of the numbers within two deviations"
@@ -68,7 +68,7 @@ def test_effects_that_a_scene_lacks_are_named_and_widen_the_deviations(
 
 def test_a_few_spikes_are_detected_singly() -> None:
     rng = np.random.default_rng(4)
-    driven, values = changed(MACHINES["three_axis"](), rng)
+    driven, values = draw_changes(MACHINES["three_axis"](), rng)
     run = make_record(driven, 5, 4.0, 2e-6, 0.03, values)
     clean, reported = replace_outliers(run)
     assert not reported

@@ -23,7 +23,7 @@ from arm_emulator_identification.read_run import read_run
 from arm_emulator_identification.torque_fit import fit_torques
 from arm_emulator_identification.torque_model import TorqueModel
 from arm_emulator_identification.validation.kuka_kr300 import DATA, DELAYS, SHIPPED
-from bench.identification import off, truth
+from bench.identification import judge_numbers, load_truth
 from oracles.synthetic_record import make_record
 
 START = load_scene(DATA / "given.yaml")
@@ -182,8 +182,8 @@ def test_the_shipped_machine_is_near_the_identification_of_run_a(
 
 def test_truth_lies_within_the_confidence_reported() -> None:
     """Of records that the emulator made; bench/identification.py takes 50 of them."""
-    scene = truth()
-    every = np.concatenate([off(scene, seed) for seed in some(range(50), 6)])
+    scene = load_truth()
+    every = np.concatenate([judge_numbers(scene, seed) for seed in some(range(50), 6)])
     # 95.4 % are expected; errors of a record go together, but less than 87 % is a fault.
     assert np.mean(np.abs(every) < 2.0) > 0.87, f"{np.mean(np.abs(every) < 2.0)} within 2 sigma"
     assert np.sqrt(np.mean(every**2)) < 1.5, "root of mean square, in deviations"

@@ -14,7 +14,7 @@ from machines import make_link_urdf, write_scene
 from arm_emulator import load_scene
 from arm_emulator.extension.commands import output
 from arm_emulator_identification.commands.identify import identify
-from bench.identification import draw_loaded, off, off_loops
+from bench.identification import draw_loaded, judge_loops, judge_numbers
 from oracles.synthetic_record import make_record
 
 RATIO = 0.02
@@ -89,7 +89,7 @@ def test_a_loop_needs_encoders_at_the_link_and_a_linear_spring(
 
 def test_truth_lies_within_the_confidence_of_gears_with_hysteresis() -> None:
     """Machines are drawn; bench/identification.py takes 20 of them."""
-    every = np.concatenate([off_loops(seed) for seed in some(range(20), 2)])
+    every = np.concatenate([judge_loops(seed) for seed in some(range(20), 2)])
     # 18 numbers of two records; 90 % and more are expected.
     assert np.mean(np.abs(every) < 2.0) > 0.8, f"{every} deviations"
 
@@ -98,7 +98,7 @@ def test_truth_lies_within_the_confidence_of_gears_with_hysteresis() -> None:
 def test_truth_lies_within_the_confidence_of_machines_with_load_friction(is_rigid: bool) -> None:
     """Machines are drawn; bench/identification.py takes 20 of them."""
     every = np.concatenate([
-        off(draw_loaded(seed, is_rigid=is_rigid), seed) for seed in some(range(20), 3)
+        judge_numbers(draw_loaded(seed, is_rigid=is_rigid), seed) for seed in some(range(20), 3)
     ])  # fmt: skip
     # 95.4 % are expected; errors of a record go together. A fit that takes the measured torque for
     # the load of the motor covers 83 %, with a root of mean square of 1.8 deviations.

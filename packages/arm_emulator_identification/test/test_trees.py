@@ -13,9 +13,9 @@ from machines import (
     GRAVITY,
     MOTOR,
     Oracle,
-    moving_joints,
+    list_moving_joints,
     random_tree,
-    random_tree_urdf,
+    write_random_tree,
     write_scene,
 )
 
@@ -34,7 +34,7 @@ from arm_emulator.runs.breakpoint import Breakpoint
 from arm_emulator_fleet.fleet import Fleet
 from arm_emulator_identification.inertia import list_dynamic
 from arm_emulator_identification.link_regressor import LinkRegressor
-from oracles.reference import reference
+from oracles.reference import solve_positions
 
 STATES = 200
 # Both sides lose about cond(M) units of the last place, and cond(M) < 1e5 here.
@@ -85,8 +85,8 @@ PERIOD, ROWS, ARMS = 2e-3, 10, 9
 
 def driven_tree(folder: Path) -> Path:
     """Two branches on a link that slides, one of them of two joints; elastic and rigid gears."""
-    urdf = random_tree_urdf(np.random.default_rng(1), 4)
-    names = moving_joints(urdf)
+    urdf = write_random_tree(np.random.default_rng(1), 4)
+    names = list_moving_joints(urdf)
     elastic = {"ratio": 0.05, "stiffness": 3e3, "damping": 3.0}
     joints: dict[str, Any] = {
         name: {"motor": MOTOR, "gear": elastic, "friction": {"viscous": 0.5}} for name in names
@@ -111,7 +111,7 @@ def commands() -> np.ndarray:
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "implicit", "extrapolated"], 1))
 def test_a_driven_tree_keeps_the_order_of_its_scheme(tmp_path: Path, scheme: str) -> None:
     file, rows = driven_tree(tmp_path), commands()
-    truth = reference(load_scene(file), rows, PERIOD)
+    truth = solve_positions(load_scene(file), rows, PERIOD)
     errors = []
     for dt in (1e-4, 5e-5):
         plant = Plant(load_scene(file, {"integrator.scheme": scheme, "integrator.dt": dt}))
@@ -177,8 +177,8 @@ def test_the_tool_moves_and_all_beside_it_holds(seed: int) -> None:
     rng = np.random.default_rng([seed, 3])
     arm = None
     while arm is None or not 4 <= arm.to_tool.sum() < 9:  # one draw of three
-        urdf = random_tree_urdf(rng, 9)
-        names = tuple(moving_joints(urdf))
+        urdf = write_random_tree(rng, 9)
+        names = tuple(list_moving_joints(urdf))
         arms = (Kinematics(urdf, names, f"{name}_link", task="position") for name in names)
         arm = max(arms, key=lambda candidate: int(candidate.to_tool.sum()))
     q = rng.uniform(-1.0, 1.0, 9)

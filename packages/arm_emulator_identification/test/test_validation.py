@@ -17,21 +17,21 @@ from arm_emulator_identification.validation.figure import Figure
 from arm_emulator_identification.validation.kuka_kr300 import (
     SHIPPED,
     compare,
+    compute_torques,
+    list_torque_figures,
+    list_wind_up_figures,
     load,
     predict,
-    torque_figures,
-    torques_of,
-    wind_up_figures,
 )
-from arm_emulator_identification.validation.manutec_r3 import LIMITS, PICTURED, manutec_failures
+from arm_emulator_identification.validation.manutec_r3 import LIMITS, PICTURED, list_failures
 from arm_emulator_identification.wind_up import compute_wind_up
 
 
 def figures(scene: Scene, path: Path) -> Iterator[Figure]:
     """Checks without a simulation."""
     run = load(path, scene)
-    yield from torque_figures(scene, run, *torques_of(scene, run))
-    yield from wind_up_figures(run, compute_wind_up(run, scene))
+    yield from list_torque_figures(scene, run, *compute_torques(scene, run))
+    yield from list_wind_up_figures(run, compute_wind_up(run, scene))
 
 
 def failures(scene: Scene, path: Path) -> list[str]:
@@ -121,14 +121,14 @@ def test_the_verdict_on_the_manutec_takes_order_speed_and_every_figure() -> None
 
     periods = (2e-4, PICTURED, 2e-5, 1e-5, 5e-6)
     good = {period: like(period) for period in periods}
-    assert not list(manutec_failures(good))
+    assert not list(list_failures(good))
     for name in LIMITS:
         bad = {**good, PICTURED: like(PICTURED, **{name: 2.0 * LIMITS[name] * axes})}
-        assert any(name in line for line in manutec_failures(bad)), name
-    assert list(manutec_failures({**good, PICTURED: like(PICTURED, speed=0.5)}))
-    assert list(manutec_failures({**good, 2e-4: like(2e-4, other_modes=100)}))
+        assert any(name in line for line in list_failures(bad)), name
+    assert list(list_failures({**good, PICTURED: like(PICTURED, speed=0.5)}))
+    assert list(list_failures({**good, 2e-4: like(2e-4, other_modes=100)}))
     first = {period: like(period, q=1e-6 * period / PICTURED * axes) for period in periods}
-    assert any("order" in line for line in manutec_failures(first))
+    assert any("order" in line for line in list_failures(first))
 
 
 def test_a_record_of_another_machine_is_refused(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def _in_chromium(url: str, size: Any) -> Iterator[Any]:
         browser.close()
 
 
-def new_target(run: OfflineRun, offset: Array) -> None:
+def send_target(run: OfflineRun, offset: Array) -> None:
     """Send the tool to a place beside the start (3,) [m]."""
     R_WT, p_WT = run.controller.kinematics.forward(run.session.scene.start)
     run.instructor.add(run.session.logical_ns, Pose(p_WT + offset, R_WT))
@@ -74,7 +74,7 @@ def look(folder: Path) -> Path:
     """
     line = Timeline(load_offline_run("ur5"))
     line.advance(200)
-    line.change("target", partial(new_target, offset=np.array([-0.1, 0.35, 0.15])))
+    line.change("target", partial(send_target, offset=np.array([-0.1, 0.35, 0.15])))
     line.advance(LAST - line.tick)
     line.go_to(AT)
     page = RunPage(RunView.of(line, LAST), lambda: (TermsNow({}, {}), []))
@@ -95,10 +95,10 @@ def live(folder: Path) -> Path:
     Raises:
         Refusal: Chromium is missing.
     """
-    scene, log, file = _pushed_scene(folder), folder / "log", folder / "live_page.png"
+    scene, log, file = _write_pushed_scene(folder), folder / "log", folder / "live_page.png"
     emulator = {"page_port": 0, "real_time_factor": 1.0}
     network = Bringup(str(scene), start="first_answer", emulator=emulator, log=log)
-    with own_domain(), network, _in_chromium(_url_of(log / "emulator.log"), LIVE) as browser_page:
+    with own_domain(), network, _in_chromium(_find_url(log / "emulator.log"), LIVE) as browser_page:
         browser_page.wait_for_function("/tick [1-9]/.test(document.body.innerText)")
         browser_page.get_by_role("tab", name="Push").click()
         browser_page.locator(DRAG).check()
@@ -108,7 +108,7 @@ def live(folder: Path) -> Path:
     return file
 
 
-def _url_of(log: Path) -> str:
+def _find_url(log: Path) -> str:
     """Return the address that the emulator prints into its log."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
@@ -119,7 +119,7 @@ def _url_of(log: Path) -> str:
     raise TimeoutError("the emulator prints no address")
 
 
-def _pushed_scene(folder: Path) -> Path:
+def _write_pushed_scene(folder: Path) -> Path:
     """Write the three-axis arm, its links open to pushes, into a folder, and return its file."""
     scene_file = find_scene("three_axis")
     data = yaml.safe_load(scene_file.read_text(encoding="utf-8"))

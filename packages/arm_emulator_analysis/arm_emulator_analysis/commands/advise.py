@@ -24,7 +24,7 @@ from arm_emulator.extension.runs import (
 from arm_emulator_analysis.advice import Advice, Judge, Setting, check_error
 from arm_emulator_analysis.advice import advise as settings_for
 from arm_emulator_analysis.integrator_text import write_integrator
-from arm_emulator_analysis.judged_motions import FINE, JudgedMotion, judged_motions
+from arm_emulator_analysis.judged_motions import FINE, JudgedMotion, list_motions
 from arm_emulator_analysis.true_motion import FINEST
 
 SECONDS = 1.0  # of motions, and of the demo after the arm has settled
@@ -95,12 +95,12 @@ def _collect_motions(
             JudgedMotion(commands.name, rows)
         ], f"{_compute_seconds(scene, rows):g} s of {commands.name}"
     try:
-        motions = judged_motions(scene, SECONDS)
+        motions = list_motions(scene, SECONDS)
     except Diverged as fault:
         rule = "move by itself; else give a motion with --motion"
         raise Refusal("advise", scene.where, rule, str(fault).splitlines()[0]) from None
     about = f"{len(motions)} motions of {SECONDS:g} s"
-    demo = demo_commands(scene, file)
+    demo = record_demo_commands(scene, file)
     if demo is None:
         return motions, f"{about} (it has no demo)"
     return [
@@ -113,7 +113,7 @@ def _compute_seconds(scene: Scene, rows: Array) -> float:
     return len(rows) * scene.servo_period
 
 
-def demo_commands(scene: Scene, file: Path) -> Array | None:
+def record_demo_commands(scene: Scene, file: Path) -> Array | None:
     """Return the commands (K, N) of the scene's own demo, a row per servo period.
 
     Recorded in closed loop, once, on the finely integrated machine. Played back in open loop,

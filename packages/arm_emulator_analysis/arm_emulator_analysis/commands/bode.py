@@ -67,7 +67,7 @@ def bode(
     frequency = np.geomspace(low, highest, max(2, count))
     linear = linearise(machine, machine.start if pose is None else pose)
     responses = {
-        joint.name: frequency_response(linear, j, frequency)
+        joint.name: compute_frequency_response(linear, j, frequency)
         for j, joint in enumerate(machine.joints)
         if joint.motor is not None
     }
@@ -211,7 +211,9 @@ class FrequencyResponse:
         return peaks
 
 
-def frequency_response(machine: LinearMachine, joint: int, frequency: Array) -> FrequencyResponse:
+def compute_frequency_response(
+    machine: LinearMachine, joint: int, frequency: Array
+) -> FrequencyResponse:
     """Return the response to the command of a joint, at frequencies (K,) [Hz], above 0."""
     A, B = machine.A, machine.B[:, [joint]]
     s: ComplexArray = (2j * np.pi * frequency).astype(np.complex128)

@@ -14,10 +14,10 @@ from bench.campaign_kills import (
     CAMPAIGN,
     WORKERS,
     Cluster,
-    begun,
-    digest_alone,
+    digest_runs,
     has_begun,
     simulate_kill,
+    start_campaign,
 )
 
 pytest.importorskip("distributed", reason="Dask: pip install distributed")
@@ -43,11 +43,11 @@ def test_a_kill_of_any_process_leaves_the_digest_the_same(tmp_path, file, cluste
     rng = np.random.default_rng(7)
     after = rng.uniform(0.0, 0.5)
     trial = simulate_kill(file, tmp_path / "r", cluster, victim, after, rng, parts=1)
-    assert trial.digest == digest_alone(file, tmp_path / "alone"), trial
+    assert trial.digest == digest_runs(file, tmp_path / "alone"), trial
 
 
 def test_without_a_scheduler_the_client_ends_with_a_line(tmp_path, file, cluster):
-    client = begun(file, tmp_path / "r", cluster)
+    client = start_campaign(file, tmp_path / "r", cluster)
     assert has_begun(client, tmp_path / "r")
     cluster.stop_scheduler()
     out, _ = client.communicate(timeout=300)

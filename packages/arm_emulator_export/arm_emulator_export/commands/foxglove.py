@@ -35,7 +35,7 @@ def foxglove(scene: SceneName, file: Path, /, *, namespace: str = "") -> int:
     robot = ET.fromstring(machine.urdf)
     links = list_element_names(robot, "link", scene)
     root = find_root_link(links, read_urdf_joints(robot, links, scene), scene)
-    layout = foxglove_layout(root, machine.joint_names, further, namespace)
+    layout = make_foxglove_layout(root, machine.joint_names, further, namespace)
     try:
         with file.open("x", encoding="utf-8") as stream:
             json.dump(layout, stream, indent=2)
@@ -73,7 +73,7 @@ STATES = (
 )
 
 
-def foxglove_layout(
+def make_foxglove_layout(
     root: str, joints: Sequence[str], further: Mapping[str, str], namespace: str = ""
 ) -> dict[str, Any]:
     """Return a layout: the arm, signals of its joints, states, events and health.

@@ -12,7 +12,7 @@ from arm_emulator.extension.commands import SceneName, command, output
 from arm_emulator.extension.machine import load_scene
 from arm_emulator.extension.runs import load_gains
 from arm_emulator_export.commands.ros2_control import compile_drives
-from arm_emulator_export.moveit_package import MACHINE, moveit_files, package_name
+from arm_emulator_export.moveit_package import MACHINE, make_package_name, write_moveit_files
 
 
 @command(keys="`package` (its folder), `libraries`, `files` (paths in it)")
@@ -30,8 +30,8 @@ def moveit_config(
     file = find_scene(scene)
     machine, motion = load_scene(file), load_gains(file).motion
     bringup = file.stem if file.parent == find_config_folder() else str(file)
-    folder = into / package_name(machine)
-    texts = moveit_files(machine, motion, bringup)
+    folder = into / make_package_name(machine)
+    texts = write_moveit_files(machine, motion, bringup)
     libraries = compile_drives(scene, machine, folder / MACHINE)
     for name, text in texts.items():
         path = folder / name

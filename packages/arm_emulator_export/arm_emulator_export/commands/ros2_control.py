@@ -29,8 +29,8 @@ def ros2_control(
     """
     machine = load_scene(find_scene(scene))
     compiled = str(into.resolve() / name_stem(machine.name))
-    description = control_files.description(machine, compiled)
-    controllers = control_files.controllers(machine)
+    description = control_files.describe_control(machine, compiled)
+    controllers = control_files.describe_controllers(machine)
     libraries = compile_drives(scene, machine, into)
     written = {
         "description": (into / f"{machine.name}.urdf", description),

@@ -141,10 +141,10 @@ def fit_poses(model: PoseModel, rests: Sequence[ToolRest], sigma: tuple[float, f
     frames = [Frame() for _ in model.displaced]
     for _ in range(STEPS):
         r, J = _weigh(model, frames, rests, q, weights)
-        x = np.concatenate([_twist(frame) for frame in frames])
+        x = np.concatenate([_make_twist(frame) for frame in frames])
         augmented = np.vstack([J * prior, np.eye(len(prior))])
         step = np.linalg.lstsq(augmented, np.concatenate([r, -x / prior]), rcond=None)[0]
-        frames = [frame @ _turned(dx) for frame, dx in
+        frames = [frame @ _make_frame(dx) for frame, dx in
                  zip(frames, (step * prior).reshape(-1, 6), strict=True)]  # fmt: skip
         if np.abs(step).max() < SMALL:
             break
@@ -202,9 +202,9 @@ def _find_alike(J: Array, names: Sequence[str]) -> tuple[int, dict[str, tuple[st
     return rank, alike
 
 
-def _twist(frame: Frame) -> Array:
+def _make_twist(frame: Frame) -> Array:
     return np.concatenate([frame.p, Rotation.from_matrix(frame.R).as_rotvec()])
 
 
-def _turned(twist: Array) -> Frame:
+def _make_frame(twist: Array) -> Frame:
     return Frame(Rotation.from_rotvec(twist[3:]).as_matrix(), twist[:3])

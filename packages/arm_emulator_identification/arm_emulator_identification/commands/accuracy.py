@@ -123,7 +123,7 @@ def _print(title: str, key: str, result: Accuracy) -> None:
     heads = "pose", "AP [mm]", "RP [mm]", "AP, turn [mrad]", "RP, turn [mrad]"
     rows = (
         (f"P{k}", f"{1e3 * pose.AP:.4f}", f"{1e3 * pose.RP:.4f}",
-         f"{1e3 * _length(pose.AP_abc):.4f}", f"{1e3 * max(pose.RP_abc):.4f}")
+         f"{1e3 * _compute_length(pose.AP_abc):.4f}", f"{1e3 * max(pose.RP_abc):.4f}")
         for k, pose in enumerate(result.poses, start=1)
     )  # fmt: skip
     output.table(heads, rows, title=title)
@@ -145,17 +145,17 @@ def _print_fit(calibrated: Calibrated, poses: int, separate: int) -> None:
     poses_text = f"{separate} held poses" if separate else "the poses of the fit"
     facts: dict[str, Any] = {}
     for key, (off, angles_off) in (("before", calibrated.before), ("after", calibrated.after)):
-        facts[key] = {"p": _rms(off), "p_largest": off.max(), "R": _rms(angles_off)}
+        facts[key] = {"p": _compute_rms(off), "p_largest": off.max(), "R": _compute_rms(angles_off)}
         output.line(
-            f"{poses_text}, {key}: {1e3 * _rms(off):.4f} mm rms, {1e3 * off.max():.4f} mm at most, "
-            f"{1e3 * _rms(angles_off):.4f} mrad rms"
+            f"{poses_text}, {key}: {1e3 * _compute_rms(off):.4f} mm rms, "
+            f"{1e3 * off.max():.4f} mm at most, {1e3 * _compute_rms(angles_off):.4f} mrad rms"
         )
     output.facts({"numbers": fit.count, "rank": fit.rank, "alike": fit.alike, "held": facts})
 
 
-def _rms(values: Array) -> float:
+def _compute_rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _length(values: Sequence[float]) -> float:
+def _compute_length(values: Sequence[float]) -> float:
     return math.hypot(*values)

@@ -23,7 +23,7 @@ from arm_emulator_identification.free_run import (
 )
 from arm_emulator_identification.measured_run import MeasuredRun
 from arm_emulator_identification.read_run import read_run
-from arm_emulator_identification.torque_fit import explained
+from arm_emulator_identification.torque_fit import compute_explained
 from arm_emulator_identification.torque_model import TorqueModel
 from arm_emulator_identification.validation.figure import Figure, format_table
 from arm_emulator_identification.wind_up import WindUp, compute_wind_up
@@ -87,7 +87,7 @@ def predict() -> Prediction:
     """Return the null models and the encoder's wave, identified on run A."""
     scene = load_scene("kuka_kr300")
     run = load(SHIPPED[0], scene)
-    data = _filtered(run, scene)
+    data = _filter(run, scene)
     of_gears = compute_wind_up(run, scene)
     return Prediction(PerAxis.fitted(data), of_gears.order, of_gears.ripple)
 
@@ -105,52 +105,54 @@ def compare(path: Path, scene: Scene | None = None) -> RunComparison:
     """
     scene = scene or load_scene("kuka_kr300")
     run = load(path, scene)
-    data, torques = torques_of(scene, run)
+    data, torques = compute_torques(scene, run)
     of_gears = compute_wind_up(run, scene)
     paths, begins, drifting = _free_runs(scene, run)
     figures = (
-        *torque_figures(scene, run, data, torques),
+        *list_torque_figures(scene, run, data, torques),
         *drifting,
-        *wind_up_figures(run, of_gears),
+        *list_wind_up_figures(run, of_gears),
     )
     return RunComparison(run, data, torques, of_gears, paths, begins, figures)
 
 
-def _filtered(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
+def _filter(run: MeasuredRun, scene: Scene, causal: bool = False) -> Filtered:
     return filter_run(run, scene.gear_ratios, LOW_PASS, slowest=MOVES, every=1, causal=causal)
 
 
-def _torques(scene: Scene, data: Filtered) -> Array:
+def _compute_torques(scene: Scene, data: Filtered) -> Array:
     ones = np.ones(len(scene.joints))
     model = TorqueModel(scene, (ones, ones), 1.0)
     return model.of(data).torques(model.start)
 
 
-def torques_of(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
+def compute_torques(scene: Scene, run: MeasuredRun) -> tuple[Filtered, Array]:
     """Return a run low-passed, and the machine's torques for it (K, N) [N m]."""
-    data = _filtered(run, scene)
-    return data, _torques(scene, data)
+    data = _filter(run, scene)
+    return data, _compute_torques(scene, data)
 
 
-def torque_figures(
+def list_torque_figures(
     scene: Scene, run: MeasuredRun, data: Filtered, torques: Array
 ) -> Iterator[Figure]:
-    """Yield the share of the measured torque that a machine explains, see `torques_of`."""
+    """Yield the share of the measured torque that a machine explains, see `compute_torques`."""
     every = np.ones_like(data.moving)
     null = predict().per_axis.torques(data)
-    alone = explained(data.tau, null - data.tau, data.moving)
+    alone = compute_explained(data.tau, null - data.tau, data.moving)
     yield Figure("torque explained in motion, %: each axis by itself", alone, ".1f", yardstick=True)
-    shares = explained(data.tau, torques - data.tau, data.moving)
+    shares = compute_explained(data.tau, torques - data.tau, data.moving)
     limit = max(MIN_EXPLAINED, float(alone.mean()))
     yield Figure(
         "torque explained in motion, %", shares, ".1f", least=MIN_OF_AXIS, least_mean=limit
     )
-    causal = _filtered(run, scene, causal=True)
-    shares = explained(causal.tau, _torques(scene, causal) - causal.tau, causal.moving)
+    causal = _filter(run, scene, causal=True)
+    shares = compute_explained(
+        causal.tau, _compute_torques(scene, causal) - causal.tau, causal.moving
+    )
     yield Figure("  low-passed one way, %", shares, ".1f", least_mean=MIN_CAUSAL)
-    alone = explained(data.tau, null - data.tau, every)
+    alone = compute_explained(data.tau, null - data.tau, every)
     yield Figure("  all samples, %: each axis by itself", alone, ".1f", yardstick=True)
-    shares = explained(data.tau, torques - data.tau, every)
+    shares = compute_explained(data.tau, torques - data.tau, every)
     limit = max(MIN_OF_ALL, float(alone.mean()))
     yield Figure("  all samples, %", shares, ".1f", least_mean=limit)
 
@@ -165,8 +167,8 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
             paths, begins = angles, begin.at
         title = f"free run of {seconds:g} s, % off"
         nulls = {
-            "constant speed": constant_speed(run, begin, seconds),
-            "constant acceleration": constant_acceleration(run, begin, seconds, LOW_PASS),
+            "constant speed": predict_constant_speed(run, begin, seconds),
+            "constant acceleration": predict_constant_acceleration(run, begin, seconds, LOW_PASS),
             "each axis by itself": predict().per_axis.free_run(
                 run, begin, seconds, scene.gear_ratios
             ),
@@ -188,30 +190,30 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
     return paths, begins, figures
 
 
-def wind_up_figures(run: MeasuredRun, of_gears: WindUp) -> Iterator[Figure]:
+def list_wind_up_figures(run: MeasuredRun, of_gears: WindUp) -> Iterator[Figure]:
     """Yield the measured wind-up that remains beside the computed one."""
     rigid = np.degrees(of_gears.unexplained)
     yield Figure("wind-up, deg rms: rigid gears", rigid, ".4f", yardstick=True)
     share = of_gears.residual / of_gears.unexplained
-    yield _of_rigid("  not computed, of that", share, MAX_OF_RIGID)
+    yield _compare_with_rigid("  not computed, of that", share, MAX_OF_RIGID)
     # Only the phase of the encoder's wave is specific to the run, as its zero is.
     wave, q = predict(), run.q_motor[np.searchsorted(run.t, of_gears.t)]
     left, all_runs = (
-        _without_wave(error, q, wave.wave_order, wave.wave)
+        _remove_wave(error, q, wave.wave_order, wave.wave)
         for error in (of_gears.measured - of_gears.computed, of_gears.measured)
     )
-    yield _of_rigid(
+    yield _compare_with_rigid(
         "  the same beside the encoder's wave of run A", left / all_runs, MAX_BESIDE_WAVE
     )
 
 
-def _of_rigid(title: str, share: Array, limit: float) -> Figure:
+def _compare_with_rigid(title: str, share: Array, limit: float) -> Figure:
     judged = np.full(len(share), np.nan)
     judged[list(JUDGED)] = share[list(JUDGED)]
     return Figure(title, judged, ".2f", most=limit, needed=JUDGED)
 
 
-def _without_wave(error: Array, q: Array, order: Array, amplitude: Array) -> Array:
+def _remove_wave(error: Array, q: Array, order: Array, amplitude: Array) -> Array:
     """Return the root of mean square (N,) of errors (K, N) beside a wave whose phase is free."""
     phase = np.angle(np.mean(error * np.exp(-1j * order * q), axis=0))
     rest = error - amplitude * np.cos(order * q + phase)
@@ -239,14 +241,14 @@ class PerAxis:
         """Return the least-squares fit to a record, over its samples in motion."""
         rows = []
         for j in range(data.q.shape[1]):
-            A, moving = _features(data, j), data.moving[:, j]
+            A, moving = _list_features(data, j), data.moving[:, j]
             rows.append(np.linalg.lstsq(A[moving], data.tau[moving, j], rcond=None)[0])
         return cls(np.array(rows))
 
     def torques(self, data: Filtered) -> Array:
         """Return the torques of a motion (K, N) [N m]."""
         axes = range(len(self.coefficients))
-        return np.column_stack([_features(data, j) @ self.coefficients[j] for j in axes])
+        return np.column_stack([_list_features(data, j) @ self.coefficients[j] for j in axes])
 
     def free_run(self, run: MeasuredRun, begin: Starts, seconds: float, ratio: Array) -> Array:
         """Return angles (S, N) [rad] after some time under the measured torques; gears (N,)."""
@@ -265,12 +267,14 @@ class PerAxis:
         return end
 
 
-def constant_speed(run: MeasuredRun, begin: Starts, seconds: float) -> Array:
+def predict_constant_speed(run: MeasuredRun, begin: Starts, seconds: float) -> Array:
     """Return angles (S, N) [rad] after some time at the speed of the start."""
     return np.asarray(run.q_motor[begin.at] + seconds * begin.v)
 
 
-def constant_acceleration(run: MeasuredRun, begin: Starts, seconds: float, low: float) -> Array:
+def predict_constant_acceleration(
+    run: MeasuredRun, begin: Starts, seconds: float, low: float
+) -> Array:
     """Return angles (S, N) [rad] after some time at the acceleration of the start.
 
     Args:
@@ -281,11 +285,11 @@ def constant_acceleration(run: MeasuredRun, begin: Starts, seconds: float, low: 
             machine does.
     """
     a = smooth_motion(run.q_motor, run.period, low)[2][begin.at]
-    ends: Array = constant_speed(run, begin, seconds) + 0.5 * seconds**2 * a
+    ends: Array = predict_constant_speed(run, begin, seconds) + 0.5 * seconds**2 * a
     return ends
 
 
-def _features(data: Filtered, j: int) -> Array:
+def _list_features(data: Filtered, j: int) -> Array:
     q, v = data.q[:, j], data.v[:, j]
     ones = np.ones(len(q))
     return np.column_stack([ones, data.direction[:, j], v, data.a[:, j], np.cos(q), np.sin(q)])

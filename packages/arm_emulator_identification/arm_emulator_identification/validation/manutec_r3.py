@@ -59,7 +59,7 @@ def get_gear_ratios() -> Array:
 
 
 @cache
-def solution() -> tuple[SimulatedMotion, Array, Array, Array]:
+def load_solution() -> tuple[SimulatedMotion, Array, Array, Array]:
     """Return the independent solution, its friction modes, and the controllers' initial states.
 
     Runge-Kutta with located events, by a program of others; 2e-11 is the error of a step. It agrees
@@ -93,7 +93,7 @@ def simulate(
     plant = Plant(
         scene, core=load_machine_with(scene, "controllers", CONTROLLERS.read_text(), header)
     )
-    truth, _, x, C = solution()
+    truth, _, x, C = load_solution()
     plant.put("manutec_r3", {
         "current": truth.current[0], "theta_m": truth.theta_m[0], "omega_m": truth.omega_m[0],
         "q": truth.q[0], "v": truth.v[0],
@@ -139,7 +139,7 @@ class SolutionErrors:
 
 def compare(motion: SimulatedMotion) -> SolutionErrors:
     """Compare a motion with the solution, at the solution's instants."""
-    truth, modes, _, _ = solution()
+    truth, modes, _, _ = load_solution()
     inside = truth.t <= motion.t[-1]
     t = truth.t[inside]
     q = CubicHermiteSpline(motion.t, motion.q, motion.v)(t)
@@ -148,7 +148,7 @@ def compare(motion: SimulatedMotion) -> SolutionErrors:
         for name in ("v", "current", "theta_m")
     }
 
-    def largest(differences: Array) -> Array:
+    def find_largest(differences: Array) -> Array:
         maximum: Array = np.abs(differences).max(axis=0)
         return maximum
 
@@ -158,10 +158,10 @@ def compare(motion: SimulatedMotion) -> SolutionErrors:
     now = np.searchsorted(motion.t, t + 1e-9, side="right") - 1
     same = motion.friction_mode[now] == modes[inside]
     return SolutionErrors(
-        largest(q - truth.q[inside]),
-        largest(others["v"] - truth.v[inside]),
-        largest(others["current"] - truth.current[inside]),
-        largest(wind_up - expected_wind_up),
+        find_largest(q - truth.q[inside]),
+        find_largest(others["v"] - truth.v[inside]),
+        find_largest(others["current"] - truth.current[inside]),
+        find_largest(wind_up - expected_wind_up),
         int((~same).any(axis=1).sum()),
         len(t),
     )
@@ -207,7 +207,7 @@ def validate_manutec(folder: Path, console: Console) -> dict[str, Any]:
         [(period, comparison) for period, (comparison, _) in comparisons.items()],
         picture,
     )
-    failures = list(manutec_failures(comparisons))
+    failures = list(list_failures(comparisons))
     for failure in failures:
         console.print(f"[red]{failure}")
     order = order_of(comparisons)
@@ -239,7 +239,7 @@ def order_of(by_period: Mapping[float, tuple[SolutionErrors, float]]) -> float:
     return float(np.polyfit(np.log(periods), np.log(errors), 1)[0])
 
 
-def manutec_failures(
+def list_failures(
     by_period: Mapping[float, tuple[SolutionErrors, float]],
 ) -> Iterator[str]:
     """Yield each exceeded limit, as a line: figures at `PICTURED`, order, and modes."""
@@ -271,7 +271,7 @@ def draw(
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    truth, modes, _, _ = solution()
+    truth, modes, _, _ = load_solution()
     figure, ((angles, currents), (sticking, errors)) = plt.subplots(
         2, 2, figsize=(12, 7.5), layout="constrained"
     )

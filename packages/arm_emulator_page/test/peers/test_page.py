@@ -44,7 +44,7 @@ from arm_emulator_page.page_server import PageServer
 from arm_emulator_page.run_page import RunPage
 from arm_emulator_page.run_view import RunView
 from arm_emulator_page.what_if import WhatIf
-from bench.page_picture import new_target
+from bench.page_picture import send_target
 
 __all__ = ["browser"]  # a fixture
 viser = pytest.importorskip("viser", reason="see requirements-peers.txt")
@@ -336,7 +336,7 @@ def tool_of(run: Any) -> Any:
 
 
 def moved(run: Any) -> None:
-    new_target(run, np.array([0.0, 0.05, -0.05]))
+    send_target(run, np.array([0.0, 0.05, -0.05]))
 
 
 def test_a_fork_and_its_run_are_overlaid(browser: Any, tmp_path: Path) -> None:
