@@ -24,7 +24,7 @@ from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
 from oracles.event_reference import MachineWithModes
-from oracles.reference import ReferenceMachine, links_model
+from oracles.reference import ReferenceMachine, make_links_model
 
 # Without what the references do not have, see below for that.
 ROTORS = {f"joints.axis_{k}.motor.friction": None for k in range(1, 7)}
@@ -264,7 +264,7 @@ def test_a_joint_without_a_motor_rests_where_its_spring_bears_the_weight() -> No
         "gravity": gravity, "joints.elbow": {"torque_table": table, "friction": {"viscous": 5.0}},
     })  # fmt: skip
     plant, spring = Plant(scene), PchipInterpolator(angles + 0.8, torques)
-    model = links_model(scene)
+    model = make_links_model(scene)
     data, rng = model.createData(), np.random.default_rng(5)
     per_volt = np.array([joint.torque_per_command for joint in scene.joints])
     for q in scene.start + rng.uniform(-0.3, 0.3, (5, 3)):
