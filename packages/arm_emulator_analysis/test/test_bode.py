@@ -85,7 +85,8 @@ def test_wrong_ranges_and_places_are_refused(file: Path, tmp_path: Path) -> None
     for words, line in (
         (["--low", "900"], "--low must be below the highest frequency"),
         (["--high", "0"], "--low and --high must be"),
-        (["--pose", "0", "1"], "q must"),
+        (["--pose", "0", "1"], "bode: --pose must have"),
+        (["--pose", "nan", "0", "0"], "bode: --pose must be numbers within"),
         (["--picture", str(tmp_path / "no" / "a.png")], "must be writable"),
         (["--table", str(tmp_path / "no" / "a.csv")], "must be writable"),
     ):

@@ -24,6 +24,7 @@ from arm_emulator.extension.machine import (
 from arm_emulator.extension.runs import check_servo, load_gains
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
+POSE = Number.within("--pose", "rad or m", 1e6)
 PER_DECADE = 2000  # frequencies
 ROWS = slice(None, None, 20)  # of them in tables
 MODES = 8  # that are listed
@@ -65,7 +66,8 @@ def bode(
         raise Refusal("bode", "--low", f"be below the highest frequency, {highest:g} Hz", low)
     count = 1 + round(PER_DECADE * np.log10(highest / low))
     frequency = np.geomspace(low, highest, max(2, count))
-    linear = linearise(machine, machine.start if pose is None else pose)
+    q = machine.start if pose is None else POSE.row("bode", pose, len(machine.joints))
+    linear = linearise(machine, q)
     responses = {
         joint.name: compute_frequency_response(linear, j, frequency)
         for j, joint in enumerate(machine.joints)
