@@ -108,7 +108,7 @@ def draw_unseen_motions(scene: Scene, seed: int, seconds: float = SECONDS) -> li
     """Return motions that `advise` has not seen."""
     rng, excitation = np.random.default_rng([seed, 32]), ExcitationMotions(scene, seconds)
     kinds = [str(kind) for kind in rng.choice(list(KINDS), OTHERS)]
-    return [excitation.drawn(kind, rng) for kind in kinds]
+    return [excitation.draw_motion(kind, rng) for kind in kinds]
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _judge_advice(
     tried, cheaper = 0, list[tuple[IntegrationMethod, int]]()
     for method in own.methods:
         for fewer in step_counts(1, steps * MANY):
-            if own.runs.least_cost(method, fewer) > best.cost:
+            if own.runs.min_cost(method, fewer) > best.cost:
                 break  # it is not cheaper
             tried += 1
             if (

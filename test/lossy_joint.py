@@ -175,7 +175,7 @@ class Rotor:
                 if t >= end:
                     break
                 assert piece < MAX_PIECES - 1, f"no progress at {t} s of row {k}"
-                sign = self.way_at(x, A, away)
+                sign = self.direction_at(x, A, away)
                 solution = solve_ivp(
                     lambda _, y, A=A, sign=sign, leads=leads: self.rates(y, A, sign, leads),
                     (t, end), x, "DOP853", rtol=1e-11, atol=1e-13,
@@ -197,7 +197,7 @@ class Rotor:
             states.append(x.copy())
         return np.array(states), stops
 
-    def way_at(self, x: Array, A: float, away: float) -> float:
+    def direction_at(self, x: Array, A: float, away: float) -> float:
         """Return the direction of the shaft, 0 where it sticks; `away`: it just broke away."""
         if away:
             return away

@@ -93,7 +93,7 @@ class User:
         self.tick = -1  # newest tick recorded, -1 for none
         self.machine = 0  # the emulator whose states are recorded, 0 for any
         self.own_states: set[bytes] = set()  # what was sent as a motor state, by this user
-        self._gone: set[bytes] = set()  # listeners whose process was killed
+        self._removed: set[bytes] = set()  # listeners whose process was killed
         self._met: set[tuple[str, bytes]] = set()  # topics, and listeners that know this publisher
         self.status: EmulatorStatus | None = None
         self.truth: JointState | None = None
@@ -225,7 +225,7 @@ class User:
             # A discovered node is matched a moment later; the number confirms that all of them are.
             matched = len(listeners_now) <= publisher.get_subscription_count()
             return (
-                {listener for listener in there if listener[1] not in self._gone}
+                {listener for listener in there if listener[1] not in self._removed}
                 if matched
                 else set()
             )
@@ -264,7 +264,7 @@ class User:
         """Count no longer on the listeners of a node that was killed: they fade away slowly."""
         for publisher in self.node.publishers:
             listeners_now = self._listeners(publisher.topic_name)
-            self._gone.update(who for who, name in listeners_now if name == node)
+            self._removed.update(who for who, name in listeners_now if name == node)
         self._answered = {name for name in self._answered if not name.startswith(f"{node}/")}
 
     def _listeners(self, topic: str) -> list[tuple[bytes, str]]:

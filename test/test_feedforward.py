@@ -179,14 +179,14 @@ class Weighed:
         )
         urdf = make_link_urdf(self.MASS * heavier, self.COM, 0.05 * heavier)
         self.feedforward = Feedforward(Kinematics(urdf, ["joint"], "joint_link"), config)
-        self.held = holding
+        self.load_at_rest = holding
 
     def weight(self, q: float) -> float:
         return -self.MASS * 9.81 * self.COM * math.cos(q)
 
     def period(self, q: float, v: float = 0.0, can: bool = True) -> tuple[float, float]:
         """Return by how much the motor is sent ahead, and the torque that is announced."""
-        tau = np.array([self.weight(q) - self.held])
+        tau = np.array([self.weight(q) - self.load_at_rest])
         self.feedforward.observe(tau, np.array([can]))
         setpoint = self.feedforward.complete(JointSetpoint(np.array([q]), np.array([v])))
         assert setpoint.tau is not None
@@ -210,11 +210,14 @@ def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
     # Friction may hold either way, known as 1.5 times what is assumed; 10 urad nobody sees. A
     # weight of that size is no evidence: what it leaves is of second order. exp(-4 / 0.3) is left.
     unsure = 1.5 * of_dry * dry + 1e-5 * arm.assumed
-    surplus = (1.0 - heavier) * weight - arm.held
+    surplus = (1.0 - heavier) * weight - arm.load_at_rest
     if abs(surplus) < unsure:
         assert wind_ups[-1] == wind_ups[0], "the prediction may be right"
     off = abs(wind_ups[-1] * arm.assumed - weight)
-    assert off <= abs(arm.held) + unsure + abs(surplus) * (unsure / (heavier * weight)) ** 2 + 1e-4
+    assert (
+        off
+        <= abs(arm.load_at_rest) + unsure + abs(surplus) * (unsure / (heavier * weight)) ** 2 + 1e-4
+    )
 
 
 def test_the_load_at_rest_multiplies_torques_in_motion_without_a_jump() -> None:

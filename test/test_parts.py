@@ -192,7 +192,7 @@ class ReadSection(Section):
     """A section that knows which keys its reader has asked for."""
 
     @property
-    def keys_asked(self) -> set[str]:
+    def keys_read(self) -> set[str]:
         return self._read_keys
 
 
@@ -216,7 +216,7 @@ def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]
     assert declared <= rows.keys() and all(rows[key][3] for key in declared), "what each is"
     of_others = {kind.section.partition(".")[2] for kind in PARTS}
     sections = {key.partition(".")[0] for key in declared}
-    assert section.keys_asked - of_others == sections - of_others
+    assert section.keys_read - of_others == sections - of_others
 
 
 # Parts of nearly every scene, whose equations stand in docs/concepts/physics.md.

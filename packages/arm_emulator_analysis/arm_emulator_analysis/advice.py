@@ -185,7 +185,7 @@ class Judge:
                 steps,
                 _choose_next_steps(steps, off / error, KNOWN_SCHEMES[method.scheme].order),
             )
-            if steps > max_steps or self.runs.least_cost(method, steps) > max_cost:
+            if steps > max_steps or self.runs.min_cost(method, steps) > max_cost:
                 return None
         for fewer in step_counts(failed + 1, steps):
             if self.error(method, fewer, error) <= error:

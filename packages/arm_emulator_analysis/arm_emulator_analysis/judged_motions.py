@@ -59,7 +59,7 @@ class ExcitationMotions:
         )
         self._plant = self._make_plant(FINE)
 
-    def drawn(self, kind: str, rng: Rng) -> JudgedMotion:
+    def draw_motion(self, kind: str, rng: Rng) -> JudgedMotion:
         """Return a motion of one of the `KINDS`.
 
         Raises:
@@ -123,7 +123,7 @@ def list_motions(scene: Scene, seconds: float = SECONDS) -> list[JudgedMotion]:
     excitation = ExcitationMotions(scene, seconds)
     kinds = [*OF_EACH * list(KINDS), *OF_EACH * ["limits"]]  # often of the largest errors
     return [
-        excitation.drawn(kind, np.random.default_rng([7, number]))
+        excitation.draw_motion(kind, np.random.default_rng([7, number]))
         for number, kind in enumerate(kinds)
     ]
 

@@ -115,7 +115,7 @@ class Runs:
         wall, simulated = self._times[method, steps]
         return wall / simulated
 
-    def least_cost(self, method: IntegrationMethod, steps: int) -> float:
+    def min_cost(self, method: IntegrationMethod, steps: int) -> float:
         """Return a lower bound of that time, from the cheapest step of this method; 0: unknown."""
         costs = [self.cost(*key) / key[1] for key in self._times if key[0] == method]
         return steps * min(costs, default=0.0)

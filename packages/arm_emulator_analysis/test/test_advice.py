@@ -240,7 +240,7 @@ def test_motions_are_the_same_every_time_and_begin_at_rest() -> None:
     scene = load_scene("three_axis")
     for first, second in zip(list_motions(scene, 0.1), list_motions(scene, 0.1), strict=True):
         assert np.array_equal(first.commands, second.commands), first.name
-    stop = ExcitationMotions(scene, 0.1).drawn("stop", np.random.default_rng(3)).commands
+    stop = ExcitationMotions(scene, 0.1).draw_motion("stop", np.random.default_rng(3)).commands
     assert (stop[50:] == 0.0).all() and np.abs(stop[:50]).max() > 0.0, "no commands from the middle"
 
 

@@ -64,7 +64,7 @@ class BatchSimulator:
             rule = "be 1 on a device: its arms are its threads"
             raise Refusal(campaign.where, "threads", rule, campaign.scene.threads)
         self.width = width = WIDTH if device is None else _choose_width(campaign)
-        self._judges = Evaluators(campaign, ROOM, width)  # first: its refusals need no compiler
+        self._evaluators = Evaluators(campaign, ROOM, width)  # first: its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
         self._names = [number.name for number in campaign.variation.numbers]
@@ -75,8 +75,8 @@ class BatchSimulator:
         self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)
         self._servos = ServoFleet(self._fleet, servo)
         self._tuned = [servo] * width
-        self._sampler = sampler(self._fleet, self._judges.samples, ROOM)
-        self._way = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
+        self._sampler = sampler(self._fleet, self._evaluators.samples, ROOM)
+        self._schedule = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
         self._aimed: list[Scenario] = []
         self._aim([scenario])
@@ -128,15 +128,20 @@ class BatchSimulator:
 
     def _run(self, cases: Sequence[Case], runs: Sequence[_Run]) -> Outcomes:
         self._begin(runs)
-        evaluators, sampler, fleet, frame = self._judges, self._sampler, self._fleet, self._frame
+        evaluators, sampler, fleet, frame = (
+            self._evaluators,
+            self._sampler,
+            self._fleet,
+            self._frame,
+        )
         count, last = len(runs), np.array([run.bound.last for run in runs])
         evaluators.begin()
         sampler.forget()
-        fleet.look(self._way)
+        fleet.look(self._schedule)
         taken = np.zeros(count, np.int64)
         while True:
             some = int(min(ROOM - (taken[0] == 0), last.max() + 1 - max(1, taken.max())))
-            fleet.follow(self._servos, some, frame, way=self._way, arms=count)
+            fleet.follow(self._servos, some, frame, way=self._schedule, arms=count)
             samples, counts = sampler.take()
             fresh = np.maximum(np.minimum(last + 1 - taken, counts[:count]), 0)
             evaluators.take(samples, fresh, self._targets)
@@ -171,7 +176,7 @@ class BatchSimulator:
             if run.servo is not self._tuned[arm]:
                 servos.retune(arm, run.servo)
                 self._tuned[arm] = run.servo
-        self._way.set_changes([run.changes for run in every])
+        self._schedule.set_changes([run.changes for run in every])
         self._aim([run.scenario for run in every])
         servos.reset()
 

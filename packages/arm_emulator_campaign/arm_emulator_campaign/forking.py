@@ -54,7 +54,7 @@ class ForkingRun(Simulator):
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
         self._margin = Program(rows, [()], (), [rows.of_formula(of)], ROOM)
         self._sampler = Sampler(self.session.plant, rows.samples, ROOM)
-        self._look = self._at_most = max(1, count_ticks(campaign.search.look, period))
+        self._look = self._longest_look = max(1, count_ticks(campaign.search.look, period))
 
     @staticmethod
     def check(campaign: Campaign) -> None:
@@ -66,7 +66,7 @@ class ForkingRun(Simulator):
         self._begin(draw_case(self._campaign.variation, index))
         self._set_seed(seed)
         self.session.plant.reset(self._scenario.start)
-        self._least = math.inf
+        self._lowest = math.inf
 
     def go_on(self, state: Fork, seed: int) -> None:
         """Continue from a fork with other noise."""
@@ -86,7 +86,7 @@ class ForkingRun(Simulator):
             run.aim(self._table)
         self._place_joints()
         self._scenario, self._last = state.rest[:2]
-        self._events, self._least = list(state.events), state.least
+        self._events, self._lowest = list(state.events), state.least
 
     @property
     def now(self) -> int:
@@ -107,7 +107,7 @@ class ForkingRun(Simulator):
             run.save() if isinstance(run, OfflineRun) else None,
             rest,
             tuple(self._events),
-            self._least,
+            self._lowest,
         )
 
     def reach(self, level: float) -> tuple[bool, float]:
@@ -117,20 +117,20 @@ class ForkingRun(Simulator):
         that very tick: what makes a failure likely there may be gone at the end of the piece.
         """
         if self._is_at(level):
-            return True, self._least
+            return True, self._lowest
         self._sampler.begin()
         self._margin.go_on(self.session.tick)
         try:
             self._take(level)  # the sample at which the run is, before any piece
             if self._is_at(level):
-                return True, self._least
+                return True, self._lowest
             pieces, before = self._pieces(), self.fork()
             while next(pieces, None) is not None:
                 later = self._take(level)
                 if later > 0:
                     tick = self.session.tick - later
                     self._return_to(before)
-                    self._at_most = tick - self.session.tick
+                    self._longest_look = tick - self.session.tick
                     self._margin.go_on(self.session.tick + 1)
                     next(self._pieces())
                     self._take(level)
@@ -139,14 +139,14 @@ class ForkingRun(Simulator):
                 if level > -math.inf:
                     before = self.fork()
         except Diverged:
-            self._least = -math.inf
+            self._lowest = -math.inf
         finally:
             self._sampler.end()
-            self._at_most = self._look
-        return self._is_at(level), self._least
+            self._longest_look = self._look
+        return self._is_at(level), self._lowest
 
     def _is_at(self, level: float) -> bool:
-        return self._least < 0.0 if level == 0.0 else self._least <= level
+        return self._lowest < 0.0 if level == 0.0 else self._lowest <= level
 
     def _take(self, level: float) -> int:
         """Judge a piece; return how many ticks before its end it was at the level first."""
@@ -159,7 +159,7 @@ class ForkingRun(Simulator):
             return 0
         truth = self._margin.kept[0, 0, begin:stop]
         margins = np.where(truth == 0.0, -math.inf, truth)  # undefined, see core/boundary/formula.h
-        self._least = min(self._least, float(np.min(margins)))
+        self._lowest = min(self._lowest, float(np.min(margins)))
         if not self._is_at(level):
             return 0
         at = np.flatnonzero(margins < 0.0 if level == 0.0 else margins <= level)[0]
@@ -167,7 +167,7 @@ class ForkingRun(Simulator):
 
     @property
     def _longest(self) -> int:
-        return min(super()._longest, self._at_most)
+        return min(super()._longest, self._longest_look)
 
 
 def make_forked_case(campaign: Campaign, origin: ForkOrigin) -> Case:

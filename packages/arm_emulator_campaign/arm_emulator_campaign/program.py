@@ -140,12 +140,12 @@ class Program:
             own[:, place]["row"] = row
         self.kept = np.zeros((runs, len(traced), room))
         self._robustness = np.zeros((runs, len(requirements[0])))
-        self._found = np.zeros((runs, len(measures)))
+        self._reduced = np.zeros((runs, len(measures)))
         values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
         traced_rows, of_rows = np.array([*traced, 0], np.int32), rows.struct()
         inputs = rows.inputs()
         at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
-        self._held = own, values, traced_rows, of_rows, inputs, at
+        self._referenced = own, values, traced_rows, of_rows, inputs, at
         self._pointers = [
             JUDGES.ffi.new("robustness *[]", [requirement.pointer for requirement in of_run])
             for of_run in requirements
@@ -197,9 +197,9 @@ class Program:
 
     def end(self) -> tuple[Array, Array]:
         """Return robustness (runs, requirements) and measures (runs, measures), as copies."""
-        places = c_pointer(self._robustness), c_pointer(self._found)
+        places = c_pointer(self._robustness), c_pointer(self._reduced)
         self._calls.judges_end(self._structs, len(self._pieces), *places)
-        return self._robustness.copy(), self._found.copy()
+        return self._robustness.copy(), self._reduced.copy()
 
 
 def _get_addresses(rows: NDArray[Any], which: NDArray[np.int64]) -> NDArray[np.int64]:

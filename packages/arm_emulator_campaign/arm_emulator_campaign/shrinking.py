@@ -107,7 +107,7 @@ class _Tries:
         self._simulator = Simulator(campaign)
         self._nominal = {number.name: number.nominal for number in campaign.variation.numbers}
         self._faults = [*campaign.nominal[1]]
-        self._found: dict[str, dict[str, float]] = {}
+        self._cache: dict[str, dict[str, float]] = {}
         self.runs = 0
 
     def changes(self) -> list[str]:
@@ -128,10 +128,10 @@ class _Tries:
     def margins(self, case: Case) -> dict[str, float]:
         """Return the margins of a run, which is simulated once."""
         key = repr((sorted(case.values.items()), sorted(case.without), case.seconds))
-        if key not in self._found:
+        if key not in self._cache:
             self.runs += 1
-            self._found[key] = dict(self._simulator.run(case).robustness)
-        return self._found[key]
+            self._cache[key] = dict(self._simulator.run(case).robustness)
+        return self._cache[key]
 
     def find_shortest(self, case: Case, requirement: str) -> Case:
         """Return the run, ended as soon as it has failed.

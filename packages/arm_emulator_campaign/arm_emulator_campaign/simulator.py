@@ -47,7 +47,7 @@ class Simulator:
 
     def __init__(self, campaign: Campaign) -> None:
         self._campaign = campaign
-        self._judges = Evaluators(campaign, ROOM)  # first, since its refusals need no compiler
+        self._evaluators = Evaluators(campaign, ROOM)  # first, since its refusals need no compiler
         scenario, _, servo = campaign.nominal
         self._scene, self._tuned = campaign.scene, servo
         self._parameters = {number.name for number in campaign.scene.varied}
@@ -55,7 +55,7 @@ class Simulator:
         self._run = self._coupled(scenario, servo)
         self.session = self._run.session
         self._fresh = self.session.plant.save()
-        self._sampler = Sampler(self.session.plant, self._judges.samples, ROOM)
+        self._sampler = Sampler(self.session.plant, self._evaluators.samples, ROOM)
 
     def _coupled(self, scenario: Scenario, servo: ServoConfig) -> OfflineRun | TableRun:
         """Return machine and controller of the scenario."""
@@ -85,7 +85,7 @@ class Simulator:
 
     def _judge(self, case: Case) -> Outcomes:
         self._begin(case)
-        sampler, evaluators = self._sampler, self._judges
+        sampler, evaluators = self._sampler, self._evaluators
         evaluators.begin()
         sampler.begin()
         diverged = math.nan

@@ -45,7 +45,7 @@ class VibrationRequirement:
         self._section, self._period = section, scene.servo_period
         first = next(iter(VIBRATION_QUANTITIES))
         self._quantity = section.choice(KEY, tuple(VIBRATION_QUANTITIES), first)
-        self._at_most = section.number(_LIMITS[VIBRATION_QUANTITIES[self._quantity]])
+        self._limit = section.number(_LIMITS[VIBRATION_QUANTITIES[self._quantity]])
         self._source = section.choice("from", SOURCES, SOURCES[0])
         self._band = section.number(_BAND)
         section.finish()
@@ -72,4 +72,4 @@ class VibrationRequirement:
             vibration = measure_vibration(places, self._period, self._band)
         except Refusal:
             return -math.inf
-        return float(self._at_most - getattr(vibration, self._quantity))
+        return float(self._limit - getattr(vibration, self._quantity))

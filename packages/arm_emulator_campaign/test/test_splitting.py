@@ -159,7 +159,7 @@ def test_a_level_is_reached_at_its_tick(tmp_path):
     """Pieces of any length find the same tick."""
     run, states = ForkingRun(read(tmp_path)), set()
     for look in (1, 7, 1000):
-        run._look = run._at_most = look
+        run._look = run._longest_look = look
         run.begin(2, 9)
         reached, minimum = run.reach(0.003)
         states.add((reached, minimum, run.session.tick, bits(run)))

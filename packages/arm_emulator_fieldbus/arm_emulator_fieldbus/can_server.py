@@ -54,7 +54,7 @@ class CanServer:
         self._listening.setblocking(False)
         self.address: tuple[str, int] = self._listening.getsockname()
         self.ignored = 0
-        self._came: deque[CanFrame] = deque()
+        self._arrived: deque[CanFrame] = deque()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listening, selectors.EVENT_READ)
         self._members: dict[int, _Member] = {}
@@ -69,23 +69,23 @@ class CanServer:
     def receive(self, timeout: float) -> CanFrame | None:
         """Return the next frame, None if none comes in time [s]."""
         until = time.monotonic() + timeout
-        while not self._came:
+        while not self._arrived:
             left = until - time.monotonic()
             self._wait_events(min([max(left, 0.0), *self._list_settling()]))
             if left <= 0.0:
                 break
-        return self._came.popleft() if self._came else None
+        return self._arrived.popleft() if self._arrived else None
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame to all members."""
-        self._spread(_format_frame(frame.id, frame.data), None)
+        self._broadcast(_format_frame(frame.id, frame.data), None)
 
     # ---------------------------------------------------------------------------------- members
 
     def _list_settling(self) -> list[float]:
         """Return how long new clients must still wait for frames [s]."""
         now = time.monotonic()
-        return [max(value.settled - now, 0.0) for value in self._members.values() if value.held]
+        return [max(value.settled - now, 0.0) for value in self._members.values() if value.waiting]
 
     def _wait_events(self, timeout: float) -> None:
         for key, events in self._selector.select(timeout):
@@ -98,9 +98,9 @@ class CanServer:
                 self._write(self._members[key.fd])
         now = time.monotonic()
         for member in list(self._members.values()):
-            if member.held and member.settled <= now:
-                member.unsent += member.held
-                member.held.clear()
+            if member.waiting and member.settled <= now:
+                member.unsent += member.waiting
+                member.waiting.clear()
                 self._write(member)
 
     def _accept(self) -> None:
@@ -178,8 +178,8 @@ class CanServer:
             self._ignore(member)
             return
         if short:
-            self._came.append(CanFrame(number, bytes_))
-        self._spread(_format_frame(number, bytes_, 3 if short else 8), member)
+            self._arrived.append(CanFrame(number, bytes_))
+        self._broadcast(_format_frame(number, bytes_, 3 if short else 8), member)
 
     def _hang_up(self, member: _Member) -> None:
         """Drop a client of another protocol, such as a browser."""
@@ -190,7 +190,7 @@ class CanServer:
         self.ignored += 1
         self._answer(member, b"< error unknown command >")
 
-    def _spread(self, line: bytes, sender: _Member | None) -> None:
+    def _broadcast(self, line: bytes, sender: _Member | None) -> None:
         for member in list(self._members.values()):
             if member is not sender and member.listens:
                 self._answer(member, line)
@@ -198,12 +198,12 @@ class CanServer:
     def _answer(self, member: _Member, line: bytes) -> None:
         if member.connection.fileno() < 0:
             return
-        if member.held or time.monotonic() < member.settled:  # no frame passes those before it
-            member.held += line
+        if member.waiting or time.monotonic() < member.settled:  # no frame passes those before it
+            member.waiting += line
         else:
             member.unsent += line
             self._write(member)
-        if len(member.held) + len(member.unsent) > MAX_UNSENT:
+        if len(member.waiting) + len(member.unsent) > MAX_UNSENT:
             self._drop(member)
 
     def _write(self, member: _Member) -> None:
@@ -227,7 +227,7 @@ class _Member:
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
         self.unread = b""
-        self.unsent, self.held = bytearray(), bytearray()
+        self.unsent, self.waiting = bytearray(), bytearray()
         self.opened = self.listens = False
         self.waits = False  # for room to write
         self.settled = 0.0  # monotonic time [s], until which frames are held

@@ -102,7 +102,7 @@ class Node:
         self._synced_at: int | None = None  # when the last SYNC came
         self._error = 0  # reported last
         self._bad_pdo = False
-        self._watched = (0, 0)  # node, and time between its heartbeats [ns]
+        self._consumed_heartbeat = (0, 0)  # node, and time between its heartbeats [ns]
         self._receives: list[_Pdo] = []
         self._sends: list[_Pdo] = []
         self._set_defaults()
@@ -163,9 +163,9 @@ class Node:
         self.sync_period, self._window = (self._number(index, 0) * US for index in (0x1006, 0x1007))
         self._drives.set_cycle(self._drive, self.sync_period)
         heartbeat = self._number(0x1016, 1)
-        before = self._watched
-        self._watched = (heartbeat >> 16 & 0x7F, (heartbeat & 0xFFFF) * MS)
-        if self._watched != before:
+        before = self._consumed_heartbeat
+        self._consumed_heartbeat = (heartbeat >> 16 & 0x7F, (heartbeat & 0xFFFF) * MS)
+        if self._consumed_heartbeat != before:
             self._heard_at = None
         for pdos, first in ((self._receives, 0x1400), (self._sends, 0x1800)):
             new = [self._read_pdo(first + k, first + 0x200 + k) for k in range(PDOS)]
@@ -215,7 +215,7 @@ class Node:
             if self.state is NmtState.STOPPED or self.state is NmtState.BOOT:
                 return []
             return self._serve(frame.data)
-        if id_ == 0x700 + self._watched[0] and self._watched[1]:
+        if id_ == 0x700 + self._consumed_heartbeat[0] and self._consumed_heartbeat[1]:
             self._heard_at = now
         if self.state is NmtState.OPERATIONAL:
             return self._receive_data(frame, now)
@@ -297,14 +297,14 @@ class Node:
             case 129:
                 self._drives.restart(self._drive)
                 self._set_defaults()
-                return self._begin_anew()
+                return self._restart()
             case 130:
                 self._stop()
                 self._restore_communication()
-                return self._begin_anew()
+                return self._restart()
         return []
 
-    def _begin_anew(self) -> list[CanFrame]:
+    def _restart(self) -> list[CanFrame]:
         self._configure()
         self._error, self._bad_pdo = 0, False
         return self.boot()
@@ -393,7 +393,7 @@ class Node:
     def _watch(self, now: int) -> list[CanFrame]:
         """Check what comes periodically; each loss is reported once, until the next message."""
         frames: list[CanFrame] = []
-        if _has_expired(self._heard_at, self._watched[1], now):
+        if _has_expired(self._heard_at, self._consumed_heartbeat[1], now):
             self._heard_at = None
             frames += self._lose_master()
         if _has_expired(self._guarded_at, self._life, now):

@@ -162,7 +162,7 @@ class RegisterConverter:
 
     Attributes:
         session: the machine.
-        wanted: commands that were written last, and further inputs (1 + I, N) [V, N m or A].
+        target: commands that were written last, and further inputs (1 + I, N) [V, N m or A].
         on_commands: is called when commands were written.
 
     Args:
@@ -219,14 +219,14 @@ class RegisterConverter:
 
     def _forget(self) -> None:
         self._stop()
-        self._held = self.wanted  # in the period that is under way
+        self._zoh_target = self.target  # in the period that is under way
         self._written_tick: int | None = None  # when the newest commands came
         self._tripped = False
 
     def _stop(self) -> None:
         """Set all commands to 0."""
         self._command = [0] * self._N * (1 + len(self._inputs))
-        self.wanted = np.zeros((1 + len(self._inputs), self._N))
+        self.target = np.zeros((1 + len(self._inputs), self._N))
 
     def _describe_joint(self, index: int) -> list[int]:
         scene = self.session.scene
@@ -318,7 +318,7 @@ class RegisterConverter:
             first = max(at - 1, 0)
             signed = [word - ((word & 0x8000) << 1) for word in values]
             self._command[first : first + len(signed)] = signed
-            self.wanted = np.reshape(self._command, self.wanted.shape) * self._per_word
+            self.target = np.reshape(self._command, self.target.shape) * self._per_word
             self._written_tick = self.session.tick
             self.on_commands()
 
@@ -360,20 +360,20 @@ class RegisterConverter:
         """
         session = self.session
         if session.fault is None:
-            session.advance_under(self._held, session.tick)
+            session.advance_under(self._zoh_target, session.tick)
         self.has_tripped()
-        self._held = self.wanted
+        self._zoh_target = self.target
 
     def answer_tick(self) -> None:
         """Advance by a servo period under the commands just written."""
-        self._held = self.wanted
+        self._zoh_target = self.target
         self.pass_period()
 
     def offer(self) -> None:
         """Pass the commands to a session in real time."""
         session = self.session
         try:
-            command, *rows = self.wanted.tolist()
+            command, *rows = self.target.tolist()
             further = dict(zip(self._inputs, rows, strict=True))
             session.offer(session.tick, session.scene.joint_names, command, further)
         except DuplicateCommand:

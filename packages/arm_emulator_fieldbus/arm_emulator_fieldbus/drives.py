@@ -84,7 +84,7 @@ class Drives:
         places, inputs = declared.find_places(scene, UNITS), declared.find_input_rows(scene)
         faults = [_make_text(fault.varied.name) for fault in scene.faults]
         fault = DRIVES.ffi.new("char *[]", faults)
-        self._kept = names, places, inputs, faults, fault  # they must outlive the drives
+        self._referenced = names, places, inputs, faults, fault  # they must outlive the drives
         self._machine = DRIVES.new(
             "drives_machine",
             bus=bus,

@@ -21,7 +21,7 @@ class Function(enum.IntEnum):
 
     READ_HOLDING = 3
     READ_INPUT = 4
-    WRITE_ONE = 6
+    WRITE_SINGLE = 6
     DIAGNOSTICS = 8
     WRITE = 16
     READ_WRITE = 23
@@ -195,7 +195,7 @@ class ModbusStation:
         self._functions: dict[int, Callable[[bytes], bytes]] = {
             Function.READ_HOLDING: self._read,
             Function.READ_INPUT: self._read,
-            Function.WRITE_ONE: self._write_one,
+            Function.WRITE_SINGLE: self._write_single,
             Function.DIAGNOSTICS: self._diagnostics,
             Function.WRITE: self._write,
             Function.READ_WRITE: self._read_write,
@@ -213,7 +213,7 @@ class ModbusStation:
         try:
             if function & 0x80 or serve is None:
                 raise ModbusException(Code.FUNCTION)
-            if station == BROADCAST and function not in (Function.WRITE_ONE, Function.WRITE):
+            if station == BROADCAST and function not in (Function.WRITE_SINGLE, Function.WRITE):
                 raise ModbusException(Code.FUNCTION)  # it would ask for a reply
             body = serve(data)
         except ModbusException as no:
@@ -233,7 +233,7 @@ class ModbusStation:
         words = self._registers.read(address, count)
         return struct.pack(f">B{count}H", 2 * count, *words)
 
-    def _write_one(self, data: bytes) -> bytes:
+    def _write_single(self, data: bytes) -> bytes:
         address, word = _unpack_words(data, 2)
         self._registers.write(address, (word,))
         return data

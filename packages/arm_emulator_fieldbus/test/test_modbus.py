@@ -118,7 +118,7 @@ def test_exceptions_leave_the_state_as_it_was(scene: Scene, body: str, code: Cod
 def state_of(line: ModbusLine, converter: RegisterConverter) -> tuple[object, ...]:
     session = converter.session
     settings = [*converter.read(2000, 4), *converter.read(3000, 1), converter.status]
-    return session.plant.save(), session.tick, settings, converter.wanted.tolist()
+    return session.plant.save(), session.tick, settings, converter.target.tolist()
 
 
 def test_a_station_answers_its_own_requests_only(scene: Scene) -> None:

@@ -81,7 +81,7 @@ class Microcontroller(ControlCode):
         self.name = image.name
         self._image = image
         self._calls = _load_runner()
-        reported, self._kept = make_board_struct(board, scene, uarts or {})
+        reported, self._referenced = make_board_struct(board, scene, uarts or {})
         why = RUNNER.ffi.new("char[]", 120)
         self.with_ = self._calls.mcu_new(reported, why)
         if not self.with_:

@@ -27,7 +27,7 @@ class DeviceServos:
         self._core, self._device = core, core.device
         self._servos = self._device.allocate(SERVOS.sizeof("servo_fleet"))
         self.pointer = cast_pointer(self._servos)
-        self._kept: dict[str, Memory] = {}
+        self._memory: dict[str, Memory] = {}
 
     def servo_fleet_begin(self, servos: CData, arms: int) -> None:
         """Take over the numbers of the joints of so many arms, and forget everything."""
@@ -36,7 +36,7 @@ class DeviceServos:
         groups = self._core.count_groups(arms)
         self._keep("groups", groups * sizes[0])
         self._keep("joints", groups * self._joints * sizes[1])
-        places = [self._kept[name].pointer for name in ("groups", "joints")]
+        places = [self._memory[name].pointer for name in ("groups", "joints")]
         self._write("abreast", np.array(places, np.uint64))
         self._put(servos)
         self._core.launch("servos_begin", groups, servos=self._servos, arms=arms)
@@ -81,7 +81,7 @@ class DeviceServos:
             numbers = rows * max(int(servos.row_stride), N)
         for name in ("q", "v", "tau"):
             setattr(own, name, self._copy(name, getattr(servos, name), 8 * numbers))
-        own.abreast = cast_pointer(self._kept["abreast"])
+        own.abreast = cast_pointer(self._memory["abreast"])
         self._device.write(self._servos, view_bytes(own, self._servos.size))
 
     def _put_arms(self, servos: CData) -> CData:
@@ -107,6 +107,6 @@ class DeviceServos:
         return memory
 
     def _keep(self, name: str, size: int) -> Memory:
-        if name not in self._kept or self._kept[name].size != size:
-            self._kept[name] = self._device.allocate(size)
-        return self._kept[name]
+        if name not in self._memory or self._memory[name].size != size:
+            self._memory[name] = self._device.allocate(size)
+        return self._memory[name]

@@ -105,7 +105,7 @@ class Fleet(CoreMachines):
         self._abreast = self.lanes if device is None else self._count
         self._longest = max(1, PIECE * self._abreast // self._period_worth)  # periods of a piece
         self._commands = np.tile(make_commands(self.scene), (self._count, 1))
-        self._held = ARM.new("arm_command", tick=-1, joint=self._commands)
+        self._zoh_command = ARM.new("arm_command", tick=-1, joint=self._commands)
         self.reset(q=q, v=v, varied=varied)
 
     def __del__(self) -> None:
@@ -270,7 +270,7 @@ class Fleet(CoreMachines):
         periods = check_count(where, "periods", periods, 0, 10**9)
         out = self._frame(where, out)
         self._put_commands(where, command)
-        step, fleet, zoh_command = self.core.arm_fleet_step, self._fleet, self._held
+        step, fleet, zoh_command = self.core.arm_fleet_step, self._fleet, self._zoh_command
         places, results = (out.measurement, out.truth), []
         for _, some in self._pieces(periods):
             self._shares.do(

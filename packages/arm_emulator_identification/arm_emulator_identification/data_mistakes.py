@@ -108,7 +108,7 @@ class DataMistakes:
             data.t[some], data.q[some], data.v[some], data.a[some], data.direction[some],
             data.tau[some], data.moving[some], np.ones(self.N), 1.0,
         )  # fmt: skip
-        self._known = dict[bytes, tuple[Array, Array, Array]]()
+        self._cache = dict[bytes, tuple[Array, Array, Array]]()
         self.noise = self.left(self.as_is)
 
     def cost(self, view: RecordView) -> float:
@@ -185,16 +185,16 @@ class DataMistakes:
     def _links(self, view: RecordView) -> tuple[Array, Array, Array]:
         """Return the links' regressor for weight and for motion, and spring torques (K, N)."""
         key = view.q.tobytes() + view.a.tobytes()
-        if key not in self._known:
-            if len(self._known) > 4:
-                self._known.popitem()
+        if key not in self._cache:
+            if len(self._cache) > 4:
+                self._cache.popitem()
             none = np.zeros_like(view.q)
             weight = self._regressor(view.q, none, none)
             moved = self._regressor(view.q, view.v, view.a) - weight
-            self._known[key] = weight, moved, self._held(view)
-        return self._known[key]
+            self._cache[key] = weight, moved, self._compute_locked(view)
+        return self._cache[key]
 
-    def _held(self, view: RecordView) -> Array:
+    def _compute_locked(self, view: RecordView) -> Array:
         """Return the torques of parts at the links without friction (K, N)."""
         locked, none = np.zeros_like(view.q), np.zeros_like(view.t)
         for j, joint in enumerate(self.scene.joints):

@@ -136,7 +136,7 @@ class _Fit:
         modifier: Modifier,
     ) -> None:
         ranges = [_check_unknown(name, unknown) for name, unknown in unknowns.items()]
-        self.begin, self._width, self._least, self._most = np.array(ranges).T
+        self.begin, self._width, self._low, self._high = np.array(ranges).T
         self._names, self._modifier = list(unknowns), modifier
         self._rows, self._signals = rows, list(measured)
         self._machine = _make_varied_scene(scene, self.numbers_of(self.begin))
@@ -157,7 +157,7 @@ class _Fit:
     def _followed(self, at: bytes) -> tuple[Array, Array]:
         """Return the errors at some unknowns (K, C), and their slopes (K, C, U)."""
         x = np.frombuffer(at)
-        steps = _choose_steps(x, self._width, self._least, self._most)
+        steps = _choose_steps(x, self._width, self._low, self._high)
         variations = [self.numbers_of(values) for values in (x, *(x + np.diag(steps)))]
         outputs = _simulate_fleet(self._machine, variations, self._rows, self._signals)
         slopes = np.moveaxis((outputs[1:] - outputs[0]) / steps[:, None, None], 0, -1)
@@ -182,7 +182,7 @@ class _Fit:
             lambda x: self._weight_errors(x, noise)[0],
             x,
             lambda x: self._weight_errors(x, noise)[1],
-            bounds=(self._least, self._most),
+            bounds=(self._low, self._high),
             x_scale=self._width,
         ).x
         return solution

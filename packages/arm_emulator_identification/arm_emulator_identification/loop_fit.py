@@ -176,11 +176,11 @@ class _Loop:
             means += part * mean
             squares += part * (variance + mean**2)
         variances = np.maximum(squares - means**2, (1e-12 * means) ** 2)
-        by_blocks = self.spread_by_blocks(means, load, twist, errors, noise, widths)
+        by_blocks = self.estimate_by_blocks(means, load, twist, errors, noise, widths)
         return means, SHORT * np.sqrt(np.maximum(variances, by_blocks))
 
-    def spread_by_blocks(self, means: Array, load: Array, twist: Array, errors: Array, noise: float,
-                         widths: Array) -> Array:  # fmt: skip
+    def estimate_by_blocks(self, means: Array, load: Array, twist: Array, errors: Array,
+                           noise: float, widths: Array) -> Array:  # fmt: skip
         """Return variances (3,) that hold where errors last long, and of what noise has taken.
 
         The sum over blocks of time of their own shift of the numbers, squared (W. K. Newey and

@@ -36,7 +36,7 @@ class ArmScene:
         self, server: Any, scene: Scene, name: str = "/arm", *, over: bool = False
     ) -> None:
         self._server, self._name, self._over = server, name, over
-        self._way: Any = None
+        self._path: Any = None
         self._shafts = Shafts(scene.urdf, scene.joint_names)
         self._model = pin.buildModelFromXML(scene.true_urdf)
         self._data = self._model.createData()
@@ -57,7 +57,7 @@ class ArmScene:
         joints = [
             self._model.joints[self._model.getJointId(joint)] for joint in self._shafts.joints
         ]
-        self._turns = [(joint.idx_q, joint.nq == 2) for joint in joints]
+        self._revolute = [(joint.idx_q, joint.nq == 2) for joint in joints]
         self._handles = [
             self._added(k, shape) for k, shape in enumerate(self._shapes.geometryObjects)
         ]
@@ -68,7 +68,7 @@ class ArmScene:
 
     def show(self, q: Array) -> None:
         """Show the arm at positions (N,) [rad or m]."""
-        at = self._whole(q)
+        at = self._complete(q)
         pin.forwardKinematics(self._model, self._data, at)
         pin.updateGeometryPlacements(self._model, self._data, self._shapes, self._places)
         tool = pin.updateFramePlacement(self._model, self._data, self._tool)
@@ -95,7 +95,7 @@ class ArmScene:
 
     def remove(self) -> None:
         """Take the arm and its way out of the scene."""
-        for handle in (*self._handles, self._frame, self._way):
+        for handle in (*self._handles, self._frame, self._path):
             if handle is not None:
                 handle.remove()
 
@@ -103,24 +103,24 @@ class ArmScene:
         """Return the tool's positions (K, 3) [m] at positions of the shafts (K, N)."""
         path = np.empty((len(q), 3))
         for k, row in enumerate(q):
-            pin.forwardKinematics(self._model, self._data, self._whole(row))
+            pin.forwardKinematics(self._model, self._data, self._complete(row))
             path[k] = pin.updateFramePlacement(self._model, self._data, self._tool).translation
         return path
 
-    def show_way(self, q: Array) -> None:
+    def show_path(self, q: Array) -> None:
         """Show the way of the tool through positions of the shafts (K, N)."""
         path = self.trace_tool(q)
         pieces = np.stack([path[:-1], path[1:]], axis=1)
         moving = pieces[np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1) > 1e-6]
         if len(moving):
             color = OVER_PATH if self._over else PATH
-            self._way = self._server.scene.add_line_segments(
+            self._path = self._server.scene.add_line_segments(
                 f"{self._name}/way", moving, color, thickness=2.0, thickness_units="screen"
             )
 
-    def _whole(self, q: Array) -> Array:
+    def _complete(self, q: Array) -> Array:
         at = pin.neutral(self._model)
-        for (place, revolute), angle in zip(self._turns, self._shafts.of_joints(q), strict=True):
+        for (place, revolute), angle in zip(self._revolute, self._shafts.of_joints(q), strict=True):
             if revolute:
                 at[place : place + 2] = np.cos(angle), np.sin(angle)
             else:

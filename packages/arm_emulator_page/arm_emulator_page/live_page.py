@@ -74,7 +74,7 @@ class LivePage:
         self._events: list[tuple[int, str]] = []
         self._at: int | None = None  # tick in the past that is shown
         self._changing = False
-        self._shown = -1  # rows that had come
+        self._plotted_rows = -1  # rows that had come
         self._plotted_at, self._mark, self._factor = 0.0, (time.monotonic(), 0.0), 0.0
         self._state, self._dropped, self._over = "", 0, ""
         self.arm = ArmScene(served.server, scene)
@@ -133,7 +133,7 @@ class LivePage:
     def end(self, words: str) -> None:
         """Show that the machine has ended."""
         with self.exclusive:
-            self._over, self._shown = words, -1
+            self._over, self._plotted_rows = words, -1
 
     def draw(self) -> None:
         """Show what has come since the last call."""
@@ -142,17 +142,17 @@ class LivePage:
             if not self.browsers or not len(self._history.newest):
                 return
             now = time.monotonic()
-            fresh = self._shown != self._history.count
+            fresh = self._plotted_rows != self._history.count
             if fresh and self._at is None:
                 self.arm.show(self._history.newest["q"][0])
-            if (fresh or self._shown < 0) and now - self._plotted_at >= PLOTTED:
-                self._shown, self._plotted_at = self._history.count, now
+            if (fresh or self._plotted_rows < 0) and now - self._plotted_at >= PLOTTED:
+                self._plotted_rows, self._plotted_at = self._history.count, now
                 self._show()
 
     def _look_at_news(self) -> None:
         news = self.hands.news()
         if news.state:
-            self._state, self._shown = news.state, -1
+            self._state, self._plotted_rows = news.state, -1
         if news.paused is not None and "pause" in self.hands.can():
             self._pause_button.label = "Play" if news.paused else "Pause"
         if news.events:
@@ -290,7 +290,7 @@ class LiveHistory:
 
     def __init__(self, kind: np.dtype[np.void]) -> None:
         self._newest = np.zeros(0, kind)
-        self._whole = np.zeros(0, kind)
+        self._thinned = np.zeros(0, kind)
         self._every = 1  # of the rows of the whole run
         self.count = 0
 
@@ -304,13 +304,13 @@ class LiveHistory:
             self._forget()
         picked = rows[-self.count % self._every :: self._every]
         self.count += len(rows)
-        self._whole = np.concatenate([self._whole, picked])
-        while len(self._whole) > MAX_ROWS:
-            self._whole, self._every = self._whole[::2].copy(), 2 * self._every
+        self._thinned = np.concatenate([self._thinned, picked])
+        while len(self._thinned) > MAX_ROWS:
+            self._thinned, self._every = self._thinned[::2].copy(), 2 * self._every
         self._newest = np.concatenate([self._newest, rows])[-NEWEST:].copy()
 
     def _forget(self) -> None:
-        self._newest, self._whole = self._newest[:0], self._whole[:0]
+        self._newest, self._thinned = self._newest[:0], self._thinned[:0]
         self._every, self.count = 1, 0
 
     @property
@@ -321,7 +321,7 @@ class LiveHistory:
     def near(self, tick: int) -> ColumnRows:
         """Return the row (1,) that is nearest to a tick, or none (0,)."""
         first = self._newest["tick"][:1]
-        rows = self._newest if len(first) and tick >= first[0] else self._whole
+        rows = self._newest if len(first) and tick >= first[0] else self._thinned
         if not len(rows):
             return rows
         place = int(np.argmin(np.abs(rows["tick"] - tick)))
@@ -334,7 +334,7 @@ class LiveHistory:
         begin = self._newest["t"][-1] - seconds
         rows = self._newest
         if begin < rows["t"][0]:
-            rows = np.concatenate([self._whole[self._whole["t"] < rows["t"][0]], rows])
+            rows = np.concatenate([self._thinned[self._thinned["t"] < rows["t"][0]], rows])
         rows = rows[np.searchsorted(rows["t"], begin) :]
         every = max(1, -(-len(rows) // max_rows))
         return rows[(len(rows) - 1) % every :: every]

@@ -64,25 +64,25 @@ class EventList:
         self._gui, self._go = gui, go
         self._more = gui.add_markdown("No event yet.")
         self._folder = gui.add_folder("Events, the newest first")
-        self._shown: list[tuple[Event, Any]] = []
+        self._buttons: list[tuple[Event, Any]] = []
         self._order = 0.0
 
     def show(self, events: Sequence[Event]) -> None:
         """Show other events: those that are listed already stay, and newer ones come above them."""
-        listed = [event for event, _ in self._shown]
+        listed = [event for event, _ in self._buttons]
         newest = list(events[-MAX_BUTTONS:])
         removed = range(len(listed) + 1)  # of those that are listed, the oldest
         self._drop(next(k for k in removed if listed[k:] == newest[: len(listed) - k]))
-        for event in newest[len(self._shown) :]:
+        for event in newest[len(self._buttons) :]:
             self._add(event)
         left = len(events) - len(newest)
         text = f"{left} older events are not listed." if left else ""
         self._more.content = text or ("" if events else "No event yet.")
 
     def _drop(self, count: int) -> None:
-        for _, button in self._shown[:count]:
+        for _, button in self._buttons[:count]:
             button.remove()
-        del self._shown[:count]
+        del self._buttons[:count]
 
     def _add(self, event: Event) -> None:
         tick, text = event
@@ -90,4 +90,4 @@ class EventList:
         with self._folder:
             button = self._gui.add_button(f"{tick}: {text}", order=self._order, color="gray")
         button.on_click(lambda _: self._go(tick))
-        self._shown.append((event, button))
+        self._buttons.append((event, button))

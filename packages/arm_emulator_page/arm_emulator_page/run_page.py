@@ -55,7 +55,7 @@ class RunPage:
     ) -> None:
         if over is not None:
             _check_alike(run_view, over)
-        self._subject, self._explain = run_view, explain
+        self._view, self._explain = run_view, explain
         self._over: RunView | None = None
         self._arm_over: ArmScene | None = None
         self.exclusive = threading.RLock()
@@ -68,7 +68,7 @@ class RunPage:
         self.url = self._served.url
         self.arm = ArmScene(server, scene)
         self._served.look_from(self.arm.size)
-        self.arm.show_way(run_view.history.values("q"))
+        self.arm.show_path(run_view.history.values("q"))
         self.gui: Any = server.gui
         self._build(server, scene.name)
         if self.arm.missing:
@@ -81,12 +81,12 @@ class RunPage:
     @property
     def line(self) -> Timeline[Any]:
         """The timeline that is shown."""
-        return self._subject.line
+        return self._view.line
 
     @property
     def last(self) -> int:
         """The last tick that can be visited."""
-        return self._subject.last
+        return self._view.last
 
     @property
     def _session(self) -> Session:
@@ -106,9 +106,9 @@ class RunPage:
     def turn_to(self, run_view: RunView, tick: int) -> None:
         """Show another run, from a tick on."""
         with self.exclusive:
-            self._subject = run_view
+            self._view = run_view
             run_view.line.go_to(tick)
-            self.arm.show_way(run_view.history.values("q"))
+            self.arm.show_path(run_view.history.values("q"))
             self._list.show(run_view.events)
             self.changing = True
             try:
@@ -127,7 +127,7 @@ class RunPage:
         """
         with self.exclusive:
             if view is not None:
-                _check_alike(self._subject, view)
+                _check_alike(self._view, view)
             if self._arm_over is not None:
                 self._arm_over.remove()
                 self._arm_over = None
@@ -135,14 +135,14 @@ class RunPage:
             if view is not None:
                 scene = view.line.run.session.scene
                 self._arm_over = ArmScene(self.server, scene, "/over", over=True)
-                self._arm_over.show_way(view.history.values("q"))
+                self._arm_over.show_path(view.history.values("q"))
             self._choose_plots()
             self._plot()
             self._show()
 
     def _choose_plots(self) -> None:
         """Offer the quantities that all shown runs have."""
-        here, now = self._subject.history, self._group.value
+        here, now = self._view.history, self._group.value
         groups = tuple(here.groups)
         if self._over is not None:
             there = self._over.history
@@ -192,7 +192,7 @@ class RunPage:
         with tabs.add_tab("Now"):
             self._numbers = gui.add_markdown("")
         with tabs.add_tab("Plot"):
-            groups = tuple(self._subject.history.groups)
+            groups = tuple(self._view.history.groups)
             self._group = gui.add_dropdown("Signal", groups, initial_value=FIRST)
             self._group.on_update(lambda _: None if self.changing else self._plot())
             self._of = gui.add_dropdown("Of", (THIS,))
@@ -204,7 +204,7 @@ class RunPage:
             find.on_click(lambda _: self._find())
             self._found = gui.add_markdown("")
             self._list = EventList(gui, self._go)
-            self._list.show(self._subject.events)
+            self._list.show(self._view.events)
         with tabs.add_tab("Torques"):
             ask = gui.add_button("Explain this moment")
             ask.on_click(lambda _: self._show_terms())
@@ -313,7 +313,7 @@ class RunPage:
         )
 
     def _series(self, group: str) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        history = self._subject.history
+        history = self._view.history
         ticks, values = history.ticks, history.values(group)
         if self._over is not None and self._of.value == SECOND:
             ticks, values = self._over.history.ticks, self._over.history.values(group)
@@ -325,7 +325,7 @@ class RunPage:
     def _plot(self) -> None:
         with self.exclusive:
             self._chart.data, self._chart.series = self._series(
-                read_choice(self._group, self._subject.history.groups)
+                read_choice(self._group, self._view.history.groups)
             )
 
 

@@ -48,7 +48,7 @@ class SignalPlot:
         self._groups = group_columns(columns)
         self._choice = gui.add_dropdown("Signal", tuple(self._groups), initial_value=FIRST)
         self._choice.on_update(lambda _: changed())
-        self._drawn = FIRST
+        self._plotted = FIRST
         lines = style_lines(self._groups[FIRST])
         empty = tuple(np.zeros(0) for _ in lines)
         self._chart = gui.add_uplot(empty, lines, scales=SCALES, height=HEIGHT)
@@ -65,10 +65,10 @@ class SignalPlot:
         columns = self._groups[group]
         values = [column.of(rows).astype(np.float64) for column in columns]
         data = (rows["t"].astype(np.float64), *values)
-        if group == self._drawn:
+        if group == self._plotted:
             self._chart.data = data
             return
-        self._drawn = group
+        self._plotted = group
         self._chart.data, self._chart.series = data, style_lines(columns)
 
 

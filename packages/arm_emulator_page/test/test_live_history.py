@@ -29,7 +29,7 @@ def test_the_newest_rows_are_complete_and_the_run_is_thinned_evenly(seed: int) -
         begin, end = end, min(last, end + draw.randrange(0, 4000))
         history.add(rows(begin, end))
     assert history.newest["tick"].tolist() == [last - 1] and history.count == last
-    stored = history._whole["tick"]
+    stored = history._thinned["tick"]
     assert len(stored) <= MAX_ROWS and stored[0] == 0 and len(history._newest) == min(last, NEWEST)
     assert len(set(np.diff(stored))) <= 1, "evenly"
     for tick in (0, last // 2, last - 1):

@@ -47,7 +47,7 @@ class Searcher:
     def __init__(self, campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:
         assert campaign.search is not None
         self._campaign, self._results, self._method = campaign, results, campaign.search
-        self._crew = worker_pool
+        self._worker_pool = worker_pool
         self._outputs = [f"{ROBUSTNESS}{name}" for name in campaign.requirements]
         self._outputs += [f"{MEASURE}{name}" for name in campaign.measures]
         self._varying = [number.name for number in campaign.variation.numbers]
@@ -55,7 +55,7 @@ class Searcher:
         columns = self._read()
         failures = count_failures(campaign, columns, 2**62)
         count = self._method.runs(len(self._varying))
-        self._progress = CampaignProgress(count, len(self._known), failures=failures)
+        self._progress = CampaignProgress(count, len(self._place_of_run), failures=failures)
         self._work = Work(campaign, worker_pool, self._progress)
 
     def run(self) -> list[Finding]:
@@ -88,9 +88,9 @@ class Searcher:
     def _read(self) -> dict[str, NDArray[Any]]:
         """Take the runs that are done from the results, and return their columns."""
         columns = self._results.columns()
-        self._known = {int(index): place for place, index in enumerate(columns[INDEX])}
+        self._place_of_run = {int(index): place for place, index in enumerate(columns[INDEX])}
         self._values = np.column_stack([columns[name] for name in self._varying])
-        self._of_known = np.column_stack([columns[name] for name in self._outputs])
+        self._stored_outputs = np.column_stack([columns[name] for name in self._outputs])
         return columns
 
     def _run_batch(self, points: Array) -> Array:
@@ -114,7 +114,7 @@ class Searcher:
         gaps: list[tuple[int, int]] = []
         for k, point in enumerate(points):
             index = first + k
-            place = self._known.get(index)
+            place = self._place_of_run.get(index)
             if place is None:
                 begin = gaps.pop()[0] if gaps and gaps[-1][1] == index else index
                 gaps.append((begin, index + 1))
@@ -124,7 +124,7 @@ class Searcher:
                 rule = "have runs of this search, by the same versions of its packages"
                 folder = f"folder {self._results.folder}"
                 raise Refusal("campaign", folder, rule, f"another run {index}", "--into FOLDER")
-            outputs[k] = self._of_known[place]
+            outputs[k] = self._stored_outputs[place]
         return gaps
 
     def _simulate(
@@ -138,7 +138,7 @@ class Searcher:
         """Simulate what is missing of a batch."""
         campaign, folder = self._campaign, str(self._results.folder.absolute())
         left = sum(end - begin for begin, end in missing)
-        size = max(1, min(self._crew.largest, math.ceil(left / pool.workers)))
+        size = max(1, min(self._worker_pool.largest, math.ceil(left / pool.workers)))
         waiting: dict[cf.Future[Done], int] = {}
         for begin, end in divide_ranges(missing, size):
             rows = points[begin - first : end - first]
@@ -150,4 +150,4 @@ class Searcher:
             assert done.outputs is not None
             outputs[at : at + done.runs] = done.outputs
             self._progress.add(done)
-            self._crew.report(self._progress)
+            self._worker_pool.report(self._progress)

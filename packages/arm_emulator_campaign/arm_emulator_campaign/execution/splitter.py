@@ -40,7 +40,7 @@ class Splitter:
     def __init__(self, campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:
         assert isinstance(campaign.search, Splitting)
         self._campaign, self._method, self._results = campaign, campaign.search, results
-        self._crew = worker_pool
+        self._worker_pool = worker_pool
         self._folder = results.folder / FOLDER
         self._folder.mkdir(exist_ok=True)
         count = self._method.runs(len(campaign.variation.numbers))
@@ -108,9 +108,9 @@ class Splitter:
         def work(pool: Pool, left: Sequence[int], _: int) -> None:
             for future in cf.as_completed([pool.submit(run_repetition, *of_all, k) for k in left]):
                 self._progress.add(future.result())
-                self._crew.report(self._progress)
+                self._worker_pool.report(self._progress)
 
-        with Work(self._campaign, self._crew, self._progress) as repetitions:
+        with Work(self._campaign, self._worker_pool, self._progress) as repetitions:
             repetitions.complete(missing, work)
 
 

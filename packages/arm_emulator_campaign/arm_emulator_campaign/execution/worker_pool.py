@@ -92,16 +92,16 @@ class DaskPool:
             raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
         self._executor = self._client.get_executor(pure=False, retries=3)
         self._device = device
-        self._given, self._asked, self._threads = workers, -math.inf, 1
+        self._fixed_workers, self._polled_at, self._threads = workers, -math.inf, 1
 
     @property
     def workers(self) -> int:
         """Number given, or of the cluster's threads, asked now and then; at least 1."""
-        if self._given is not None:
-            return self._given
-        if time.monotonic() - self._asked >= POLL_PERIOD:
+        if self._fixed_workers is not None:
+            return self._fixed_workers
+        if time.monotonic() - self._polled_at >= POLL_PERIOD:
             threads: dict[str, int] = self._client.nthreads()
-            self._asked, self._threads = time.monotonic(), max(1, sum(threads.values()))
+            self._polled_at, self._threads = time.monotonic(), max(1, sum(threads.values()))
         return self._threads
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
@@ -195,7 +195,7 @@ class Work:
     def __init__(
         self, campaign: Campaign, worker_pool: WorkerPool, progress: CampaignProgress
     ) -> None:
-        self._campaign, self._crew, self._progress = campaign, worker_pool, progress
+        self._campaign, self._worker_pool, self._progress = campaign, worker_pool, progress
         self._pool: Pool | None = None
 
     def complete(
@@ -211,7 +211,7 @@ class Work:
         breaks = killed = 0
         while left := missing(killed):
             before = self._progress.done
-            pool = self._pool = self._pool or self._crew.make_pool()
+            pool = self._pool = self._pool or self._worker_pool.make_pool()
             try:
                 return work(pool, left, killed)
             except pool.breaks:

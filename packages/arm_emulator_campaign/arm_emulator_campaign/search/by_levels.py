@@ -26,7 +26,7 @@ def choose_places(count: int, of: int, rng: np.random.Generator) -> NDArray[np.i
 class ByLevels(Method):
     """A method that multiplies the shares of runs that reach each next level."""
 
-    most_levels: ClassVar[int]
+    max_levels: ClassVar[int]
 
     repetitions: float = number(
         ends=(4, 1000), whole=True, default=10, text="independent ones, for the interval"
@@ -41,9 +41,11 @@ class ByLevels(Method):
     @property
     def _levels(self) -> int:
         """Levels after which a repetition gives up."""
-        return min(self.most_levels, math.ceil(math.log(self.least) / math.log(self.share)))
+        return min(self.max_levels, math.ceil(math.log(self.least) / math.log(self.share)))
 
-    def _found(self, of: str, p: Sequence[float], runs: int, about: str, nothing: str) -> Finding:
+    def _make_finding(
+        self, of: str, p: Sequence[float], runs: int, about: str, nothing: str
+    ) -> Finding:
         """Return the probability of a failure by that of each repetition.
 
         Args:

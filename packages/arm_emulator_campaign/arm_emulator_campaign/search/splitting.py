@@ -89,7 +89,7 @@ class Splitting(ByLevels):
 
     kind: ClassVar[str] = "splitting"
     forks: ClassVar[bool] = True
-    most_levels = 60
+    max_levels = 60
 
     per_level: float = number(
         ends=(20, 10**6), whole=True, default=200, text="runs of a level, a repetition"
@@ -178,7 +178,7 @@ class Splitting(ByLevels):
             f"{len(levels)} levels, {runs} runs and forks of runs in all."
         )
         nothing = f"No level led to a failure of {of}: rarer than `least`, or impossible."
-        return self._found(
+        return self._make_finding(
             of, [repetition.probability for repetition in repetitions], runs, about, nothing
         )
 

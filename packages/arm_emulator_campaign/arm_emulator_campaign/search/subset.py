@@ -34,7 +34,7 @@ class Subset(ByLevels):
     """Subset simulation: probabilities of failures too rare to be sampled, with their interval."""
 
     kind: ClassVar[str] = "subset"
-    most_levels = 40
+    max_levels = 40
 
     per_level: float = number(
         ends=(20, 10**7), whole=True, default=1000, text="runs of a level, a repetition"
@@ -107,7 +107,7 @@ class Subset(ByLevels):
     def _list_findings(self, of: str, p: Array, runs: int) -> Finding:
         about = f"Margin of {of} below 0: mean of {len(p)} repetitions, {runs} runs in all."
         nothing = f"No level reached a failure of {of}: rarer than `least`, or impossible."
-        return self._found(of, p.tolist(), runs, about, nothing)
+        return self._make_finding(of, p.tolist(), runs, about, nothing)
 
 
 def _run_chains(

@@ -29,8 +29,8 @@ class Figure:
     least: float = -np.inf
     """Least value that every axis must have."""
     most: float = np.inf
-    least_mean: float = -np.inf
-    most_mean: float = np.inf
+    min_mean: float = -np.inf
+    max_mean: float = np.inf
     needed: Sequence[int] = field(default=())
     """Axes that must have a value."""
     yardstick: bool = False
@@ -58,8 +58,8 @@ class Figure:
             if not self.least <= value <= self.most:
                 rule = self._rule(self.least, self.most)
                 yield f"{self.title}: axis {k + 1} must be {rule}, got {value:{self.form}}"
-        if finite and not self.least_mean <= self.mean <= self.most_mean:
-            rule = self._rule(self.least_mean, self.most_mean)
+        if finite and not self.min_mean <= self.mean <= self.max_mean:
+            rule = self._rule(self.min_mean, self.max_mean)
             yield f"{self.title}: the mean must be {rule}, got {self.mean:{self.form}}"
 
     @staticmethod
@@ -72,7 +72,7 @@ class Figure:
         """The limits as text."""
         if self.yardstick:
             return "null model"
-        each, mean = self._rule(self.least, self.most), self._rule(self.least_mean, self.most_mean)
+        each, mean = self._rule(self.least, self.most), self._rule(self.min_mean, self.max_mean)
         return "; ".join(filter(None, (each, mean and f"mean {mean}")))
 
 

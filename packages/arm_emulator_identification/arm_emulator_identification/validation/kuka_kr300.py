@@ -142,19 +142,17 @@ def list_torque_figures(
     yield Figure("torque explained in motion, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = compute_explained(data.tau, torques - data.tau, data.moving)
     limit = max(MIN_EXPLAINED, float(alone.mean()))
-    yield Figure(
-        "torque explained in motion, %", shares, ".1f", least=MIN_OF_AXIS, least_mean=limit
-    )
+    yield Figure("torque explained in motion, %", shares, ".1f", least=MIN_OF_AXIS, min_mean=limit)
     causal = _filter(run, scene, causal=True)
     shares = compute_explained(
         causal.tau, _compute_torques(scene, causal) - causal.tau, causal.moving
     )
-    yield Figure("  low-passed one way, %", shares, ".1f", least_mean=MIN_CAUSAL)
+    yield Figure("  low-passed one way, %", shares, ".1f", min_mean=MIN_CAUSAL)
     alone = compute_explained(data.tau, null - data.tau, every)
     yield Figure("  all samples, %: each axis by itself", alone, ".1f", yardstick=True)
     shares = compute_explained(data.tau, torques - data.tau, every)
     limit = max(MIN_OF_ALL, float(alone.mean()))
-    yield Figure("  all samples, %", shares, ".1f", least_mean=limit)
+    yield Figure("  all samples, %", shares, ".1f", min_mean=limit)
 
 
 def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figure]]:
@@ -180,12 +178,10 @@ def _free_runs(scene: Scene, run: MeasuredRun) -> tuple[Array, Array, list[Figur
             figures.append(Figure(f"{title}: {name}", null, ".1f", yardstick=True))
         off = 100.0 * compute_drift(run, begin, len(looks), angles[-1]).share
         mean, each = MAX_DRIFT[seconds]
-        figures.append(Figure(title, off, ".1f", most=each, most_mean=mean))
+        figures.append(Figure(title, off, ".1f", most=each, max_mean=mean))
         share = float(off.mean() / best.mean())
         figures.append(
-            Figure(
-                "  of the best of these", off / best, ".2f", most_mean=MAX_OF_NULL, overall=share
-            )
+            Figure("  of the best of these", off / best, ".2f", max_mean=MAX_OF_NULL, overall=share)
         )
     return paths, begins, figures
 
