@@ -95,36 +95,29 @@ def bare(folder: Path) -> Scene:
     )  # fmt: skip
 
 
-def commands(scene: Scene, tick: int) -> np.ndarray:
-    """Return commands (N,) that jump and exceed every limit on the way."""
-    size = np.array([{"V": 40.0, "A": 15.0, "N m": 0.8}[joint.unit] for joint in scene.joints])
-    return size * np.sin(0.11 * tick)
+def drive(plant: Plant, ticks: range) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions (K, N), and the bits of what is measured at each joint (K, N, values).
 
-
-def further_commands(scene: Scene, row: np.ndarray) -> dict[str, np.ndarray]:
-    """Return commands for the motors' further inputs, a third of the first."""
-    return {
-        name: np.where(
-            [find_input(joint, name) is not None for joint in scene.joints], row / 3.0, 0.0
-        )
-        for name in list_further_inputs(scene)
+    Commands jump and exceed every limit on the way; those of the motors' further inputs are a third
+    of the first.
+    """
+    joints = plant.scene.joints
+    size = np.array([{"V": 40.0, "A": 15.0, "N m": 0.8}[joint.unit] for joint in joints])
+    shares = {
+        name: np.array([0.0 if find_input(joint, name) is None else 1.0 / 3.0 for joint in joints])
+        for name in list_further_inputs(plant.scene)
     }
-
-
-def drive(plant: Plant, ticks: range) -> tuple[np.ndarray, list[tuple[bytes, ...]]]:
-    """Return the positions (K, N) under commands, and what is measured at each joint."""
     q, rows = [], []
     for tick in ticks:
         plant.powered = tick % 40 < 30
-        row = commands(plant.scene, tick)
-        plant.exchange(row, tick, **further_commands(plant.scene, row))
+        row = size * np.sin(0.11 * tick)
+        plant.exchange(row, tick, **{name: share * row for name, share in shares.items()})
         q.append(plant.state.q)
-        measured = [getattr(plant.measured, name) for name in KNOWN]
-        fields = [reading for reading in measured if np.shape(reading)[:1] == row.shape]
-        rows.append(
-            tuple(b"".join(field[j].tobytes() for field in fields) for j in range(len(row)))
-        )
-    return np.array(q), rows
+        measured = plant.measured
+        fields = [getattr(measured, name) for name in KNOWN]
+        columns = [field for field in fields if np.shape(field)[:1] == row.shape]
+        rows.append(np.column_stack(columns).astype(float))
+    return np.array(q), np.array(rows).view(np.int64)
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +140,7 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
         for fault in FAULTS
         if fault.of == "joints" and any("motor" in at for at in fault.sections)
     }
+    refused = set[str]()
     for j, joint in enumerate(scene.joint_names):
         for kind in FAULTS:
             if kind.of != "joints":
@@ -155,7 +149,10 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
             if kind.name in of_motors:
                 expected = kind.name in EFFECTIVE[joint] | ALWAYS
                 assert (name in listed) == expected, f"{name} is possible: {name in listed}"
+            if name not in listed and kind.name in refused:
+                continue  # by name, as a joint before it
             if name not in listed:
+                refused.add(kind.name)
                 with pytest.raises(Refusal, match="faults that this scene can have"):
                     machine(tmp_path, faults=[name])
                 continue
@@ -171,7 +168,7 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
                 assert np.abs(q - sound_q)[:, j].max() > 1e-9, f"{name} changes no motion"
             else:
                 moved = (q != sound_q)[:, j].any()
-                read = any(a[j] != b[j] for a, b in zip(rows, sound, strict=True))
+                read = (rows != sound)[:, j].any()
                 assert moved or read, f"{name} changes nothing"
 
 

@@ -27,6 +27,7 @@ NOT_RUN = {"--clear", "--help", "--page", "--servo"}  # with these they do not e
 # Why these are read by their parser alone, beside those that run until Ctrl-C. Others end by
 # themselves within seconds, need nothing that a page has not made, and run.
 OURS = {
+    "accuracy": "a quarter of a minute; test_accuracy.py",
     "advise": "minutes; test_advice.py",
     "campaign": "a minute; test_campaign.py",
     "fork": "needs a bag of before; test_fork_command.py",
