@@ -7,6 +7,7 @@ no influence of later samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ class Filtered:
 
 def filter_low_pass(rows: Array, period: float, frequency: float, causal: bool = False) -> Array:
     """Return rows (K, ...) low-passed at `frequency` [Hz]; without a lag unless causal."""
-    b, a = butter(ORDER, 2.0 * frequency * period)
+    b, a = _design_low_pass(2.0 * frequency * period)
     smooth: Array
     if causal:
         settled = np.multiply.outer(lfilter_zi(b, a), rows[0])  # as if the first row had lasted
@@ -74,6 +75,13 @@ def filter_low_pass(rows: Array, period: float, frequency: float, causal: bool =
     else:
         smooth = filtfilt(b, a, rows, axis=0)
     return smooth
+
+
+@cache  # a fit filters thousands of columns alike
+def _design_low_pass(cutoff: float) -> tuple[Array, Array]:
+    """Return numerator and denominator for a share of the highest frequency."""
+    b, a = butter(ORDER, cutoff)
+    return b, a
 
 
 def smooth_motion(
