@@ -40,17 +40,16 @@ pytest.register_assert_rewrite(
 # Files that take more than 5 s, the longest first: one that comes late would leave the other half
 # of the machine idle.
 LONGEST = """
-lockstep snippets part_contract campaign schemes by_hand_bags new doubles fleet fleet_on_device up
-recording network stream external_wrench mode_loops bags ways identification faults_at_doors
-library_examples motor_kinds couplings threads collisions doubtful_records validation compiler
-copies arm_loops at_rest linearised sensors recorder search launch random_scenes json located
-load_friction spoiled_files brake hard_cases stability inputs motion_orders fuzz varied_axes
-varied current_loop fleet_follow splitting campaign_lanes lanes sensitivities doctor dynamics
-ideal_motors firmware_faults by_hand faults driven_machine progressive_gear negative_ratio
-torque_terms command_line jog motors mounting efforts advice repair bound case_bag
-first_difference rotor_friction readings end_stops demo working_folder topic_based
-ethercat_mailbox lugre coupled_moves winding tune target_ways outputs documents standstill manutec
-loaded_libraries trees pmsm backlash boundary stribeck number
+fleet_on_device campaign snippets joint_laws directed_load_friction up advice full_disks recording
+portable_bits stream schemes search part_contract recorder mode_loops lockstep motor_faults new
+library_examples by_hand_bags varied_places motor_kinds sole_publisher faults json threads
+kept_modes doubtful_records launch cia402_profile identification sensitivities fleet collisions
+random_inputs compiler duplicate_nodes gear_temperature linearised random_scenes spoiled_files
+motion_orders arm_loops ways command_line validation bags sensors campaign_device couplings jog
+working_folder demo formula_users fleet_follow accuracy hard_cases varied_axes faults_at_doors
+load_friction campaign_intervals move causal_replay splitting repair network stability bound
+real_time_messages learned_load new_drives device_examples stopping_on_the_way examples
+candidate_paths located at_rest device_array negative_ratio bode driven_machine input_shaper lanes
 """.split()
 
 
