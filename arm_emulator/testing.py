@@ -117,9 +117,9 @@ def network(
             own_domain(),
             Bringup(str(scene), emulator=parameters, log=log, only=only, forked=True) as nodes,
         ):
-            with joined(only, nodes.ended) as user:
+            with joined(only, nodes.find_ended) as user:
                 yield user
-            assert (ended := nodes.ended()) is None, f"{ended} ended within the test"
+            assert (ended := nodes.find_ended()) is None, f"{ended} ended within the test"
             codes = nodes.stop()
             assert set(codes.values()) <= {0}, f"exit codes {codes}"
     except BaseException as error:

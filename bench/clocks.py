@@ -96,8 +96,8 @@ def measure(clock_name: str, scene: str, seconds: float) -> dict[str, Any]:
     with Bringup(scene, clock=clock, start="first_answer", log=Path("out/bench/log")) as network:
         while True:
             rclpy.spin_once(node, timeout_sec=0.1)
-            if network.ended() is not None:
-                raise RuntimeError(f"a node ended: {network.ended()}")
+            if network.find_ended() is not None:
+                raise RuntimeError(f"a node ended: {network.find_ended()}")
             ran = wait_for_motion()
             if not ran:
                 continue

@@ -87,7 +87,7 @@ class AnsweredTicks:
         ticks.result = 0
         if self._view.is_open or session.last_tick == session.tick or session.zoh_rows[1:].any():
             return
-        room = min(self._gate.count_free_ticks(), self._pace.room(session.tick))
+        room = min(self._gate.count_free_ticks(), self._pace.count_ticks_left(session.tick))
         ticks.last = min(session.last_tick, session.tick + room)
         self._reports.refresh()
         if self._outgoing.record is not None:

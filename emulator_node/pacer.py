@@ -67,7 +67,7 @@ class LockstepPacer(Pacer):
         """Leave this tick if permitted, due, and if every recorder has kept up."""
         if not self._session.may_advance or self._gate.is_closed(self._session.tick == 0):
             return
-        if (wait := self._pace.due(self._session.tick)) > 0.0:
+        if (wait := self._pace.compute_wait(self._session.tick)) > 0.0:
             self._due.timer_period_ns = max(1, round(1e9 * wait))
             self._due.reset()
             return

@@ -114,7 +114,7 @@ class RealTimeTicks:
         """Take over the tick and the power of a machine that stands; all ticks are published."""
         message = self._messages[0].layout
         message.message.powered = self._session.powered
-        message.written()
+        message.write_numbers()
         self._calls.real_time_ticks_put(self.at, self._session.tick)
 
     def record(self, topic: str) -> None:

@@ -123,7 +123,7 @@ class Reports:
     def refresh(self) -> None:
         """Set the parts of messages that the code in C does not change."""
         self.motor_state.layout.message.powered = self._session.powered
-        self.motor_state.layout.written()
+        self.motor_state.layout.write_numbers()
 
     def publish_event(self, kind: int, saved: bytes) -> None:
         """Publish a change by hand, with the resulting machine."""

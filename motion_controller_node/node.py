@@ -391,7 +391,7 @@ class MotionControllerNode(ManagedNode):
                 report.state.is_final and report.state is not GoalState.REFUSED
             ):  # `Diagnostics` logs refusals
                 log, regular = self._diagnostics.log, (GoalState.REACHED, GoalState.REPLACED)
-                (log.log_info if report.state in regular else log.trouble)(
+                (log.log_info if report.state in regular else log.warn_about)(
                     report.state.name, str(report)
                 )
 

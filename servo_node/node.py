@@ -233,7 +233,7 @@ class ServoNode(ManagedNode):
         if at.states:
             at.heard = read_clock()
         if at.answers:
-            self._drives.commanded(bool(at.powered))
+            self._drives.note_command(bool(at.powered))
             self._report_drives()
 
     def _start_over(self) -> None:

@@ -111,7 +111,7 @@ def test_the_shipped_scenes_have_margins(name: str) -> None:
     file = find_config(name, ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
     assert check_loops(scene, servo) == []
-    for margin in ServoLoops(scene, servo, delay=1).margins():
+    for margin in ServoLoops(scene, servo, delay=1).compute_margins():
         assert margin.gain_up > 1.6, f"with a period of dead time: {margin}"
         assert margin.phase > math.radians(30.0), f"with a period of dead time: {margin}"
         # Of drives that close a current loop: there is no back EMF that stands any dead time.
@@ -132,7 +132,7 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
         )
         harder = dataclasses.replace(servo, joints=tuple(joints))
         loops = ServoLoops(scene, harder)
-        result = loops.unstable()
+        result = loops.find_unstable()
         if result is not None and compute_growth_rate(loops.loops[0], servo.period) > 1.0:
             break
     assert result is not None
@@ -147,9 +147,9 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
     assert result.period is not None
     joints[bad] = result.softer
     softer = dataclasses.replace(servo, joints=tuple(joints))
-    assert ServoLoops(scene, softer).unstable() is None, "the gains that were named"
+    assert ServoLoops(scene, softer).find_unstable() is None, "the gains that were named"
     again = ServoLoops(scene, harder)
-    every = again.closed(again.joints, result.period, 0)
+    every = again.close_loops(again.joints, result.period, 0)
     assert all(loop.radius < 1.0 for loop in every), "the period that was named"
 
 
@@ -206,8 +206,10 @@ def test_a_gear_with_play_is_looked_at_loaded_and_within_its_play() -> None:
     first, second = ServoLoops(plain, servo), ServoLoops(played, servo)
     for without, loaded in zip(first.loops, second.loops, strict=True):
         np.testing.assert_allclose(loaded.A, without.A, atol=1e-9)
-    worst = zip(first.margins(), second.margins(), strict=True)
+    worst = zip(first.compute_margins(), second.compute_margins(), strict=True)
     assert all(b.delay <= a.delay + 1e-9 and b.phase <= a.phase + 1e-9 for a, b in worst)
-    assert second.unstable() is None, "links that hang in the play fall; that is no loop's fault"
+    assert second.find_unstable() is None, (
+        "links that hang in the play fall; that is no loop's fault"
+    )
     apart = SmallMotions(Plant(played), plain.start)
     assert not np.array_equal(apart.J, SmallMotions(Plant(played), plain.start, loaded=True).J)

@@ -126,7 +126,7 @@ def test_a_tool_rotates_in_the_opposite_sense_before_it_is_refused() -> None:
         box = Obstacle("box", size=(0.1, 0.1, 0.1), at=tuple(at))
         guard = CollisionGuard(arm, MotionConfig(tool=arm.tool, obstacles=(box,)))
         touched = [guard.find_contact_along(partial(angles, curve)) for curve in paths]
-        if touched[0] is None or touched[1] is not None or guard.collisions.first(q):
+        if touched[0] is None or touched[1] is not None or guard.collisions.find_first_contact(q):
             continue
         turned += 1
         controller = law_of(arm, PERIOD)
@@ -135,7 +135,7 @@ def test_a_tool_rotates_in_the_opposite_sense_before_it_is_refused() -> None:
         q_path = sets_out(controller, target)
         assert np.linalg.norm(arm.tool_error(q_path[-1], target)) < 1e-6, controller.path_text
         truth = Collisions(scene.urdf, scene.joint_names, (box,), 0.0)
-        assert not any(truth.first(curve) for curve in q_path), controller.path_text
+        assert not any(truth.find_first_contact(curve) for curve in q_path), controller.path_text
 
 
 @pytest.mark.parametrize("seed", some(range(20), 2))

@@ -55,7 +55,9 @@ def test_balls_touch_where_their_distance_is_that_of_the_radii(seed: int) -> Non
     """Against the closed form: a floor, and a box that a ball meets on its flat side."""
     rng = np.random.default_rng(seed)
     q, height = rng.uniform(-2.5, 2.5, 2), rng.uniform(-1.0, 0.8)
-    result = Collisions(two_links(), ("a", "b"), [Obstacle("floor", height)], MARGIN).first(q)
+    result = Collisions(
+        two_links(), ("a", "b"), [Obstacle("floor", height)], MARGIN
+    ).find_first_contact(q)
     first = 1.0 - 0.5 * math.sin(q[0])
     second = 1.0 - math.sin(q[0]) - math.sin(q[0] + q[1])
     lowest = min(first - 0.1, second - 0.05)
@@ -69,12 +71,12 @@ def test_pairs_that_belong_together_are_left_out() -> None:
     """Neighbours overlap by design; a folded ur5 touches itself."""
     scene = load_scene("ur5")
     checker = Collisions(scene.urdf, scene.joint_names, (), MARGIN)
-    assert checker.first(scene.start) == ""
+    assert checker.find_first_contact(scene.start) == ""
     folded = scene.start.copy()
     folded[2] = 2.9
-    assert checker.first(folded) != ""
+    assert checker.find_first_contact(folded) != ""
     bare = Collisions(two_links(), ("a", "b"), (), MARGIN)
-    assert bare.pairs == 0 and bare.first(np.zeros(2)) == ""
+    assert bare.pairs == 0 and bare.find_first_contact(np.zeros(2)) == ""
 
 
 @pytest.mark.parametrize("margin", [0.0, MARGIN, 5.0 * MARGIN])
@@ -83,7 +85,7 @@ def test_no_pair_is_tested_that_touches_at_rest(name: str, margin: float) -> Non
     scene = load_scene(name)
     arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     rest = np.where((arm.lower > 0.0) | (arm.upper < 0.0), 0.5 * (arm.lower + arm.upper), 0.0)
-    assert Collisions(scene.urdf, scene.joint_names, (), margin).first(rest) == ""
+    assert Collisions(scene.urdf, scene.joint_names, (), margin).find_first_contact(rest) == ""
 
 
 PLATES = """<robot name="plates">
@@ -112,7 +114,7 @@ def test_a_part_may_enter_a_hollow_part(tmp_path: File) -> None:
         q = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.19, 0.19)])
         apart = 0.2 - abs(q[1]) - 0.05 - OWN_SHARE * MARGIN
         if abs(apart) > 1e-4:
-            assert bool(tested.first(q)) == (apart < 0.0), q
+            assert bool(tested.find_first_contact(q)) == (apart < 0.0), q
             touched += apart < 0.0
     assert 0 < touched < 200
 
@@ -128,7 +130,7 @@ def test_boxes_first_change_nothing(name: str, monkeypatch: pytest.MonkeyPatch) 
         obstacles = (Obstacle("floor", -0.05), box)
         both.append(Collisions(scene.urdf, scene.joint_names, obstacles, MARGIN))
     q = scene.start + rng.normal(0.0, 0.8, (150, len(scene.start)))
-    first = [[checker.first(row) for row in q] for checker in both]
+    first = [[checker.find_first_contact(row) for row in q] for checker in both]
     assert first[0] == first[1]
     touching = [k for k, words in enumerate(first[0]) if words]
     assert [*both[0].find_touching(q)] == [*both[1].find_touching(q)] == touching
@@ -148,9 +150,9 @@ def test_no_part_moves_farther_than_the_bound(seed: int) -> None:
         return np.array([[0.5 * math.cos(a), -0.5 * math.sin(a)], outer])
 
     moved = np.linalg.norm(balls(*(q + step)) - balls(*q), axis=1)
-    assert (moved <= tested.moved(step) * (1.0 + 1e-9)).all()
+    assert (moved <= tested.bound_motions(step) * (1.0 + 1e-9)).all()
     # A turn of the outer joint alone leads the outer ball's far side by 1.05 m/rad.
-    assert tested.moved(np.array([0.0, 1.0])) == pytest.approx([0.0, 1.05], abs=0.04)
+    assert tested.bound_motions(np.array([0.0, 1.0])) == pytest.approx([0.0, 1.05], abs=0.04)
 
 
 def test_parts_that_are_near_by_design_may_be() -> None:
@@ -168,7 +170,7 @@ def test_parts_that_are_near_by_design_may_be() -> None:
         place = np.array([[math.cos(b), math.sin(b)], [-math.sin(b), math.cos(b)]]) @ [-0.6, 0.03]
         apart = float(np.linalg.norm(place - [-0.5, 0.0])) - 0.1 - radius
         if abs(apart) > 1e-6:
-            assert bool(tested.first(np.array([0.0, b, 0.0]))) == (apart < 0.0), b
+            assert bool(tested.find_first_contact(np.array([0.0, b, 0.0]))) == (apart < 0.0), b
 
 
 class Arm:
@@ -198,7 +200,7 @@ class Arm:
         """Go on; the true links never touch anything."""
         for _ in range(round(seconds / 0.01)):
             self.run.advance(self.run.motion_ticks)
-            assert self.truth.first(self.run.session.state.q) == ""
+            assert self.truth.find_first_contact(self.run.session.state.q) == ""
 
     @property
     def height(self) -> float:
@@ -279,7 +281,7 @@ def test_thin_plates_are_detected_wherever_they_are(margin: float) -> None:
         result = CollisionGuard(kinematics, config).find_contact_along(angles)
         q = angles(np.linspace(0.0, 1.0, places + 1))
         near, touching = (Collisions(thin, ("a", "b"), [plate], m) for m in (margin, 0.0))
-        if near.first(q[0]):
+        if near.find_first_contact(q[0]):
             continue
         if next(touching.find_touching(q), None) is not None:
             met += 1
@@ -391,7 +393,7 @@ def test_parts_that_touch_already_do_not_hide_others() -> None:
     kinematics = Kinematics(two_links(), ("a", "b"), "tool", "position")
     guard = CollisionGuard(kinematics, config)
     begin = np.array([0.2, -0.8])  # 1 - 0.5 sin(0.2) - 0.1 < 0.85
-    assert guard.collisions.first(begin) == "first and floor"
+    assert guard.collisions.find_first_contact(begin) == "first and floor"
     result = guard.find_contact_along(lambda part: begin + np.outer(part, [0.0, 2.0]))
     assert result is not None and result[1] == "second and floor"
     # The outer ball: 1 - sin(0.2) - sin(0.2 + b) - 0.05 = 0.86.

@@ -69,7 +69,7 @@ def test_refusals_are_logged_once_in_a_while_and_those_between_are_counted() -> 
     log = NodeLog(Logger(), lambda: at)
     for k in range(1000):  # 10 s, a refusal every 10 ms; and beside them one of another kind
         at = 0.01 * k
-        log.trouble("motor_commands", f"refused: {k}")
+        log.warn_about("motor_commands", f"refused: {k}")
         if k == 300:
             log.log_info("REACHED", "tool target 1 reached")
     assert lines == ["refused: 0", "tool target 1 reached", "refused: 500 (and 499 more before)"]

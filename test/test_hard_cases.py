@@ -230,7 +230,7 @@ def test_small_motions_hold_up_to_the_step_that_is_reported(overrides: dict[str,
         middle = (low * high) ** 0.5
         low, high = (middle, high) if motions.is_stable("paper", middle) else (low, middle)
     assert low > 1e-6 and high < 1e-2, f"the largest step is looked for up to {low:.2g} s"
-    largest = motions.largest_step("paper")
+    largest = motions.find_largest_step("paper")
     assert largest is not None and largest <= low, "the step that is reported, and the largest"
     steps = round(1e-2 / largest)  # a divisor of the period, sought to 2 %
     assert 1e-2 / (0.98 * steps - 1.0) > low, "the next step, and the largest"

@@ -54,7 +54,7 @@ def test_no_parts_touch_at_the_start_where_a_pose_without_contact_exists(
     file = write_new(robot, tmp_path / "new").file
     scene, motion = load_scene(file), load_motion_config(find_beside(file, "motion"))
     tested = Collisions(scene.urdf, scene.joint_names, (), MotionConfig().collision_margin)
-    assert not tested.first(scene.start)
-    touching = [bool(tested.first(tested.sample(rng))) for _ in range(100)]
+    assert not tested.find_first_contact(scene.start)
+    touching = [bool(tested.find_first_contact(tested.sample(rng))) for _ in range(100)]
     collisions = "stop" if tested.pairs else "auto"
     assert motion.collisions == collisions or np.mean(touching) > 0.7, "touching nearly everywhere"

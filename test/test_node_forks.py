@@ -49,7 +49,7 @@ def test_each_end_is_reported_and_the_next_network_is_of_new_processes(tmp_path:
                 killed.wait(0.0)
             killed.send_signal(signal.SIGKILL)
             assert killed.wait(PATIENCE) == -signal.SIGKILL
-            assert first.ended() == ("servo", -signal.SIGKILL)
+            assert first.find_ended() == ("servo", -signal.SIGKILL)
             killed.send_signal(signal.SIGINT)  # it has ended: nobody gets it
             codes = first.stop()
             assert codes == {"emulator": 0, "servo": -signal.SIGKILL, "motion_controller": 0}

@@ -32,14 +32,16 @@ def test_ticks_pass_at_the_factor_whatever_a_tick_takes(seed: int) -> None:
     wall = Wall()
     pace = Pace(PERIOD, wall)
     pace.factor = factor
-    pace.due(0)  # it begins
+    pace.compute_wait(0)  # it begins
     begun, tick, wall_period = wall.now, 0, PERIOD / factor
     while tick < 400:
-        room = pace.room(tick)
+        room = pace.count_ticks_left(tick)
         if not room:
-            assert pace.due(tick) > 0.0
+            assert pace.compute_wait(tick) > 0.0
             # A timer that comes too late now and then, by at most half of what is made up for.
-            wall.now += pace.due(tick) + rng.uniform(0.0, 0.5) * BEHIND * (rng.random() < 0.1)
+            wall.now += pace.compute_wait(tick) + rng.uniform(0.0, 0.5) * BEHIND * (
+                rng.random() < 0.1
+            )
             continue
         tick += int(rng.integers(1, room + 1))
         assert tick * wall_period <= wall.now - begun + 1e-9, "never faster"
@@ -51,22 +53,24 @@ def test_longer_stops_are_not_caught_up() -> None:
     wall = Wall()
     pace = Pace(PERIOD, wall)
     pace.factor = 1.0
-    pace.due(0)
+    pace.compute_wait(0)
     wall.now += 60.0  # paused
-    assert pace.room(0) <= 1 and pace.due(0) == pytest.approx(GRAIN)
+    assert pace.count_ticks_left(0) <= 1 and pace.compute_wait(0) == pytest.approx(GRAIN)
     wall.now += 0.02
-    assert 18 <= pace.room(0) <= 20
-    assert pace.due(-100) <= GRAIN + BEHIND, "reset: tick 0 does not wait for the former one"
+    assert 18 <= pace.count_ticks_left(0) <= 20
+    assert pace.compute_wait(-100) <= GRAIN + BEHIND, (
+        "reset: tick 0 does not wait for the former one"
+    )
 
 
 def test_a_new_factor_holds_from_now_on() -> None:
     wall = Wall()
     pace = Pace(PERIOD, wall)
-    assert pace.room(5) == UNLIMITED and pace.due(5) == 0.0
+    assert pace.count_ticks_left(5) == UNLIMITED and pace.compute_wait(5) == 0.0
     pace.factor = 0.01
-    assert pace.due(5) == pytest.approx(0.1)
+    assert pace.compute_wait(5) == pytest.approx(0.1)
     pace.factor = 2.0
-    assert pace.due(5) == pytest.approx(GRAIN)
+    assert pace.compute_wait(5) == pytest.approx(GRAIN)
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.3, 1.0, 7.3])
@@ -74,11 +78,11 @@ def test_an_idle_network_wakes_once_a_grain_at_the_mean_rate_of_its_pace(factor:
     wall = Wall()
     pace = Pace(PERIOD, wall)
     pace.factor = factor
-    pace.due(0)
+    pace.compute_wait(0)
     begun, tick, wakes = wall.now, 0, 0
     while wall.now - begun < 10.0:
-        wall.now += max(0.0, pace.due(tick))
-        tick += pace.room(tick)
+        wall.now += max(0.0, pace.compute_wait(tick))
+        tick += pace.count_ticks_left(tick)
         wakes += 1
     assert abs(tick * PERIOD / (wall.now - begun) - factor) <= 1e-3 * factor
     assert wakes <= 2 + 10.0 / max(GRAIN, PERIOD / factor)

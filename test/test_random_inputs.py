@@ -152,7 +152,7 @@ class Strangers:
 
 
 def assert_alive(nodes: Bringup, log: Path) -> None:
-    ended = nodes.ended()
+    ended = nodes.find_ended()
     assert ended is None, f"{ended} ended by itself: {logs(log)}"
 
 

@@ -242,10 +242,10 @@ def test_a_delay_is_dead_time_of_the_loop() -> None:
     )
     servo = load_servo_config(CONFIG / "servo" / "three_axis.yaml")
     plain = load_scene("three_axis")
-    spare = min(margin.delay for margin in ServoLoops(plain, servo).margins())
+    spare = min(margin.delay for margin in ServoLoops(plain, servo).compute_margins())
     assert 5.0 < spare < 7.0, "servo periods that the loop may come late"
-    assert ServoLoops(plain, servo).unstable() is None, "without delay"
-    assert ServoLoops(scene, servo).unstable() is not None, "with more than that"
+    assert ServoLoops(plain, servo).find_unstable() is None, "without delay"
+    assert ServoLoops(scene, servo).find_unstable() is not None, "with more than that"
     swing = [run(machine, servo).swing for machine in (plain, scene)]
     assert swing[1].max() > 20.0 * swing[0].max(), f"it swings by itself: {swing}"
 

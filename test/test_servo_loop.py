@@ -221,7 +221,7 @@ def test_designed_gains_have_the_margins_that_are_promised(seed: int) -> None:
         for delay in (0, 1):
             loop = SampledLoop(plant, [servo], delay)
             assert loop.is_stable, f"grows by {loop.radius} with {inertia:g} kg m2"
-            margins = loop.margins()[0]
+            margins = loop.compute_margins()[0]
             # docs/how_to/gains.md promises 2 and 10 %. The design looks at fewer frequencies.
             assert margins.sensitivity < 1.1 * 2.0, f"{margins}"
             rows = loop.step(0, 1000, max(1, round(0.02 / gains.position_gain / axis.period)))
@@ -284,7 +284,7 @@ def test_margins_are_where_the_loop_becomes_unstable(seed: int) -> None:
         return SampledLoop(plant, [scaled], delay).is_stable
 
     loop = SampledLoop(plant, [servo])
-    margins: Margins = loop.margins()[0]
+    margins: Margins = loop.compute_margins()[0]
     assert loop.is_stable
     if margins.gain_up < 1e3:
         # The observer receives the voltage that was applied, as by a drive whose gain is off.

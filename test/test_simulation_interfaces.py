@@ -250,5 +250,5 @@ def test_a_client_lets_it_quit(tmp_path: Path) -> None:
         simulation = Simulation(client)
         client.wait("its start", lambda: simulation.state == "active")
         assert simulation.to(SimulationState.STATE_QUITTING) == Result.RESULT_OK
-        client.wait("its end", nodes.ended)
-        assert nodes.ended() == ("emulator", 0)
+        client.wait("its end", nodes.find_ended)
+        assert nodes.find_ended() == ("emulator", 0)

@@ -73,12 +73,12 @@ class LowArm:
     def period(self) -> None:
         """Go on for a motion period: no link touches, no command is nearer than the margin."""
         self.run.advance(self.run.motion_ticks)
-        assert self.links.first(self.run.session.state.q) == ""
+        assert self.links.find_first_contact(self.run.session.state.q) == ""
         active = self.instructor._active
         assert active is not None
         reference = active.order.reference(self.run.session.logical_ns)
         if reference is not None:
-            assert self.commanded.first(reference.q) == ""
+            assert self.commanded.find_first_contact(reference.q) == ""
 
     def periods(self, seconds: float) -> list[tuple[GoalState, str]]:
         for _ in range(round(seconds / self.config.period)):

@@ -46,16 +46,16 @@ def test_a_path_is_refused_where_the_arms_would_meet(seed: int) -> None:
     across = 0
     for _ in range(6):
         start, end = rng.uniform(-1.5, 1.5, (2, 6))
-        if guard.collisions.first(start):
+        if guard.collisions.find_first_contact(start):
             continue
         looks = [start + part * (end - start) for part in np.linspace(0.0, 1.0, 400)]
-        touching = [guard.collisions.first(q) for q in looks]
+        touching = [guard.collisions.find_first_contact(q) for q in looks]
         contact = guard.find_contact_along(lambda part, a=start, b=end: a + part[:, None] * (b - a))  # type: ignore[misc]
         if contact is None:
             assert not any(touching)
             continue
         part, pair = contact
         assert any(touching)
-        assert pair == guard.collisions.first(start + part * (end - start))
+        assert pair == guard.collisions.find_first_contact(start + part * (end - start))
         across += "left_" in pair and "right_" in pair
     assert across or seed not in (0, 2), "parts of both arms are tested against each other"

@@ -58,7 +58,7 @@ def read(server: UdpServer, reply: bytes) -> np.void:
 def built(folder: Path) -> Path:
     """Compile the example with the header of its scene."""
     shutil.copy(EXAMPLE, folder)
-    (folder / "udp_three_axis.h").write_text(Datagrams(SCENE).header())
+    (folder / "udp_three_axis.h").write_text(Datagrams(SCENE).write_header())
     command = [
         "cc",
         "-Wall",
@@ -178,7 +178,7 @@ def test_the_header_has_the_bytes_of_the_datagrams(
     changes: dict[str, object], tmp_path: Path
 ) -> None:
     kinds = Datagrams(load_scene("three_axis", changes))
-    (tmp_path / "udp.h").write_text(kinds.header())
+    (tmp_path / "udp.h").write_text(kinds.write_header())
     sizes = "".join(
         f"_Static_assert(sizeof(arm_udp_{name}) == {kind.itemsize}, \"\");\n"
         + "".join(

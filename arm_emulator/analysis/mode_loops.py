@@ -82,7 +82,7 @@ class LoopFigure:
         """Whether small motions decay, or fall."""
         return self.beyond <= HARMLESS
 
-    def why(self) -> str:
+    def explain(self) -> str:
         """Return the reason for its instability, as text."""
         pose = ", ".join(f"{q:.2f}" for q in self.q)
         brake = " with its brake closed" if self.braked else ""
@@ -150,7 +150,10 @@ class ModeLoops:
             self._servos[loop if alike or k == j else Loop.POSITION][k] for k in range(self._N)
         ]
         loops = [SampledLoop(plant, servos, self._delay) for plant in plants]
-        beyond = [self._beyond(*pair, loop) for pair in zip(loops, self._falls, strict=True)]
+        beyond = [
+            self._compute_excess_growth(*pair, loop)
+            for pair in zip(loops, self._falls, strict=True)
+        ]
         worst = int(np.argmax(beyond))
         closed, gain, excess = loops[worst], 1.0, beyond[worst]
         if excess <= HARMLESS:
@@ -158,14 +161,14 @@ class ModeLoops:
                 scaled = SampledLoop(
                     _scale_command(plants[worst], factor, None if alike else j), servos, self._delay
                 )
-                grows = self._beyond(scaled, self._falls[worst], loop, self._fast)
+                grows = self._compute_excess_growth(scaled, self._falls[worst], loop, self._fast)
                 if grows > HARMLESS:
                     closed, gain, excess = scaled, factor, grows
         poles = np.concatenate([pose_loop.poles for pose_loop in loops])
         swings = poles[np.abs(np.angle(poles)) > _STANDS]
         swing = swings[np.argmax(np.abs(swings))] if len(swings) else 0.0
         yield LoopFigure(
-            joint=closed.loudest() if alike else j,
+            joint=closed.find_loudest() if alike else j,
             loop=loop,
             braked=braked,
             alike=alike,
@@ -177,7 +180,7 @@ class ModeLoops:
             q=tuple(self._poses[worst].tolist()),
         )
 
-    def _beyond(
+    def _compute_excess_growth(
         self, closed: SampledLoop, falls: float, loop: Loop, min_rate: float = 0.0
     ) -> float:
         """Return the growth rate of motions faster than `min_rate` [1/s], beyond a fall [1/s]."""
@@ -186,7 +189,7 @@ class ModeLoops:
         growth = rates.real[np.abs(rates) >= min_rate].max(initial=-math.inf)
         return float(growth) - FALLING[loop] * falls
 
-    def withheld(self, modes: Iterable[Mode]) -> list[Withheld]:
+    def find_withheld(self, modes: Iterable[Mode]) -> list[Withheld]:
         """Return the unstable modes among some, by joint and mode, each with its worst loop."""
         withheld = []
         for j in range(self._N):
@@ -198,7 +201,7 @@ class ModeLoops:
                 ]
                 if bad:
                     worst = max(bad, key=lambda unstable: unstable.beyond)
-                    withheld.append(Withheld(j, mode, worst.why()))
+                    withheld.append(Withheld(j, mode, worst.explain()))
         return withheld
 
 
@@ -231,7 +234,7 @@ def withheld_modes(scene: Scene, servo: ServoConfig, modes: tuple[Mode, ...]) ->
             del _CACHE[next(iter(_CACHE))]
         try:
             with np.errstate(all="ignore"):
-                _CACHE[key] = ModeLoops(scene, servo).withheld(modes)
+                _CACHE[key] = ModeLoops(scene, servo).find_withheld(modes)
         except (ArithmeticError, np.linalg.LinAlgError):
             _CACHE[key] = []
     return _CACHE[key]

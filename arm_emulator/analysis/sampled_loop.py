@@ -115,13 +115,13 @@ class SampledLoop:
         """Whether every small motion decays."""
         return self.radius < 1.0
 
-    def loudest(self) -> int:
+    def find_loudest(self) -> int:
         """Return the joint whose command is largest in the fastest growing motion."""
         values, vectors = np.linalg.eig(self.A)
         motion = vectors[:, int(np.argmax(np.abs(values)))]
         return int(np.argmax(np.abs(self._command @ motion)))
 
-    def sensitivities(self, count: int = _FREQUENCIES) -> tuple[Array, ComplexArray]:
+    def compute_sensitivities(self, count: int = _FREQUENCIES) -> tuple[Array, ComplexArray]:
         """Return frequencies (K,) [rad per period] and 1 / (1 + L) of each joint, (K, N).
 
         L is the loop opened at the joint's command, all other loops closed: by Schur's complement
@@ -144,9 +144,9 @@ class SampledLoop:
             S[k] = 1.0 + np.einsum("jn,nj->j", command, response)
         return w, S
 
-    def margins(self) -> list[Margins]:
+    def compute_margins(self) -> list[Margins]:
         """Return the margins of each joint's loop."""
-        w, S = self.sensitivities()
+        w, S = self.compute_sensitivities()
         return [_compute_margins(w, response) for response in S.T]
 
     def step(self, joint: int, rows: int, every: int = 1) -> Array:

@@ -70,7 +70,7 @@ def sample_plant(
     counts = {joint.name: joint.counts_per_turn for joint in servo.joints}
     # A servo that is set up for another encoder takes the angle for another one.
     scale = np.array([[joint.counts_per_turn / counts[joint.name]] for joint in scene.joints])
-    J, B = (motions.J, motions.B) if braked is None else motions.braked(braked)
+    J, B = (motions.J, motions.B) if braked is None else motions.apply_brake(braked)
     return SampledPlant(
         *discretise_zoh(J, B, period),
         scale * motions.theta_m,
@@ -121,10 +121,10 @@ class ServoLoops:
             SmallMotions(plant, q, loaded) for loaded in list_contacts(plant) for q in self.poses
         ]
         # With play first all poses with teeth in contact, then all without.
-        self._all = self.closed(self.joints, servo.period, delay)
+        self._all = self.close_loops(self.joints, servo.period, delay)
         self.loops = self._all[: len(self.poses)]
 
-    def closed(self, joints: list[JointServo], period: float, delay: int) -> list[SampledLoop]:
+    def close_loops(self, joints: list[JointServo], period: float, delay: int) -> list[SampledLoop]:
         """Return the loops with other gains or another period, one per pose, with play two."""
         servos = [LinearServo(joint, period) for joint in joints]
         return [
@@ -132,9 +132,9 @@ class ServoLoops:
             for motions in self._motions
         ]
 
-    def margins(self) -> list[Margins]:
+    def compute_margins(self) -> list[Margins]:
         """Return each joint's worst margins over the poses."""
-        every = [loop.margins() for loop in self._all]
+        every = [loop.compute_margins() for loop in self._all]
         return [
             Margins(
                 min(margins.gain_up for margins in row),
@@ -146,17 +146,19 @@ class ServoLoops:
             for row in zip(*every, strict=True)
         ]
 
-    def unstable(self) -> Unstable | None:
+    def find_unstable(self) -> Unstable | None:
         """Return what grows fastest, None where all small motions die away or only drift."""
-        beyond = self._beyond(self._all, self.servo.period)
+        beyond = self._compute_excess_growth(self._all, self.servo.period)
         worst = int(np.argmax(beyond))
         if beyond[worst] <= HARMLESS:
             return None
         loop = self._all[worst]
         pose = worst % len(self.poses)
-        return Unstable(loop.loudest(), pose, loop.radius, *self._find_stable_gains(loop.loudest()))
+        return Unstable(
+            loop.find_loudest(), pose, loop.radius, *self._find_stable_gains(loop.find_loudest())
+        )
 
-    def _beyond(self, loops: list[SampledLoop], period: float) -> list[float]:
+    def _compute_excess_growth(self, loops: list[SampledLoop], period: float) -> list[float]:
         """Return how fast small motions grow [1/s], beyond the fall of links that hang in play."""
         loaded = len(self.poses)
         falls = [motion.fastest if k >= loaded else 0.0 for k, motion in enumerate(self._motions)]
@@ -183,10 +185,10 @@ class ServoLoops:
 
     def _is_stable(self, joints: list[JointServo], period: float) -> bool:
         try:
-            loops = self.closed(joints, period, self.delay)
+            loops = self.close_loops(joints, period, self.delay)
         except Refusal:
             return False
-        return all(beyond <= HARMLESS for beyond in self._beyond(loops, period))
+        return all(beyond <= HARMLESS for beyond in self._compute_excess_growth(loops, period))
 
 
 @dataclass(frozen=True)
@@ -263,7 +265,7 @@ def check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
 def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
     loops = ServoLoops(scene, servo)
     where, names = scene.where, scene.joint_names
-    bad = loops.unstable()
+    bad = loops.find_unstable()
     if bad is not None:
         quantity = f"servo.joints.{names[bad.joint]}"
         actual = f"small motions that grow {bad.growth:.4g}-fold per servo period"
@@ -276,7 +278,7 @@ def _check_loops(scene: Scene, servo: ServoConfig) -> list[str]:
             f"{where}: {quantity}: {actual} at q = {pose}; what holds: {bad.describe_remedies()}"
         ]
     lines = []
-    for j, margins in enumerate(loops.margins()):
+    for j, margins in enumerate(loops.compute_margins()):
         little = describe_lacking_margins(margins)
         if little:
             lines.append(f"{where}: servo.joints.{names[j]}: {little}; `tune` computes gains")

@@ -140,7 +140,7 @@ class SmallMotions:
         self.fastest = max(0.0, float(np.linalg.eigvals(self.J).real.max()))  # 1/s
         self._by_torque = by_torque
 
-    def braked(self, joint: int) -> tuple[Array, Array]:
+    def apply_brake(self, joint: int) -> tuple[Array, Array]:
         """Return J and B while a brake holds the rotor of a joint, with its link if that is stiff.
 
         Held joints stay: their states are rows of zeros.
@@ -162,17 +162,17 @@ class SmallMotions:
         """Return the matrix of one step of a scheme: of x, and x one step ago if it takes that."""
         return KNOWN[scheme].build_step_matrix(self.J, self.A, self.links, dt)
 
-    def growth(self, scheme: str, dt: float) -> float:
+    def compute_growth(self, scheme: str, dt: float) -> float:
         """Return the factor by which the fastest growing small motion grows per step."""
         return float(np.abs(np.linalg.eigvals(self.step(scheme, dt))).max())
 
     def is_stable(self, scheme: str, dt: float) -> bool:
         """Whether a scheme makes no motion grow that the machine itself does not make grow."""
         # Rounding splits the double eigenvalue 1 of a free turn by the root of the last place.
-        rate = (math.log(self.growth(scheme, dt)) - 1e-7) / dt
+        rate = (math.log(self.compute_growth(scheme, dt)) - 1e-7) / dt
         return rate < 1.1 * self.fastest + HARMLESS
 
-    def largest_step(self, scheme: str) -> float | None:
+    def find_largest_step(self, scheme: str) -> float | None:
         """Return the largest step that holds, at most the scene's, and divides the servo period.
 
         None: no step above `SMALLEST_STEP` does.
@@ -221,7 +221,10 @@ def describe_divergence(fault: Diverged) -> str:
     try:
         motions = SmallMotions(Plant(scene), fault.q)
         if not motions.is_stable(now.scheme, now.dt):
-            growth, dt = motions.growth(now.scheme, now.dt), motions.largest_step(now.scheme)
+            growth, dt = (
+                motions.compute_growth(now.scheme, now.dt),
+                motions.find_largest_step(now.scheme),
+            )
             words = f"each step multiplies a small motion about rest in this pose by {growth:.3g}"
             return words if dt is None else f"{words}, with dt = {dt:.3g} s none grows"
     except (np.linalg.LinAlgError, Refusal):  # numbers so far apart that something overflows

@@ -70,7 +70,7 @@ class RunBag:
         self._send("diagnostics", status=[health])
         self._send("emulator/status", tick=0)
         if session.plant.save() != Plant(session.scene).save():
-            self.changed(MachineEvent.KIND_RESTORE)
+            self.write_change(MachineEvent.KIND_RESTORE)
         self.report()
         return self
 
@@ -109,7 +109,7 @@ class RunBag:
             effort=state.gear_torque.tolist(),
         )
 
-    def changed(self, kind: int, saved: bytes | None = None) -> None:
+    def write_change(self, kind: int, saved: bytes | None = None) -> None:
         """Write the event of a machine that was changed by hand.
 
         Args:

@@ -72,18 +72,18 @@ def _write(line: Timeline[OfflineRun], bag: RunBag) -> None:
         bag.report()
         if isinstance(line.run, TargetedRun) and tick < line.newest:
             for kind, saved in line.run.changes_here:
-                bag.changed(kind, saved)
+                bag.write_change(kind, saved)
         changes_here = changed.get(tick, [])
         orders = [change.action for change in changes_here if isinstance(change.action, Order)]
         if len(orders) == len(changes_here):
             for order in orders:
                 order(line.run)
                 if (change := order.change) is not None:
-                    bag.changed(KINDS[type(change)])
+                    bag.write_change(KINDS[type(change)])
         before = session.plant.save() if changes_here else b""
         line.go_to(tick)
         if changes_here and session.plant.save() != before:
-            bag.changed(MachineEvent.KIND_RESTORE)
+            bag.write_change(MachineEvent.KIND_RESTORE)
 
 
 def load_ordered_run(topics: RecordedTopics, scene: str) -> Timeline[OfflineRun]:

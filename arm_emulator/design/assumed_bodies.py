@@ -70,7 +70,7 @@ def assume_bodies(
             if stated > 0.0:
                 scale, how = stated / body.mass, f"{how}, with the mass given"
             link.remove(old)
-        link.insert(0, inertial_of(body.scaled(scale)))
+        link.insert(0, inertial_of(body.scale(scale)))
         out.append(AssumedBody(name, how))
     return out
 

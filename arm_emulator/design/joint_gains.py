@@ -233,7 +233,7 @@ class _Trial:
                     return
                 overshoot = max(overshoot, float(rows.max()) - 1.0)
                 if delay:
-                    _, S = loop.sensitivities(_FREQUENCIES)
+                    _, S = loop.compute_sensitivities(_FREQUENCIES)
                     sensitivity = max(sensitivity, float(np.abs(S).max()))
         self.outcomes.append(_Outcome(gains, kick, sensitivity, overshoot, settling))
         if sensitivity <= SENSITIVITY and overshoot <= OVERSHOOT and kick <= self.kick:

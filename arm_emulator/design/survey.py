@@ -96,7 +96,7 @@ def _choose_start(
     poses = np.round(poses, 3)
     dexterity = np.array([kinematics.singular_values(q)[-1] for q in poses])
     best = poses[np.argsort(-dexterity, kind="stable")]
-    free = (q for q in best if shapes is None or not shapes.first(q))
+    free = (q for q in best if shapes is None or not shapes.find_first_contact(q))
     return np.asarray(next(free, best[0]), dtype=np.float64)
 
 

@@ -208,7 +208,7 @@ def compute(scene: Scene, servo: ServoConfig, inertias: list[Range]) -> ServoCon
         loops = ServoLoops(scene, config)
         little = {
             name
-            for name, margins in zip(scene.joint_names, loops.margins(), strict=True)
+            for name, margins in zip(scene.joint_names, loops.compute_margins(), strict=True)
             if describe_lacking_margins(margins)
         }
         if not little:
@@ -275,8 +275,8 @@ def examine(scene: Scene, without: Scene | None, servo: ServoConfig) -> Tuned:
     loops = ServoLoops(scene, servo)
     return Tuned(
         servo,
-        loops.margins(),
-        None if without is None else ServoLoops(without, servo).margins(),
+        loops.compute_margins(),
+        None if without is None else ServoLoops(without, servo).compute_margins(),
         [_compute_step(loops, j) for j in range(len(scene.joints))],
         run(scene, servo),
         loops,

@@ -73,7 +73,7 @@ class JsonLinesServer:
         """Answer a client until it goes, or sends a line that is too long."""
         partial = b""
         try:
-            client.sendall(self.greeting())
+            client.sendall(self.build_greeting())
             while not self._closing.is_set():
                 if not select.select([client], [], [], LOOK)[0]:
                     continue
@@ -88,7 +88,7 @@ class JsonLinesServer:
         except OSError:  # it has gone, or does not read
             return
 
-    def greeting(self) -> bytes:
+    def build_greeting(self) -> bytes:
         """Return the line with which a client is met: what the scene has, in its units."""
         scene = self._session.scene
         units = {output.name: list_units(scene, output) for output in self._outputs}

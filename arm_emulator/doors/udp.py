@@ -75,11 +75,11 @@ class Datagrams:
         inputs = {name: list_input_units(scene, name) for name in self.inputs}
         return {"command": command} | inputs | {o.name: list_units(scene, o) for o in self.outputs}
 
-    def header(self) -> str:
+    def write_header(self) -> str:
         """Return the layout as a header in C."""
         units = self._units()
 
-        def struct(name: str, kind: np.dtype[np.void]) -> str:
+        def write_struct(name: str, kind: np.dtype[np.void]) -> str:
             lines = []
             for field in kind.names or ():
                 base, shape = kind[field].base, kind[field].shape
@@ -107,8 +107,8 @@ enum {{ ARM_UDP_POWERED = {POWERED}, ARM_UDP_STOPPED = {STOPPED} }}; /* bits of 
 
 static const char* const arm_udp_joint_names[ARM_UDP_JOINTS] = {{{names}}};
 
-{struct("arm_udp_command", self.command)}
-{struct("arm_udp_measurement", self.measurement)}
+{write_struct("arm_udp_command", self.command)}
+{write_struct("arm_udp_measurement", self.measurement)}
 #endif
 """
 

@@ -32,7 +32,7 @@ class Body:
             self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia
         )
 
-    def scaled(self, factor: float) -> Body:
+    def scale(self, factor: float) -> Body:
         """Return a body of that many times this one."""
         return Body(factor * self.mass, factor * self.moment, factor * self.inertia)
 
@@ -70,7 +70,7 @@ class Bodies:
         """Return one of them."""
         return Body(float(self.mass[index]), self.moment[index], self.inertia[index])
 
-    def some(self, indices: list[int]) -> Bodies:
+    def select(self, indices: list[int]) -> Bodies:
         """Return those at `indices`."""
         return Bodies(self.mass[indices], self.moment[indices], self.inertia[indices])
 

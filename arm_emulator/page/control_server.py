@@ -41,9 +41,9 @@ class ControlServer:
         Returns:
             True, for the conditions of loops.
         """
-        self._fulfil(0.0)
+        self._answer_requests(0.0)
         while self._controls.is_waiting and not self._closing.is_set():
-            self._fulfil(LOOK)
+            self._answer_requests(LOOK)
         return True
 
     def drive(self, advance: Callable[[int], None], ticks: int) -> None:
@@ -76,7 +76,7 @@ class ControlServer:
         """Answer no more requests."""
         self._closing.set()
 
-    def _fulfil(self, timeout: float) -> None:
+    def _answer_requests(self, timeout: float) -> None:
         if self._near is None:
             return
         try:

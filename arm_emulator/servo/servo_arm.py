@@ -129,10 +129,10 @@ class ServoArm:
         servo = self.servo
         assert servo.arm.measured, "measure first"
         self._law.servo_command(servo.arm, powered, servo.places[6])
-        self.commanded(powered)
+        self.note_command(powered)
         return servo.command
 
-    def commanded(self, powered: bool) -> None:
+    def note_command(self, powered: bool) -> None:
         """Take note of a ``servo_command``, for `reason`."""
         self._requested, self._powered = True, powered
 

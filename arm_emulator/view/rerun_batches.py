@@ -199,7 +199,7 @@ class RerunBatches:
         """
         import rerun as rr
 
-        times = self._on_the_line(times)
+        times = self._shift_times(times)
         self._waiting.append((times, rows))
         self.waiting += len(times)
 
@@ -216,7 +216,7 @@ class RerunBatches:
             return
         p_WT = self._positions(self._tool, q)
         yield
-        ends, pieces = self._pieces_of_path(times, p_WT)
+        ends, pieces = self._split_path(times, p_WT)
         if len(pieces):
             columns = rr.LineStrips3D.columns(strips=list(pieces))
             yield
@@ -246,7 +246,7 @@ class RerunBatches:
                 )
                 yield
 
-    def _pieces_of_path(self, times: Times, p_WT: Array) -> tuple[Times, Array]:
+    def _split_path(self, times: Times, p_WT: Array) -> tuple[Times, Array]:
         """Return the pieces (P, 2, 3) [m] of the tool's path and their times (P,) [ns]."""
         times = np.append(self._path_time, times)
         points = np.vstack((self._path_end, p_WT))
@@ -279,7 +279,7 @@ class RerunBatches:
             )
             yield
 
-    def _on_the_line(self, times: Times) -> Times:
+    def _shift_times(self, times: Times) -> Times:
         """Return times on the time line, which continues where logical time steps back."""
         times = times + self._shift
         before = np.concatenate(([self._last_time], times[:-1]))

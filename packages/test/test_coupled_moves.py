@@ -299,7 +299,9 @@ def test_joints_that_follow_touch_obstacles() -> None:
         lowest = 0.1 - 0.5 * np.sin(angle) - 0.05
         for height in (lowest - 0.02, lowest):
             collisions = Collisions(text, ("j1",), [Obstacle("floor", height)], 0.01)
-            assert bool(collisions.first(np.array([angle]))) == (height > lowest - 0.01)
+            assert bool(collisions.find_first_contact(np.array([angle]))) == (
+                height > lowest - 0.01
+            )
 
 
 @pytest.mark.skipif(not FULL, reason="a unit is compiled for it: make test-in-full")

@@ -136,7 +136,7 @@ def test_c_prints_a_name_as_it_is(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", some(NAMES, 4))
 def test_headers_of_c_compile_with_any_name(name: str, tmp_path: Path) -> None:
     joints = (name, "b" + name, "c")
-    header = Datagrams(renamed(name, joints)).header()
+    header = Datagrams(renamed(name, joints)).write_header()
     source = f"{header}#include <stdio.h>\n"
     source += "int main(void) { fputs(arm_udp_joint_names[1], stdout); return 0; }\n"
     assert compiled(source, tmp_path) == ("b" + name).partition("\0")[0].encode()

@@ -94,7 +94,7 @@ def send(
             sent += 1
         paced()
         silence.look()
-        ended = nodes.ended()
+        ended = nodes.find_ended()
         assert ended is None, f"node and exit code: {ended}"
         report(sent=AT_ONCE * len(TOPICS))
     for publisher in publishers.values():

@@ -211,9 +211,9 @@ class _Observer(Node):
         deadline = time.monotonic() + patience
         see = f"the nodes' output is in {network.log}"
         while not condition():
-            with CtrlC.after():
+            with CtrlC.delay_interrupt():
                 rclpy.spin_once(self, timeout_sec=0.1)
-            ended = network.ended()
+            ended = network.find_ended()
             if ended is not None:
                 name, code = ended
                 raise Refusal("demo", f"node {name}", "run", f"exit code {code}", see)

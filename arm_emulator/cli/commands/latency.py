@@ -249,7 +249,7 @@ def probe_latency(scene: str, period: float, seconds: float) -> ProbeResult:
                 return node.newest.get("emulator/status")
 
             def has_settled() -> bool:
-                if network.ended() is not None:
+                if network.find_ended() is not None:
                     rule, actual = "run in real time", _read_last_line(log)
                     raise Refusal("latency", f"nodes of {scene} at {period:g} s", rule, actual)
                 status = newest()

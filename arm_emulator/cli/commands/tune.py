@@ -177,7 +177,7 @@ def draw(scene: Scene, pair: Mapping[str, Tuned], file: Path) -> None:
     for label, line in (("present", "--"), ("computed", "-")):
         tuned = pair[label]
         loop = tuned.loops.loops[0]
-        w, S = loop.sensitivities()
+        w, S = loop.compute_sensitivities()
         for j, name in enumerate(scene.joint_names):
             colour, legend = f"C{j}", name if label == "computed" else None
             q = loop.step(j, ROWS, every)[:, j]

@@ -44,7 +44,7 @@ def udp(
     machine = load_scene(scene)
     layout = Datagrams(machine)
     if header:
-        text = layout.header()
+        text = layout.write_header()
         output.line(text.removesuffix("\n"))
         output.facts({"header": text})
         return 0

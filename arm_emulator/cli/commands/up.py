@@ -89,7 +89,7 @@ def up(
         )
         with contextlib.suppress(KeyboardInterrupt), network:
             while not CtrlC.signal:  # an interruption in a destructor is lost
-                ended = network.ended()
+                ended = network.find_ended()
                 if ended is not None:
                     name, code = ended
                     output.facts({"ended": name})

@@ -69,7 +69,7 @@ class FormulaRows:
         parts = [self.of_formula(part) for part in formula.of]
         if formula.sign == "not":
             return self._row("NOT", parts[0], parts[0])
-        return self._joined(formula.sign.upper(), parts)
+        return self._join_rows(formula.sign.upper(), parts)
 
     def struct(self) -> NDArray[Any]:
         """Return them as ``formula_row``, one at least."""
@@ -87,9 +87,9 @@ class FormulaRows:
         kind = _KINDS[part.sign]
         if len(operands) == 1:
             return self._row(kind, operands[0], operands[0])
-        return self._joined(kind, operands)
+        return self._join_rows(kind, operands)
 
-    def _joined(self, kind: str, rows: Sequence[int]) -> int:
+    def _join_rows(self, kind: str, rows: Sequence[int]) -> int:
         """Return the row of an operation on several rows, from the first one on."""
         return functools.reduce(lambda left, right: self._row(kind, left, right), rows)
 

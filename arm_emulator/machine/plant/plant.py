@@ -171,7 +171,7 @@ class Plant(CoreMachine):
         # This is called often: what fits is not looked at twice.
         if type(steps) is not int or not 0 <= steps <= PIECE:
             steps = check_count("Plant.advance", "steps", steps, 0, LARGEST_STEPS)
-        row = self._as_command(command, "Plant.advance")
+        row = self._convert_command(command, "Plant.advance")
         with self.turn:
             before = self._applied.copy()
             self._applied[:] = row
@@ -202,14 +202,16 @@ class Plant(CoreMachine):
             Diverged: as `advance`.
         """
         where = "Plant.exchange"
-        row = self._as_command(command, where)
+        row = self._convert_command(command, where)
         if type(tick) is not int or not -1 <= tick < 2**63:
             tick = check_count(where, "tick", tick, -1)
         if came is not False:
             came = coerce_flag(came, where, "came")
         if further:
             check_inputs(where, self.scene, further)
-        rows = {name: self._as_further(where, name, values) for name, values in further.items()}
+        rows = {
+            name: self._convert_further(where, name, values) for name, values in further.items()
+        }
         others = arrange_further_rows(where, self.scene, rows)
         with self.turn:
             before = self._commands.tobytes(), self._further.tobytes()  # quicker than copies
@@ -226,7 +228,7 @@ class Plant(CoreMachine):
             if result == DIVERGED:
                 raise self._diverged(self._measured["applied"])
 
-    def _as_command(self, command: Commands, where: str) -> Array:
+    def _convert_command(self, command: Commands, where: str) -> Array:
         """Return commands (N,), however they are given."""
         if isinstance(command, np.ndarray) and command.shape == self._shape:
             if command.dtype == np.float64:
@@ -237,7 +239,7 @@ class Plant(CoreMachine):
             raise Refusal(where, "command", f"have shape {self._shape}", row.shape)
         return row
 
-    def _as_further(self, where: str, name: str, command: Commands) -> Array:
+    def _convert_further(self, where: str, name: str, command: Commands) -> Array:
         return ANY_COMMAND.named(name).row(
             where, order_by_joint(command, self.scene, where), self._N
         )
@@ -350,7 +352,7 @@ class Plant(CoreMachine):
                 raise self._diverged(some[min(done, len(some) - 1)])
         return q
 
-    def fault(
+    def build_divergence(
         self, joint: int, t: float, q: Array, v: Array, applied: ArrayLike | None = None
     ) -> Diverged:
         """Return what to raise when a joint, by its index, left the bounds after the state given.
@@ -370,7 +372,7 @@ class Plant(CoreMachine):
 
     def _diverged(self, applied: ArrayLike) -> Diverged:
         state = self.state
-        return self.fault(self._truth.fault, state.t, state.q, state.v, applied)
+        return self.build_divergence(self._truth.fault, state.t, state.q, state.v, applied)
 
     @synchronized
     def powers(self, command: Commands) -> EnergyFlow:

@@ -66,7 +66,7 @@ class SceneLinks:
         self._true_robot = self.robot
         self.calibration = self._calibrate(root.section("calibration"), file)
         self.chain = self._chain(body)
-        twice = None if body is None else self._chain(body.scaled(2.0))
+        twice = None if body is None else self._chain(body.scale(2.0))
         self.bare = _remove_payload(self.chain, twice)
         locks = lock_joints(self.robot, self._locked, self.urdf_file.name)
         if locks or root.has("couplings"):
@@ -120,7 +120,7 @@ def _remove_payload(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
         return tuple(link.body for link in chain.links)
     # Bodies are linear in the payload: two with one payload, less one with two, have none.
     pairs = zip(chain.links, twice.links, strict=True)
-    return tuple(single.body.scaled(2.0) + two.body.scaled(-1.0) for single, two in pairs)
+    return tuple(single.body.scale(2.0) + two.body.scale(-1.0) for single, two in pairs)
 
 
 def _apply_coupling(section: Section | None, robot: ET.Element) -> None:

@@ -145,7 +145,7 @@ def _add_bodies(
     bodies = read_bodies(robot, where)
     for moved in moving:
         moved.body = (
-            bodies.some([links[link] for link in moved.links])
+            bodies.select([links[link] for link in moved.links])
             .transform(
                 np.array([frame.R for frame in moved.frames]),
                 np.array([frame.p for frame in moved.frames]),

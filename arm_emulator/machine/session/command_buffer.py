@@ -120,7 +120,7 @@ class CommandBuffer:
     ) -> Array:
         """Take a command at the tick `now`, and return it arranged; see `Session.offer`."""
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
-        rows = self.arranged(joint_names, command, further)
+        rows = self.arrange(joint_names, command, further)
         newest_tick = self.pointer.tick
         # Messages have room for ticks that the core's integer has not: they are of the future.
         result = self._take(self.pointer, now, min(tick, LARGEST), pointer(rows))
@@ -141,7 +141,7 @@ class CommandBuffer:
             "repeated", "be answered once" if is_newest else not_before, f"{tick}"
         )
 
-    def arranged(
+    def arrange(
         self,
         joint_names: Sequence[str],
         command: Sequence[float],

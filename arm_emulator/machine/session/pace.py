@@ -59,31 +59,31 @@ class Pace:
         self._factor = value
         self._first = -1
 
-    def due(self, tick: int) -> float:
+    def compute_wait(self, tick: int) -> float:
         """Return the wall time until a tick may be left [s]; 0 or less: now."""
         if not self._factor:
             return 0.0
         now, wall_period = self._now(), self._period / self._factor
-        wait = self._begun + self._rounded((tick + 1 - self._first) * wall_period) - now
+        wait = self._begun + self._round_up((tick + 1 - self._first) * wall_period) - now
         # Time was changed, stood still, or began anew.
         longest = max(wall_period, GRAIN) + BEHIND
         if self._first < 0 or not -BEHIND - wall_period < wait <= longest:
             self._begun, self._first = now, tick
-            wait = self._rounded(wall_period)
+            wait = self._round_up(wall_period)
         return wait
 
-    def room(self, tick: int) -> int:
+    def count_ticks_left(self, tick: int) -> int:
         """Return how many ticks may be left now, from a tick on."""
         if not self._factor:
             return UNLIMITED
-        if self.due(tick) > 0.0:
+        if self.compute_wait(tick) > 0.0:
             return 0
         elapsed, wall_period = self._now() - self._begun, self._period / self._factor
         if wall_period < GRAIN:
             elapsed = math.floor(elapsed / GRAIN + ROUNDING) * GRAIN
         return max(1, math.floor(elapsed / wall_period + ROUNDING) - (tick - self._first))
 
-    def _rounded(self, wall: float) -> float:
+    def _round_up(self, wall: float) -> float:
         """Return a wall time since the begin, rounded up to the grain of short periods [s]."""
         if self._period / self._factor >= GRAIN:
             return wall

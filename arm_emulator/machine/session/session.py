@@ -492,7 +492,9 @@ class Session(Synchronized):
         state = self._read.take(reached)
         if reached.fault >= 0:
             applied = reached.measured.applied
-            self.fault = self.plant.fault(reached.fault, state.t, state.q, state.v, applied)
+            self.fault = self.plant.build_divergence(
+                reached.fault, state.t, state.q, state.v, applied
+            )
         return True
 
     def _follow_phase(self) -> None:

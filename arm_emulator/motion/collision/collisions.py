@@ -108,7 +108,7 @@ class Collisions(SharedObject):
         """Number of pairs tested."""
         return len(self._shapes.collisionPairs)
 
-    def first(self, q: Array) -> str:
+    def find_first_contact(self, q: Array) -> str:
         """Return which two parts touch at q (N,), ``forearm_link and floor``; empty: none do."""
         with self._alone:
             touching = self._find_contacts(self._arm.compute_configuration(q)) if self.pairs else []
@@ -127,13 +127,13 @@ class Collisions(SharedObject):
         """Return a configuration within the limits (N,)."""
         return self._arm.sample(rng)
 
-    def moved(self, motions: Array) -> Array:
+    def bound_motions(self, motions: Array) -> Array:
         """Return how far the parts of each pair move at most, seen from each other [m].
 
         Args:
             motions: of the joints (..., N); returned are (..., pairs).
         """
-        return np.asarray(self._arm.joints(motions) @ self._leads)
+        return np.asarray(self._arm.compute_joint_ranges(motions) @ self._leads)
 
     def measure_gaps(self, pairs: Sequence[int], q: Array) -> dict[int, float]:
         """Return distances that the parts of pairs have at least [m], each at q (pairs, N).
@@ -165,7 +165,7 @@ class Collisions(SharedObject):
             now: where they are (N,).
             nearer: distance that parts which touch already may lose [m].
         """
-        if not self.first(q):
+        if not self.find_first_contact(q):
             return ""
         with self._alone:
             touched, touching = self._check_pairs(now), self._check_pairs(q)

@@ -91,7 +91,7 @@ class CollisionShapes(SharedObject):
         configuration[..., places[turning] + 1] = np.sin(angles[..., turning])
         return configuration
 
-    def joints(self, motions: Array) -> Array:
+    def compute_joint_ranges(self, motions: Array) -> Array:
         """Return how far each joint goes on ways of those commanded (..., N) [rad or m]."""
         return np.abs(motions @ self._shafts.C.T)
 

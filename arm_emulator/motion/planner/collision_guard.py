@@ -75,7 +75,7 @@ class CollisionGuard:
     def is_free(self, motion: ReferenceMotion) -> bool:
         """Whether no parts touch on a motion that `check` has passed, nor after it."""
         end = motion.at(motion.duration)
-        return not end.v.any() and not self.collisions.first(motion.at(0.0).q)
+        return not end.v.any() and not self.collisions.find_first_contact(motion.at(0.0).q)
 
     def find_contact_along(self, angles: Angles) -> tuple[float, str] | None:
         """Return at which part of a way parts touch first, and which; None: they do not."""
@@ -115,7 +115,9 @@ class CollisionGuard:
         # A joint that turns round between two places goes farther than from one to the other.
         reversals = np.pad(np.abs(np.diff(q, 2, axis=0)), ((1, 1), (0, 0)))
         moves = np.abs(np.diff(q, axis=0)) + 0.25 * np.maximum(reversals[1:], reversals[:-1])
-        travelled = np.vstack([np.zeros(tested.pairs), np.cumsum(tested.moved(moves), axis=0)])
+        travelled = np.vstack(
+            [np.zeros(tested.pairs), np.cumsum(tested.bound_motions(moves), axis=0)]
+        )
         end, at = 1.0 if contact is None else contact[0], dict.fromkeys(gaps, 0.0)
         while gaps:
             places = {}
@@ -162,7 +164,7 @@ class CollisionGuard:
 
     def _count_steps(self, motion: Array) -> int:
         """Return the number of pieces in which a way of the joints (N,) is tested."""
-        moved = self.collisions.moved(motion)
+        moved = self.collisions.bound_motions(motion)
         foreign = self.collisions.foreign
         nearest = np.maximum(2.0 * self.collisions.margins[foreign], _FINEST)
         obstacles = float((moved[foreign] / nearest).max(initial=0.0))
@@ -170,4 +172,6 @@ class CollisionGuard:
 
     def _count_pieces(self, motions: Array) -> Array:
         """Return how many pieces ways of the joints (..., N) are."""
-        return np.asarray(self.collisions.moved(motions).max(axis=-1, initial=0.0) / _BETWEEN)
+        return np.asarray(
+            self.collisions.bound_motions(motions).max(axis=-1, initial=0.0) / _BETWEEN
+        )

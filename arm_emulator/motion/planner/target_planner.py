@@ -345,7 +345,7 @@ class TargetPlanner:
         raise candidates.refuse_overshoot(end)
 
     def _is_touching(self, q: Array) -> bool:
-        return self.guard is not None and bool(self.guard.collisions.first(q))
+        return self.guard is not None and bool(self.guard.collisions.find_first_contact(q))
 
     def _check_motion(self, motion: ReferenceMotion) -> None:
         if self.guard is not None:

@@ -76,9 +76,9 @@ class FixedLayout:
 
     def data(self) -> bytes:
         """Return the message as it is sent."""
-        return bytes(self.written()[: self.size])
+        return bytes(self.write_numbers()[: self.size])
 
-    def written(self) -> bytearray:
+    def write_numbers(self) -> bytearray:
         """Write all numbers into `bytes`, and return them."""
         for owner, name, kind, at in self._numbers:
             kind.pack_into(self.bytes, at, getattr(owner, name))

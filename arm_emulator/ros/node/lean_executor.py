@@ -142,7 +142,7 @@ class LeanExecutor:
                     entities.serve_timers()
             finally:  # a signal ends the wait: what C has done so far is recorded, too
                 in_c = arrivals.close()
-            message = arrivals.left()
+            message = arrivals.list_left()
             self._count(in_c, message is not None)
             if message is not None:
                 subscription, data, publisher = message
@@ -233,7 +233,7 @@ class Arrivals:
         before, self._handled = self._handled, self._arrived.handled
         return int(self._handled - before)
 
-    def left(self) -> tuple[Subscription, bytes, bytes] | None:
+    def list_left(self) -> tuple[Subscription, bytes, bytes] | None:
         """Return what was left to Python when this was closed: subscription, bytes, publisher."""
         arrived = self._arrived
         if arrived.left < 0:

@@ -53,7 +53,7 @@ class NetworkClient(Node):
         while not condition():
             if time.monotonic() > deadline:
                 return False
-            with CtrlC.after():
+            with CtrlC.delay_interrupt():
                 self._executor.spin_once(timeout_sec=0.05)
         return True
 

@@ -129,7 +129,7 @@ class Diagnostics:
         first = self._refused[topic] == 0
         self._refused[topic] += times
         self._newest_refusal = str(reason)
-        self.log.trouble(f"{topic}: {_strip_figures(reason.rule)}", f"refused: {reason}")
+        self.log.warn_about(f"{topic}: {_strip_figures(reason.rule)}", f"refused: {reason}")
         if first:
             self.publish()
 
@@ -275,7 +275,7 @@ class NodeLog:
         self._logger, self._now = logger, now
         self._written: dict[str, _Written] = {}
 
-    def trouble(self, kind: str, line: str) -> None:
+    def warn_about(self, kind: str, line: str) -> None:
         """Log a warning of a kind."""
         if due := self._get_due_line(kind, line):
             self._logger.warning(due)

@@ -137,7 +137,7 @@ class Bringup:
         """Return the process of a running node."""
         return next(node.process for node in reversed(self._running) if node.name == name)
 
-    def ended(self) -> tuple[str, int] | None:
+    def find_ended(self) -> tuple[str, int] | None:
         """Return name and exit code of a node that has ended, None while all run."""
         for node in self._running:
             code = node.process.poll()

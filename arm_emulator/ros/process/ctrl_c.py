@@ -93,7 +93,7 @@ class CtrlC:
 
     @classmethod
     @contextlib.contextmanager
-    def after(cls) -> Iterator[None]:
+    def delay_interrupt(cls) -> Iterator[None]:
         """Let a signal in the block interrupt at its end: for short work of libraries.
 
         An exception in the midst of a constructor leaves objects behind that complain when they are

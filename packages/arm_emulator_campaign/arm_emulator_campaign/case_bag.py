@@ -28,7 +28,7 @@ def write_case_bag(campaign: Campaign, simulator: Simulator, case: Case, folder:
     from arm_emulator.extension.bags import BAG_SCENE_FILE, CHANGE_KINDS, RunBag
 
     def changed(change: Change) -> None:
-        bag.changed(CHANGE_KINDS[type(change)])
+        bag.write_change(CHANGE_KINDS[type(change)])
 
     pieces = simulator.drive(case, 1, changed)
     next(pieces)

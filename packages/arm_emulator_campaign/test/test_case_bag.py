@@ -56,14 +56,14 @@ def test_a_fault_that_is_left_out_is_detected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     definition = campaign(tmp_path, "all that varies")
-    plain, kinds = RunBag.changed, []
+    plain, kinds = RunBag.write_change, []
 
     def all_but_the_push(bag: RunBag, kind: int) -> None:
         kinds.append(kind)
         if kind != MachineEvent.KIND_EXTERNAL_WRENCH:
             plain(bag, kind)
 
-    monkeypatch.setattr(RunBag, "changed", all_but_the_push)
+    monkeypatch.setattr(RunBag, "write_change", all_but_the_push)
     write_case_bag(
         definition, Simulator(definition), draw_case(definition.variation, 0), tmp_path / "bag"
     )

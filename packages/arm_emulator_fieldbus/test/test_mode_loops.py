@@ -225,7 +225,7 @@ def test_a_locked_rotor_is_a_rotor_of_infinite_inertia() -> None:
         own = {"joints.elbow.brake": {"torque": 1.0}, "varied": [name], **gear}
         scene, heavy = (load_scene("three_axis", {**own, **more}) for more in ({}, {name: 1e9}))
         q = np.array([0.3, -0.4, 0.8])
-        J, _ = SmallMotions(Plant(scene), q).braked(2)
+        J, _ = SmallMotions(Plant(scene), q).apply_brake(2)
         inertia_J = SmallMotions(Plant(heavy), q).J
         # The slowest are the rotor's own, 0 and nearly so.
         eigenvalues, two = (np.sort_complex(np.linalg.eigvals(matrix)) for matrix in (J, inertia_J))
