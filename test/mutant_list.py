@@ -237,7 +237,7 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/coulomb.hpp",
-        "return select(way < 0.0, of_.Ds[1][j], of_.Ds[0][j]);",
+        "return select(sign < 0.0, of_.Ds[1][j], of_.Ds[0][j]);",
         "return of_.Ds[0][j];",
         "test_directed_load_friction.py",
     ),
@@ -261,8 +261,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MECHANICS}/sensors.hpp",
-        "least(encoder[j].delay), least(link_encoder[j].delay);",
-        "least(encoder[j].delay);",
+        "extend(encoder[j].delay), extend(link_encoder[j].delay);",
+        "extend(encoder[j].delay);",
         "test_sensors.py",
     ),
     Mutant(

@@ -42,23 +42,23 @@ inline constexpr CommandModes kModes;
 // Whether joint j has a sensor of a field, of the readings that of a row.
 template <class S>
 bool senses([[maybe_unused]] int j, [[maybe_unused]] Field field, [[maybe_unused]] int row = 0) {
-  bool found = false;
+  bool is_present = false;
   if constexpr (Sensors<S>::present)
     std::apply(
         [&]<class... Rows>(const Rows&... rows) {
-          ((found |= Rows::Quantity::field == field && row-- == 0 && rows.at[j].present), ...);
+          ((is_present |= Rows::Quantity::field == field && row-- == 0 && rows.at[j].present), ...);
         },
         Sensors<S>::structure.analog);
-  return found;
+  return is_present;
 }
 
 template <class S>
 int describe_reading(int reading, int joint, arm_reading* out) {
   if constexpr (S::readings > 0) {
-    const Reading& one = S::reading[reading];
+    const Reading& source = S::reading[reading];
     const bool slides = kind_of<S>(joint) != JointKind::revolute;
     out->present = senses<S>(joint, Field::reading, reading);
-    out->name = one.name, out->unit = slides ? one.unit_of_slides : one.unit;
+    out->name = source.name, out->unit = slides ? source.unit_of_slides : source.unit;
   }
   return ARM_OK;
 }
@@ -74,19 +74,19 @@ struct arm_machine {
 
   // Saved numbers, eight bytes each in a fixed order: a digest of the library, then the machine.
   template <class Number>
-  static void for_each_saved_number(arm_machine& one, Machine::FullState& whole, Values& values,
+  static void for_each_saved_number(arm_machine& machine, Machine::FullState& full, Values& values,
                                     Number&& number) {
-    number(one.step);
-    number(one.steps_per_period);
-    whole.for_each_number(number);
-    one.sensors.for_each_number(number);
-    one.lines.for_each_number(number);
-    number(one.answered);
-    for (double& value : one.applied) number(value);
-    number(one.powered);
+    number(machine.step);
+    number(machine.steps_per_period);
+    full.for_each_number(number);
+    machine.sensors.for_each_number(number);
+    machine.lines.for_each_number(number);
+    number(machine.answered);
+    for (double& value : machine.applied) number(value);
+    number(machine.powered);
     for (double& value : values) number(value);
     if constexpr (Scene::external_wrench)
-      for (arm::GivenWrench& wrench : one.wrenches)
+      for (arm::GivenWrench& wrench : machine.wrenches)
         for (double& entry : wrench.numbers) number(entry);
   }
 
@@ -118,10 +118,10 @@ struct arm_machine {
   }
   // A struct may be as short as it was in version 1 of arm.h.
   template <class Struct>
-  int check_size(const Struct* one, std::size_t least = sizeof(Struct)) const {
-    if (check_there(one, "struct")) return ARM_REFUSED;
-    if (one->size >= least) return ARM_OK;
-    return refuse(-1, "size", "be that of the struct in arm.h", one->size);
+  int check_size(const Struct* record, std::size_t smallest = sizeof(Struct)) const {
+    if (check_there(record, "struct")) return ARM_REFUSED;
+    if (record->size >= smallest) return ARM_OK;
+    return refuse(-1, "size", "be that of the struct in arm.h", record->size);
   }
 
   int check_measurement(const arm_measurement* out) const {

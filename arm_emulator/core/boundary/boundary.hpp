@@ -10,8 +10,8 @@
 namespace {
 
 bool within_bounds(int k, double value) {
-  const arm::Parameter& one = Scene::parameter[k];
-  return arm::is_finite(value) && value >= one.least && value <= one.most;
+  const arm::Parameter& parameter = Scene::parameter[k];
+  return arm::is_finite(value) && value >= parameter.least && value <= parameter.most;
 }
 
 }  // namespace
@@ -38,7 +38,7 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
   machine->machine.put_brakes(!machine->powered);
   machine->machine.reset(q, v);
   machine->answered = -1;
-  for (double& one : machine->applied) one = 0.0;
+  for (double& value : machine->applied) value = 0.0;
   machine->begin_to_look(true);
   return ARM_OK;
 }
@@ -225,8 +225,8 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   machine->machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
     const auto behind = drive.at_rest_behind(x.q[j], x.v[j]);
     const double limit = drive.motor.largest_current();
-    const auto differs = [&](const double* row, double one, double other) {
-      return row && arm::magnitude(one - other) > 1e-9 * (1.0 + arm::magnitude(other));
+    const auto differs = [&](const double* row, double actual, double expected) {
+      return row && arm::magnitude(actual - expected) > 1e-9 * (1.0 + arm::magnitude(expected));
     };
     if (!drive.driven && truth->current && current[j] != 0.0)
       result = machine->refuse(j, names[0], "be 0 without a motor", current[j]);

@@ -75,8 +75,8 @@ int arm_describe_input(std::int32_t input, std::int32_t joint, arm_reading* out)
 int arm_describe_parameter(std::int32_t index, arm_parameter* out) {
   if (!out || out->size < sizeof *out || index < 0 || index >= Scene::parameters)
     return ARM_REFUSED;
-  const arm::Parameter& one = Scene::parameter[index];
-  *out = {out->size, 0, one.name, one.least, one.most};
+  const arm::Parameter& parameter = Scene::parameter[index];
+  *out = {out->size, 0, parameter.name, parameter.least, parameter.most};
   return ARM_OK;
 }
 

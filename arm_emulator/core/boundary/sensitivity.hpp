@@ -60,9 +60,9 @@ void write(const arm_sensitive_run& run, std::int64_t part, std::int64_t row,
   double* value = run.values + row * 5 * N;
   double* slope = run.slopes + row * 5 * N * run.stride + part * ARM_DIRECTIONS;
   for (const auto& quantity : of)
-    for (const Real& one : quantity) {
-      *value++ = one.value;
-      for (int d = 0; d < ARM_DIRECTIONS; ++d) slope[d] = one.by[d];
+    for (const Real& number : quantity) {
+      *value++ = number.value;
+      for (int d = 0; d < ARM_DIRECTIONS; ++d) slope[d] = number.by[d];
       slope += run.stride;
     }
 }
@@ -76,7 +76,7 @@ std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
   const double* command = run.commands;
   for (std::int64_t row = 0; row < run.rows; ++row) {
     Real u[Scene::N];
-    for (Real& one : u) one = *command++;
+    for (Real& entry : u) entry = *command++;
     if (machine.advance(u, run.steps) >= 0) return row;
     write(run, part, row, machine.numbers_now(), machine.state());
   }
@@ -107,12 +107,12 @@ std::int64_t run_following(const arm_sensitive_run& run) {
     common.resize(count);
     for (auto& of_piece : common) of_piece.begun = false;
     for (std::int64_t part = 0; part < run.parts; ++part) {
-      DerivativeReplay& one = *followers[part];
-      one.command(command);
+      DerivativeReplay& replay = *followers[part];
+      replay.command(command);
       for (std::int64_t k = 0; k < count; ++k)
-        one.follow(pieces[k], pieces[k + 1], values, common[k]);
-      one.end_row(pieces[count]);
-      write(run, part, row, one.numbers(), one.state());
+        replay.follow(pieces[k], pieces[k + 1], values, common[k]);
+      replay.end_row(pieces[count]);
+      write(run, part, row, replay.numbers(), replay.state());
     }
   }
   return run.rows;

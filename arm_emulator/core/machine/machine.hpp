@@ -357,12 +357,12 @@ class Machine {
   void change(auto&& set) {
     typename Threads::Memory past = threads_.memory();
     if constexpr (S::Scheme::extrapolates) {
-      auto& kept = scheme_of(past);
+      auto& scheme = scheme_of(past);
       Real before[N], after[N];
-      torques_for<S>(numbers_, x_.q, x_.v, kept.a, before);
+      torques_for<S>(numbers_, x_.q, x_.v, scheme.a, before);
       set();
-      torques_for<S>(numbers_, x_.q, x_.v, kept.a, after);
-      for (int j = 0; j < N; ++j) kept.torque[j] += after[j] - before[j];
+      torques_for<S>(numbers_, x_.q, x_.v, scheme.a, after);
+      for (int j = 0; j < N; ++j) scheme.torque[j] += after[j] - before[j];
     } else {
       set();
     }

@@ -57,10 +57,10 @@ class Coulomb {
               set_lane(of_.Dc[1][j], lane, lane_of(of_.Dc[0][j], lane));
               break;
             }
-            const Real way = slides ? sign_of(v) : side == 0 ? Real{1.0} : Real{-1.0};
-            set_lane(of_.Dc[side][j], lane, drive.sliding(at(x), now.active(), way));
+            const Real sign = slides ? sign_of(v) : side == 0 ? Real{1.0} : Real{-1.0};
+            set_lane(of_.Dc[side][j], lane, drive.sliding(at(x), now.active(), sign));
             if (!slides)
-              set_lane(of_.Ds[side][j], lane, drive.holding(at(pulled), now.active(), way));
+              set_lane(of_.Ds[side][j], lane, drive.holding(at(pulled), now.active(), sign));
           }
           set_lane(of_.dry[j], lane, drive.is_dry());
         });
@@ -76,10 +76,10 @@ class Coulomb {
           return;
         const auto now = modes(drive, j, lane);
         const auto at = drive.with(input_in_lane(drive, j, y, u[j], lane), now);
-        const Real way = lane_of(direction_[j], lane);
+        const Real sign = lane_of(direction_[j], lane);
         const Real more =
-            drive.sliding(at, now.active(), way) - lane_of(Dc(j, direction_[j]), lane);
-        set_lane(change[j], lane, lane_of(change[j], lane) - more * way);
+            drive.sliding(at, now.active(), sign) - lane_of(Dc(j, direction_[j]), lane);
+        set_lane(change[j], lane, lane_of(change[j], lane) - more * sign);
       });
   }
 
@@ -183,10 +183,10 @@ class Coulomb {
     Mask<X> same = X{} == X{};
     for (int j = 0; j < N; ++j) {
       const auto& locked = modes.locked[j];
-      const X way = modes.direction[j];
+      const X sign = modes.direction[j];
       const auto holds =
           (v[j] == 0.0) & negated(magnitude(lock_torque_[j]) > Ds(j, lock_torque_[j]));
-      same &= where(locked, holds) | where(negated(locked), (way == 0.0) | (v[j] * way > 0.0));
+      same &= where(locked, holds) | where(negated(locked), (sign == 0.0) | (v[j] * sign > 0.0));
     }
     return all(same);
   }
@@ -305,7 +305,7 @@ class Coulomb {
 
   // Free the joint that is the most overloaded; false if every locked joint holds.
   bool free_joint(const Matrix& W, Descent& down, const X* x) {
-    X excess = {}, way = {}, worst = X{} - 1.0;
+    X excess = {}, sign = {}, worst = X{} - 1.0;
     put_lock_torques(W, down.rhs, x);
     for (int j = 0; j < N; ++j) {
       const X torque = lock_torque_[j];
@@ -314,14 +314,14 @@ class Coulomb {
       const auto more = over > excess;
       worst = select(more, X{} + j, worst);
       excess = select(more, over, excess);
-      way = select(more, select(torque < 0.0, X{} - 1.0, X{} + 1.0), way);
+      sign = select(more, select(torque < 0.0, X{} - 1.0, X{} + 1.0), sign);
     }
     if (!any(worst >= 0.0) || down.rounds++ == kMaxRounds) return false;
     for (int j = 0; j < N; ++j) {
       const auto freed = worst == static_cast<Real>(j);
       locked_[j] = locked_[j] & ~as_bits(freed);
       down.broken[j] = down.broken[j] | as_bits(freed);
-      direction_[j] = select(freed, way, direction_[j]);
+      direction_[j] = select(freed, sign, direction_[j]);
     }
     return true;
   }
@@ -347,17 +347,17 @@ class Coulomb {
   };
 
   // Friction of joint j that slides, or is pulled, in the direction of `way`.
-  ARM_INLINE auto Dc(int j, [[maybe_unused]] const X& way) const {
+  ARM_INLINE auto Dc(int j, [[maybe_unused]] const X& sign) const {
     if constexpr (directed)
-      return select(way < 0.0, of_.Dc[1][j], of_.Dc[0][j]);
+      return select(sign < 0.0, of_.Dc[1][j], of_.Dc[0][j]);
     else if constexpr (varies)
       return of_.Dc[0][j];
     else
       return n_.Dc(j);
   }
-  ARM_INLINE auto Ds(int j, [[maybe_unused]] const X& way) const {
+  ARM_INLINE auto Ds(int j, [[maybe_unused]] const X& sign) const {
     if constexpr (directed)
-      return select(way < 0.0, of_.Ds[1][j], of_.Ds[0][j]);
+      return select(sign < 0.0, of_.Ds[1][j], of_.Ds[0][j]);
     else if constexpr (varies)
       return of_.Ds[0][j];
     else

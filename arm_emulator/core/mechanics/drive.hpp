@@ -417,11 +417,11 @@ struct Drive {
   template <class X>
   ARM_INLINE constexpr X gear_on_link(const Input<X>& x, unsigned active) const {
     const X offset = x.offset[Gear::modes > 0 ? of_gear : 0];
-    const bool held = is_active(active, of_gear) && Gear::modes > 0;
+    const bool in_mode = is_active(active, of_gear) && Gear::modes > 0;
     if constexpr (has_gear_memory)
-      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, offset, held, x.z + wm + 1);
+      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, offset, in_mode, x.z + wm + 1);
     else
-      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, offset, held);
+      return gear.torque(x.z[tm], x.z[wm], x.q, x.v, offset, in_mode);
   }
   // Torque on the rotor from the torque T of an elastic gear on its link.
   template <class X>

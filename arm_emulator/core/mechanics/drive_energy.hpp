@@ -45,11 +45,11 @@ constexpr Real dissipated_in(const Drive& drive, const DriveInput<n, M, Real>& x
   constexpr int tm = Drive::tm, wm = Drive::wm;
   Real P = drive.friction_power(x, active, drive.warmth_at(x));
   if constexpr (Drive::driven) P += drive.motor.dissipated(x.z);
-  const bool held = Drive::gear_modes > 0 && is_active(active, Drive::of_gear);
+  const bool in_mode = Drive::gear_modes > 0 && is_active(active, Drive::of_gear);
   if constexpr (Drive::has_gear_memory)
-    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, held, x.z + wm + 1);
+    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, in_mode, x.z + wm + 1);
   else if constexpr (Drive::elastic)
-    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, held);
+    P += drive.gear.dissipated(x.z[tm], x.z[wm], x.q, x.v, in_mode);
   drive.for_each_extra([&](const auto& extra, auto state, auto mode) {
     P += extra.dissipated(drive.angle_of(extra, x), drive.speed_of(extra, x), x.z + state,
                           extra.modes > 0 && is_active(active, mode));

@@ -77,12 +77,12 @@ struct VariedBodies {
   Body<bool> at[S::L] = {};
 
   constexpr VariedBodies() {
-    const Sheet<S> one = sheet_with<S>(-1);
+    const Sheet<S> nominal = sheet_with<S>(-1);
     for (int k = 0; k < S::parameters; ++k) {
-      const Sheet<S> other = sheet_with<S>(k);
+      const Sheet<S> perturbed = sheet_with<S>(k);
       for (int j = 0; j < S::L; ++j)
         for_each_number_of([](bool& varied, const Real& a, const Real& b) { varied |= a != b; },
-                           at[j], one.base.body[j], other.base.body[j]);
+                           at[j], nominal.base.body[j], perturbed.base.body[j]);
     }
   }
 };
@@ -118,8 +118,8 @@ constexpr Drive in_lanes(Drive drive) {
 // as lanes know it. A number of a drive is linear in each varied one, so two values show it.
 template <class S>
 constexpr bool drives_vary() {
-  const auto same = [](const auto& one, const auto& other) {
-    return in_lanes(one) == in_lanes(other);
+  const auto same = [](const auto& left, const auto& right) {
+    return in_lanes(left) == in_lanes(right);
   };
   const Sheet<S> before = sheet_with<S>(-1);
   for (int k = 0; k < S::parameters; ++k) {
@@ -269,13 +269,13 @@ class Numbers {
     for (int lane = 0; lane < width; ++lane) set(lane, first);
   }
 
-  // `one` must stay where it is.
-  void set(int lane, const Numbers<S>& one) {
-    of_[lane] = &one;
-    open_[lane] = one.brakes_open() ? -1 : 0;
+  // `machine` must stay where it is.
+  void set(int lane, const Numbers<S>& machine) {
+    of_[lane] = &machine;
+    open_[lane] = machine.brakes_open() ? -1 : 0;
     if constexpr (varied) {
       for (int j = 0; j < S::L; ++j) {
-        const Body<Real> from = one.body(j);
+        const Body<Real> from = machine.body(j);
         for_each_number_of([lane](X& to, const Real& number) { set_lane(to, lane, number); },
                            bodies_[j], from);
       }
@@ -283,16 +283,16 @@ class Numbers {
         for (int j = 0; j < S::L; ++j)
           for_each_number_of_place(
               [lane](X& to, const Real& number) { set_lane(to, lane, number); }, places_.at[j],
-              one.place(j));
+              machine.place(j));
       for (int j = 0; j < N; ++j) {
-        set_lane(rotor_[j], lane, one.carried(j));
-        set_lane(coulomb_[j], lane, one.Dc(j)), set_lane(breakaway_[j], lane, one.Ds(j));
+        set_lane(rotor_[j], lane, machine.carried(j));
+        set_lane(coulomb_[j], lane, machine.Dc(j)), set_lane(breakaway_[j], lane, machine.Ds(j));
       }
       if constexpr (kFieldVaries<S>) {
-        const Vec3<Real>& g = one.gravity();
+        const Vec3<Real>& g = machine.gravity();
         set_lane(field_.x, lane, g.x), set_lane(field_.y, lane, g.y), set_lane(field_.z, lane, g.z);
       }
-      if constexpr (kSupplyVaries<S>) set_lane(supply_, lane, one.supply());
+      if constexpr (kSupplyVaries<S>) set_lane(supply_, lane, machine.supply());
     }
   }
 
@@ -333,9 +333,9 @@ class Numbers {
   }
 
   // Take what acts on the links of a machine.
-  void set_external_wrenches(int lane, const Numbers<S>& one) {
+  void set_external_wrenches(int lane, const Numbers<S>& machine) {
     for (int i = 0; i < S::L; ++i) {
-      ExternalWrench<Real> wrench = one.external_wrench(i);
+      ExternalWrench<Real> wrench = machine.external_wrench(i);
       Real numbers[sizeof wrench / sizeof(Real)];
       Real *to = numbers, *from = numbers;
       wrench.for_each_number([&](Real number) { *to++ = number; });

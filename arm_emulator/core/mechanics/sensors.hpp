@@ -63,12 +63,12 @@ struct SensorSuite {
 
   constexpr int longest_delay() const {
     int longest = 0;
-    const auto least = [&](int delay) { longest = longest < delay ? delay : longest; };
+    const auto extend = [&](int delay) { longest = longest < delay ? delay : longest; };
     for (int j = 0; j < N; ++j) {
-      least(encoder[j].delay), least(link_encoder[j].delay);
-      std::apply([&](const auto&... row) { (least(row.at[j].delay), ...); }, analog);
+      extend(encoder[j].delay), extend(link_encoder[j].delay);
+      std::apply([&](const auto&... row) { (extend(row.at[j].delay), ...); }, analog);
     }
-    for (int m = 0; m < M; ++m) least(imu[m].delay);
+    for (int m = 0; m < M; ++m) extend(imu[m].delay);
     return longest;
   }
 };
@@ -236,13 +236,13 @@ class Sensors<S> {
                 period);
         const LinkMotion& motion = motions[imu.link];
         const auto of_channel = [&](int k) { return noises(-2 - 6 * m - k); };
-        const ImuReading held = before.imu[m];
+        const ImuReading previous = before.imu[m];
         now.imu[m] = imu.read(motion.force_at(imu.p), motion.omega, of_channel, tick);
         for (int k = 0; looks_back && k < 3; ++k) {
           if (repeats_reading(imu.accelerometer[k].held, of_channel(k), tick))
-            now.imu[m].specific_force[k] = held.specific_force[k];
+            now.imu[m].specific_force[k] = previous.specific_force[k];
           if (repeats_reading(imu.gyroscope[k].held, of_channel(3 + k), tick))
-            now.imu[m].angular_rate[k] = held.angular_rate[k];
+            now.imu[m].angular_rate[k] = previous.angular_rate[k];
         }
       }
     }

@@ -66,15 +66,15 @@ constexpr double power(double x, double a) {
                  z4 * ((1.0 / 17.0 + z * (1.0 / 19.0)) + z2 * (1.0 / 21.0))));
   const double y = a * (static_cast<double>(n) * 0.69314718055994531 + 2.0 * artanh_of_s);
   if (y < -700.0) return 0.0;
-  const double whole = (y * 1.44269504088896338700 + kOnes) - kOnes;
-  const double r = y - whole * 0.69314718055994531, r2 = r * r, r4 = r2 * r2;
+  const double integer = (y * 1.44269504088896338700 + kOnes) - kOnes;
+  const double r = y - integer * 0.69314718055994531, r2 = r * r, r4 = r2 * r2;
   const double e =
       ((1.0 + r) + r2 * (1.0 / 2.0 + r * (1.0 / 6.0))) +
       r4 * (((1.0 / 24.0 + r * (1.0 / 120.0)) + r2 * (1.0 / 720.0 + r * (1.0 / 5040.0))) +
             r4 * (((1.0 / 40320.0 + r * (1.0 / 362880.0)) +
                    r2 * (1.0 / 3628800.0 + r * (1.0 / 39916800.0))) +
                   r4 * (1.0 / 479001600.0 + r * (1.0 / 6227020800.0))));
-  return e * std::bit_cast<double>((static_cast<std::int64_t>(whole) + 1023) << 52);
+  return e * std::bit_cast<double>((static_cast<std::int64_t>(integer) + 1023) << 52);
 }
 
 template <int directions>

@@ -52,16 +52,16 @@ inline constexpr std::uint64_t kTwoOverPi[] = {
 
 // Whole numbers of 128 bits as the nearest double, and doubles without a fraction as such numbers:
 // cards have no conversions of them.
-ARM_ONCE inline double nearest_double(SignedWide whole) {
-  const Wide size = whole < 0 ? -static_cast<Wide>(whole) : static_cast<Wide>(whole);
+ARM_ONCE inline double nearest_double(SignedWide integer) {
+  const Wide size = integer < 0 ? -static_cast<Wide>(integer) : static_cast<Wide>(integer);
   int shift = 0;  // up to the upper half alone is left
   while (size >> shift >> 64) ++shift;
   // The lowest bit stands for all that are lost: the sum is rounded once.
-  const std::uint64_t kept =
+  const std::uint64_t bits =
       static_cast<std::uint64_t>(size >> shift) | (size != size >> shift << shift);
   const double scale = std::bit_cast<double>(static_cast<std::int64_t>(1023 + shift) << 52);
-  const double result = static_cast<double>(kept) * scale;
-  return whole < 0 ? -result : result;
+  const double result = static_cast<double>(bits) * scale;
+  return integer < 0 ? -result : result;
 }
 ARM_ONCE inline SignedWide whole_number(double x) {
   const std::uint64_t bits = std::bit_cast<std::uint64_t>(x);

@@ -19,8 +19,8 @@ constexpr Real time_constant(Real bandwidth) {
 // The larger size of two numbers.
 template <class X>
 ARM_INLINE constexpr X larger_size(X a, X b) {
-  const X one = magnitude(a), other = magnitude(b);
-  return select(one < other, other, one);
+  const X size_a = magnitude(a), size_b = magnitude(b);
+  return select(size_a < size_b, size_b, size_a);
 }
 
 }  // namespace arm

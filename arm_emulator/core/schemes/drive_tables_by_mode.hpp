@@ -178,7 +178,7 @@ class ServedDrives {
     constexpr Paths() {
       if constexpr (own || width == 1) {
         for (auto& of_state : at)
-          for (bool& one : of_state) one = true;
+          for (bool& flag : of_state) flag = true;
       } else {
         std::apply([&](const auto&... drive) { (put(drive), ...); }, Constants<S>::sheet.drives);
       }
@@ -186,18 +186,18 @@ class ServedDrives {
 
    private:
     constexpr void put(const auto& drive) {
-      const auto one = LinearDrive<K, M>::of(drive, 0);
+      const auto linear = LinearDrive<K, M>::of(drive, 0);
       bool on[K > 0 ? K : 1][K > 0 ? K : 1] = {};  // of a state on others, by way of others
       for (int k = 0; k < K; ++k)
-        for (int m = 0; m < K; ++m) on[k][m] = k == m || one.F[k][m] != 0.0;
+        for (int m = 0; m < K; ++m) on[k][m] = k == m || linear.F[k][m] != 0.0;
       for (int by = 0; by < K; ++by)
         for (int k = 0; k < K; ++k)
           for (int m = 0; m < K; ++m) on[k][m] |= on[k][by] && on[by][m];
       for (int k = 0; k < K; ++k)
         for (int m = 0; m < K; ++m) {
           if (!on[k][m]) continue;
-          for (int input = 0; input <= In::u; ++input) at[k][input] |= one.F[m][input] != 0.0;
-          const bool link = one.F[m][In::q] != 0.0 || one.F[m][In::v] != 0.0;
+          for (int input = 0; input <= In::u; ++input) at[k][input] |= linear.F[m][input] != 0.0;
+          const bool link = linear.F[m][In::q] != 0.0 || linear.F[m][In::v] != 0.0;
           at[k][In::v] |= link, at[k][In::k1] |= link, at[k][In::k2] |= link;
           if constexpr (R > 0) at[k][In::rest + m] = at[k][In::change + m] = true;
         }

@@ -81,9 +81,9 @@ class EventLocation {
       x = y;
     } else {
       full_.restore(memory);
-      Trial whole;  // while the links' part at y is known
-      whole.take(h_, modes, y, u, memo_);
-      cut(x, y, u, modes, whole);
+      Trial full;  // while the links' part at y is known
+      full.take(h_, modes, y, u, memo_);
+      cut(x, y, u, modes, full);
     }
   }
   // A step that is known as a whole: from x to y, with all drives in their regular modes
@@ -92,9 +92,9 @@ class EventLocation {
                const Real (&u)[row]) {
     const Modes<S> modes(n_, friction);
     State<S> end = y;
-    Trial whole;
-    whole.take(h_, modes, end, u, memo_);
-    if (!whole.holds()) return cut(x, end, u, modes, whole);
+    Trial full;
+    full.take(h_, modes, end, u, memo_);
+    if (!full.holds()) return cut(x, end, u, modes, full);
     modes.settle(end, u);
     x = end;
   }
@@ -140,7 +140,7 @@ class EventLocation {
   };
 
   // A step from x to y of which not all modes hold.
-  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Trial whole) {
+  void cut(State<S>& x, State<S> y, const Real (&u)[row], Modes<S> modes, Trial full) {
     const State<S> start = x;
     Dynamics links = memo_.at(n_, x);
     Real left = h_;
@@ -163,10 +163,10 @@ class EventLocation {
         y = x;
         part_.retime(left, modes);
         part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
-        whole.take(left, modes, y, u, memo_);
+        full.take(left, modes, y, u, memo_);
       }
-      const bool fails = !whole.holds();
-      const Real t = fails ? first_event(x, y, u, modes, links, whole) : left;
+      const bool fails = !full.holds();
+      const Real t = fails ? first_event(x, y, u, modes, links, full) : left;
       modes.settle(y, u);
       if (meter_) meter_->part(x, y, u, modes, t);
       note(fails ? PieceEnd::event : PieceEnd::step, x, modes, t);

@@ -36,7 +36,7 @@ struct OwnSlopes {
 
   bool any() const {
     bool result = links;
-    for (const bool one : at) result = result || one;
+    for (const bool flag : at) result = result || flag;
     return result;
   }
 };
@@ -226,9 +226,9 @@ class StepSlopes {
       in[k2][j] = a[j];
       if constexpr (from_past)
         past.a[j] = {k1_[j], in[k1][j]}, past.torque[j] = {torque_[j], torque[j]};
-      const Real one = {k1_[j], in[k1][j]}, two = {k2_[j], a[j]};
-      x.q[j] += h * (x.v[j] + gamma * h * (one + 0.5 * two));
-      x.v[j] += h * (gamma * one + 0.5 * two);
+      const Real first = {k1_[j], in[k1][j]}, second = {k2_[j], a[j]};
+      x.q[j] += h * (x.v[j] + gamma * h * (first + 0.5 * second));
+      x.v[j] += h * (gamma * first + 0.5 * second);
       for (int k = 0; k < K; ++k) {
         x.z[k][j] = end(in, k, j);
       }
@@ -254,13 +254,13 @@ class StepSlopes {
   void take_links_first(const Numbers<S>& n, const State<S>& x, Own& own) const {
     typename Links<S>::Dynamics of;
     Links<S>::dynamics_apart(n, x.q, x.v, of);
-    for (Row& one : own.links_first) one = Row{};
+    for (Row& row : own.links_first) row = Row{};
     put_links(of, k1_, 1.0, own.links_first);
   }
   void take_links_second(const Numbers<S>& n, const State<S>& x, Own& own) const {
     typename Links<S>::Dynamics of;
     Links<S>::dynamics_apart(n, x.q, x.v, of);
-    for (Row& one : own.links_second) one = Row{};
+    for (Row& row : own.links_second) row = Row{};
     put_links(of, k2_, kSqrt2, own.links_second);
     if constexpr (!from_past) Links<S>::dynamics_apart(n, change_at_.q, change_at_.v, of);
     put_links(of, past_a_, 1.0, own.links_second);

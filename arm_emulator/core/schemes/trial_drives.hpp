@@ -39,26 +39,26 @@ class TrialDrives : public ServedDrives<S, Real> {
   // See DriveTables. Each relies on those before it.
   template <bool = false>
   ARM_INLINE Row first(const Inputs& in) {
-    return of_groups([&](Group& one, int g)
-                         __attribute__((always_inline)) { return first_of(one, in, g); });
+    return of_groups([&](Group& group, int g)
+                         __attribute__((always_inline)) { return first_of(group, in, g); });
   }
   ARM_INLINE Row rates_at_rest(int k, const Inputs&) {
-    return of_groups([&](Group& one, int) { return one.first.z[k]; });
+    return of_groups([&](Group& group, int) { return group.first.z[k]; });
   }
   template <bool = false>
   ARM_INLINE Row rates(int k, const Inputs& in) {
-    return of_groups([&](Group& one, int g) { return one.rate(k, in[In::k1].at[g]); });
+    return of_groups([&](Group& group, int g) { return group.rate(k, in[In::k1].at[g]); });
   }
   ARM_INLINE Row second(const Inputs& in) {
-    return of_groups([&](Group& one, int g)
-                         __attribute__((always_inline)) { return second_of(one, in, g); });
+    return of_groups([&](Group& group, int g)
+                         __attribute__((always_inline)) { return second_of(group, in, g); });
   }
   template <int stages, bool = false>
   ARM_INLINE void add(const Inputs& in, Row* z) {
     static_assert(stages == 2);
     for (int k = 0; k < K; ++k)
-      z[k] = of_groups([&](Group& one, int g)
-                           __attribute__((always_inline)) { return end_of(one, k, in, g); });
+      z[k] = of_groups([&](Group& group, int g)
+                           __attribute__((always_inline)) { return end_of(group, k, in, g); });
   }
 
   // Parts of a step of one joint, of numbers with derivatives, from the inputs in[...].at[0].
@@ -90,34 +90,34 @@ class TrialDrives : public ServedDrives<S, Real> {
   };
 
   ARM_INLINE void retime_group(int g) {
-    Group& one = of_[g];
-    one.eliminate.put(one.drive, gamma_of(2) * h_);
-    Row::store_group(diagonal, g, one.eliminate.s * one.eliminate.b);
+    Group& group = of_[g];
+    group.eliminate.put(group.drive, gamma_of(2) * h_);
+    Row::store_group(diagonal, g, group.eliminate.s * group.eliminate.b);
   }
   // For the joints side by side, from the inputs in[...].at[g].
-  ARM_INLINE static Vector first_of(Group& one, const auto& in, int g) {
+  ARM_INLINE static Vector first_of(Group& group, const auto& in, int g) {
     Vector f[kRows] = {}, torque = {};
     for (int c = 0; c < Linear::kColumns; ++c) {
-      for (int k = 0; k < K; ++k) f[k] += one.drive.F[k][c] * in[c].at[g];
-      torque += one.drive.G[c] * in[c].at[g];
+      for (int k = 0; k < K; ++k) f[k] += group.drive.F[k][c] * in[c].at[g];
+      torque += group.drive.G[c] * in[c].at[g];
     }
     add_rest(in, In::rest, g, f, torque);
-    one.first = one.eliminate.stage(one.drive, f, in[In::v].at[g], torque);
-    return one.first.rhs;
+    group.first = group.eliminate.stage(group.drive, f, in[In::v].at[g], torque);
+    return group.first.rhs;
   }
-  ARM_INLINE static Vector second_of(Group& one, const auto& in, int g) {
+  ARM_INLINE static Vector second_of(Group& group, const auto& in, int g) {
     const Vector a = in[In::k1].at[g];
-    const auto& [s, E, e, b] = one.eliminate;
-    Vector r_z[kRows] = {}, r_v = kSqrt2 * (one.first.rhs - s * b * a);
-    for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * one.drive.D[k] * one.rate(k, a);
+    const auto& [s, E, e, b] = group.eliminate;
+    Vector r_z[kRows] = {}, r_v = kSqrt2 * (group.first.rhs - s * b * a);
+    for (int k = 0; k < K; ++k) r_z[k] = kSqrt2 * group.drive.D[k] * group.rate(k, a);
     add_rest(in, In::change, g, r_z, r_v);
     const Vector r_q = kSqrt2 * (in[In::v].at[g] + s * a);
-    one.second = one.eliminate.stage(one.drive, r_z, r_q, r_v);
-    return one.second.rhs;
+    group.second = group.eliminate.stage(group.drive, r_z, r_q, r_v);
+    return group.second.rhs;
   }
-  ARM_INLINE Vector end_of(Group& one, int k, const auto& in, int g) const {
-    const Vector k2 = one.second.z[k] + one.eliminate.e[k] * in[In::k2].at[g];
-    return in[k].at[g] + h_ * (gamma_of(2) * one.rate(k, in[In::k1].at[g]) + 0.5 * k2);
+  ARM_INLINE Vector end_of(Group& group, int k, const auto& in, int g) const {
+    const Vector k2 = group.second.z[k] + group.eliminate.e[k] * in[In::k2].at[g];
+    return in[k].at[g] + h_ * (gamma_of(2) * group.rate(k, in[In::k1].at[g]) + 0.5 * k2);
   }
 
   ARM_INLINE Row of_groups(auto&& number) {

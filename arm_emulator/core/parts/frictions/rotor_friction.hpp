@@ -99,27 +99,27 @@ struct RotorFriction {
   ARM_INLINE static constexpr ShaftTorques<X> on_shaft(X of_gear, X of_motor, X offset,
                                                        const Warmth<X>& warmth) {
     if constexpr (!directed) return {of_gear, of_motor, X{}, warmth};
-    const X way = select(offset < 0.0, X{} - 1.0, X{} + 1.0);
-    return {way * of_gear, way * of_motor, lead_of(offset), warmth};
+    const X sign = select(offset < 0.0, X{} - 1.0, X{} + 1.0);
+    return {sign * of_gear, sign * of_motor, lead_of(offset), warmth};
   }
-  static constexpr ShaftTorques<Real> toward(Real way, const OnRotor& on) {
-    return on_shaft(on.of_gear, on.of_motor(), offset_of(way, on), on.warmth);
+  static constexpr ShaftTorques<Real> toward(Real sign, const OnRotor& on) {
+    return on_shaft(on.of_gear, on.of_motor(), offset_of(sign, on), on.warmth);
   }
-  static constexpr Real offset_of(Real way, const OnRotor& on) {
+  static constexpr Real offset_of(Real sign, const OnRotor& on) {
     const Real number = lead(on.of_gear, on.of_motor()) < 0.0 ? 2.0 : 1.0;
-    return way < 0.0 ? -number : number;
+    return sign < 0.0 ? -number : number;
   }
   // Remaining holding torque, below 0 if it does not hold [N m].
   constexpr Real spare(const OnRotor& on) const {
     return law.holding(toward(on.torque, on)) * (1.0 + kRounding) + on.rounding -
            magnitude(on.torque);
   }
-  constexpr Mode slide(Real way, Real wm, const OnRotor& on) const {
-    if constexpr (directed) return {false, offset_of(way, on)};
+  constexpr Mode slide(Real sign, Real wm, const OnRotor& on) const {
+    if constexpr (directed) return {false, offset_of(sign, on)};
     // The sign is the direction of motion, also for a torque of 0.
-    const Real dry = law.sliding(wm, toward(way, on));
+    const Real dry = law.sliding(wm, toward(sign, on));
     const Real some = dry > 0.0 ? dry : 1e-300;
-    return {false, way < 0.0 ? -some : some};
+    return {false, sign < 0.0 ? -some : some};
   }
 };
 
