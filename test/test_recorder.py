@@ -34,7 +34,7 @@ from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator_fieldbus.commands.canopen import load_segment
-from arm_emulator_fieldbus.ethercat import EthercatSegment
+from arm_emulator_fieldbus.ethercat import Segment
 from test_outputs import everything
 
 PATIENCE = 60.0  # s
@@ -215,7 +215,7 @@ def on_canopen(file: Path) -> tuple[Plant, Callable[[], None]]:
 def on_ethercat(file: Path) -> tuple[Plant, Callable[[], None]]:
     name = "three_axis"
     servo = load_gains(find_scene(name)).servo
-    segment = EthercatSegment(load_scene(name), servo, lockstep=False)
+    segment = Segment(load_scene(name), servo, lockstep=False)
 
     def go() -> None:
         for k in range(1, 201):
@@ -357,7 +357,7 @@ def recording_commands() -> list[str]:
     for name in command_names():
         command = load_command(name)
         assert command is not None
-        if "kept" in inspect.signature(command.function).parameters:
+        if "outputs" in inspect.signature(command.function).parameters:
             names.append(name)
     return names
 

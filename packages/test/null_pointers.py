@@ -33,7 +33,7 @@ from arm_emulator.servo.servo_law import SERVO, servo_law
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER, REAL_TIME, TICK, tick_calls
 from arm_emulator.toolchain.c_header import NULL
 from arm_emulator_fieldbus.drives_unit import DRIVES
-from arm_emulator_fieldbus.ethercat import SEGMENT, EthercatSegment
+from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 from arm_emulator_fleet.unit import FLEET, load_fleet
 
 ROOM = 1 << 16  # bytes behind any pointer
@@ -52,7 +52,7 @@ def main() -> None:
     """Call everything."""
     scene = load_scene("three_axis")
     plant, config = Plant(scene), load_gains(find_scene("three_axis")).servo
-    segment = EthercatSegment(scene, config, lockstep=True)
+    segment = Segment(scene, config, lockstep=True)
     servo = ServoDrives(config).servo
     fleet_library = load_fleet(scene)
     ALIVE.extend((plant, segment, servo))

@@ -20,7 +20,7 @@ from arm_emulator.servo.c import FOLDER
 from arm_emulator.toolchain.c_header import Header, Library, text
 from arm_emulator.toolchain.unit import load_library as compiled
 from arm_emulator_fieldbus.drives_unit import DRIVES_CORE, drives_unit
-from arm_emulator_fieldbus.ethercat import SEGMENT, EthercatSegment
+from arm_emulator_fieldbus.ethercat import SEGMENT, Segment
 from fuzz.line import FAILED, REFUSED, TAKEN, report
 
 FRAMES = 10_000  # of a batch
@@ -40,7 +40,7 @@ def case(seed: int, number: int, frames: int = FRAMES) -> dict[str, int]:
     """Let a batch of frames through a new segment; return how many were sound and how many not."""
     calls = library()
     path = find_scene(SCENE)
-    segment = EthercatSegment(load_scene(path), load_gains(path).servo, number % 2 == 0, calls)
+    segment = Segment(load_scene(path), load_gains(path).servo, number % 2 == 0, calls)
     why = FUZZ.ffi.new("char[]", 200)
     sound = calls.ethercat_fuzz(
         segment.pointer, segment.drives.pointer, seed * 1_000_003 + number, frames, why

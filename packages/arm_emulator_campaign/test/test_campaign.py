@@ -420,7 +420,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     beside = [draw_case(definition.variation, index) for index in range(20)]
     rows = Outcomes.join(list(make_simulator(definition).runs(beside)))
     outputs = RunOutputs(record=record)
-    code = campaign(file, replay=17, kept=outputs)
+    code = campaign(file, replay=17, outputs=outputs)
     facts = json.loads(json.dumps(plain(output.collected)))
     assert code == int(facts["failed"]) and bool(facts["missed"]) == facts["failed"]
     assert list(facts["robustness"].values()) == rows.robustness[17].tolist()

@@ -35,7 +35,7 @@ def ethercat_unit() -> Unit:
 ethercat_library = compile_once(ethercat_unit)
 
 
-class EthercatSegment:
+class Segment:
     """The drives of a scene on a line of EtherCAT.
 
     Attributes:

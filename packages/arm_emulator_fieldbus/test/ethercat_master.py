@@ -9,7 +9,7 @@ import pytest
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
-from arm_emulator_fieldbus.ethercat import EthercatSegment
+from arm_emulator_fieldbus.ethercat import Segment
 
 PERIOD = 1_000_000  # ns
 NOP, APRD, APWR, APRW, FPRD, FPWR, FPRW, BRD, BWR, BRW, LRD, LWR, LRW, ARMW, FRMW = range(15)
@@ -66,7 +66,7 @@ class Emergency:
 class Master:
     """A master of a segment whose slaves it finds at once."""
 
-    def __init__(self, segment: EthercatSegment, mailbox: int = MAILBOX) -> None:
+    def __init__(self, segment: Segment, mailbox: int = MAILBOX) -> None:
         self.segment = segment
         self.mailbox = mailbox  # bytes
         self.now = 0  # ns, of its clock
@@ -245,9 +245,9 @@ class Master:
             reply = answer[1][2:]
 
 
-def segment(lockstep: bool = True) -> EthercatSegment:
+def segment(lockstep: bool = True) -> Segment:
     path = find_scene("three_axis")
-    return EthercatSegment(load_scene(path), load_gains(path).servo, lockstep)
+    return Segment(load_scene(path), load_gains(path).servo, lockstep)
 
 
 @pytest.fixture

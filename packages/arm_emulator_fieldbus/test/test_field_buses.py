@@ -16,7 +16,7 @@ from arm_emulator.base.config_files import find_scene
 from arm_emulator_fieldbus import object_dictionary as dictionaries
 from arm_emulator_fieldbus.canopen_node import CanFrame
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
-from arm_emulator_fieldbus.ethercat import EthercatSegment
+from arm_emulator_fieldbus.ethercat import Segment
 from arm_emulator_fieldbus.object_dictionary import list_entries
 
 SCENE = load_scene("three_axis")
@@ -72,7 +72,7 @@ class EtherCat:
     own: ClassVar[dict[tuple[int, int], bytes]] = {}
 
     def __init__(self) -> None:
-        self.master = Master(EthercatSegment(SCENE, SERVO, lockstep=True))
+        self.master = Master(Segment(SCENE, SERVO, lockstep=True))
         self.master.bring_up()
         self.drives = self.master.segment.drives
         self.emergencies: list[tuple[int, int]] = []
@@ -232,7 +232,7 @@ def request(draw: random.Random, toggle: int, announced: int) -> bytes:
 @pytest.mark.parametrize("seed", some(range(40), 4))
 def test_both_buses_answer_alike(seed: int) -> None:
     draw = random.Random(seed)
-    by_can, master = drives_of(SCENE), Master(EthercatSegment(SCENE, SERVO, lockstep=True))
+    by_can, master = drives_of(SCENE), Master(Segment(SCENE, SERVO, lockstep=True))
     master.preop(0)
     toggle, announced, aborts, taken = 0, 0, set(), 0
     for _ in range(REQUESTS):

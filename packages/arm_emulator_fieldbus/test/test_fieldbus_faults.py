@@ -17,7 +17,7 @@ from arm_emulator import Plant, Scene, Session, load_scene
 from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
-from arm_emulator_fieldbus.ethercat import EthercatSegment
+from arm_emulator_fieldbus.ethercat import Segment
 from arm_emulator_fieldbus.modbus_rtu import Code
 
 COUNT, NUMBER, NAME, MAGNITUDE = 0x2010, 0x2011, 0x2012, 0x2013
@@ -51,7 +51,7 @@ def over_canopen(scene: Scene) -> tuple[Drives, Read, Write]:
 
 
 def over_ethercat(scene: Scene) -> tuple[Drives, Read, Write]:
-    master = Master(EthercatSegment(scene, SERVO, lockstep=True))
+    master = Master(Segment(scene, SERVO, lockstep=True))
     master.bring_up()
 
     def write(index: int, raw: bytes) -> int:

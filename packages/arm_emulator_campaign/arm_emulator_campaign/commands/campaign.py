@@ -85,7 +85,7 @@ def campaign(
     shrink: Annotated[int | None, Parameter(metavar="INDEX")] = None,
     page: PageAt = None,
     bag: Path | None = None,
-    kept: Keep = KEEP_NOTHING,
+    outputs: Keep = KEEP_NOTHING,
 ) -> int:
     """Simulate the runs of a campaign and report how often its requirements fail.
 
@@ -106,8 +106,8 @@ def campaign(
             write them into the folder of the results as a campaign.
         bag: new bag with the run of --replay and its scene; needs ROS 2.
     """
-    kept.check("campaign")
-    if (kept != KEEP_NOTHING or page is not None or bag is not None) and replay is None:
+    outputs.check("campaign")
+    if (outputs != KEEP_NOTHING or page is not None or bag is not None) and replay is None:
         rule = "come with --replay INDEX, which names the run"
         raise Refusal("campaign", "--record, --bag, --rerun and --page", rule, "no --replay")
     if bag is not None:
@@ -126,7 +126,9 @@ def campaign(
     devices = _read_devices(definition, device, dask, workers, [replay, shrink])
     into = into or Path("out") / "campaigns" / file.stem
     if replay is not None:
-        return _replay(definition, find_case(definition, into, replay, "--replay"), kept, page, bag)
+        return _replay(
+            definition, find_case(definition, into, replay, "--replay"), outputs, page, bag
+        )
     if shrink is not None:
         return print_shrunk(definition, find_case(definition, into, shrink, "--shrink"), into)
     for text in find_start_requirements(definition):

@@ -76,7 +76,7 @@ def canopen(
     sync_period: Annotated[float, Parameter(metavar="SECONDS")] = 0.0,
     eds: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     page: PageAt = None,
-    kept: Keep = KEEP_NOTHING,
+    outputs: Keep = KEEP_NOTHING,
 ) -> int:
     """Serve CANopen masters until Ctrl-C.
 
@@ -90,7 +90,7 @@ def canopen(
             lock-step.
         eds: folder for the drives' data sheets, which are written instead.
     """
-    kept.check("canopen")
+    outputs.check("canopen")
     if eds is not None:
         return write_eds(scene, eds)
     lockstep = clock == "lockstep"
@@ -110,7 +110,7 @@ def canopen(
         period = None if lockstep else round(machine.servo_period * 1e9)
         try:
             plant = segment.drives.plant
-            with Recorder(plant, kept, waits=lockstep), watched(plant, page) as server:
+            with Recorder(plant, outputs, waits=lockstep), watched(plant, page) as server:
                 print("canopen: ready", flush=True)
                 BusService(on, segment, period).serve(server.poll)
         finally:

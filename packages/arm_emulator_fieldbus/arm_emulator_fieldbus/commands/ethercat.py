@@ -16,7 +16,7 @@ from arm_emulator.extension.compiler import CData
 from arm_emulator.extension.machine import Scene, load_scene, withheld_words
 from arm_emulator.extension.runs import Recorder, load_gains
 from arm_emulator_fieldbus.esi import make_esi as description_of
-from arm_emulator_fieldbus.ethercat import EthercatSegment
+from arm_emulator_fieldbus.ethercat import Segment
 
 FIGURES = ("frames", "exchanges", "periods", "lost_cycles", "late_periods", "malformed", "foreign",
            "circulating", "unknown", "watchdogs", "diverged")  # fmt: skip
@@ -36,7 +36,7 @@ def ethercat(
     lockstep: bool = False,
     realtime: bool = False,
     page: PageAt = None,
-    kept: Keep = KEEP_NOTHING,
+    outputs: Keep = KEEP_NOTHING,
 ) -> int:
     """Serve an EtherCAT master until Ctrl-C.
 
@@ -46,7 +46,7 @@ def ethercat(
         lockstep: a servo period per frame of process data (default).
         realtime: servo periods by the clock.
     """
-    kept.check("ethercat")
+    outputs.check("ethercat")
     if lockstep and realtime:
         raise Refusal("ethercat", "--realtime", "stand without --lockstep", "both")
     if esi is not None:
@@ -72,7 +72,7 @@ def ethercat(
             print(f"ethercat: {interface} is down: ip link set {interface} up", file=sys.stderr)
     try:
         plant = segment.drives.plant
-        with Recorder(plant, kept, waits=not realtime), watched(plant, page) as server:
+        with Recorder(plant, outputs, waits=not realtime), watched(plant, page) as server:
             print(f"ethercat: on {interface}, until Ctrl-C", flush=True)
             while not segment.figures.diverged and server.poll():
                 segment.serve(descriptor, _TURN)
@@ -98,12 +98,12 @@ def write_esi(scene_name: str, file: Path) -> int:
     return 0
 
 
-def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, EthercatSegment]:
+def _load_segment(scene_name: str, lockstep: bool) -> tuple[Scene, Segment]:
     path = find_scene(scene_name)
     scene = load_scene(path)
     warn(*scene.warnings)
     servo = load_gains(path).servo
-    return scene, EthercatSegment(scene, servo, lockstep)
+    return scene, Segment(scene, servo, lockstep)
 
 
 def _report_figures(figures: CData, lockstep: bool) -> None:

@@ -37,7 +37,7 @@ def modbus(
     link: Annotated[Path | None, Parameter(metavar="PATH")] = None,
     registers: bool = False,
     page: PageAt = None,
-    kept: Keep = KEEP_NOTHING,
+    outputs: Keep = KEEP_NOTHING,
 ) -> int:
     """Serve Modbus RTU masters until Ctrl-C.
 
@@ -52,7 +52,7 @@ def modbus(
         link: symbolic link to the port.
         registers: print the table of registers, and end.
     """
-    kept.check("modbus")
+    outputs.check("modbus")
     if registers:
         return _print_registers(scene)
     if not 50 <= baud <= LARGEST_BAUD:
@@ -62,7 +62,7 @@ def modbus(
     errors = LineErrors(error_rate, seed)
     machine = load_scene(scene)
     with (
-        served_session(machine, clock, kept, page) as session,
+        served_session(machine, clock, outputs, page) as session,
         contextlib.closing(SerialPort(baud, link)) as port,
     ):
         converter = RegisterConverter(session, watchdog)

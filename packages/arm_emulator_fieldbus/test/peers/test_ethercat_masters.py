@@ -28,7 +28,7 @@ from ethercat_master import Master
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
-from arm_emulator_fieldbus.ethercat import EthercatSegment
+from arm_emulator_fieldbus.ethercat import Segment
 
 HERE = Path(__file__).resolve().parent
 SECONDS = 60.0 if FULL else 6.0  # of the motion
@@ -131,9 +131,9 @@ def master_of(cable: Cable, program: list[str], *words: str) -> dict[str, Any]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def ur5(lockstep: bool = True) -> EthercatSegment:
+def ur5(lockstep: bool = True) -> Segment:
     path = find_scene("ur5")
-    return EthercatSegment(load_scene(path), load_gains(path).servo, lockstep)
+    return Segment(load_scene(path), load_gains(path).servo, lockstep)
 
 
 # -------------------------------------------------------------------------------------- dictionary

@@ -68,7 +68,7 @@ def firmware(
     stop_when: When = None,
     uart: Annotated[list[str] | None, Parameter(metavar="NAME=WHERE ...")] = None,
     page: PageAt = None,
-    kept: Keep = KEEP_NOTHING,
+    outputs: Keep = KEEP_NOTHING,
 ) -> int:
     """Run unmodified firmware of a microcontroller in the loop with a machine.
 
@@ -81,7 +81,7 @@ def firmware(
         stop_when: condition at which gdb halts the firmware, and with it the machine.
         uart: a serial line of the board: stdout, pty or none (default: the first to stdout).
     """
-    kept.check("firmware")
+    outputs.check("firmware")
     machine = load_scene(find_scene(scene))
     warn(*machine.warnings)
     wiring = load_board(board, machine.joint_names)
@@ -98,7 +98,7 @@ def firmware(
         lines = open_.enter_context(_open_lines(wiring, uart or ()))
         chip = Microcontroller(wiring, ElfImage(firmware), machine, lines)
         table_run = TableRun(machine, table, chip)
-        open_.enter_context(Recorder(table_run.session.plant, kept, waits=True, stays=True))
+        open_.enter_context(Recorder(table_run.session.plant, outputs, waits=True, stays=True))
         if stop_when is not None:
             stops = Breakpoint(table_run.session.plant, stop_when, "firmware: --stop-when")
             open_.callback(stops.close)
