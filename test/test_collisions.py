@@ -9,7 +9,7 @@ from pathlib import Path as File
 import numpy as np
 import pytest
 import yaml
-from draws import some
+from draws import some, with_slow
 from scipy.spatial import ConvexHull
 
 from arm_emulator import Kinematics, OfflineRun, Pose, Refusal, load_gains, load_scene
@@ -325,7 +325,7 @@ def sent_down(arm: Arm, kind: str) -> list[GoalStatus]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("name", "box"), [("panda", True), ("ur5", False)])
+@pytest.mark.parametrize(("name", "box"), with_slow([("panda", True), ("ur5", False)], 1))
 def test_each_kind_of_order_is_refused_or_stopped_before(name: str, kind: str, box: bool) -> None:
     """The pair is named; the true arm never touches, comes near, and can leave again."""
     arm = Arm(name, box)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import with_slow
 from kinematic_arms import NAMES, THREE_AXIS
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
@@ -113,7 +114,7 @@ def swing(rows: list[Reference], period: float, mode: ShapedMode) -> float:
 
 
 @pytest.mark.parametrize("kind", ["zv", "zvd"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", with_slow(range(4), 1))
 def test_a_shaped_motion_shakes_an_elastic_joint_as_its_impulses_state(
     kind: str, seed: int
 ) -> None:

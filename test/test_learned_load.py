@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from one_motor import JOINT as COARSE
 from one_motor import PERIOD, Drivetrain
 
@@ -190,7 +190,7 @@ def test_friction_of_a_joint_at_rest_is_no_reason_for_a_factor(stuck: float) -> 
     assert sum(abs(factor - 1.0) > 0.1 for factor in swung.factors) < 40
 
 
-@pytest.mark.parametrize("seed", some(range(12), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(12), 2), 1))
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
 def test_friction_that_releases_its_load_is_no_disturbance(scene: str, seed: int) -> None:
     """A circle whose start is reached from drawn sides: friction holds another part of the weight.

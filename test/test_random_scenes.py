@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from draws import some
+from draws import some, with_slow
 from random_scenes import NAMES, SCENE, URDF, draw, number, verdict
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
@@ -304,7 +304,7 @@ def test_a_body_that_no_motion_is_possible_with_is_refused_with_its_links(tmp_pa
         load_scene(file, {"payload": {"mass": 1.0}, "tool": "forearm"})
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", with_slow(range(20), 5))
 def test_combinations_of_numbers_are_sound(tmp_path: Path, seed: int) -> None:
     """Motor and gear of any size: refused, or all that the core divides by is well in range."""
     rng = np.random.default_rng(seed)

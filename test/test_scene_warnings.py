@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from draws import with_slow
 
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
@@ -60,7 +61,7 @@ def test_every_law_of_friction_is_tried() -> None:
     assert keys <= {key for section, _ in FRICTIONS.values() for key in section}, keys
 
 
-@pytest.mark.parametrize("name", ["ur5", "panda"])
+@pytest.mark.parametrize("name", with_slow(["ur5", "panda"], 1))
 def test_the_shipped_arms_stick_and_are_located(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from draws import FULL
+from draws import FULL, with_slow
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -119,7 +119,9 @@ def lognormal(rng: np.random.Generator, deviation: float, zeros: float) -> NDArr
 @pytest.mark.parametrize(
     ("deviation", "zeros"),
     # Estimates that are 0 at times are products of small shares, which scatter.
-    [(0.1, 0.0), (0.5, 0.0), (1.0, 0.0), (2.0, 0.0), (1.5, 0.1), (1.5, 0.45), (2.0, 0.65)],
+    with_slow(
+        [(0.1, 0.0), (0.5, 0.0), (1.0, 0.0), (2.0, 0.0), (1.5, 0.1), (1.5, 0.45), (2.0, 0.65)], 5
+    ),
 )
 def test_intervals_of_repetitions_cover_as_they_state(deviation: float, zeros: float) -> None:
     rng, cases = np.random.default_rng(1), CAMPAIGNS if FULL else 150

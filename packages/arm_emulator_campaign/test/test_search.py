@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from draws import FULL
+from draws import FULL, with_slow
 from scipy import optimize, special, stats
 
 from arm_emulator import Refusal
@@ -98,7 +98,7 @@ def test_intervals_of_rare_failures_hold_as_often_as_they_claim(margin, p, D):
     assert np.std(ratio) < 1.0
 
 
-@pytest.mark.parametrize("per_level", [20, 50, 100, 200, 1000])
+@pytest.mark.parametrize("per_level", with_slow([20, 1000, 50, 100, 200], 2))
 def test_intervals_from_few_runs_a_level_hold_as_often_as_they_claim(per_level):
     """Most repetitions of 50 runs a level lose their chains: the interval must grow with that."""
     seeds = 500 if FULL else 60 if per_level < 1000 else 20
