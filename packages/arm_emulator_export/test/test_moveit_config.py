@@ -34,7 +34,7 @@ def files(request: pytest.FixtureRequest) -> tuple[str, dict[str, str]]:
     name = request.param
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "arm_emulator_export.moveit_package.srdf.__defaults__", (SAMPLED_CONFIGURATIONS,)
+            "arm_emulator_export.moveit_package.write_srdf.__defaults__", (SAMPLED_CONFIGURATIONS,)
         )
         return name, write_moveit_files(load_scene(name), load_gains(name).motion, name)
 
