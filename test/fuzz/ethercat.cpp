@@ -60,10 +60,10 @@ class Fuzzer {
   void send(std::size_t length) {
     const std::unique_ptr<std::uint8_t[]> exact(new std::uint8_t[length]);
     std::memcpy(exact.get(), frame, length);
-    const bool whole = ethercat::check({exact.get(), length}) == ethercat::FrameCheck::SOUND;
+    const bool is_sound = ethercat::check({exact.get(), length}) == ethercat::FrameCheck::SOUND;
     const ethercat_figures was = segment->figures();
     std::vector<ethercat::Memory> before;
-    for (int k = 0; !whole && k < slaves; ++k) before.push_back(contents(k));
+    for (int k = 0; !is_sound && k < slaves; ++k) before.push_back(contents(k));
     now += 1'000'000;
     const std::int64_t back =
         ethercat_frame(segment, exact.get(), static_cast<std::int64_t>(length), now);
@@ -73,13 +73,14 @@ class Fuzzer {
     };
     if (back != 0 && back != static_cast<std::int64_t>(length)) no("a frame has another length");
     if (counted(is) != counted(was) + 1) no("a frame is not counted once");
-    if ((is.frames != was.frames) != whole) no("a frame is carried out that is not sound, or not");
-    for (int k = 0; !whole && k < slaves; ++k) {
+    if ((is.frames != was.frames) != is_sound)
+      no("a frame is carried out that is not sound, or not");
+    for (int k = 0; !is_sound && k < slaves; ++k) {
       ethercat::Memory after = contents(k);
       after.put8(ethercat::reg::kUnitErrors, before[k].get8(ethercat::reg::kUnitErrors));
       if (std::memcmp(after.at(0), before[k].at(0), ethercat::kMemory)) no("it changed a slave");
     }
-    if (!whole && is.periods != was.periods) no("it made time pass");
+    if (!is_sound && is.periods != was.periods) no("it made time pass");
     for (int k = 0; k < slaves; ++k) {
       const int state = contents(k).get16(ethercat::reg::kAlStatus) & 15;
       if (state != 1 && state != 2 && state != 4 && state != 8) no("an unknown state");

@@ -17,7 +17,7 @@ typedef struct segment {
 typedef struct stream {
   double* values;
   int64_t room, begin, count; /* values[begin .. begin + count) wait to be taken */
-  int64_t made;               /* all so far */
+  int64_t total;              /* all so far */
   const double* fed;          /* not null: they wait there, where they were fed */
 } stream;
 
@@ -41,8 +41,8 @@ struct robustness {
 };
 
 /* Of truth values, see formula.h: none is NaN, and 0 is undefined. */
-static double least(double a, double b) { return a < b ? a : b; }
-static double most(double a, double b) { return a > b ? a : b; }
+static double min_of(double a, double b) { return a < b ? a : b; }
+static double max_of(double a, double b) { return a > b ? a : b; }
 
 static int is_window(const node* one) { return one->what.kind >= ROBUSTNESS_UNTIL; }
 static int has_end(const node* one) { return one->what.end != ROBUSTNESS_FOREVER; }
@@ -56,11 +56,11 @@ static segment nothing(int32_t kind) {
 
 static segment joined(int32_t kind, segment a, segment b) {
   segment both = {0.0, 0.0};
-  if (kind == ROBUSTNESS_ALWAYS) both.hold = least(a.hold, b.hold);
-  if (kind == ROBUSTNESS_EVENTUALLY) both.hold = most(a.hold, b.hold);
+  if (kind == ROBUSTNESS_ALWAYS) both.hold = min_of(a.hold, b.hold);
+  if (kind == ROBUSTNESS_EVENTUALLY) both.hold = max_of(a.hold, b.hold);
   if (kind == ROBUSTNESS_UNTIL) {
-    both.hold = least(a.hold, b.hold);
-    both.reach = most(a.reach, least(a.hold, b.reach));
+    both.hold = min_of(a.hold, b.hold);
+    both.reach = max_of(a.reach, min_of(a.hold, b.reach));
   }
   return both;
 }
@@ -99,7 +99,7 @@ static int64_t paired(const stream* left, const stream* right) {
 
 static void grow(stream* one, int64_t by) {
   one->count += by;
-  one->made += by;
+  one->total += by;
 }
 
 static void take(stream* one, int64_t count) {
@@ -136,11 +136,11 @@ static void ask(node* child, const node* parent) {
   }
 }
 
-static void begin_anew(robustness* all) {
+static void restart(robustness* all) {
   all->samples = 0;
   for (int32_t k = 0; k < all->count; ++k) {
     node* one = &all->nodes[k];
-    one->out.begin = one->out.count = one->out.made = one->taken = 0;
+    one->out.begin = one->out.count = one->out.total = one->taken = 0;
     one->out.fed = NULL;
     one->newest = nothing(one->what.kind);
   }
@@ -161,7 +161,7 @@ robustness* robustness_new(const robustness_node* nodes, int32_t count) {
     }
     if (is_window(one) && has_end(one)) one->width = one->what.end - one->what.begin + 1;
   }
-  begin_anew(all);
+  restart(all);
   return all;
 }
 
@@ -203,10 +203,10 @@ static int feed_pointwise(node* one, stream* left, stream* right) {
       for (int64_t i = 0; i < count; ++i) out[i] = -a[i];
       break;
     case ROBUSTNESS_AND:
-      for (int64_t i = 0; i < count; ++i) out[i] = least(a[i], b[i]);
+      for (int64_t i = 0; i < count; ++i) out[i] = min_of(a[i], b[i]);
       break;
     default:
-      for (int64_t i = 0; i < count; ++i) out[i] = most(a[i], b[i]);
+      for (int64_t i = 0; i < count; ++i) out[i] = max_of(a[i], b[i]);
   }
   take(left, count);
   if (right) take(right, count);
@@ -260,10 +260,10 @@ static segment joined_with_all(int32_t kind, segment all, const double* a, const
     for (int k = 0; k < ABREAST; ++k) each[k] = all.hold;
     if (kind == ROBUSTNESS_ALWAYS) {
       for (; i + ABREAST <= count; i += ABREAST)
-        for (int k = 0; k < ABREAST; ++k) each[k] = least(each[k], a[i + k]);
+        for (int k = 0; k < ABREAST; ++k) each[k] = min_of(each[k], a[i + k]);
     } else {
       for (; i + ABREAST <= count; i += ABREAST)
-        for (int k = 0; k < ABREAST; ++k) each[k] = most(each[k], a[i + k]);
+        for (int k = 0; k < ABREAST; ++k) each[k] = max_of(each[k], a[i + k]);
     }
     for (int k = 0; k < ABREAST; ++k) {
       const segment one = {each[k], -INFINITY};
@@ -299,7 +299,7 @@ static int feed_window(node* one, stream* left, stream* right) {
 }
 
 /* A sample that a window has kept: in its block, or, without end, in its children. */
-static segment kept_sample(const node* one, const stream* left, const stream* right, int64_t i) {
+static segment stored_sample(const node* one, const stream* left, const stream* right, int64_t i) {
   if (has_end(one)) return one->block[i];
   const double a = left->values[left->begin + i];
   const segment sample = {a, right ? right->values[right->begin + i] : a};
@@ -307,31 +307,31 @@ static segment kept_sample(const node* one, const stream* left, const stream* ri
 }
 
 /* Values at each time from `first` on of a window that keeps all samples: from the end back. */
-static void fold_back(node* one, const stream* left, const stream* right, int64_t wanted) {
+static void fold_back(node* one, const stream* left, const stream* right, int64_t needed) {
   const int64_t count = has_end(one) ? one->taken : paired(left, right);
   segment later = nothing(one->what.kind);
   double* out = end_of(&one->out);
-  for (int64_t i = (count > wanted ? count : wanted) - 1; i >= 0; --i) {
-    if (i < count) later = joined(one->what.kind, kept_sample(one, left, right, i), later);
-    if (i < wanted) out[i] = value_of(one->what.kind, later);
+  for (int64_t i = (count > needed ? count : needed) - 1; i >= 0; --i) {
+    if (i < count) later = joined(one->what.kind, stored_sample(one, left, right, i), later);
+    if (i < needed) out[i] = value_of(one->what.kind, later);
   }
-  grow(&one->out, wanted);
+  grow(&one->out, needed);
 }
 
 /* Complete the values of a window at the times that the trace has. */
 static int end_window(robustness* all, node* one, stream* left, stream* right) {
   int64_t last = all->samples - 1;
   if (one->last != ROBUSTNESS_FOREVER && one->last < last) last = one->last;
-  const int64_t wanted = last - one->first + 1;
-  if (wanted <= one->out.made) return 0;
-  if (make_room(&one->out, wanted - one->out.made)) return -1;
+  const int64_t needed = last - one->first + 1;
+  if (needed <= one->out.total) return 0;
+  if (make_room(&one->out, needed - one->out.total)) return -1;
   if (!has_end(one) && is_once(one)) {
     *end_of(&one->out) = value_of(one->what.kind, one->newest);
-    grow(&one->out, wanted);
+    grow(&one->out, needed);
   } else if (!has_end(one) || one->taken < one->width) {
-    fold_back(one, left, right, wanted);
+    fold_back(one, left, right, needed);
   } else {
-    while (one->out.made < wanted) move(one, nothing(one->what.kind));
+    while (one->out.total < needed) move(one, nothing(one->what.kind));
   }
   return 0;
 }
@@ -372,6 +372,6 @@ double robustness_end(robustness* all) {
   const stream* root = &all->nodes[all->count - 1].out;
   const int failed = go_on(all, NULL, 0, 1);
   const double value = failed || root->count < 1 ? NAN : formula_margin(root->values[root->begin]);
-  begin_anew(all);
+  restart(all);
   return value;
 }

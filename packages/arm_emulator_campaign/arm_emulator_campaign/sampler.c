@@ -4,12 +4,12 @@
 
 static inline double number_at(const char* place, int32_t kind) {
   double real;
-  int64_t whole;
+  int64_t integer;
   uint32_t small;
   switch (kind) {
     case SAMPLER_INT64:
-      __builtin_memcpy(&whole, place, sizeof whole);
-      return (double)whole;
+      __builtin_memcpy(&integer, place, sizeof integer);
+      return (double)integer;
     case SAMPLER_UINT32:
       __builtin_memcpy(&small, place, sizeof small);
       return (double)small;
@@ -20,29 +20,29 @@ static inline double number_at(const char* place, int32_t kind) {
 }
 
 /* Keep what the core has written of these machines. */
-static void keep(sampler* one, int32_t first, int32_t arms) {
-  for (int32_t k = 0; k < one->count; ++k) {
-    const sampler_number* of = &one->numbers[k];
+static void keep(sampler* self, int32_t first, int32_t arms) {
+  for (int32_t k = 0; k < self->count; ++k) {
+    const sampler_number* of = &self->numbers[k];
     const char* place = of->place + first * of->stride;
-    double* row = one->samples + ((int64_t)first * one->rows + of->row) * one->room;
-    const int64_t* taken = one->taken + first;
-    const int64_t next = one->rows * one->room; /* from a machine's row to the next one's */
+    double* row = self->samples + ((int64_t)first * self->rows + of->row) * self->room;
+    const int64_t* taken = self->taken + first;
+    const int64_t next = self->rows * self->room; /* from a machine's row to the next one's */
     for (int32_t arm = 0; arm < arms; ++arm, place += of->stride, row += next)
-      if (taken[arm] < one->room) row[taken[arm]] = number_at(place, of->kind);
+      if (taken[arm] < self->room) row[taken[arm]] = number_at(place, of->kind);
   }
   for (int32_t arm = first; arm < first + arms; ++arm)
-    if (one->taken[arm] < one->room) ++one->taken[arm];
+    if (self->taken[arm] < self->room) ++self->taken[arm];
 }
 
 void sampler_take(void* with, const arm_machine* machine) {
-  sampler* one = (sampler*)with;
-  if (one->measure) one->measure(machine, one->measurement);
-  one->get_truth(machine, one->truth);
-  keep(one, 0, 1);
+  sampler* self = (sampler*)with;
+  if (self->measure) self->measure(machine, self->measurement);
+  self->get_truth(machine, self->truth);
+  keep(self, 0, 1);
 }
 
 void sampler_take_abreast(void* with, int32_t first, int32_t arms) {
-  sampler* one = (sampler*)with;
-  one->show(one->fleet, first, arms, NULL, 0, one->measurements, one->truths);
-  keep(one, first, arms);
+  sampler* self = (sampler*)with;
+  self->show(self->fleet, first, arms, NULL, 0, self->measurements, self->truths);
+  keep(self, first, arms);
 }

@@ -7,9 +7,9 @@ namespace {
 
 // As sampler_take_abreast, for a group of arms.
 void sample_group(void* with, std::int32_t first, std::int32_t arms) {
-  auto* one = static_cast<sampler*>(with);
-  one->fleet->show(first / arm_fleet::lanes, one->measurements, one->truths);
-  keep(one, first, arms);
+  auto* self = static_cast<sampler*>(with);
+  self->fleet->show(first / arm_fleet::lanes, self->measurements, self->truths);
+  keep(self, first, arms);
 }
 
 }  // namespace

@@ -18,14 +18,14 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               const fmi2CallbackFunctions* functions, fmi2Boolean,
                               fmi2Boolean logging) {
   const fmi2CallbackFunctions none = {};
-  const fmi2CallbackFunctions& given = functions ? *functions : none;
+  const fmi2CallbackFunctions& callbacks = functions ? *functions : none;
   const char* reason = nullptr;
   if (!name || !*name) reason = "instance name must be given";
   if (type != fmi2CoSimulation) reason = "model exchange is not supported, co-simulation is";
   if (!guid || std::strcmp(guid, fmu::kToken) != 0)
     reason = "guid must be that of modelDescription.xml";
   if (!reason) {
-    const auto log = [to = given.logger, environment = given.componentEnvironment](
+    const auto log = [to = callbacks.logger, environment = callbacks.componentEnvironment](
                          const char* one, fmu::Status status, const char* category,
                          const char* text) {
       if (to) to(environment, one, fmu::as_fmi(status), category, "%s", text);
@@ -33,9 +33,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (Instance* one = fmu::make_instance(name, logging, log)) return one;
     reason = "the machine cannot be made";
   }
-  if (given.logger)
-    given.logger(given.componentEnvironment, name ? name : "", fmi2Error,
-                 fmu::kCategoryNames[fmu::kStatusError], "%s", reason);
+  if (callbacks.logger)
+    callbacks.logger(callbacks.componentEnvironment, name ? name : "", fmi2Error,
+                     fmu::kCategoryNames[fmu::kStatusError], "%s", reason);
   return nullptr;
 }
 void fmi2FreeInstance(fmi2Component component) { delete static_cast<Instance*>(component); }

@@ -302,13 +302,13 @@ class Instance {
   }
   Status write_state(void* state, void* bytes, std::size_t size) {
     if (!states_.knows(state)) return unknown_state();
-    if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
+    if (size != states_.size() || !bytes) return refuse_size(bytes ? size : 0);
     std::memcpy(bytes, states_.bytes_of(state), size);
     return kOk;
   }
   Status read_state(const void* bytes, std::size_t size, void** state) {
     if (!state || (*state && !states_.knows(*state))) return unknown_state();
-    if (size != states_.size() || !bytes) return other_size(bytes ? size : 0);
+    if (size != states_.size() || !bytes) return refuse_size(bytes ? size : 0);
     if (const char* rule = states_.why_not(bytes, machine_.fingerprint()))
       return report(kError, "serialized state must %s", rule);
     if (!*state) *state = states_.make();
@@ -407,7 +407,7 @@ class Instance {
   }
 
   Status unknown_state() { return report(kError, "state must be one that this instance has kept"); }
-  Status other_size(std::size_t size) {
+  Status refuse_size(std::size_t size) {
     return report(kError, "serialized state must have %zu bytes, got %zu", states_.size(), size);
   }
 

@@ -227,9 +227,9 @@ class Drive {
   // -------------------------------------------------------------------------------------- a period
 
   void choose_mode() {
-    const std::int64_t asked = get<0x6060>();
-    if (asked == mode_.about().number) return;
-    mode_.choose(asked);
+    const std::int64_t requested = get<0x6060>();
+    if (requested == mode_.about().number) return;
+    mode_.choose(requested);
     if (controlled_) mode_->take_over(axis_);
   }
   // The command is 0; the brake closes.

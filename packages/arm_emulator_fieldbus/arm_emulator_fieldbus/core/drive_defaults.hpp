@@ -15,11 +15,11 @@ inline void set_interpolation_time(Values& of, std::int64_t period) {
   std::int64_t nearest = -1, value = 1;
   int power = -6;
   for (std::size_t k = 0; k < std::size(unit); ++k) {
-    const std::int64_t whole = (period + unit[k] / 2) / unit[k];
-    const std::int64_t off = std::abs(period - whole * unit[k]);
-    if (whole < 1 || whole > 255 || (nearest >= 0 && off >= nearest)) continue;
+    const std::int64_t multiple = (period + unit[k] / 2) / unit[k];
+    const std::int64_t off = std::abs(period - multiple * unit[k]);
+    if (multiple < 1 || multiple > 255 || (nearest >= 0 && off >= nearest)) continue;
     nearest = off;
-    value = whole;
+    value = multiple;
     power = exponent[k];
   }
   of.set<0x60C2, 1>(value);
@@ -46,7 +46,7 @@ inline void set_defaults(Axis& axis, int number) {
   const drives_joint& joint = axis.joint;
   const Units& units = axis.units;
   const double fastest = units.speed(joint.servo.omega_limit);
-  const auto whole = [](double value) {
+  const auto round = [](double value) {
     const std::int64_t nearest = to_integer(value, 32);
     return nearest < 1 ? std::int64_t{1} : nearest;
   };
@@ -58,26 +58,26 @@ inline void set_defaults(Axis& axis, int number) {
     return in_unit < 1 ? std::int64_t{1} : in_unit;
   };
   of.set<0x1018, 4>(number + 1);
-  of.set<0x6065>(whole(2.0 * fastest / joint.servo.position_gain));
+  of.set<0x6065>(round(2.0 * fastest / joint.servo.position_gain));
   of.set<0x2007>(of_windows);
   of.set<0x2008>(of_accelerations);
-  of.set<0x6067>(whole(std::floor(0.01 * static_cast<double>(joint.counts_per_turn))));
+  of.set<0x6067>(round(std::floor(0.01 * static_cast<double>(joint.counts_per_turn))));
   of.set<0x606D>(to_integer(window / static_cast<double>(of_windows), 16, false));
   of.set<0x606F>(to_integer(window / static_cast<double>(of_windows), 16, false));
   of.set<0x6075>(static_cast<std::int64_t>(units.rated_current));
   of.set<0x6076>(static_cast<std::int64_t>(units.rated_torque));
   of.set<0x607D, 1>(joint.lower);
   of.set<0x607D, 2>(joint.upper);
-  of.set<0x607F>(whole(std::floor(fastest)));
+  of.set<0x607F>(round(std::floor(fastest)));
   of.set<0x6080>(to_integer(std::ceil(60.0 * joint.servo.omega_limit / kTurn), 32, false));
-  of.set<0x6081>(whole(0.25 * fastest));
+  of.set<0x6081>(round(0.25 * fastest));
   of.set<0x6083>(acceleration(2.0 * fastest));
   of.set<0x6084>(acceleration(2.0 * fastest));
   of.set<0x6085>(acceleration(hardest));
   of.set<0x608F, 1>(joint.counts_per_turn);
   of.set<0x6092, 1>(joint.counts_per_turn);
-  of.set<0x6099, 1>(whole(0.1 * fastest));
-  of.set<0x6099, 2>(whole(0.02 * fastest));
+  of.set<0x6099, 1>(round(0.1 * fastest));
+  of.set<0x6099, 2>(round(0.02 * fastest));
   of.set<0x609A>(acceleration(fastest));
   of.set<0x60C5>(4294967295);
   of.set<0x60C6>(4294967295);

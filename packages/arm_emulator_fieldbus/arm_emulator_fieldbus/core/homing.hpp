@@ -57,7 +57,7 @@ class Homing {
   // Evaluate a period. `pressing`: the torque is at its limit and the motor stands.
   void look(std::int64_t position, std::int64_t pulses, std::int64_t index, bool pressing,
             double speed, std::int64_t counts_per_turn, double dt) {
-    const std::int64_t way = position > began_ ? position - began_ : began_ - position;
+    const std::int64_t distance = position > began_ ? position - began_ : began_ - position;
     if (phase_ == Phase::to_stop) {
       pressed_ = pressing ? pressed_ + dt : 0.0;
       if (pressed_ >= kPressed) {
@@ -69,14 +69,14 @@ class Homing {
           home_ = position;
           phase_ = Phase::slowing;
         }
-      } else if (way > kFarthest) {
+      } else if (distance > kFarthest) {
         phase_ = Phase::failed;
       }
     } else if (phase_ == Phase::to_index) {
       if (pulses != pulses_) {
         home_ = index;
         phase_ = Phase::slowing;
-      } else if (way > kTurns * counts_per_turn) {
+      } else if (distance > kRevolutions * counts_per_turn) {
         phase_ = Phase::failed;
       }
     } else if (phase_ == Phase::slowing && speed == 0.0) {
@@ -94,7 +94,7 @@ class Homing {
 
  private:
   static constexpr double kPressed = 0.05;  // s
-  static constexpr std::int64_t kTurns = 3;
+  static constexpr std::int64_t kRevolutions = 3;
   static constexpr std::int64_t kFarthest = std::int64_t{1} << 31;
 
   void attain(std::int64_t position) {

@@ -66,9 +66,9 @@ class InnerLoops {
 
  private:
   static void bound_current(const Axis& axis, double torque_limit, servo_wish& wish) {
-    const double most = axis.number<0x6072>();
+    const double limit = axis.number<0x6072>();
     const auto least_of = [&](double one) {
-      const double within = one < most ? one : most;
+      const double within = one < limit ? one : limit;
       return axis.units.current * (torque_limit < within ? torque_limit : within);
     };
     const double up = least_of(axis.number<0x60E0>()), down = least_of(axis.number<0x60E1>());
@@ -79,11 +79,11 @@ class InnerLoops {
   static void bound_speed(const Axis& axis, servo_wish& wish) {
     const double d = axis.deceleration<0x6084>();
     const double at = static_cast<double>(axis.measured.counts - axis.shift);
-    const auto most = [&](double way) {
+    const auto limit = [&](double way) {
       return way > 0.0 ? axis.units.omega(std::sqrt(2.0 * d * way)) : 0.0;
     };
-    const double up = most(static_cast<double>(axis.most_position()) - at);
-    const double down = -most(at - static_cast<double>(axis.least_position()));
+    const double up = limit(static_cast<double>(axis.most_position()) - at);
+    const double down = -limit(at - static_cast<double>(axis.least_position()));
     if (up < wish.most_omega) wish.most_omega = up;
     if (down > wish.least_omega) wish.least_omega = down;
   }

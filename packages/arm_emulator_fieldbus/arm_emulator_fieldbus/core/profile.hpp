@@ -34,9 +34,9 @@ class Trapezoid {
     double left = distance;
     if (u > limits.speed) {
       add(x, v, (u - limits.speed) / d, -sign * d);
-      const double gone = (u * u - limits.speed * limits.speed) / (2.0 * d);
-      x += sign * gone;
-      left -= gone;
+      const double covered = (u * u - limits.speed * limits.speed) / (2.0 * d);
+      x += sign * covered;
+      left -= covered;
       u = limits.speed;
     }
     double peak = std::sqrt((2.0 * a * d * left + d * u * u) / (a + d));
@@ -72,13 +72,13 @@ class Trapezoid {
     time_ += dt;
     double t = time_;
     for (int k = 0; k < count_; ++k) {
-      const Phase& one = phase_[k];
-      if (t < one.duration) {
-        position = one.position + (one.speed + 0.5 * one.acceleration * t) * t;
-        speed = one.speed + one.acceleration * t;
+      const Phase& phase = phase_[k];
+      if (t < phase.duration) {
+        position = phase.position + (phase.speed + 0.5 * phase.acceleration * t) * t;
+        speed = phase.speed + phase.acceleration * t;
         return;
       }
-      t -= one.duration;
+      t -= phase.duration;
     }
     position = target_;
     speed = 0.0;
@@ -108,8 +108,8 @@ inline double ramp(double speed, double target, double acceleration, double dece
     left -= time;
     speed = goal;
   }
-  const double most = acceleration * left, way = target - speed;
-  return std::fabs(way) <= most ? target : speed + (way > 0.0 ? most : -most);
+  const double limit = acceleration * left, way = target - speed;
+  return std::fabs(way) <= limit ? target : speed + (way > 0.0 ? limit : -limit);
 }
 
 }  // namespace fieldbus

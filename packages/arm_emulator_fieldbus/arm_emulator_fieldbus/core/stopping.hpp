@@ -49,15 +49,15 @@ class Stopping {
   }
   void settle(Axis& axis) {
     const bool at_end = axis.demand.speed == 0.0;
-    stood_.look(at_end, axis.dt);
-    stands_ = at_end && (is_slow(axis) || stood_.time > kLongest);
+    stuck_.look(at_end, axis.dt);
+    stands_ = at_end && (is_slow(axis) || stuck_.time > kLongest);
     if (!stands_ || axis.demand.loop != Loop::speed) return;
     axis.demand.position = axis.counts();
     axis.demand.loop = Loop::position;
   }
 
   bool halted_ = false, by_halt_ = false, stands_ = false;
-  Lasting stood_;
+  Lasting stuck_;
 };
 
 }  // namespace fieldbus

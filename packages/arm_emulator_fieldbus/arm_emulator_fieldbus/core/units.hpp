@@ -49,10 +49,10 @@ struct Units {
 
 // The nearest whole number that an entry of so many bits holds.
 inline std::int64_t to_integer(double value, int bits, bool with_sign = true) {
-  const double most = std::ldexp(1.0, with_sign ? bits - 1 : bits) - 1.0;
-  const double least = with_sign ? -most - 1.0 : 0.0;
-  if (!(value > least)) return static_cast<std::int64_t>(least);
-  if (!(value < most)) return static_cast<std::int64_t>(most);
+  const double high = std::ldexp(1.0, with_sign ? bits - 1 : bits) - 1.0;
+  const double low = with_sign ? -high - 1.0 : 0.0;
+  if (!(value > low)) return static_cast<std::int64_t>(low);
+  if (!(value < high)) return static_cast<std::int64_t>(high);
   return static_cast<std::int64_t>(std::floor(value + 0.5));
 }
 

@@ -47,8 +47,8 @@ class Adc {
  private:
   static uint32_t counts(const mcu_channel& one, double current) {
     const double value = std::floor(current * one.counts_per_ampere + one.offset + 0.5);
-    const double most = static_cast<double>((1ll << one.bits) - 1);
-    return value > 0 ? static_cast<uint32_t>(value < most ? value : most) : 0;
+    const double full_scale = static_cast<double>((1ll << one.bits) - 1);
+    return value > 0 ? static_cast<uint32_t>(value < full_scale ? value : full_scale) : 0;
   }
 
   mcu_adc description_;

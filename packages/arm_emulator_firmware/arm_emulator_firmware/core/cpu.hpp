@@ -301,7 +301,7 @@ class Cpu {
   // Have Unicorn report each instruction of a block that has asked for the time.
   void watch_closely() {
     const auto [at, size] = std::exchange(asks_, {});
-    if (size && exact_.size() < MOST_EXACT && !exact_.count(at)) watch(at, size);
+    if (size && exact_.size() < MAX_EXACT && !exact_.count(at)) watch(at, size);
   }
   void watch(uint32_t at, uint32_t size) {
     const uint64_t end = static_cast<uint64_t>(at) + size;
@@ -479,7 +479,7 @@ class Cpu {
   bool open_ = false;
   std::vector<std::unique_ptr<Window>> windows_;
   std::array<Block, 1 << 14> blocks_;
-  static constexpr size_t MOST_EXACT = 1000;  // each takes time of those that are watched
+  static constexpr size_t MAX_EXACT = 1000;  // each takes time of those that are watched
   struct Watched {
     uint32_t size;
     uc_hook hook;

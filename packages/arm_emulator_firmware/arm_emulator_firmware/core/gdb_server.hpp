@@ -122,8 +122,8 @@ class GdbServer {
 
   // Whether Ctrl-C was pressed; while it runs, gdb sends nothing else that counts.
   bool interrupt_comes() {
-    while (at_ < held_.size() || fill(MSG_DONTWAIT))
-      if (held_[at_++] == 3) return true;
+    while (at_ < buffered_.size() || fill(MSG_DONTWAIT))
+      if (buffered_[at_++] == 3) return true;
     return false;
   }
 
@@ -131,14 +131,14 @@ class GdbServer {
     char some[4096];
     const ssize_t size = ::recv(client_, some, sizeof some, how);
     if (size <= 0) return false;
-    held_.assign(some, static_cast<size_t>(size));
+    buffered_.assign(some, static_cast<size_t>(size));
     at_ = 0;
     return true;
   }
 
   int byte() {
-    if (at_ == held_.size() && !fill(0)) return -1;
-    return static_cast<uint8_t>(held_[at_++]);
+    if (at_ == buffered_.size() && !fill(0)) return -1;
+    return static_cast<uint8_t>(buffered_[at_++]);
   }
 
   // Take one packet and answer it.
@@ -156,7 +156,7 @@ class GdbServer {
         sum = static_cast<uint8_t>(sum + one);
         one ^= 0x20;
       }
-      if (packet.size() < MOST) packet.push_back(static_cast<char>(one));
+      if (packet.size() < MAX_PACKET) packet.push_back(static_cast<char>(one));
     }
     const int high = byte(), low = byte();
     if (one < 0 || low < 0) return leave();
@@ -176,7 +176,7 @@ class GdbServer {
       case 'G':
         return set_all(rest);
       case 'p':
-        return send(one_register(std::strtoul(rest, nullptr, 16)));
+        return send(format_register(std::strtoul(rest, nullptr, 16)));
       case 'P':
         return set_one(rest);
       case 'm':
@@ -254,7 +254,7 @@ class GdbServer {
     return xml + "</feature></target>";
   }
 
-  std::string one_register(size_t number) const {
+  std::string format_register(size_t number) const {
     if (number >= static_cast<size_t>(ALL)) return "E01";
     std::string out;
     const int one = static_cast<int>(number);
@@ -265,7 +265,7 @@ class GdbServer {
 
   std::string all_registers() const {
     std::string out;
-    for (size_t k = 0; k < static_cast<size_t>(ALL); ++k) out += one_register(k);
+    for (size_t k = 0; k < static_cast<size_t>(ALL); ++k) out += format_register(k);
     return out;
   }
 
@@ -293,7 +293,7 @@ class GdbServer {
     const uint32_t at = static_cast<uint32_t>(std::strtoul(text, &end, 16));
     const size_t size = *end == ',' ? std::strtoul(end + 1, nullptr, 16) : 0;
     std::string out;
-    for (uint32_t k = 0; k < std::min<size_t>(size, MOST / 2); ++k) {
+    for (uint32_t k = 0; k < std::min<size_t>(size, MAX_PACKET / 2); ++k) {
       uint8_t one = 0;
       if (!debugged_.look(at + k, &one)) break;
       put_byte(out, one);
@@ -361,7 +361,7 @@ class GdbServer {
     }
   }
 
-  static constexpr size_t MOST = 0x1000;
+  static constexpr size_t MAX_PACKET = 0x1000;
 
   Debugged& debugged_;
   int client_ = -1;
@@ -369,7 +369,7 @@ class GdbServer {
   bool stepping_ = false, stepped_ = false, moved_ = false;
   int signal_ = 5;
   std::set<uint32_t> stops_;
-  std::string held_;
+  std::string buffered_;
   size_t at_ = 0;
 };
 

@@ -29,11 +29,11 @@ class Nvic {
     SYSTICK = 15,
     EXTERNAL = 16
   };
-  static constexpr int MOST = 256;
+  static constexpr int MAX_EXCEPTIONS = 256;
   static constexpr int LOWEST = 256;  // priority of code that is no handler
 
   Nvic(int interrupts, int priority_bits)
-      : exceptions_(EXTERNAL + interrupts), kept_bits_(0xff << (8 - priority_bits) & 0xff) {
+      : exceptions_(EXTERNAL + interrupts), priority_mask_(0xff << (8 - priority_bits) & 0xff) {
     for (int n = 0; n < EXTERNAL; ++n) enabled_[n] = true;
     priority_[1] = -3;
     priority_[NMI] = -2;
@@ -58,7 +58,7 @@ class Nvic {
   }
   void set_priority(int n, uint32_t value) {
     if (n >= exceptions_) return;
-    priority_[n] = static_cast<int>(value & kept_bits_);
+    priority_[n] = static_cast<int>(value & priority_mask_);
     changed_ = true;
   }
   // Bits of a priority that decide on preemption follow from PRIGROUP.
@@ -100,11 +100,11 @@ class Nvic {
   }
 
   int running() const {
-    int least = LOWEST;
-    if (active_.none()) return least;
+    int lowest = LOWEST;
+    if (active_.none()) return lowest;
     for (int n = 1; n < exceptions_; ++n)
-      if (active_[n]) least = std::min(least, group(n));
-    return least;
+      if (active_[n]) lowest = std::min(lowest, group(n));
+    return lowest;
   }
 
   // Whether an exception may enter now.
@@ -121,18 +121,18 @@ class Nvic {
 
  private:
   int group(int n) const { return priority_[n] < 0 ? priority_[n] : priority_[n] & group_mask_; }
-  int order(int n) const { return priority_[n] * MOST + n; }
+  int order(int n) const { return priority_[n] * MAX_EXCEPTIONS + n; }
   int under(int now, uint32_t basepri) const {
-    const int level = static_cast<int>(basepri & kept_bits_);
+    const int level = static_cast<int>(basepri & priority_mask_);
     return level ? std::min(now, level & group_mask_) : now;
   }
 
   int exceptions_;
-  uint32_t kept_bits_;
+  uint32_t priority_mask_;
   int group_mask_ = 0xff;
   bool changed_ = false;
-  std::bitset<MOST> enabled_, pending_, active_, line_;
-  std::array<int, MOST> priority_{};
+  std::bitset<MAX_EXCEPTIONS> enabled_, pending_, active_, line_;
+  std::array<int, MAX_EXCEPTIONS> priority_{};
 };
 
 }  // namespace mcu

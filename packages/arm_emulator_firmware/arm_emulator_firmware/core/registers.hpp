@@ -43,12 +43,12 @@ class Registers {
   }
 
   uint32_t read(uint32_t at, unsigned size, bool look = false) {
-    const uint32_t whole = at & ~3u;
-    const Place place = find(whole);
+    const uint32_t word_at = at & ~3u;
+    const Place place = find(word_at);
     if (!place.block) return 0;
     uint32_t value = place.word();
     if (place.does_more())
-      if (const auto one = reads_.find(whole); one != reads_.end()) {
+      if (const auto one = reads_.find(word_at); one != reads_.end()) {
         value = one->second(value, look);
         special_ = true;
       }
@@ -56,8 +56,8 @@ class Registers {
   }
 
   void write(uint32_t at, unsigned size, uint32_t value) {
-    const uint32_t whole = at & ~3u;
-    const Place place = find(whole);
+    const uint32_t word_at = at & ~3u;
+    const Place place = find(word_at);
     if (!place.block) return;
     if (size < 4) {
       const unsigned shift = 8 * (at & 3);
@@ -65,7 +65,7 @@ class Registers {
       value = (place.word() & ~mask) | (value << shift & mask);
     }
     if (place.does_more())
-      if (const auto one = writes_.find(whole); one != writes_.end()) {
+      if (const auto one = writes_.find(word_at); one != writes_.end()) {
         value = one->second(value, place.word());
         special_ = true;
       }

@@ -36,17 +36,17 @@ class SystemControl {
   }
 
   void write(uint32_t at, unsigned size, uint32_t value) {
-    const uint32_t whole = at & ~3u;
+    const uint32_t word_at = at & ~3u;
     if (size < 4) {
       const unsigned shift = 8 * (at & 3);
       const uint32_t mask = (size == 1 ? 0xffu : 0xffffu) << shift;
       value = value << shift & mask;
       // Registers of which only the ones count keep the rest by zeros.
       const bool by_ones =
-          (whole >= 0xe000e100 && whole < 0xe000e300) || whole == CFSR || whole == HFSR;
-      if (!by_ones) value |= read_word(whole, true) & ~mask;
+          (word_at >= 0xe000e100 && word_at < 0xe000e300) || word_at == CFSR || word_at == HFSR;
+      if (!by_ones) value |= read_word(word_at, true) & ~mask;
     }
-    write_word(whole, value);
+    write_word(word_at, value);
   }
 
   // As after a reset; the cycle counter goes on.
@@ -65,8 +65,8 @@ class SystemControl {
   // Whether firmware has a handler of its own for a kind of faults switched on.
   bool handles(int exception) const {
     if (exception == Nvic::HARD_FAULT) return true;
-    const auto found = words_.find(SHCSR);
-    return found != words_.end() && found->second >> (exception - Nvic::MEMORY_FAULT + 16) & 1;
+    const auto entry = words_.find(SHCSR);
+    return entry != words_.end() && entry->second >> (exception - Nvic::MEMORY_FAULT + 16) & 1;
   }
   static int handler_of(Fault::Kind kind) {
     using Kind = Fault::Kind;
@@ -134,7 +134,7 @@ class SystemControl {
     return value;
   }
   template <class Do>
-  void spread(uint32_t first, uint32_t value, Do todo) {
+  void for_each_bit(uint32_t first, uint32_t value, Do todo) {
     for (uint32_t k = 0; k < 32; ++k)
       if (const int n = exception(first + k); n && (value >> k & 1)) todo(n);
   }
@@ -189,21 +189,21 @@ class SystemControl {
       case 0xe0001004:
         return static_cast<uint32_t>(instant_(at, look) / CYCLE - cycles_from_);  // DWT CYCCNT
     }
-    const auto found = words_.find(at);
-    return found == words_.end() ? 0 : found->second;
+    const auto entry = words_.find(at);
+    return entry == words_.end() ? 0 : entry->second;
   }
 
   void write_word(uint32_t at, uint32_t value) {
     const uint32_t bank = (at & 0x1f) * 8;
     switch (at & ~0x1fu) {
       case 0xe000e100:
-        return spread(bank, value, [&](int n) { nvic_.enable(n, true); });
+        return for_each_bit(bank, value, [&](int n) { nvic_.enable(n, true); });
       case 0xe000e180:
-        return spread(bank, value, [&](int n) { nvic_.enable(n, false); });
+        return for_each_bit(bank, value, [&](int n) { nvic_.enable(n, false); });
       case 0xe000e200:
-        return spread(bank, value, [&](int n) { nvic_.pend(n); });
+        return for_each_bit(bank, value, [&](int n) { nvic_.pend(n); });
       case 0xe000e280:
-        return spread(bank, value, [&](int n) { nvic_.pend(n, false); });
+        return for_each_bit(bank, value, [&](int n) { nvic_.pend(n, false); });
       case 0xe000e300:
         return;
     }

@@ -68,7 +68,7 @@ class Uart {
 
   // Read typed input.
   void listen() {
-    if (description_.in < 0 || arrives_.size() >= MOST) return;
+    if (description_.in < 0 || arrives_.size() >= MAX_WAITING) return;
     uint8_t bytes[256];
     const ssize_t heard = ::read(description_.in, bytes, sizeof bytes);
     for (ssize_t k = 0; k < heard; ++k) receive(bytes[k]);
@@ -93,7 +93,7 @@ class Uart {
   }
 
  private:
-  static constexpr size_t MOST = 4096;  // bytes that wait
+  static constexpr size_t MAX_WAITING = 4096;  // bytes that wait
 
   void receive(uint8_t byte) {
     if (arrives_.empty()) next_in_ = (next_in_ > now_ ? next_in_ : now_) + byte_;

@@ -64,7 +64,7 @@ struct arm_fleet {
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
     if (powered) {
-      follow_given(g, command, stride, rows, steps, q);
+      follow_command(g, command, stride, rows, steps, q);
     } else {
       for (; rows > 0; --rows, command += stride, q += stride) {
         double given[lanes * N] = {};
@@ -72,13 +72,13 @@ struct arm_fleet {
           const double* own = machine[k]->with_power(command + (k - first) * N);
           for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
         }
-        follow_given(g, given, 0, 1, steps, q);
+        follow_command(g, given, 0, 1, steps, q);
       }
     }
     settle_lent(g);
   }
-  void follow_given(int g, const double* command, std::int64_t stride, std::int64_t rows,
-                    std::int64_t steps, double* q) {
+  void follow_command(int g, const double* command, std::int64_t stride, std::int64_t rows,
+                      std::int64_t steps, double* q) {
     if constexpr (!arm_machine::looks) {
       group[g]->follow(command, stride, rows, steps, q);
     } else {
@@ -110,7 +110,7 @@ struct arm_fleet {
       take_commands(k, joint + k * N, further ? further + k * Scene::inputs * N : nullptr, tick);
       for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
     }
-    follow_given(g, given, 0, 1, steps_per_period, nullptr);
+    follow_command(g, given, 0, 1, steps_per_period, nullptr);
     for (int k = first; k < end; ++k)
       if_in_lane(k, [&](const auto& lanes, int l) {
         for (int j = 0; j < N; ++j) machine[k]->applied[j] = lanes.applied(l, j);
@@ -130,7 +130,7 @@ struct arm_fleet {
   template <class G>
   bool is_free([[maybe_unused]] const G& own, [[maybe_unused]] int g) {
     if constexpr (in_lanes) {
-      if (is_known_free(own, g)) return true;
+      if (is_marked_free(own, g)) return true;
       for (int k = g * lanes; k < end_of(g); ++k) {
         if (!own.is_abreast(k % lanes) || !machine[k]->powered || lent[k]) return false;
         for (int b = 0; b < Scene::brakes; ++b)
@@ -142,7 +142,7 @@ struct arm_fleet {
     }
     return false;
   }
-  bool is_known_free(const auto& own, int g) const {
+  bool is_marked_free(const auto& own, int g) const {
     return known[g].free_since == own.departures();
   }
   // Periods in lanes, of a group that may, under commands in rows of lanes; the positions then go
@@ -347,7 +347,7 @@ struct arm_fleet {
   void put_measurement(const auto& own, int g, const arm_fleet_measurement& out,
                        const double* current, const double* angle, const double* applied) const {
     const int first = g * lanes;
-    const bool free = is_known_free(own, g);
+    const bool free = is_marked_free(own, g);
     std::int64_t steps = 0, tick = 0;
     for (int k = first; k < end_of(g); ++k) {
       for (int j = 0; out.joint && j < N; ++j) {

@@ -43,9 +43,9 @@ static_assert(sizeof(abreast::servo_joint) == L * sizeof(servo_joint));
 
 void put_lane(abreast::servo_joint& to, int lane, const servo_joint& from) {
   auto* bytes = reinterpret_cast<unsigned char*>(&to);
-  const auto* given = reinterpret_cast<const unsigned char*>(&from);
+  const auto* source = reinterpret_cast<const unsigned char*>(&from);
   for (std::size_t field = 0; field < sizeof from / kField; ++field)
-    __builtin_memcpy(bytes + (field * L + lane) * kField, given + field * kField, kField);
+    __builtin_memcpy(bytes + (field * L + lane) * kField, source + field * kField, kField);
 }
 void forget_lane(abreast::servo_state& state, int lane) {
   auto* bytes = reinterpret_cast<unsigned char*>(&state);
@@ -90,10 +90,10 @@ int64_t take_row_at(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Ta
 // The row of all arms that comes at a tick, if one does. Returns the tick of the next one.
 int64_t take_row(const servo_fleet& fleet, int32_t k, int l, int64_t tick, Targets& targets) {
   if (!fleet.rows) return kNever;
-  const int64_t given = tick / fleet.periods_per_row, next = (given + 1) * fleet.periods_per_row;
+  const int64_t due = tick / fleet.periods_per_row, next = (due + 1) * fleet.periods_per_row;
   if (tick + fleet.periods_per_row != next) return next;
-  const bool last = given >= fleet.rows;  // it stands there
-  const int64_t row = last ? fleet.rows - 1 : given;
+  const bool last = due >= fleet.rows;  // it stands there
+  const int64_t row = last ? fleet.rows - 1 : due;
   const int64_t at = row * fleet.row_stride + k * fleet.arm_stride;
   targets.q[l] = fleet.q + at;
   targets.v[l] = fleet.v && !last ? fleet.v + at : nullptr;

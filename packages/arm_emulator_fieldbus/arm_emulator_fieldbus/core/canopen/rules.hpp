@@ -21,9 +21,9 @@ constexpr bool is_restricted(std::int64_t id) {
   struct Range {
     std::int64_t low, high;
   };
-  constexpr Range kept[] = {{0x000, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF},
-                            {0x601, 0x67F}, {0x6E0, 0x6FF}, {0x701, 0x7FF}};
-  for (const Range& one : kept)
+  constexpr Range reserved[] = {{0x000, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF},
+                                {0x601, 0x67F}, {0x6E0, 0x6FF}, {0x701, 0x7FF}};
+  for (const Range& one : reserved)
     if (id >= one.low && id <= one.high) return true;
   return false;
 }

@@ -104,8 +104,8 @@ class BlockDownload {
   std::uint32_t take(std::span<const std::uint8_t> request, std::vector<Bytes>& out) {
     const std::uint8_t number = request[0] & 0x7F;
     const bool last = request[0] & sdo_block::kLast;
-    if (number == 0 || number <= seen_) return abort_code::sequence;
-    seen_ = number;
+    if (number == 0 || number <= newest_) return abort_code::sequence;
+    newest_ = number;
     if (number == number_ + 1) {  // one that was lost is sent again, and all after it
       number_ = number;
       value_.insert(value_.end(), request.begin() + 1, request.end());
@@ -114,7 +114,7 @@ class BlockDownload {
     }
     if (!last && number != sdo_block::kMost) return abort_code::none;
     out.push_back({0xA2, number_, sdo_block::kMost, 0, 0, 0, 0, 0});
-    number_ = seen_ = 0;
+    number_ = newest_ = 0;
     return abort_code::none;
   }
   // Whether all segments are there, and the next request is the end.
@@ -135,7 +135,7 @@ class BlockDownload {
   const bool with_crc_;
   Bytes value_;
   std::uint8_t number_ = 0;  // of the segment that came last in its turn
-  std::uint8_t seen_ = 0;    // and of the one that came last at all
+  std::uint8_t newest_ = 0;  // and of the one that came last at all
   bool complete_ = false;
 };
 

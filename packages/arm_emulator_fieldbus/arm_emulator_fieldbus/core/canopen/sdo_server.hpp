@@ -170,14 +170,14 @@ class SdoServer {
       const std::size_t size = sized ? 4u - (command >> 2 & 3u) : dictionary_.length(at_);
       abort = dictionary_.write(at_, request.subspan(4, size));
     } else {
-      abort = begin_whole_download(request, sized);
+      abort = begin_full_download(request, sized);
     }
     if (abort) return abort;
     out.push_back(head(static_cast<std::uint8_t>(0x60 | echo()), at_));
     return abort_code::none;
   }
   // The first message holds all of it, or segments follow.
-  std::uint32_t begin_whole_download(Request request, bool sized) {
+  std::uint32_t begin_full_download(Request request, bool sized) {
     const Request data = request.subspan(8);
     if (!sized && in_mailbox()) return abort_code::command;
     std::optional<std::size_t> size;

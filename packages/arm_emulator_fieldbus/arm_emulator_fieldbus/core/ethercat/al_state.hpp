@@ -38,17 +38,17 @@ class AlState {
     const bool acknowledges = control & 0x10;
     if (error() && !acknowledges) return;
     code_ = AlCode::none;
-    const auto wanted = static_cast<State>(control & 0x0f);
+    const auto target = static_cast<State>(control & 0x0f);
     const auto now = static_cast<int>(state_), then = control & 0x0f;
-    if (wanted == State::boot)
+    if (target == State::boot)
       code_ = AlCode::no_bootstrap;
     else if (then != 1 && then != 2 && then != 4 && then != 8)
       code_ = AlCode::unknown_state;
     else if (then > 2 * now)
       code_ = AlCode::invalid_change;
     else if (then != now)
-      code_ = enter(wanted);
-    if (code_ == AlCode::none) state_ = wanted;
+      code_ = enter(target);
+    if (code_ == AlCode::none) state_ = target;
     report();
   }
   // An error occurred.

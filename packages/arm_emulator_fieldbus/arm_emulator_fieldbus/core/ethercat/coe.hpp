@@ -164,19 +164,19 @@ class Coe {
     const Entry& entry = entries[sub];
     const std::size_t size = (entry.bits + 7u) / 8;
     // Default, minimum and maximum, as requested; units are in the name.
-    const auto given = static_cast<std::uint8_t>(wanted & (size ? 0x77 : 0x07));
+    const auto info = static_cast<std::uint8_t>(wanted & (size ? 0x77 : 0x07));
     Bytes text;
     if (size == 0) dictionary_.read({index, sub}, text);
     Bytes body;
     append16(body, index);
     body.push_back(sub);
-    body.push_back(given);
+    body.push_back(info);
     append16(body, static_cast<std::uint16_t>(entry.type));
     append16(body, static_cast<std::uint16_t>(size ? entry.bits : 8 * text.size()));
     append16(body, rights(entry));
     const std::int64_t values[] = {entry.standard, entry.least, entry.most};
     for (int k = 0; k < 3; ++k)
-      if (given & (0x10 << k))
+      if (info & (0x10 << k))
         for (std::size_t byte = 0; byte < size; ++byte)
           body.push_back(static_cast<std::uint8_t>(values[k] >> (8 * byte)));
     append(body, entry.name);

@@ -86,7 +86,7 @@ class DistributedClock {
 
   // The reference clock's time has arrived: adjust the clock at once, by at most this much.
   void steer(std::size_t size) {
-    constexpr std::int64_t kMost = 1000;  // ns
+    constexpr std::int64_t kMaxStep = 1000;  // ns
     const std::uint64_t here = system_time();
     std::uint64_t reference = memory_.get64(kSystemTime) + memory_.get32(kDelay);
     if (size < 8) reference = (here & ~0xffffffffull) | (reference & 0xffffffffull);
@@ -96,7 +96,7 @@ class DistributedClock {
         static_cast<std::uint64_t>(difference < 0 ? -difference : difference);
     const auto magnitude = static_cast<std::uint32_t>(std::min<std::uint64_t>(much, 0x7fffffff));
     memory_.put32(kDifference, magnitude | (difference < 0 ? 0x80000000u : 0));
-    ahead_ -= std::clamp(difference, -kMost, kMost);
+    ahead_ -= std::clamp(difference, -kMaxStep, kMaxStep);
   }
 
   std::uint64_t next_pulse(std::uint64_t now) const {

@@ -45,8 +45,8 @@ inline int open_interface(const char* name) {
     close(descriptor);
     return -EPFNOSUPPORT;
   }
-  const int one = 1;
-  setsockopt(descriptor, SOL_PACKET, PACKET_IGNORE_OUTGOING, &one, sizeof one);
+  const int enable = 1;
+  setsockopt(descriptor, SOL_PACKET, PACKET_IGNORE_OUTGOING, &enable, sizeof enable);
   packet_mreq all = {};
   all.mr_ifindex = address.sll_ifindex;
   all.mr_type = PACKET_MR_PROMISC;  // masters send to addresses of their own choice
@@ -84,10 +84,10 @@ class Port {
       pollfd wait = {descriptor, POLLIN, 0};
       const std::int64_t left = std::min(end, paced ? due_ : now + 20'000'000) - now;
       const timespec limit = {left / 1'000'000'000, left % 1'000'000'000};
-      const int found = ppoll(&wait, 1, &limit, nullptr);
-      if (found < 0) return errno == EINTR ? 0 : -errno;
-      if (found == 0 && !segment_.lockstep()) continue;  // a period is over
-      if (found == 0 || wait.revents & (POLLERR | POLLHUP)) {
+      const int ready = ppoll(&wait, 1, &limit, nullptr);
+      if (ready < 0) return errno == EINTR ? 0 : -errno;
+      if (ready == 0 && !segment_.lockstep()) continue;  // a period is over
+      if (ready == 0 || wait.revents & (POLLERR | POLLHUP)) {
         clear_error(descriptor);
         const int link = has_link(descriptor);
         if (link < 0) return link;

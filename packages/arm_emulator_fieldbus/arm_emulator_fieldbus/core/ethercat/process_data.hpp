@@ -15,12 +15,12 @@ class ProcessData {
  public:
   enum class Way : std::uint16_t { outputs = 0x1c12, inputs = 0x1c13 };
 
-  ProcessData(Drive& drive, Way way) : drive_(drive), way_(way) {}
+  ProcessData(Drive& drive, Way way) : drive_(drive), direction_(way) {}
 
   // Takes over the present mapping. The dictionary ensures that all of it can be mapped, in whole
   // bytes.
   void compile() {
-    count_ = drive_.values().process_data(static_cast<std::uint16_t>(way_), items_);
+    count_ = drive_.values().process_data(static_cast<std::uint16_t>(direction_), items_);
     bytes_ = 0;
     for (const fieldbus::Mapped& item : items()) bytes_ += bytes(item);
   }
@@ -48,7 +48,7 @@ class ProcessData {
   }
 
   Drive& drive_;
-  Way way_;
+  Way direction_;
   std::array<fieldbus::Mapped, fieldbus::Values::kMostMapped> items_ = {};
   int count_ = 0;
   std::size_t bytes_ = 0;

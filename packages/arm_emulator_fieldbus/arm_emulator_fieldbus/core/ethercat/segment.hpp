@@ -142,10 +142,10 @@ class Segment {
     const int command = datagram.command();
     if (command == 0 || !datagram.known()) return;
     enum Address { kPosition, kStation, kAll, kLogical };
-    const bool one_of_all = command == kArmw || command == kFrmw;
-    const int address = one_of_all ? command - kArmw : (command - 1) / 3;
-    const bool reads = one_of_all || (command - 1) % 3 != 1;
-    const bool writes = one_of_all || (command - 1) % 3 != 0;
+    const bool is_multiple = command == kArmw || command == kFrmw;
+    const int address = is_multiple ? command - kArmw : (command - 1) / 3;
+    const bool reads = is_multiple || (command - 1) % 3 != 1;
+    const bool writes = is_multiple || (command - 1) % 3 != 0;
     if (address == kLogical)
       return datagram.count(slave.logical(datagram.logical(), datagram.data(), reads, writes));
     const bool ours =
@@ -153,7 +153,7 @@ class Segment {
         (address == kStation ? slave.has_address(datagram.position()) : datagram.position() == 0);
     if (address != kStation)
       datagram.set_position(static_cast<std::uint16_t>(datagram.position() + 1));
-    if (one_of_all)
+    if (is_multiple)
       access(slave, datagram, ours, !ours, false);
     else if (ours)
       access(slave, datagram, reads, writes, address == kAll);

@@ -251,7 +251,7 @@ class Slave {
         managers_.set_full(k, true);
       else
         managers_.turn_buffer(k);
-      if (k == kOutputs) outputs_came();
+      if (k == kOutputs) take_outputs();
     });
     if (address >= kRamBegin) return;
     if (overlap(address, size, reg::kErrors, reg::kErrorsEnd - reg::kErrors))
@@ -265,14 +265,14 @@ class Slave {
     }
     clock_.after_write(address, size);
     if (DistributedClock::sets_pulses(address, size)) check_pulses();
-    if (overlap(address, size, reg::kReset, 1)) reset_asked(in[reg::kReset - address]);
+    if (overlap(address, size, reg::kReset, 1)) handle_reset(in[reg::kReset - address]);
     if (overlap(address, size, reg::kAlControl, 1)) {
       al_.request([this](State to) { return enter(to); });
       serve_areas();
     }
   }
 
-  void outputs_came() {
+  void take_outputs() {
     written_ = true;
     watchdog_.trigger(now_);
   }
@@ -391,7 +391,7 @@ class Slave {
   }
 
   // "R", "E", "S" one after the other reset the controller.
-  void reset_asked(std::uint8_t letter) {
+  void handle_reset(std::uint8_t letter) {
     static constexpr std::uint8_t kWord[] = {'R', 'E', 'S'};
     reset_letters_ = letter == kWord[reset_letters_] ? reset_letters_ + 1 : letter == 'R' ? 1 : 0;
     if (reset_letters_ < 3) return;

@@ -27,9 +27,9 @@ class HomingMode final : public Mode {
                           std::fabs(now.speed) <= 0.1 * axis.number<0x6099, 1>();
     homing_.look(now.counts, now.pulses, now.index, pressing, axis.demand.speed,
                  axis.joint.counts_per_turn, axis.dt);
-    std::int64_t found = 0;
-    if (!homing_.take(found)) return;
-    axis.set_home(found);
+    std::int64_t place = 0;
+    if (!homing_.take(place)) return;
+    axis.set_home(place);
     axis.stand();
   }
   double torque_limit(const Axis& axis) const override {
@@ -50,9 +50,9 @@ class HomingMode final : public Mode {
   void move(Axis& axis) const {
     if (!homing_.moves() && axis.demand.speed == 0.0) return axis.stand();
     const bool search = homing_.phase() == Homing::Phase::to_stop;
-    const double asked = search ? axis.number<0x6099, 1>() : axis.number<0x6099, 2>();
-    const double most = axis.profile_speed(), a = axis.acceleration<0x609A>();
-    const double speed = homing_.direction() * (asked < most ? asked : most);
+    const double requested = search ? axis.number<0x6099, 1>() : axis.number<0x6099, 2>();
+    const double limit = axis.profile_speed(), a = axis.acceleration<0x609A>();
+    const double speed = homing_.direction() * (requested < limit ? requested : limit);
     axis.control_speed();
     axis.demand.speed = ramp(axis.demand.speed, speed, a, a, axis.dt);
   }

@@ -29,9 +29,9 @@ class ProfilePosition final : public Mode {
   }
   void go_on(Axis& axis, bool by_halt) override {
     const double target = target_;
-    const bool known = acknowledged_;
+    const bool acknowledged = acknowledged_;
     take_over(axis);
-    acknowledged_ = known;
+    acknowledged_ = acknowledged;
     if (by_halt) plan(axis, target_ = target);
   }
   void run(Axis& axis) override {
@@ -62,8 +62,8 @@ class ProfilePosition final : public Mode {
     acknowledged_ = buffered_ = false;
   }
   void plan(const Axis& axis, double target) {
-    const double asked = axis.number<0x6081>(), most = axis.profile_speed();
-    const double speed = asked < most ? asked : most;
+    const double set_speed = axis.number<0x6081>(), limit = axis.profile_speed();
+    const double speed = set_speed < limit ? set_speed : limit;
     profile_.plan(axis.demand.position, axis.demand.speed, target,
                   {speed, axis.acceleration<0x6083>(), axis.deceleration<0x6084>()});
     reached_ = {};
