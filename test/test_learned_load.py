@@ -50,7 +50,7 @@ def swing(
         announced: part of the link's inertia for which torques are announced.
         load: on the link, of which nobody knows [N m].
         still: let the link rest all the time, under the announced torque of a weight.
-        watched: part of the swing from which on the error counts [s].
+        judged_from: part of the swing from which on the error counts [s].
         late: time by which the link's load follows the announced torque [s].
         rests: how long it rests after the swing [s].
         freed: the load is gone from the start of the swing on.

@@ -46,7 +46,7 @@ class Measure:
     Args:
         text: such as ``max(abs(measured.current.elbow))``; a ``*`` takes the largest, or for
             ``min`` the smallest, of all that it means.
-        known: signals.
+        signal_names: signals.
         where: for refusals.
         quantity: for refusals.
 
@@ -74,7 +74,7 @@ class PythonRequirement:
 
     Args:
         section: ``python: FILE:FUNCTION`` and ``signals``, the names that it gets.
-        known: signals.
+        signal_names: signals.
         folder: the campaign's. The file is code, so that it must be in this folder or below it,
             links followed.
 

@@ -120,7 +120,7 @@ class Program:
         rows: all that are needed.
         requirements: over these rows, a list for each run that is judged at the same time.
         measures: kind of reduction and row of each.
-        kept: rows that are wanted as they are.
+        traced: rows whose samples are returned.
         room: samples in a piece at most.
     """
 

@@ -123,7 +123,7 @@ class _Fit:
         scene: the nominal machine.
         rows: commands (K, N).
         measured: signals (K, N) by name, C columns in all.
-        sought: the unknowns.
+        unknowns: the unknowns.
         modifier: makes the scene's numbers of them.
     """
 

@@ -47,7 +47,7 @@ class LivePage:
         scene: the machine.
         columns: of its rows.
         kind: of a row.
-        hands: actions on it.
+        controls: actions on it.
         at: [HOST:]PORT, see `PageServer`.
         varied: numbers of the machine that can be set, as they are now.
 

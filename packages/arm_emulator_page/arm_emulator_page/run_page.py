@@ -37,7 +37,7 @@ class RunPage:
         changing: whether the page itself changes its controls.
 
     Args:
-        subject: the run.
+        run_view: the run.
         explain: returns the torques at the moment at which the run is, and what is active there.
         at: [HOST:]PORT, see `PageServer`.
         over: a run that is laid over it.

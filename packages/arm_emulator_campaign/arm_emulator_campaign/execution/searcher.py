@@ -41,7 +41,7 @@ class Searcher:
     Args:
         campaign: with a search.
         results: where to.
-        crew: simulates; the workers of its pool share a batch.
+        worker_pool: simulates; the workers of its pool share a batch.
     """
 
     def __init__(self, campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:

@@ -34,7 +34,7 @@ class Splitter:
     Args:
         campaign: with a search by `Splitting`.
         results: where to.
-        crew: does it; its report is called after each repetition.
+        worker_pool: does it; its report is called after each repetition.
     """
 
     def __init__(self, campaign: Campaign, results: Results, worker_pool: WorkerPool) -> None:

@@ -188,7 +188,7 @@ class Work:
 
     Args:
         campaign: whose runs these are.
-        crew: does it.
+        worker_pool: does it.
         progress: of this work; a chunk that is done counts there.
     """
 
