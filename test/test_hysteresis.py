@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import some, with_slow
-from machines import LINK_INERTIA, make_link_urdf, write_scene
+from machines import LINK_INERTIA, make_link_urdf, slides_urdf, write_scene
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
-from arm_emulator import Plant, Scene, load_scene
+from arm_emulator import ExternalWrench, Plant, Scene, linearise, load_scene
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.parts.gears.hysteresis import Hysteresis
@@ -232,3 +233,45 @@ def test_the_loop_in_python_is_that_of_elements_along_random_paths() -> None:
             expected.append(truth.k * bend.sum())
         part = Hysteresis(torque=law["torque"], twist=law["twist"], elements=elements)
         assert part.bend(path) == pytest.approx(np.array(expected), abs=1e-9 * law["torque"])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_weights_rest_on_wound_up_gears_as_loops_have_it(tmp_path: Path, seed: int) -> None:
+    """Three weights wind their gears up from unloaded; about there slipping elements count half.
+
+    The first twist at which spring and elements bear the weight is that of the closed form. Beyond
+    `twist` all slip, far below it none: weights are drawn for both and for what is between.
+    """
+    rng = np.random.default_rng([seed, 611])
+    mass, names, elements = 2.0, ["a", "b", "c"], int(rng.integers(1, 17))
+    numbers, joints = [], {}
+    for name, share in zip(names, (1e-3, 0.5, 3.0), strict=True):
+        F, twist, K = 10 ** rng.uniform([0.0, -3.7, 3.0], [1.3, -2.7, 4.3])
+        weight = share * (F + K * twist)
+        numbers.append((F, twist, K, weight))
+        joints[name] = {
+            "motor": {"kind": "torque", "rotor_inertia": 1e-4},
+            "gear": {"ratio": 0.02, "stiffness": float(K), "damping": 1.0,
+                     "hysteresis": {"torque": float(F), "twist": float(twist),
+                                    "elements": elements}},
+        }  # fmt: skip
+    file = write_scene(tmp_path, slides_urdf(names), joints, external_wrench=True)
+    plant = Plant(load_scene(file))
+    for name, (*_, weight) in zip(names, numbers, strict=True):
+        plant.set_external_wrench(f"{name}_link", ExternalWrench([-weight, 0.0, 0.0]))
+    linear = linearise(plant, [0.3, -0.2, 0.1])
+    # Newton ends where what is left is rounding of the largest term, 1e4 N m/rad times 50 rad.
+    assert np.abs(linear.rate[linear.v]).max() < 1e-8 * max(row[-1] for row in numbers) / mass
+    for j, (F, twist, K, weight) in enumerate(numbers):
+        limits = (2 * np.arange(elements) + 1) * twist / (2 * elements)
+        k = 2.0 * F / (elements * twist)
+
+        def torque(w: float, k: float = k, K: float = K, limits: Any = limits) -> float:
+            return float(K * w + k * np.minimum(w, limits).sum())
+
+        w = brentq(lambda w, load=weight: torque(w) - load, 0.0, weight / K, xtol=1e-18)
+        assert linear.u0[j] == pytest.approx(0.02 * weight, rel=1e-9)
+        slope = K + k * np.where(w < limits, 1.0, 0.5).sum()
+        at = linear.q.start + j
+        # A difference of 2e-7 rad, to which the position is rounded by 1e-16.
+        assert linear.A[linear.v.start + j, at] == pytest.approx(-slope / mass, rel=1e-6)

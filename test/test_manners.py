@@ -243,6 +243,7 @@ def test_users_of_machines_refuse_invalid_arguments(scene: Scene, tmp_path: Path
         (session.advance_under, [np.zeros((3, 3)), np.zeros((2, 3))]),
         (lambda x: plant.exchange(ROW, came=x), NO_FLAGS),
         (lambda x: plant.equations(ROW, slides=x), NO_FLAGS),
+        (lambda x: plant.equations(ROW, follows=x), NO_FLAGS),
         (lambda x: plant.put("here", x), [*objects[:-3], {"elbow": ROW}]),
         (lambda x: plant.set_parameter(x, 1.0), [np.zeros(3), np.array(["a", "b"])]),
         (lambda x: plant.set_external_wrench("tool", ExternalWrench(axes=x)), objects),

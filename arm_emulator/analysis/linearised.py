@@ -104,10 +104,12 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
     driven = np.array([joint.motor is not None for joint in joints])
     z = np.concatenate([trial.equations(np.zeros(N), slides=True).x, np.zeros(N)])
     for _ in range(MAX_ITERATIONS):
-        now = plant.equations(z[-N:], z[:-N], slides=True)
+        now = plant.equations(z[-N:], z[:-N], slides=True, follows=False)
         m = len(now.D)
-        rows = np.concatenate([now.states, m + np.arange(N)])
-        columns = np.concatenate([now.states, m + 2 * N * driven + np.arange(N)])
+        # States without a rate, such as anchors of hysteresis, stay: gears wind up from unloaded.
+        states = now.states[now.by[now.states].any(axis=1)]
+        rows = np.concatenate([states, m + np.arange(N)])
+        columns = np.concatenate([states, m + 2 * N * driven + np.arange(N)])
         J, off = now.by[np.ix_(rows, columns)], now.value[rows]
         # Rows and columns of very different units, each scaled by its largest entry.
         of_row = np.abs(now.by[rows]).max(axis=1)
@@ -115,7 +117,7 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
         of_column[of_column == 0.0] = 1.0
         scaled = J / of_row[:, np.newaxis] / of_column
         if (np.abs(off) <= ROUNDING * of_row).all():
-            return now
+            return plant.equations(z[-N:], z[:-N], slides=True)
         z[columns] += np.linalg.lstsq(scaled, -off / of_row, rcond=1e-12)[0] / of_column
     raise Refusal("linearise", "the pose", "be one that motors and springs hold", np.asarray(q))
 

@@ -27,12 +27,13 @@ int32_t arm_linear_drives(const double* point, int32_t loaded, double* out);
  * that sticks rests, a current at its limit stays, a tooth touches or does not. x has the K states
  * of each drive, z[state * joints + joint], then q and v; those of the machine are taken
  * (`as_it_is`), or those given, and written there, with what follows at once where it then is;
- * commands are put within the bounds of the drives. With `slides` there is no dry friction. Out:
- * rows of an entry for each number of x and each command, and the row's own value; the rows are D
- * dz/dt, dv/dt, the motors' currents [A] and their angles [rad]. Behind them D, whether each joint
- * sticks, and how many states its drive has. K is what `arm_linear_drives` returns. */
+ * commands are put within the bounds of the drives. With `slides` there is no dry friction. With
+ * `follows` the memory of gears follows their twist first, as at the start of a step. Out: rows of
+ * an entry for each number of x and each command, and the row's own value; the rows are D dz/dt,
+ * dv/dt, the motors' currents [A] and their angles [rad]. Behind them D, whether each joint sticks,
+ * and how many states its drive has. K is what `arm_linear_drives` returns. */
 void arm_linearise(const double* point, double* x, double* command, int32_t as_it_is,
-                   int32_t slides, double* out);
+                   int32_t slides, int32_t follows, double* out);
 
 /* The links alone, for `count` rows of joints: M(q) a + nle(q, v) = tau, under the external
  * wrenches that act now. */

@@ -38,7 +38,7 @@ ARM_ONCE std::int32_t arm_linear_drives(const double* point, std::int32_t loaded
 }
 
 ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std::int32_t as_it_is,
-                            std::int32_t slides, double* out) {
+                            std::int32_t slides, std::int32_t follows, double* out) {
   using Linear = arm::Linearisation<Scene>;
   if (!point || !x || !command || !out) return;
   const arm::EquationPoint<Scene> start(point);
@@ -48,6 +48,7 @@ ARM_ONCE void arm_linearise(const double* point, double* x, double* command, std
     for (int k = 0; k < Linear::numbers; ++k) Linear::number(at, k) = x[k];
   arm::bound_commands(numbers, at, command);
   arm::follow_at_once(numbers, at, command);
+  if (follows) arm::begin_at_once(numbers, at, command);
   for (int k = 0; k < Linear::numbers; ++k) x[k] = Linear::number(at, k);
   const Linear linear(numbers, at, command, slides);
   linear.write(at, command, out);

@@ -20,7 +20,11 @@ class Linearisation {
 
   // `slides`: no dry friction, whether joints rest or not.
   ARM_ONCE Linearisation(const Numbers<S>& numbers, const State<S>& x, const Real* u, bool slides)
-      : n(numbers), modes(modes_at(x, u, slides)) {}
+      : n(numbers), modes(modes_at(x, u, slides)) {
+    n.for_each_drive([&]<class Drive>(const Drive&, int) {
+      if (Drive::has_gear_memory) step = 0x1p-23;
+    });
+  }
 
   // Write an entry of every row for each number of x and each command, and its own value.
   ARM_ONCE void write(State<S> x, const Real* u, Real* out) const {
@@ -32,7 +36,7 @@ class Linearisation {
     for (int column = 0; column < columns - 1; ++column) {
       Real& at = column < numbers ? number(x, column) : command[column - numbers];
       const bool speed = column >= numbers - N && column < numbers;
-      const Real middle = at, h = step_at(middle, speed ? 0x1p-14 : 0x1p-12);
+      const Real middle = at, h = step_at(middle, speed ? 0x1p-14 : step);
       const Real factor[] = {1.0, -8.0, 8.0, -1.0}, place[] = {-2.0, -1.0, 1.0, 2.0};
       Real sum[rows] = {};
       for (int k = 0; k < 4; ++k) {
@@ -62,6 +66,7 @@ class Linearisation {
  private:
   const Numbers<S>& n;
   Modes<S> modes;
+  Real step = 0x1p-12;  // of all but speeds
 
   static Real step_at(Real middle, Real h) {
     while (h < 1e-8 * magnitude(middle)) h *= 2.0;

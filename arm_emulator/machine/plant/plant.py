@@ -427,7 +427,12 @@ class Plant(CoreMachine):
 
     @synchronized
     def equations(
-        self, command: Commands, x: Array | None = None, *, slides: bool = False
+        self,
+        command: Commands,
+        x: Array | None = None,
+        *,
+        slides: bool = False,
+        follows: bool = True,
     ) -> Equations:
         """Return the machine's equations about a state, and their derivatives there.
 
@@ -435,6 +440,7 @@ class Plant(CoreMachine):
             command: (N,), or by names of all joints [V, N m, A].
             x: the state, as `Equations.x`; None: the machine's own.
             slides: without dry friction.
+            follows: whether the memory of gears follows their twist first, as in a step.
 
         Raises:
             Refusal: wrong shape or not finite.
@@ -443,9 +449,10 @@ class Plant(CoreMachine):
         ordered = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), N)
         u = ordered.copy()  # to be put within its bounds
         slides = coerce_flag(slides, where, "slides")
+        follows = coerce_flag(follows, where, "follows")
         size = N * (self.equation("arm_linear_drives", False, NULL) + 2)
         at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
-        places = pointer(at), pointer(u), x is None, slides, pointer(numbers)
+        places = pointer(at), pointer(u), x is None, slides, follows, pointer(numbers)
         self.equation("arm_linearise", *places)
         return Equations.of(at, u, numbers)
