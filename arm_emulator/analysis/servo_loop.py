@@ -96,7 +96,7 @@ class ServoLoops:
     Args:
         scene: the machine; every joint has a motor.
         servo: names the scene's joints, in any order.
-        at: poses (N,) [rad or m]; None: those of `poses`.
+        at: poses (N,) [rad or m]; None: those of `draw_poses`.
         delay: servo periods of dead time, beside that of the scene's sensors.
 
     Raises:

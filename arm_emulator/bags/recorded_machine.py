@@ -32,7 +32,7 @@ class Tick(NamedTuple):
 
 
 class RecordedMachine:
-    """The machine of a run in a bag; a `Run` of `Timeline`.
+    """The machine of a run in a bag; a `RestorableRun` of `Timeline`.
 
     Attributes:
         scene: the machine.

@@ -1,8 +1,8 @@
 """The machine behind a UDP socket: a datagram of commands in, one of measurements out.
 
 For control software in any language that is neither ROS nor a field bus. All numbers are
-little-endian and 8 bytes long, in an order that a scene determines (`Datagrams`), which `header`
-writes as structs of C.
+little-endian and 8 bytes long, in an order that a scene determines (`Datagrams`). `write_header`
+returns them as structs of C.
 """
 
 from __future__ import annotations

@@ -346,7 +346,7 @@ class Coulomb {
     X dry[N] = {};  // 1 where there is a law of dry friction, be its torques 0 just then
   };
 
-  // Friction of joint j that slides, or is pulled, in the direction of `way`.
+  // Friction of joint j that slides, or is pulled, in the direction of `sign`.
   ARM_INLINE auto Dc(int j, [[maybe_unused]] const X& sign) const {
     if constexpr (directed)
       return select(sign < 0.0, of_.Dc[1][j], of_.Dc[0][j]);

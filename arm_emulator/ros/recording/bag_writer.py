@@ -46,7 +46,7 @@ class BagWriter:
     """Writes a new bag; use it in a `with` block.
 
     Attributes:
-        whole: whether it has been closed as a whole bag, mended or not.
+        is_complete: whether it has been closed as a whole bag, mended or not.
 
     Args:
         folder: the bag, which must not exist.
@@ -152,8 +152,8 @@ class BagWriter:
 
         Raises:
             OSError: not all was written, now or before. The bag is mended then, and the counts of
-                its topics are those of the messages in it; `whole` is False if even that found no
-                room.
+                its topics are those of the messages in it; `is_complete` is False if even that
+                found no room.
         """
         if self._stream.closed:
             return
