@@ -19,7 +19,7 @@ NEEDS_FLEET = ("campaign", "identification")
 PACKAGES = ("arm_emulator", "emulator_node", "servo_node", "motion_controller_node")
 
 
-def share(folder: str) -> list[tuple[str, list[str]]]:
+def list_share(folder: str) -> list[tuple[str, list[str]]]:
     """List every file below `folder` with the place below share/ where it is installed."""
     files: dict[str, list[str]] = {}
     for path in sorted(Path(folder).rglob("*")):
@@ -28,17 +28,17 @@ def share(folder: str) -> list[tuple[str, list[str]]]:
     return list(files.items())
 
 
-def wheels(part: str) -> list[str]:
+def list_wheels(part: str) -> list[str]:
     """Name the packages in a part of requirements*.txt, which alone have versions."""
     files = "".join(file.read_text() for file in sorted(HERE.glob("requirements*.txt")))
     parts = dict(re.findall(r"^# --- (.*)\n((?:.+\n)*)", files, re.M))
     return re.findall(r"^([\w.-]+)==", parts[part], re.M)
 
 
-def beside(package: str, extra: str = "") -> list[str]:
+def require_beside(package: str, extra: str = "") -> list[str]:
     """Require a package of this checkout, in packages/, and the one that it needs."""
     name = f"{NAME}_{package}"
-    needed = beside("fleet") if package in NEEDS_FLEET else []
+    needed = require_beside("fleet") if package in NEEDS_FLEET else []
     return [*needed, f"{name}{extra} @ {(HERE / 'packages' / name).as_uri()}"]
 
 
@@ -61,15 +61,15 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml", "LICENSE"]),
         (f"share/{NAME}/hook", ["resource/hook/path.dsv"]),
-        *share("config"),
-        *share("launch"),
+        *list_share("config"),
+        *list_share("launch"),
     ],
     python_requires=">=3.11",
-    install_requires=wheels("numbers, robots, files, pictures, command line"),
+    install_requires=list_wheels("numbers, robots, files, pictures, command line"),
     extras_require={
-        **{package: beside(package) for package in BESIDE},
-        "dask": beside("campaign", "[dask]"),
-        "search": beside("campaign", "[search]"),
+        **{package: require_beside(package) for package in BESIDE},
+        "dask": require_beside("campaign", "[dask]"),
+        "search": require_beside("campaign", "[search]"),
         "test": ["pytest"],  # colcon test then knows the runner
     },
     zip_safe=False,

@@ -110,7 +110,7 @@ def network(
         folder = log or (keep.parent if keep is not None else None)
         if folder is None:
             raise Refusal("testing.network", "faults", "come with log or keep", ", ".join(faults))
-        scene = _scene_with(faults, find_scene(str(scene)), folder)
+        scene = _write_scene(faults, find_scene(str(scene)), folder)
         again += f" --scene {scene}"
     try:
         with (
@@ -158,7 +158,7 @@ def joined(
         context.try_shutdown()
 
 
-def _scene_with(faults: Sequence[str], file: Path, folder: Path) -> Path:
+def _write_scene(faults: Sequence[str], file: Path, folder: Path) -> Path:
     """Write a copy of a scene file that lists more faults; return it."""
     scene = dict(read_yaml(file))
     scene["faults"] = [*scene.get("faults", ()), *faults]

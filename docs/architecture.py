@@ -57,7 +57,7 @@ def sources(room: str) -> list[Path]:
     raise Missing(f"files of the room {room}, which pyproject.toml names")
 
 
-def _imported(file: Path) -> Iterator[str]:
+def _list_imports(file: Path) -> Iterator[str]:
     """Yield the dotted names that a file imports, each with the name that it takes from there."""
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -73,7 +73,7 @@ def imports_of_rooms() -> dict[str, set[str]]:
     for room in rooms:
         imports[room] = set()
         for file in sources(room):
-            for name in _imported(file):
+            for name in _list_imports(file):
                 parts = name.split(".")
                 prefixes = (".".join(parts[:k]) for k in range(len(parts), 0, -1))
                 target = next((prefix for prefix in prefixes if prefix in rooms), None)
@@ -88,20 +88,20 @@ def rooms_picture() -> str:
     rooms = [room for floor in rows for room in floor]
     cell, left, top = 22, 260, 190
     width, height = left + cell * len(rooms) + 120, top + cell * len(rooms) + 20
-    parts = [_text(14, 26, "A row imports the columns that have a dot.", 14, weight="bold")]
-    parts.append(_text(14, 46, "Bands are floors: imports go down,", 12))
-    parts.append(_text(14, 62, "so every dot is right of the diagonal.", 12))
+    parts = [_draw_text(14, 26, "A row imports the columns that have a dot.", 14, weight="bold")]
+    parts.append(_draw_text(14, 46, "Bands are floors: imports go down,", 12))
+    parts.append(_draw_text(14, 62, "so every dot is right of the diagonal.", 12))
     y = top
     for k, floor in enumerate(rows):
         x = left + cell * rooms.index(floor[0])
         deep = cell * len(floor)
-        parts.append(_rect(8, y, width - 128, deep, BANDS[k % 2]))
-        parts.append(_rect(x, y, deep, deep, "#cfd8dc"))
+        parts.append(_draw_rectangle(8, y, width - 128, deep, BANDS[k % 2]))
+        parts.append(_draw_rectangle(x, y, deep, deep, "#cfd8dc"))
         y += deep
     for k, room in enumerate(rooms):
         across, down = left + cell * k + cell // 2, top + cell * k + 15
         label = "public names" if room == NAMESPACE else room
-        parts.append(_text(left - 8, down, label, 12, anchor="end"))
+        parts.append(_draw_text(left - 8, down, label, 12, anchor="end"))
         short = label.removeprefix(f"{NAMESPACE}.")
         parts.append(
             f'<text x="{across + 4}" y="{top - 8}" font-size="12" fill="{INK}" '
@@ -113,7 +113,7 @@ def rooms_picture() -> str:
                 f'<circle cx="{x}" cy="{down - 4}" r="6" fill="#00695c">'
                 f"<title>{escape(room)} imports {escape(target)}</title></circle>"
             )
-    return _svg(width, height, "Rooms and their imports", parts)
+    return _write_svg(width, height, "Rooms and their imports", parts)
 
 
 # ----------------------------------------------------------------------------------------- a tick
@@ -273,31 +273,33 @@ def tick_picture() -> str:
     check_stations()
     left, right, box, high, gap = 30, 520, 450, 40, 14
     parts = [
-        _text(left, 30, "joint_targets: down to volts at the motor", 14, weight="bold"),
-        _text(right, 30, "encoder counts: up to motor_states and joint_states", 14, weight="bold"),
+        _draw_text(left, 30, "joint_targets: down to volts at the motor", 14, weight="bold"),
+        _draw_text(
+            right, 30, "encoder counts: up to motor_states and joint_states", 14, weight="bold"
+        ),
     ]
     y = 46
     tops: dict[Station, int] = {}
     for k, band in enumerate((*TICK, NEWTON_EULER)):
         deep = 30 + max(len(band.down), len(band.up)) * (high + gap)
-        parts.append(_rect(10, y, 980, deep, BANDS[k % 2], FAINT))
-        parts.append(_text(20, y + 18, band.title, 12, weight="bold"))
+        parts.append(_draw_rectangle(10, y, 980, deep, BANDS[k % 2], FAINT))
+        parts.append(_draw_text(20, y + 18, band.title, 12, weight="bold"))
         for x, column in ((left, band.down), (right, tuple(reversed(band.up)))):
             for i, station in enumerate(column):
                 at = tops[station] = y + 28 + i * (high + gap)
-                parts.append(_rect(x, at, box, high, PAPER, "#00695c"))
-                parts.append(_text(x + 10, at + 16, station.text, 12))
+                parts.append(_draw_rectangle(x, at, box, high, PAPER, "#00695c"))
+                parts.append(_draw_text(x + 10, at + 16, station.text, 12))
                 called = f"{station.file}: {station.function}"
-                parts.append(_text(x + 10, at + 32, called, 10.5, family="monospace"))
+                parts.append(_draw_text(x + 10, at + 32, called, 10.5, family="monospace"))
         y += deep
     down = [station for band in TICK for station in band.down]
     up = [station for band in reversed(TICK) for station in band.up]
     at = left + box - 30
     for above, below in pairwise(down):
-        parts.append(_arrow(at, tops[above] + high, at, tops[below]))
+        parts.append(_draw_arrow(at, tops[above] + high, at, tops[below]))
     at = right + box - 30
     for below, above in pairwise(up):
-        parts.append(_arrow(at, tops[below], at, tops[above] + high))
+        parts.append(_draw_arrow(at, tops[below], at, tops[above] + high))
     (takes,), (links,) = NEWTON_EULER.down, NEWTON_EULER.up
     by_name = {station.function: station for station in (*down, *up)}
     across = (  # from the right column to the left, or the other way
@@ -309,9 +311,9 @@ def tick_picture() -> str:
     for start, end in across:
         from_left = start in down or start is takes
         x1, x2 = (left + box, right) if from_left else (right, left + box)
-        parts.append(_arrow(x1, tops[start] + high // 2, x2, tops[end] + high // 2))
-    parts.append(_arrow(right + 60, tops[links], right + 60, tops[up[0]] + high))
-    return _svg(1000, y + 10, "One tick, from joint target to volts and back", parts)
+        parts.append(_draw_arrow(x1, tops[start] + high // 2, x2, tops[end] + high // 2))
+    parts.append(_draw_arrow(right + 60, tops[links], right + 60, tops[up[0]] + high))
+    return _write_svg(1000, y + 10, "One tick, from joint target to volts and back", parts)
 
 
 def tick_table() -> str:
@@ -332,7 +334,7 @@ def tick_table() -> str:
 # --------------------------------------------------------------------------------------- drawing
 
 
-def _text(
+def _draw_text(
     x: float,
     y: float,
     text: str,
@@ -349,20 +351,20 @@ def _text(
     )
 
 
-def _rect(x: int, y: int, width: int, height: int, fill: str, line: str = "none") -> str:
+def _draw_rectangle(x: int, y: int, width: int, height: int, fill: str, line: str = "none") -> str:
     return (
         f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="{fill}" stroke="{line}"/>'
     )
 
 
-def _arrow(x1: int, y1: int, x2: int, y2: int) -> str:
+def _draw_arrow(x1: int, y1: int, x2: int, y2: int) -> str:
     return (
         f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="{INK}" stroke-width="1.5" '
         'marker-end="url(#head)"/>'
     )
 
 
-def _svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
+def _write_svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
     head = (
         '<marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" '
         f'orient="auto"><path d="M0 0 L8 4 L0 8 z" fill="{INK}"/></marker>'
@@ -373,7 +375,7 @@ def _svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
             f'viewBox="0 0 {width} {height}" font-family="sans-serif">',
             f"<title>{escape(title)}</title>",
             f"<defs>{head}</defs>",
-            _rect(0, 0, width, height, PAPER),
+            _draw_rectangle(0, 0, width, height, PAPER),
             *parts,
             "</svg>\n",
         )

@@ -16,12 +16,12 @@ from arm_emulator_campaign.sampling.distributions import KINDS
 from arm_emulator_campaign.search import METHODS
 
 
-def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+def _write_table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = [head, tuple("---" for _ in head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _distributions() -> str:
+def _list_distributions() -> str:
     rows = []
     for name, function in KINDS.items():
         arguments = [
@@ -29,10 +29,10 @@ def _distributions() -> str:
             for value in inspect.signature(function).parameters.values()
         ]
         rows.append((f"`{name}({', '.join(arguments)})`", (function.__doc__ or "").strip()))
-    return _table(("distribution", "values"), rows)
+    return _write_table(("distribution", "values"), rows)
 
 
-def _faults() -> str:
+def _list_faults() -> str:
     rows = []
     for kind, fault in list_faults().items():
         numbers = [f"`{name}`: {number.described}" for name, number in list_numbers(fault).items()]
@@ -41,19 +41,19 @@ def _faults() -> str:
         ]
         about = (fault.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join([*numbers, *others])))
-    return _table(("kind", "what happens", "keys"), rows)
+    return _write_table(("kind", "what happens", "keys"), rows)
 
 
-def _methods() -> str:
+def _list_methods() -> str:
     rows = []
     for kind, method in METHODS.items():
         numbers = [f"`{name}`: {number.described}" for name, number in list_numbers(method).items()]
         about = (method.__doc__ or "").strip().partition("\n")[0]
         rows.append((f"`{kind}`", about, "<br>".join(numbers)))
-    return _table(("method", "what it does", "keys"), rows)
+    return _write_table(("method", "what it does", "keys"), rows)
 
 
-def _numbers() -> str:
+def _list_numbers() -> str:
     of = {
         "count": campaign_file.COUNT,
         "seed": campaign_file.SEED,
@@ -64,12 +64,12 @@ def _numbers() -> str:
         "scenario.targets.N.at, scenario.moves.N.at": AT,
         "correlate.N.by": CORRELATION,
     }
-    return _table(
+    return _write_table(
         ("key", "what it is"), ((f"`{name}`", number.described) for name, number in of.items())
     )
 
 
-def _signals() -> str:
+def _list_signals() -> str:
     from arm_emulator_campaign.signals import list_signal_units
 
     scene = load_scene("three_axis")
@@ -77,13 +77,13 @@ def _signals() -> str:
     for name, unit in list_signal_units(scene).items():
         head, _, tail = name.rpartition(".")
         units[f"{head}.*" if tail in scene.joint_names else name] = unit
-    return _table(("signal", "unit"), ((f"`{name}`", unit) for name, unit in units.items()))
+    return _write_table(("signal", "unit"), ((f"`{name}`", unit) for name, unit in units.items()))
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "distributions": _distributions,
-    "faults": _faults,
-    "methods": _methods,
-    "numbers": _numbers,
-    "signals": _signals,
+    "distributions": _list_distributions,
+    "faults": _list_faults,
+    "methods": _list_methods,
+    "numbers": _list_numbers,
+    "signals": _list_signals,
 }

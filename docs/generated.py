@@ -40,7 +40,7 @@ FAULT_HEADS = {
 DOOR = re.compile(r"^<!-- door: (.+?) \| (.+) -->$", re.M)
 
 
-def _help(_: str) -> str:
+def _write_help(_: str) -> str:
     from arm_emulator.cli.arguments import page_of
     from arm_emulator.cli.command import command_names, load_command
 
@@ -61,7 +61,7 @@ def _command_keys(_: str) -> str:
     return "\n".join(("| command | keys |", "|---|---|", *rows))
 
 
-def _interfaces(place: str) -> str:
+def _write_interfaces(place: str) -> str:
     files = sorted((ROOT / place).glob("*.msg")) or sorted((ROOT / place).glob("*.srv"))
     if not files:
         raise Missing(f"messages in {place}")
@@ -70,7 +70,7 @@ def _interfaces(place: str) -> str:
     )
 
 
-def _doors(which: str) -> str:
+def _list_doors(which: str) -> str:
     """Return a row for each page that states what its door offers, in a comment `door: ...`.
 
     Args:
@@ -89,7 +89,7 @@ def _doors(which: str) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in cells)
 
 
-def _faults_at_doors(_: str) -> str:
+def _list_faults_at_doors(_: str) -> str:
     """Return what each door does about the same faults (packages/test/faults_at_doors.json)."""
     faults = json.loads((ROOT / "packages/test/faults_at_doors.json").read_text())
     words: dict[str, int] = {}  # of refusals, numbered
@@ -107,7 +107,7 @@ def _faults_at_doors(_: str) -> str:
     return "\n".join([*lines, "", *(f"{number}. `{line}`" for line, number in words.items())])
 
 
-def _of_campaigns(table: str) -> str:
+def _write_campaign_table(table: str) -> str:
     """Return a table of what a campaign's file may have, from its declaration."""
     from docs.campaign_tables import TABLES
 
@@ -116,7 +116,7 @@ def _of_campaigns(table: str) -> str:
     return TABLES[table]()
 
 
-def _parameters(_: str) -> str:
+def _write_parameters(_: str) -> str:
     """Return a table for each node."""
     from docs.parameter_tables import parameters  # which imports ROS
 
@@ -124,19 +124,19 @@ def _parameters(_: str) -> str:
 
 
 GENERATORS: dict[str, Callable[[str], str]] = {
-    "campaign": _of_campaigns,
+    "campaign": _write_campaign_table,
     "command_keys": _command_keys,
-    "commands": _help,
-    "doors": _doors,
+    "commands": _write_help,
+    "doors": _list_doors,
     "faults": tables.faults,
-    "faults_at_doors": _faults_at_doors,
+    "faults_at_doors": _list_faults_at_doors,
     "file": code_block,
     "inputs": tables.inputs,
-    "interfaces": _interfaces,
+    "interfaces": _write_interfaces,
     "joint_keys": tables.joint_keys,
     "keys": tables.keys,
     "outputs": tables.outputs,
-    "parameters": _parameters,
+    "parameters": _write_parameters,
     "parts": tables.parts,
     "scene_keys": tables.scene_keys,
     "schemes": tables.schemes,

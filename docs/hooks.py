@@ -103,13 +103,13 @@ def source_page(target: str) -> str:
 
 def expand_pages(nav: Any) -> Any:
     """Return a navigation in which a pattern is the list of its pages that no other entry names."""
-    named, pages = set(_entries(nav)), sorted(page_files())
+    named, pages = set(_list_entries(nav)), sorted(page_files())
 
     def listed(entry: Any) -> Any:
         if isinstance(entry, dict):
             return {title: listed(below) for title, below in entry.items()}
         if isinstance(entry, list):
-            return [page for below in entry for page in _as_list(listed(below))]
+            return [page for below in entry for page in _convert_to_list(listed(below))]
         if "*" in entry:
             return [page for page in fnmatch.filter(pages, entry) if page not in named]
         return entry
@@ -117,18 +117,18 @@ def expand_pages(nav: Any) -> Any:
     return listed(nav)
 
 
-def _as_list(value: Any) -> list[Any]:
+def _convert_to_list(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _entries(nav: Any) -> Iterator[str]:
+def _list_entries(nav: Any) -> Iterator[str]:
     """Yield the pages and patterns of a navigation."""
-    below = nav.values() if isinstance(nav, dict) else _as_list(nav)
+    below = nav.values() if isinstance(nav, dict) else _convert_to_list(nav)
     for entry in below:
         if isinstance(entry, str):
             yield entry
         else:
-            yield from _entries(entry)
+            yield from _list_entries(entry)
 
 
 def on_config(config: Any) -> Any:

@@ -21,14 +21,14 @@ HEAD = "| parameter | default | range | meaning |\n|---|---|---|---|"
 
 def parameters() -> str:
     """Return a table for each node."""
-    motion = _numbers(DriveParameters, "joints.NAME.", ())
-    modes = _numbers(ShapedMode, "modes.NAME.", ())
-    joints = _numbers(JointServo, "joints.NAME.", SETTABLE)
-    of_servo = _numbers(ServoConfig, "", SETTABLE)
+    motion = _list_numbers(DriveParameters, "joints.NAME.", ())
+    modes = _list_numbers(ShapedMode, "modes.NAME.", ())
+    joints = _list_numbers(JointServo, "joints.NAME.", SETTABLE)
+    of_servo = _list_numbers(ServoConfig, "", SETTABLE)
     nodes = {
-        "emulator": _parameters(EmulatorParameters),
-        "servo": [*_parameters(ServoNodeParameters), *of_servo, *joints],
-        "motion_controller": [*_parameters(MotionConfig), *motion, *modes],
+        "emulator": _list_parameters(EmulatorParameters),
+        "servo": [*_list_parameters(ServoNodeParameters), *of_servo, *joints],
+        "motion_controller": [*_list_parameters(MotionConfig), *motion, *modes],
     }
     tables = []
     for node, rows in nodes.items():
@@ -37,38 +37,40 @@ def parameters() -> str:
     return "\n\n".join(tables)
 
 
-def _parameters(kind: type[Any]) -> Rows:
+def _list_parameters(kind: type[Any]) -> Rows:
     for value in list_parameters(kind).values():
         about, settable = value.metadata, value.metadata["settable"]
         if "number" in about:
-            yield _number(value.name, about["number"], settable)
+            yield _write_number_row(value.name, about["number"], settable)
             continue
-        default = _code(
+        default = _format_code(
             str(value.default).lower() if type(value.default) is bool else str(value.default)
         )
         valid = ("true", "false") if type(value.default) is bool else about["choices"]
-        yield _row(
-            value.name, default, ", ".join(map(_code, valid)), about["description"], settable
+        yield _write_row(
+            value.name, default, ", ".join(map(_format_code, valid)), about["description"], settable
         )
 
 
-def _numbers(kind: type[Any], prefix: str, settable: tuple[str, ...]) -> Rows:
+def _list_numbers(kind: type[Any], prefix: str, settable: tuple[str, ...]) -> Rows:
     numbers = list_numbers(kind)
     for field in dataclasses.fields(kind):
         if field.name in numbers:
-            yield _number(prefix + field.name, numbers[field.name], field.name in settable)
+            yield _write_number_row(
+                prefix + field.name, numbers[field.name], field.name in settable
+            )
 
 
-def _number(name: str, number: Number, settable: bool) -> list[str]:
+def _write_number_row(name: str, number: Number, settable: bool) -> list[str]:
     default = (
         "required" if number.default is REQUIRED else f"{number.default:g}".replace("inf", "none")
     )
-    return _row(name, default, number.range.removeprefix("number "), number.text, settable)
+    return _write_row(name, default, number.range.removeprefix("number "), number.text, settable)
 
 
-def _row(name: str, default: str, valid: str, text: str, settable: bool) -> list[str]:
-    return [_code(name), default, valid, "* " * settable + text.replace("|", r"\|")]
+def _write_row(name: str, default: str, valid: str, text: str, settable: bool) -> list[str]:
+    return [_format_code(name), default, valid, "* " * settable + text.replace("|", r"\|")]
 
 
-def _code(text: str) -> str:
+def _format_code(text: str) -> str:
     return f"`{text}`" if text else "none"

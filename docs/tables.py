@@ -53,12 +53,14 @@ def parts(scene_page: str) -> str:
     folder = f"{scene_page.rpartition('/')[0]}/parts"
     rows: dict[str, list[str]] = {}
     for kind in PARTS:
-        part_page = _page(kind)
+        part_page = _find_page(kind)
         page = f"{folder}/{part_page[1]}" if part_page else scene_page
-        title = f"[{part_page[0] if part_page else _file(kind).capitalize()}]({page})"
-        rows.setdefault(title, []).append(_section(kind))
+        title = f"[{part_page[0] if part_page else _find_file_name(kind).capitalize()}]({page})"
+        rows.setdefault(title, []).append(_find_section(kind))
     return "\n".join(
-        _table(("part", "section of a joint"), ((part, ", ".join(at)) for part, at in rows.items()))
+        _write_table(
+            ("part", "section of a joint"), ((part, ", ".join(at)) for part, at in rows.items())
+        )
     )
 
 
@@ -66,11 +68,15 @@ def sensors(_: str) -> str:
     """Return all sensors, with their pages in the folder of the page."""
     rows = []
     for kind in SENSORS:
-        page = _page(kind)
+        page = _find_page(kind)
         assert page, f"{kind.__name__} has a page"
-        place = _section(kind) if issubclass(kind, Imu) else _code(f"joints.NAME.{kind.section}")
-        rows.append((place, _first_line(kind), f"[{page[0]}]({page[1]})"))
-    return "\n".join(_table(("section", "measures", "page"), rows))
+        place = (
+            _find_section(kind)
+            if issubclass(kind, Imu)
+            else _format_code(f"joints.NAME.{kind.section}")
+        )
+        rows.append((place, _read_first_line(kind), f"[{page[0]}]({page[1]})"))
+    return "\n".join(_write_table(("section", "measures", "page"), rows))
 
 
 def schemes(folder: str) -> str:
@@ -84,26 +90,29 @@ def schemes(folder: str) -> str:
             (name, scheme.text, str(scheme.order), str(scheme.evaluations), threads, located)
         )
     head = ("scheme", "what", "order", "evaluations of the links", "threads", "locates events")
-    return "\n".join(_table(head, rows))
+    return "\n".join(_write_table(head, rows))
 
 
 def faults(_: str) -> str:
     """Return the kinds of faults of parts, and of numbers of several parts."""
     owners = {"joints": "joint", "links": "link", "imus": "unit", "": "machine"}
     head = ("fault", "of a", "what happens", "magnitude m", "numbers x and what they become")
-    rows = ([_code(fault.name), owners[fault.of], fault.text, *_changes(fault)] for fault in FAULTS)
-    return "\n".join(_table(head, rows))
+    rows = (
+        [_format_code(fault.name), owners[fault.of], fault.text, *_describe_changes(fault)]
+        for fault in FAULTS
+    )
+    return "\n".join(_write_table(head, rows))
 
 
-def _changes(fault: Fault) -> tuple[str, str]:
+def _describe_changes(fault: Fault) -> tuple[str, str]:
     """Return the magnitude of a fault, and the changes of numbers by it."""
     number = fault.magnitude
     unit = "" if number.unit == "1" else f" {number.unit}"
     low, high = number.ends
     by_change: dict[str, list[str]] = {}
     for place, expression in fault.sets.items():
-        by_change.setdefault(expression.format(x="x", m="m"), []).append(_code(place))
-    sets = (f"{', '.join(places)}: {_code(to)}" for to, places in by_change.items())
+        by_change.setdefault(expression.format(x="x", m="m"), []).append(_format_code(place))
+    sets = (f"{', '.join(places)}: {_format_code(to)}" for to, places in by_change.items())
     return f"{number.default:g}{unit}, from {low:g} to {high:g}", "; ".join(sets)
 
 
@@ -111,22 +120,22 @@ def inputs(_: str) -> str:
     """Return all inputs of motors."""
     rows = [
         [
-            _code(input_.name),
+            _format_code(input_.name),
             input_.about,
-            _sections(owners),
+            _list_sections(owners),
             input_.unit,
-            _in_c(input_),
-            _object(input_),
+            _find_c_name(input_),
+            _format_object(input_),
         ]
-        for input_, owners in _taken().items()
+        for input_, owners in _list_inputs().items()
     ]
-    return "\n".join(_table(("input", "what", "of", "unit", "`arm.h`", "CiA 402"), rows))
+    return "\n".join(_write_table(("input", "what", "of", "unit", "`arm.h`", "CiA 402"), rows))
 
 
 def outputs(_: str) -> str:
     """Return all outputs of parts."""
     head = ("output", "what", "of", "unit", "`arm.h`", "`motor_states`", "FMU", "CiA 402")
-    return "\n".join(_table(head, map(_output, KNOWN.values())))
+    return "\n".join(_write_table(head, map(_write_output_row, KNOWN.values())))
 
 
 def keys(module: str) -> str:
@@ -135,7 +144,7 @@ def keys(module: str) -> str:
     if not kinds:
         raise KeyError(f"parts in {module}.py")
     owners = "imus" if issubclass(kinds[0], Imu) else kinds[0].owners
-    return _keys_table(owners, (row for kind in kinds for row in _keys(kind)))
+    return _write_keys_table(owners, (row for kind in kinds for row in _list_key_rows(kind)))
 
 
 def joint_keys(folder: str) -> str:
@@ -144,76 +153,89 @@ def joint_keys(folder: str) -> str:
     Args:
         folder: of the pages of parts.
     """
-    rows = [_row(key, number) for key, number in list_numbers(Joint).items()]
-    kinds = ", ".join(_code(motor.kind) for motor in MOTORS)
-    rows.append(_row("motor.kind", Key(
-        name="", range=kinds, absent=_code(MOTORS[0].kind),
+    rows = [_write_row(key, number) for key, number in list_numbers(Joint).items()]
+    kinds = ", ".join(_format_code(motor.kind) for motor in MOTORS)
+    rows.append(_write_row("motor.kind", Key(
+        name="", range=kinds, absent=_format_code(MOTORS[0].kind),
         text="which motor; those with a page of their own have other keys",
     )))  # fmt: skip
     of_joints = [owner for owner in OWNERS if not issubclass(owner, Imu)]
     for kind in of_joints:
-        rows += [] if _page(kind) else _keys(kind)
+        rows += [] if _find_page(kind) else _list_key_rows(kind)
     for kind in of_joints:
-        if (page := _page(kind)) and not issubclass(kind, Motor):
-            text = f"{_sentence(kind)}, see [{page[0]}]({folder}/{page[1]})"
+        if (page := _find_page(kind)) and not issubclass(kind, Motor):
+            text = f"{_write_sentence(kind)}, see [{page[0]}]({folder}/{page[1]})"
             own = [f"{kind.section}.{key}" for key in getattr(kind, "named_by", ())]
-            rows += [_row(place, Key(name="", range="" if own else "section", text=text))
+            rows += [_write_row(place, Key(name="", range="" if own else "section", text=text))
                      for place in own or [kind.section]]  # fmt: skip
-    return _keys_table("joints", rows)
+    return _write_keys_table("joints", rows)
 
 
 def scene_keys(which: str) -> str:
     """Return the keys of a scene outside its joints: of the machine, or of time."""
     keys = {"machine": scene_keys_of.MACHINE, "time": scene_keys_of.TIME}[which]
     head = ("key", "unit", "range", "if absent", "effect")
-    return "\n".join(_table(head, (_row(key, key_row) for key, key_row in keys.items())))
+    return "\n".join(
+        _write_table(head, (_write_row(key, key_row) for key, key_row in keys.items()))
+    )
 
 
-def _keys_table(owners: str, rows: Iterable[list[str]]) -> str:
+def _write_keys_table(owners: str, rows: Iterable[list[str]]) -> str:
     head = (f"key in `{owners}.NAME`", "unit", "range", "if absent", "effect")
     first: dict[str, list[str]] = {}
     for row in rows:
         first.setdefault(row[0], row)
-    return "\n".join(_table(head, first.values()))
+    return "\n".join(_write_table(head, first.values()))
 
 
-def _keys(kind: type[Part] | type[Imu]) -> list[list[str]]:
+def _list_key_rows(kind: type[Part] | type[Imu]) -> list[list[str]]:
     """Return the rows of a kind of part: its section, if it has one of its own, and its keys."""
     if issubclass(kind, Imu):
-        own = [_row(key.name, key) for key in kind.keys]
-        return own + [row for sensor in IMU_SENSORS for row in _keys(sensor)]
+        own = [_write_row(key.name, key) for key in kind.keys]
+        return own + [row for sensor in IMU_SENSORS for row in _list_key_rows(sensor)]
     rows = []
     if issubclass(kind, Motor):
-        this = Key(name="", range=_code(kind.kind), absent=_code(MOTORS[0].kind), text="this motor")
-        rows.append(_row("motor.kind", this))
+        this = Key(
+            name="",
+            range=_format_code(kind.kind),
+            absent=_format_code(MOTORS[0].kind),
+            text="this motor",
+        )
+        rows.append(_write_row("motor.kind", this))
     elif kind.section not in SHARED and kind.owners == Part.owners:
-        own_section = Key(name="", range="section", text=_sentence(kind))
-        rows.append(_row(kind.section, own_section))
-    rows += [_row(f"{kind.section}.{key.name}", key) for key in kind.keys]
+        own_section = Key(name="", range="section", text=_write_sentence(kind))
+        rows.append(_write_row(kind.section, own_section))
+    rows += [_write_row(f"{kind.section}.{key.name}", key) for key in kind.keys]
     moves = kind.owners == Part.owners and (kind.shaft == "link" or issubclass(kind, Gear))
     for key, number in kind.numbers().items():
         if key in getattr(kind, "named_by", ()):
             number = replace(number, default=None)  # the part is another one then
-        rows.append(_row(f"{kind.section}.{key}", number, moves))
+        rows.append(_write_row(f"{kind.section}.{key}", number, moves))
     return rows
 
 
-def _sentence(kind: type[Part] | type[Imu]) -> str:
-    line = _first_line(kind)
+def _write_sentence(kind: type[Part] | type[Imu]) -> str:
+    line = _read_first_line(kind)
     return line[0].lower() + line[1:] if line[:2] in ("A ", "An", "Th") else line
 
 
-def _row(place: str, key: Key | Number, moves: bool = False) -> list[str]:
+def _write_row(place: str, key: Key | Number, moves: bool = False) -> list[str]:
     """Return a row; `moves`: of a quantity that is another one of a sliding joint."""
     if isinstance(key, Key):
-        return [_code(place), _raised(key.unit), key.range, key.absent, key.text]
+        return [_format_code(place), _format_unit(key.unit), key.range, key.absent, key.text]
     fall = "/s" * key.unit.endswith("/s/s")  # of a drift
     slide = SLIDES.get(key.unit.removesuffix(fall) if fall else key.unit)
     unit = f"{key.unit} ({slide}{fall})" if moves and slide else key.unit
-    return [_code(place), _raised(unit), _range(key), _absent(key), key.text]
+    return [
+        _format_code(place),
+        _format_unit(unit),
+        _describe_range(key),
+        _describe_default(key),
+        key.text,
+    ]
 
 
-def _range(number: Number) -> str:
+def _describe_range(number: Number) -> str:
     if number.whole:
         return f"whole, {number.least:g} to {number.most:.16g}"
     words = []
@@ -228,9 +250,9 @@ def _range(number: Number) -> str:
     return ("size " if number.in_size else "") + ", ".join(words)
 
 
-def _absent(number: Number) -> str:
+def _describe_default(number: Number) -> str:
     if isinstance(number, PartNumber) and number.follows is not None:
-        return _code(number.follows)
+        return _format_code(number.follows)
     if number.default is REQUIRED:
         return "refused"
     if number.default is None:
@@ -238,27 +260,27 @@ def _absent(number: Number) -> str:
     return f"{number.default:g}"
 
 
-def _raised(unit: str) -> str:
+def _format_unit(unit: str) -> str:
     return re.sub(r"(?<=[a-z])[23]\b", lambda match: "²³"[int(match[0]) - 2], unit)
 
 
-def _page(kind: type[Part] | type[Imu]) -> tuple[str, str] | None:
+def _find_page(kind: type[Part] | type[Imu]) -> tuple[str, str] | None:
     """Return title and file name of the page that is called as the file of a part."""
-    page = PAGES / f"{_file(kind).replace(' ', '_')}.md"
+    page = PAGES / f"{_find_file_name(kind).replace(' ', '_')}.md"
     if not page.is_file():
         return None
     return page.read_text().partition("\n")[0].removeprefix("# "), page.name
 
 
-def _file(kind: type[Part] | type[Imu]) -> str:
+def _find_file_name(kind: type[Part] | type[Imu]) -> str:
     return kind.__module__.rpartition(".")[2].replace("_", " ")
 
 
-def _first_line(kind: type[Part] | type[Imu]) -> str:
+def _read_first_line(kind: type[Part] | type[Imu]) -> str:
     return (kind.__doc__ or "").partition("\n")[0].rstrip(".").removeprefix("Sensor of ")
 
 
-def _taken() -> dict[Input, list[type[Part]]]:
+def _list_inputs() -> dict[Input, list[type[Part]]]:
     taken: dict[Input, list[type[Part]]] = {}
     for kind in PARTS:
         for input_ in getattr(kind, "inputs", ()):
@@ -266,15 +288,15 @@ def _taken() -> dict[Input, list[type[Part]]]:
     return taken
 
 
-def _in_c(input_: Input) -> str:
+def _find_c_name(input_: Input) -> str:
     return f"`{input_.mode}`" if input_.mode else "`further`, a row"
 
 
-def _object(input_: Input) -> str:
+def _format_object(input_: Input) -> str:
     return "" if input_.mode else f"0x{find_index(input_):04X}"
 
 
-def _output(output: Output) -> list[str]:
+def _write_output_row(output: Output) -> list[str]:
     always = "every machine" if output in ALWAYS else ""
     unit = "that of the input" if output.symbol == FURTHER else UNITS.get(output.unit, output.unit)
     if output.kind != "number":
@@ -282,36 +304,36 @@ def _output(output: Output) -> list[str]:
     elif output.unit_of_slides:
         unit += f" ({output.unit_of_slides} of a slide)"
     return [
-        _code(output.name),
+        _format_code(output.name),
         output.about,
-        always or _sections(kind for kind in OWNERS if output in kind.outputs),
+        always or _list_sections(kind for kind in OWNERS if output in kind.outputs),
         unit,
-        IN_C.get(output.symbol, _code(output.symbol)),
-        _code(output.name) if output.name in FIELDS else "`readings`",
-        _code(f"{output.name}.UNIT" if output.per_unit else output.name),
+        IN_C.get(output.symbol, _format_code(output.symbol)),
+        _format_code(output.name) if output.name in FIELDS else "`readings`",
+        _format_code(f"{output.name}.UNIT" if output.per_unit else output.name),
         f"0x{find_index(output):04X}",
     ]
 
 
-def _sections(owners: Iterable[type[Part] | type[Imu]]) -> str:
+def _list_sections(owners: Iterable[type[Part] | type[Imu]]) -> str:
     """Return where parts stand in a scene; motors by their kinds."""
-    return ", ".join(dict.fromkeys(_section(owner) for owner in owners))
+    return ", ".join(dict.fromkeys(_find_section(owner) for owner in owners))
 
 
-def _section(owner: type[Part] | type[Imu]) -> str:
+def _find_section(owner: type[Part] | type[Imu]) -> str:
     if issubclass(owner, Imu):
         return "`imus`"
     if issubclass(owner, Motor):
-        return _code(f"motor.kind: {owner.kind}")
+        return _format_code(f"motor.kind: {owner.kind}")
     kind = owner.around_kind if issubclass(owner, DriveStage) else ""
-    return _code(owner.section) + (f" of a `{kind}`" if kind else "")
+    return _format_code(owner.section) + (f" of a `{kind}`" if kind else "")
 
 
-def _code(text: str) -> str:
+def _format_code(text: str) -> str:
     return f"`{text}`"
 
 
-def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
+def _write_table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
     columns = list(head)
     lines = [columns, ["---"] * len(columns), *map(list, rows)]
     return [f"| {' | '.join(line)} |" for line in lines]

@@ -187,7 +187,7 @@ class RosControls(Controls):
         f.x, f.y, f.z = force
         n.x, n.y, n.z = moment
         self._pushes.publish(message)
-        return f"{link} is pushed with {_words(force)} N, {_words(moment)} N m"
+        return f"{link} is pushed with {_format_vector(force)} N, {_format_vector(moment)} N m"
 
     def aim(self, p_WT: Vector, wxyz: tuple[float, float, float, float]) -> str:
         """Send the tool to a place and an orientation."""
@@ -196,7 +196,7 @@ class RosControls(Controls):
         p.x, p.y, p.z = p_WT
         turned.w, turned.x, turned.y, turned.z = wxyz
         self._targets.publish(message)
-        return f"the tool is sent to {_words(p_WT)} m"
+        return f"the tool is sent to {_format_vector(p_WT)} m"
 
     def save(self, name: str) -> str:
         """Keep the whole machine under a name."""
@@ -307,5 +307,5 @@ class RosControls(Controls):
         return call()
 
 
-def _words(vector: Vector) -> str:
+def _format_vector(vector: Vector) -> str:
     return ", ".join(f"{component:.4g}" for component in vector)

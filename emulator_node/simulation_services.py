@@ -87,14 +87,14 @@ class SimulationServices:
         node.create_service(
             srv.GetSimulatorFeatures,
             "~/get_simulator_features",
-            lambda _, response: _features(response),
-            refuse=lambda response, _: _features(response),
+            lambda _, response: _list_features(response),
+            refuse=lambda response, _: _list_features(response),
         )
         server = ActionServer(
             node,
             action.SimulateSteps,
             "~/simulate_steps",
-            execute_callback=guard_later(node, "simulate_steps", self._execute, _not_done),
+            execute_callback=guard_later(node, "simulate_steps", self._execute, _report_failure),
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         node.cleanup.callback(server.destroy)
@@ -113,7 +113,7 @@ class SimulationServices:
         with self._lock:
             response.state.state = self._state
             fault = self._session.fault
-            return _done(response, "" if fault is None else f"stopped: {fault}")
+            return _report_success(response, "" if fault is None else f"stopped: {fault}")
 
     def _on_set_state(self, request: Any, response: Any) -> Any:
         target, state = request.state.state, msg.SimulationState
@@ -142,13 +142,13 @@ class SimulationServices:
                 rule, actual = "be STOPPED, PLAYING, PAUSED or QUITTING", target
                 reason = str(Refusal("set_simulation_state", "state", rule, actual))
                 return _refuse(response, reason, INCORRECT)
-            return _done(response)
+            return _report_success(response)
 
     async def _on_step(self, request: Any, response: Any) -> Any:
         trouble = await self._steps(int(request.steps))
         if trouble:
             return _refuse(response, trouble, msg.Result.RESULT_OPERATION_FAILED)
-        return _done(response)
+        return _report_success(response)
 
     def _steps(self, steps: int, stepped: Any = None) -> Future:
         """Return a future of the reason why there were fewer steps, or ""."""
@@ -177,7 +177,7 @@ class SimulationServices:
         if trouble:
             _refuse(result, trouble, msg.Result.RESULT_OPERATION_FAILED)
         else:
-            _done(result)
+            _report_success(result)
         if goal.is_cancel_requested:
             goal.canceled()
         elif trouble:
@@ -206,7 +206,7 @@ class SimulationServices:
                 rule = "have SCOPE_STATE, and no unknown bit"
                 reason = str(Refusal("reset_simulation", "scope", rule, scope))
                 return _refuse(response, reason, msg.Result.RESULT_FEATURE_UNSUPPORTED)
-            return _done(response)
+            return _report_success(response)
 
     # Entities
 
@@ -225,7 +225,7 @@ class SimulationServices:
                     state = msg.EntityState()
                     self._entities.fill(name, state)
                     response.states.append(state)
-        return _done(response)
+        return _report_success(response)
 
     def _on_get_entity_state(self, request: Any, response: Any) -> Any:
         if not self._has_entity(request.entity, response):
@@ -233,7 +233,7 @@ class SimulationServices:
         with self._lock:
             self._entities.place()
             self._entities.fill(request.entity, response.state)
-        return _done(response)
+        return _report_success(response)
 
     def _on_set_entity_state(self, request: Any, response: Any) -> Any:
         if not self._has_entity(request.entity, response):
@@ -249,7 +249,7 @@ class SimulationServices:
         of, scene = self._session.scene.name, f"arm of {len(self._session.scene.joints)} joints"
         response.info.description = f"link of {of}" if entities.is_link(name) else scene
         response.info.tags = entities.get_tags(name)
-        return _done(response)
+        return _report_success(response)
 
     def _has_entity(self, name: str, response: Any) -> bool:
         names = self._entities.names
@@ -259,7 +259,7 @@ class SimulationServices:
         return name in names
 
 
-def _features(response: Any) -> Any:
+def _list_features(response: Any) -> Any:
     features = response.features
     numbers = (getattr(msg.SimulatorFeatures, name, None) for name in FEATURES)
     features.features = [number for number in numbers if number is not None]
@@ -267,7 +267,7 @@ def _features(response: Any) -> Any:
     return response
 
 
-def _done(response: Any, words: str = "") -> Any:
+def _report_success(response: Any, words: str = "") -> Any:
     response.result.result, response.result.error_message = msg.Result.RESULT_OK, words
     return response
 
@@ -279,7 +279,7 @@ def _refuse(response: Any, reason: str, result: int | None = None) -> Any:
     return response
 
 
-def _not_done(reason: Refusal, goal: Any) -> Any:
+def _report_failure(reason: Refusal, goal: Any) -> Any:
     result = action.SimulateSteps.Result()
     goal.abort()
     return _refuse(result, str(reason), msg.Result.RESULT_OPERATION_FAILED)

@@ -69,12 +69,12 @@ def _draw_signed(axes: Axes, d: NDArray[np.float64]) -> None:
     axes.axhline(0.0, color="0.4", linewidth=0.8)
     for axis, colour, marker, values in zip(AXES, COLOURS, MARKERS, d.T, strict=True):
         label = f"{axis}    residual {values[-1]:+.4f} mm"
-        axes.plot(values, color=colour, linewidth=1.6, label=label, **_marks(marker, values))
+        axes.plot(values, color=colour, linewidth=1.6, label=label, **_choose_marks(marker, values))
     axes.set_ylabel("target − tool [mm]")
     axes.legend(frameon=False, loc="best")
 
 
-def _marks(marker: str, values: NDArray[np.float64]) -> dict[str, Any]:
+def _choose_marks(marker: str, values: NDArray[np.float64]) -> dict[str, Any]:
     """Return marks at the instructions, or at some of very many."""
     return {"marker": marker, "markersize": 4, "markevery": max(1, len(values) // MAX_MARKS)}
 
@@ -87,7 +87,7 @@ def _draw_magnitude(axes: Axes, d: NDArray[np.float64]) -> None:
     nothing = max(1e-3 * float(np.linalg.norm(d[-1])), 1e-6)
     magnitude = np.where(np.abs(d) < nothing, np.nan, np.abs(d))
     for colour, marker, values in zip(COLOURS, MARKERS, magnitude.T, strict=True):
-        axes.plot(values, color=colour, linewidth=1.2, **_marks(marker, values))
+        axes.plot(values, color=colour, linewidth=1.2, **_choose_marks(marker, values))
     axes.set_ylabel("|target − tool| [mm]")
     axes.set_xlabel("number of instructions")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))

@@ -62,7 +62,7 @@ class JointData:
 
 def list_joint_names() -> list[str]:
     """Return the names of the joints that have a data file."""
-    return sorted(file.stem for file in _folder().glob("*.yaml"))
+    return sorted(file.stem for file in _find_folder().glob("*.yaml"))
 
 
 def load_joint_data(name: str) -> JointData:
@@ -73,11 +73,13 @@ def load_joint_data(name: str) -> JointData:
     """
     if name not in (names := list_joint_names()):
         raise Refusal("new", "--joint", "name a joint with a data file", name, ", ".join(names))
-    file = _folder() / f"{name}.yaml"
+    file = _find_folder() / f"{name}.yaml"
     root = Section(read_yaml(file), file.name)
     supply = root.number(_SUPPLY)
     section = root.required_section("joints").required_section(name)
-    return JointData(name, supply, read_joint(name, "revolute", section, None), _text_of(file))
+    return JointData(
+        name, supply, read_joint(name, "revolute", section, None), _read_section_lines(file)
+    )
 
 
 def choose_joint_data(choices: Sequence[str], joints: Sequence[str]) -> dict[str, JointData]:
@@ -113,11 +115,11 @@ def choose_joint_data(choices: Sequence[str], joints: Sequence[str]) -> dict[str
     return {joint: data[name] for joint, name in named.items()}
 
 
-def _folder() -> Path:
+def _find_folder() -> Path:
     return find_config_folder() / "joints"
 
 
-def _text_of(file: Path) -> tuple[str, ...]:
+def _read_section_lines(file: Path) -> tuple[str, ...]:
     """Return the lines of a joint's section, behind the comments that name its sources."""
     lines = file.read_text(encoding="utf-8").splitlines()
     sources = [f"    {line}" for line in lines if line.startswith("#")]

@@ -52,7 +52,7 @@ def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
     with tempfile.TemporaryFile(buffering=0) as outcome:
         child = os.fork()
         if child == 0:
-            _work(work, progress, watcher, outcome)
+            _do_work(work, progress, watcher, outcome)
         try:
             status = _wait(child, name, progress)
         except KeyboardInterrupt:
@@ -72,7 +72,7 @@ def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
     raise Refusal(where, *RunningCode(progress.doing).must, actual)
 
 
-def _work(
+def _do_work(
     work: Callable[[CData], object], progress: CData, watcher: int, outcome: IO[bytes]
 ) -> NoReturn:
     signal_at_end_of_parent(signal.SIGKILL)

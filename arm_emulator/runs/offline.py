@@ -70,10 +70,10 @@ class OfflineRun(NonCopyable):
         self._motion = motion
         self.motion_ticks = round(motion.period / servo.period)
         # Indices of one side's joints in the other's arrays; a slice where the order is the same.
-        places = _places("servo", scene.joint_names, servo.joint_names)
+        places = _find_places("servo", scene.joint_names, servo.joint_names)
         names = self.controller.kinematics.joint_names
-        self._to_motion = _index(_places("joint_states", servo.joint_names, names))
-        self._from_motion = _index(_places("joint_targets", names, servo.joint_names))
+        self._to_motion = _index(_find_places("joint_states", servo.joint_names, names))
+        self._from_motion = _index(_find_places("joint_targets", names, servo.joint_names))
         self._step = ServoStep(self.drives, places)
         session = self.session
         self._loop = FirmwareLoop(session.plant, self._step)
@@ -168,7 +168,7 @@ class OfflineRun(NonCopyable):
         )
 
 
-def _places(topic: str, names: tuple[str, ...], targets: tuple[str, ...]) -> list[int]:
+def _find_places(topic: str, names: tuple[str, ...], targets: tuple[str, ...]) -> list[int]:
     """Return what to index an array in the order `names` with, to get it in the order `targets`."""
     place = Number.within("place", "", math.inf)
     places = JointOrder(topic, targets).arrange(names, range(len(names)), place)

@@ -26,7 +26,7 @@ def main() -> None:
     files: list[RecordFile] = []
     try:
         ring = SharedRing(task["memory"], task["kind"])
-        show, close_view = _view(task)
+        show, close_view = _open_view(task)
         if task["record"] is not None:
             files.append(open_record("record", task["record"], task["columns"]))
     except Refusal as no:
@@ -72,7 +72,7 @@ def _take_all(
         raise
 
 
-def _view(task: dict[str, Any]) -> tuple[Callable[[Rows], None], Callable[[], str]]:
+def _open_view(task: dict[str, Any]) -> tuple[Callable[[Rows], None], Callable[[], str]]:
     """Return what shows rows, and what ends the show."""
     if task["rerun"] is None:
         return lambda rows: None, lambda: ""

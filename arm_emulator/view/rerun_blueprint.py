@@ -63,7 +63,7 @@ def blueprint(
     left: rrb.Container | rrb.View = _arm(robot, root, links)
     if tool is not None:
         deviation = [_plot("Target minus tool [m]", DEVIATION)] if targets else []
-        beside = rrb.Horizontal(_tool(root, tool), *deviation)
+        beside = rrb.Horizontal(_lay_out_tool(root, tool), *deviation)
         left = rrb.Vertical(left, beside, row_shares=[2, 1])
     signals = rrb.Vertical(
         rrb.Tabs(
@@ -118,14 +118,14 @@ def _arm(robot: str, root: str, links: NDArray[np.float64]) -> rrb.Spatial3DView
             "- /signals/**",
             "- /events",
         ],
-        spatial_information=_frame(root),
+        spatial_information=_lay_out_frame(root),
         eye_controls=rrb.EyeControls3D(position=middle + distance * EYE, look_target=middle),
         defaults=solid,
-        overrides={TOOL_PATH: _behind()},
+        overrides={TOOL_PATH: _show_past_path()},
     )
 
 
-def _tool(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
+def _lay_out_tool(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
     """Return the view of the tool, from nearby."""
     import rerun as rr
     import rerun.blueprint as rrb
@@ -135,21 +135,21 @@ def _tool(root: str, tool: NDArray[np.float64]) -> rrb.Spatial3DView:
         name="Tool, grid 10 mm",
         origin="/tool",
         contents=["+ /tool/**"],
-        spatial_information=_frame(root),
+        spatial_information=_lay_out_frame(root),
         eye_controls=rrb.EyeControls3D(position=tool + 0.08 * EYE, look_target=tool),
         line_grid=rrb.LineGrid3D(spacing=0.01, plane=level),
-        overrides={TOOL_PATH: _behind()},
+        overrides={TOOL_PATH: _show_past_path()},
     )
 
 
-def _frame(root: str) -> rrb.SpatialInformation:
+def _lay_out_frame(root: str) -> rrb.SpatialInformation:
     import rerun as rr
     import rerun.blueprint as rrb
 
     return rrb.SpatialInformation(target_frame=root, axes=rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
 
-def _behind() -> rrb.VisibleTimeRanges:
+def _show_past_path() -> rrb.VisibleTimeRanges:
     """Return the part of the tool's path that stays visible."""
     import rerun.blueprint as rrb
 

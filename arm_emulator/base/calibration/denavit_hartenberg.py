@@ -27,7 +27,7 @@ def find_dh_frames(path: JointPath) -> list[Frame]:
     """Return the frames 0 to n of an arm of n moving joints at 0, seen from its root link."""
     axes, flange = path.axes, path.flange
     p, z = axes[0]
-    frames = [_build(_foot(path.base.p, p, z), path.base.R[:, 0], z, path.base.R[:, 2])]
+    frames = [_build(_find_foot(path.base.p, p, z), path.base.R[:, 0], z, path.base.R[:, 2])]
     for place, (p, z) in enumerate([*axes[1:], (flange.p, flange.R[:, 2])]):
         before, ends = frames[-1], place + 1 == len(axes)
         x_before, z_before = before.R[:, 0], before.R[:, 2]
@@ -37,8 +37,8 @@ def find_dh_frames(path: JointPath) -> list[Frame]:
             # On the axis, where the common normal of both meets it.
             origin = p + z * (dot(np.cross(p - before.p, z_before), across) / sine**2)
         else:
-            origin = flange.p if ends else _foot(before.p, p, z)
-            x = origin - _foot(origin, before.p, z_before)
+            origin = flange.p if ends else _find_foot(before.p, p, z)
+            x = origin - _find_foot(origin, before.p, z_before)
             x = x_before if (a := measure_length(x)) < 1e-9 else x / a
         nearest = dot(x, x_before)
         if abs(nearest) < 1e-6:
@@ -68,7 +68,7 @@ def screw(axis: int, angle: float, distance: float) -> Frame:
     return Frame(turn(axis, angle) if angle else EYE, np.eye(3)[axis] * distance)
 
 
-def _foot(point: Array, p: Array, z: Array) -> Array:
+def _find_foot(point: Array, p: Array, z: Array) -> Array:
     """Return the point of an axis that is nearest to a point."""
     return np.asarray(p + z * dot(point - p, z))
 

@@ -81,7 +81,7 @@ def status(
         if node.spin_until(lambda: "motion/status" in node.newest, min(timeout, TARGET_WITHIN)):
             node.spin_until(lambda: False, OTHERS_WITHIN)
         newest = node.newest
-        others = {name: _others(node, topic) for name, topic in NODES.items()}
+        others = {name: _find_other_nodes(node, topic) for name, topic in NODES.items()}
     facts: dict[str, Any] = {"nodes": {}}
     if "emulator/status" in newest:
         clock = newest["emulator/status"]
@@ -113,8 +113,8 @@ def status(
     bad = 0
     for name in NODES:
         diagnostic = health.get(name)
-        level = _level(diagnostic) if diagnostic else "other" if others[name] else "missing"
-        words = _words(diagnostic) if diagnostic else ", ".join(others[name])
+        level = _get_level(diagnostic) if diagnostic else "other" if others[name] else "missing"
+        words = _describe_health(diagnostic) if diagnostic else ", ".join(others[name])
         facts["nodes"][name] = {"level": level, "message": words}
         bad += level not in ("ok", "other")
         output.line(f"{name:<18} {level}{f': {words}' if words else ''}")
@@ -124,7 +124,7 @@ def status(
     return int(bad > 0)
 
 
-def _others(node: NetworkClient, topic: str) -> list[str]:
+def _find_other_nodes(node: NetworkClient, topic: str) -> list[str]:
     """Return the nodes that publish a topic."""
     endpoints: list[Any] = []
 
@@ -138,7 +138,7 @@ def _others(node: NetworkClient, topic: str) -> list[str]:
     return sorted(f"node {name}" for name in names)
 
 
-def _words(health: DiagnosticStatus) -> str:
+def _describe_health(health: DiagnosticStatus) -> str:
     """Return the health of a node in words, with the newest input that it has refused."""
     values = {pair.key: pair.value for pair in health.values}
     refused = sum(int(v) for k, v in values.items() if k.startswith("refused ") and v.isdecimal())
@@ -148,6 +148,6 @@ def _words(health: DiagnosticStatus) -> str:
     return f"{health.message}; refused so far: {refused}, the newest {newest}"
 
 
-def _level(health: DiagnosticStatus) -> str:
+def _get_level(health: DiagnosticStatus) -> str:
     levels = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning"}
     return levels.get(health.level, "error")
