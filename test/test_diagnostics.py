@@ -80,7 +80,7 @@ def test_a_node_logs_refusals_and_outcomes(
 ) -> None:
     lines: list[tuple[str, str, str]] = []
     for node in nodes.nodes.values():
-        for level in ("log_info", "trouble"):
+        for level in ("log_info", "warn_about"):
             log = node._diagnostics.log
             put = functools.partial(
                 lambda level, kind, line: lines.append((level, kind, line)), level
@@ -94,11 +94,11 @@ def test_a_node_logs_refusals_and_outcomes(
     )
     motion._report_status()
     assert lines == [
-        ("trouble", "motor_states: be #", "refused: here: q must be 1, got 2"),
+        ("warn_about", "motor_states: be #", "refused: here: q must be 1, got 2"),
         ("log_info", "REACHED", "tool target 1 reached, 1.2 mm left: a reason"),
-        ("trouble", "UNREACHABLE", "tool target 1 unreachable, 1.2 mm left: a reason"),
+        ("warn_about", "UNREACHABLE", "tool target 1 unreachable, 1.2 mm left: a reason"),
         ("log_info", "REPLACED", "tool target 1 replaced, 1.2 mm left: a reason"),
-        ("trouble", "ABORTED", "tool target 1 aborted, 1.2 mm left: a reason"),
+        ("warn_about", "ABORTED", "tool target 1 aborted, 1.2 mm left: a reason"),
     ]
 
 
