@@ -97,7 +97,7 @@ class Fleet(CoreMachines):
         if device is not None and workers > 1:
             rule = "be 1 on a device, which divides its arms itself"
             raise Refusal("Fleet", "workers", rule, workers)
-        self._kernels = tuple(kernels)
+        self._kernels = _coerce_kernels(kernels, device)
         super().__init__(coerce_scene(scene, "Fleet"), count, device, self._kernels)
         self._arms: weakref.WeakValueDictionary[int, Plant] = weakref.WeakValueDictionary()
         self._shares = WorkThreads(self._count, self.lanes, workers)
@@ -501,3 +501,19 @@ def _give_back(method: weakref.WeakMethod[Callable[[int], None]], arm: int) -> N
     give_back = method()
     if give_back is not None:
         give_back(arm)
+
+
+def _coerce_kernels(kernels: object, device: str | None) -> tuple[Path, ...]:
+    """Return the files of kernels.
+
+    Raises:
+        Refusal: no list of files that exist, or files for the processor's lanes.
+    """
+    if not isinstance(kernels, list | tuple):
+        raise Refusal("Fleet", "kernels", "be a list of files", kernels)
+    if kernels and device is None:
+        raise Refusal("Fleet", "kernels", "be none in lanes of the processor", kernels)
+    for file in kernels:
+        if not (isinstance(file, str | Path) and Path(file).is_file()):
+            raise Refusal("Fleet", "kernels", "be files", file)
+    return tuple(map(Path, kernels))

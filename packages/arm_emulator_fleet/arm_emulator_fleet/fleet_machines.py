@@ -448,8 +448,6 @@ def load_core(scene: Scene, device: str | None, kernels: Sequence[Path]) -> Libr
         Refusal: it cannot be compiled, or no such device.
     """
     if device is None:
-        if kernels:
-            raise Refusal("Fleet", "kernels", "be none in lanes of the processor", kernels)
         return load_fleet(scene)
     # Nothing of it is loaded for the processor's lanes.
     from arm_emulator_fleet.device_core import DeviceCore

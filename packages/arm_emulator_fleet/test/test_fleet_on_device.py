@@ -599,6 +599,13 @@ def test_impossible_calls_of_a_device_are_refused(located: Scene, device: str) -
             fleet.follow(ServoFleet(servo_fleet, servo), 1)
     with pytest.raises(Refusal, match=r"Fleet: workers must be .* on a device"):
         Fleet(located, 3, workers=2, device=device)
+    for files, words in (
+        ("a.c", "be a list of files"),
+        (["/none.c"], "be files"),
+        ([5], "be files"),
+    ):
+        with pytest.raises(Refusal, match=f"Fleet: kernels must {words}"):
+            Fleet(located, 3, device=device, kernels=files)  # type: ignore[arg-type]
     with pytest.raises(Refusal, match=r"threads must be 1 on a device"):
         scene = load_scene("three_axis", {"threads": 2, "integrator.scheme": "paper"})
         Fleet(scene, 3, device=device)
