@@ -140,7 +140,6 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
         for fault in FAULTS
         if fault.of == "joints" and any("motor" in at for at in fault.sections)
     }
-    refused = set[str]()
     for j, joint in enumerate(scene.joint_names):
         for kind in FAULTS:
             if kind.of != "joints":
@@ -149,10 +148,7 @@ def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_p
             if kind.name in of_motors:
                 expected = kind.name in EFFECTIVE[joint] | ALWAYS
                 assert (name in listed) == expected, f"{name} is possible: {name in listed}"
-            if name not in listed and kind.name in refused:
-                continue  # by name, as a joint before it
             if name not in listed:
-                refused.add(kind.name)
                 with pytest.raises(Refusal, match="faults that this scene can have"):
                     machine(tmp_path, faults=[name])
                 continue
