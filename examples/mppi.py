@@ -6,11 +6,13 @@ Dynamics 40 (2), 2017. On a card: ``python examples/mppi.py --device gpu --rollo
 
 import argparse
 import importlib
+import sys
 import time
 
 import numpy as np
 from rich.progress import track
 
+from arm_emulator import Refusal
 from arm_emulator_fleet import Fleet
 
 HORIZON, HELD, DECISION = 25, 5, 0.02  # decisions of a rollout, and under the same noise; s
@@ -71,5 +73,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     for name, kind in (("scene", str), ("device", str), ("library", str), ("rollouts", int)):
         parser.add_argument(f"--{name}", type=kind, default=argparse.SUPPRESS)
-    off, times = main(**vars(parser.parse_args()))
+    try:
+        off, times = main(**vars(parser.parse_args()))
+    except (Refusal, ImportError) as error:
+        sys.exit(f"mppi: {error}")
     print(f"at the end {off[-1]:.4f} rad off; a decision takes {1e3 * np.median(times):.1f} ms")

@@ -7,13 +7,14 @@ by ``python examples/train_reach.py --device gpu --library torch --arms 65536``.
 
 import argparse
 import importlib
+import sys
 
 import matplotlib.pyplot as plt
 import numpy as np
 from rich.progress import Progress
 from vector_env import ReachEnv  # type: ignore[import-not-found]
 
-from arm_emulator import load_scene
+from arm_emulator import Refusal, load_scene
 
 VARIED = ["joints.*.friction.viscous", "joints.*.friction.coulomb", "payload.mass"]
 MACHINE = {"payload": 1.0, "varied": VARIED}
@@ -88,6 +89,9 @@ if __name__ == "__main__":
     for name, kind in (("scene", str), ("device", str), ("library", str), ("arms", int),
                        ("rounds", int), ("picture", str)):  # fmt: skip
         parser.add_argument(f"--{name}", type=kind, default=argparse.SUPPRESS)
-    search, _ = main(**vars(parser.parse_args()))
+    try:
+        search, _ = main(**vars(parser.parse_args()))
+    except (Refusal, ImportError) as error:
+        sys.exit(f"train_reach: {error}")
     without, learnt = (search.play(w, 0).mean() for w in (0.0 * search.weights, search.weights))
     print(f"off target in the mean, without a policy {-without:.3f} rad, with it {-learnt:.3f} rad")
