@@ -80,7 +80,7 @@ def test_a_section_of_a_published_report_is_measured_again(
     sections = {"one": Section(), "two": Section()}
     monkeypatch.setattr(report, "SECTIONS", tuple(sections))
     monkeypatch.setattr(report.importlib, "import_module", lambda name: sections[name[6:]])
-    monkeypatch.setattr(report, "machine", lambda: MACHINE)
+    monkeypatch.setattr(report, "describe_machine", lambda: MACHINE)
     out, page = tmp_path / "out", tmp_path / "page"
     assert report.bench(False, [], out, page) == report.bench(False, ["two"], out, page) == 0
     text = (page / "report.md").read_text()
