@@ -79,7 +79,7 @@ def parse_yaml(text: bytes | str, where: str) -> Any:
     """Return the content of one YAML document: dict, list, text, number, bool or None.
 
     Args:
-        text: the document, of at most `MOST_BYTES`.
+        text: the document, of at most `MAX_BYTES`.
         where: its name in refusals.
 
     Raises:
