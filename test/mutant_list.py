@@ -176,8 +176,8 @@ MUTANTS = (
     ),
     Mutant(
         f"{MACHINE}/plant/external_wrench.py",
-        "point = point + frame.p",
-        "point = point + 0.0",
+        "point = _read_vectors(where, POINT, wrench.point, arms, frame.R) + frame.p",
+        "point = _read_vectors(where, POINT, wrench.point, arms, frame.R)",
         "test_external_wrench.py",
     ),
     Mutant(

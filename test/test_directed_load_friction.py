@@ -151,7 +151,8 @@ def at_motor(joint: Rotor, friction: dict[str, float]) -> dict[str, float]:
 KINDS = ("budget of a rotor", "lossy gear of a rotor", "budget of a link", "lossy gear of a link",
          "budget, rigid", "lossy gear, rigid", "budget of a rotor, rigid",
          "lossy gear of a rotor, rigid")  # fmt: skip
-# Those of even seeds and of odd ones move by different schemes; at first every second kind by each.
+# Machines of even seeds and of odd ones move by different schemes. The first machine of each kind
+# is tested by `make test`, so every second kind comes first with each scheme.
 CASES = sorted(
     ((kind, seed) for kind in KINDS for seed in some(range(10), 2)),
     key=lambda case: (case[1] + KINDS.index(case[0])) % 2,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -131,19 +131,17 @@ def correct_urdf(urdf_xml: str, file: Path, tool: str) -> str:
 def load_calibration(file: Path, robot: ET.Element, tool: str) -> Calibration:
     """Return the calibration in a file: ours, or one of Universal Robots."""
     root = Section({"file": file.name}, file.name)
-    return read_calibration(root, robot, tool, find_beside(file.parent))
+    return read_calibration(root, robot, tool, file.parent)
 
 
-def read_calibration(
-    root: Section, robot: ET.Element, tool: str, find: Callable[[str], Path]
-) -> Calibration:
+def read_calibration(root: Section, robot: ET.Element, tool: str, folder: Path) -> Calibration:
     """Return the calibration of a section.
 
     Args:
         root: the section, of a scene or a file.
         robot: the description, locked joints fixed.
         tool: the tool's link.
-        find: gives the path of a name.
+        folder: where relative names of files begin.
 
     Raises:
         Refusal: a key, a value or a file that is not taken, or no such joint or link.
@@ -151,7 +149,7 @@ def read_calibration(
     base, flange = (_read_link(root, key, robot) for key in ("base", "flange"))
     if root.has("nominal") and not root.has("file"):
         raise root.refusal("nominal", "come with a key file", "alone")
-    file, nominal = (_find_file(root, key, find) for key in ("file", "nominal"))
+    file, nominal = (_find_file(root, key, folder) for key in ("file", "nominal"))
     deviations = dict[str, Deviation]()
     if file is not None:
         _check_nominal(root, file, nominal)
@@ -197,15 +195,16 @@ def _read_link(root: Section, key: str, robot: ET.Element) -> str:
     return name
 
 
-def _find_file(root: Section, key: str, find: Callable[[str], Path]) -> Path | None:
+def _find_file(root: Section, key: str, folder: Path) -> Path | None:
     """Return the file that a key names, None if the key is absent."""
     if not root.has(key):
         return None
     name = root.text(key)
-    reason = explain_missing_file(find(name))
+    file = folder / name
+    reason = explain_missing_file(file)
     if reason is not None:
         raise root.refusal(key, "be a file", f"{name} ({reason})")
-    return find(name)
+    return file
 
 
 def _check_nominal(root: Section, file: Path, nominal: Path | None) -> None:
@@ -227,7 +226,7 @@ def _read_file(
             for key in ("file", "nominal"):
                 if root.has(key):
                     raise root.refusal(key, "stand in the scene", repr(root.text(key)))
-            return read_calibration(root, robot, tool, find_beside(file.parent))
+            return read_calibration(root, robot, tool, file.parent)
     path = find_path(robot, file.name, base, flange, tool)
     if root is not None:
         deviations = read_ur_kinematics(root, path)
@@ -239,8 +238,3 @@ def _read_file(
         for key, number in list_numbers(Deviation).items():
             number.take(file.name, getattr(deviation, key), f"{key} of joint {name}")
     return Calibration(deviations, base, flange, file.name)
-
-
-def find_beside(folder: Path) -> Callable[[str], Path]:
-    """Return a function that gives the path of a name, beside others in a folder."""
-    return lambda name: folder / name

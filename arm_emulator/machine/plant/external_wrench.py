@@ -61,34 +61,29 @@ def move_to_moving_link(
     if not isinstance(wrench.axes, str) or wrench.axes not in AXES:
         raise Refusal(where, "axes", "be known", wrench.axes, ", ".join(AXES))
     place, frame = _find_frame(scene, where, link)
-    force, moment, point = (
-        _check_vectors(where, bound, values, arms)
-        for bound, values in (
-            (FORCE, wrench.force), (MOMENT, wrench.moment), (POINT, wrench.point)
-        )
-    )  # fmt: skip
-    if wrench.axes == "link" and not (wrench.force is NONE and wrench.moment is NONE):
-        force, moment = (apply_matrix(frame.R, vector) + 0.0 for vector in (force, moment))
-    if wrench.point is not NONE:
-        point = apply_matrix(frame.R, point)
-    point = point + frame.p
+    R = frame.R if wrench.axes == "link" else None
+    force = _read_vectors(where, FORCE, wrench.force, arms, R)
+    moment = _read_vectors(where, MOMENT, wrench.moment, arms, R)
+    point = _read_vectors(where, POINT, wrench.point, arms, frame.R) + frame.p
     if arms:
         return place, ExternalWrench(force, moment, point, wrench.axes)
     return place, ExternalWrench(tuple(force), tuple(moment), tuple(point), wrench.axes)
 
 
-def _check_vectors(where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...]) -> Array:
-    """Return a vector (3,), or of a fleet a row for each arm (arms, 3)."""
-    if values is NONE:
+def _read_vectors(
+    where: str, bound: Number, values: ArrayLike, arms: tuple[int, ...], R: Array | None
+) -> Array:
+    """Return a vector (3,), or of a fleet a row for each arm (arms, 3), turned by a rotation."""
+    if values is NONE:  # as where a fault ends, once in every run of a campaign
         return np.zeros((*arms, 3))
-    if not arms:
-        return bound.row(where, values, 3)
-    rows = bound.numbers(where, values)
-    if rows.shape not in ((3,), (*arms, 3)):
-        rule = f"have shape (3,) or ({arms[0]}, 3)"
-        raise Refusal(where, bound.name, rule, rows.shape)
-    bound.check(where, rows)
-    return np.array(np.broadcast_to(rows, (*arms, 3)))
+    rows = bound.numbers(where, values) if arms else bound.row(where, values, 3)
+    if arms:
+        if rows.shape not in ((3,), (*arms, 3)):
+            rule = f"have shape (3,) or ({arms[0]}, 3)"
+            raise Refusal(where, bound.name, rule, rows.shape)
+        bound.check(where, rows)
+        rows = np.array(np.broadcast_to(rows, (*arms, 3)))
+    return rows if R is None else apply_matrix(R, rows) + 0.0
 
 
 def _find_frame(scene: Scene, where: str, link: str) -> tuple[int, Frame]:

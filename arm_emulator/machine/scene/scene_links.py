@@ -9,7 +9,6 @@ from pathlib import Path
 from arm_emulator.base.calibration.calibration import (
     Calibration,
     displace_joints,
-    find_beside,
     read_calibration,
 )
 from arm_emulator.base.urdf.shafts import read_shaft_limits
@@ -93,7 +92,7 @@ class SceneLinks:
             return Calibration()
         locked_robot = copy.deepcopy(self.robot)
         lock_joints(locked_robot, self._locked, self.urdf_file.name)
-        calibration = read_calibration(section, locked_robot, self.tool, find_beside(file.parent))
+        calibration = read_calibration(section, locked_robot, self.tool, file.parent)
         frames = calibration.list_displacements(locked_robot, self.tool, zeros=False)
         self._true_robot = displace_joints(self.robot, frames, file.name)
         return calibration

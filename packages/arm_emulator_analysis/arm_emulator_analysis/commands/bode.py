@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from scipy import signal
 
 from arm_emulator import LinearMachine, linearise
-from arm_emulator.extension.base import Array, Number, Refusal
+from arm_emulator.extension.base import POSITION, Array, Number, Refusal
 from arm_emulator.extension.commands import SceneName, command, output
 from arm_emulator.extension.machine import (
     Plant,
@@ -24,7 +24,7 @@ from arm_emulator.extension.machine import (
 from arm_emulator.extension.runs import check_servo, load_gains
 
 FREQUENCY = Number("--low and --high", "Hz", at_least=1e-3, at_most=1e6)
-POSE = Number.within("--pose", "rad or m", 1e6)
+POSE = POSITION.named("--pose")
 PER_DECADE = 2000  # frequencies
 ROWS = slice(None, None, 20)  # of them in tables
 MODES = 8  # that are listed
