@@ -66,12 +66,14 @@ def test_help_is_there_before_anything_heavy() -> None:
         "from arm_emulator.__main__ import main\n"
         "try: main()\n"
         "except SystemExit as end: assert not end.code\n"
-        f"print('LOADED', *[name for name in {HEAVY} if name in sys.modules])"
+        f"print('LOADED', *[name for name in {HEAVY} if name in sys.modules])\n"
+        "import arm_emulator.extension.machine\n"
+        "print('scipy' in sys.modules)"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    assert done.stdout.splitlines()[-1] == "LOADED", done.stdout
+    assert done.stdout.splitlines()[-2:] == ["LOADED", "False"], done.stdout
 
 
 @pytest.mark.parametrize("command", commands(), ids=lambda command: command.name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.refusal import Refusal
@@ -88,6 +87,8 @@ def _find_swing(x: Array) -> float:
 
 
 def _find_frequency(speeds: Array, period: float) -> float:
+    from scipy import signal  # takes long to import
+
     count = _PADDED * len(speeds)
     size = np.sqrt((np.abs(np.fft.rfft(speeds, count, axis=0)) ** 2).sum(axis=1))
     peaks, about = signal.find_peaks(size, prominence=_PROMINENT * float(size.max()))

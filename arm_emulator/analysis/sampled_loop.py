@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import linalg
 
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.base.arrays import Array
@@ -127,6 +126,8 @@ class SampledLoop:
         L is the loop opened at the joint's command, all other loops closed: by Schur's complement
         this is the diagonal of the sensitivity matrix.
         """
+        from scipy import linalg  # takes long to import
+
         # Near a pole close to the unit circle, the loop changes within a narrow band.
         resonances = self.poles[(np.abs(self.poles) > 0.7) & (self.poles.imag > 0.0)]
         width = np.abs(1.0 - np.abs(resonances))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from arm_emulator.analysis.linear_servo import LinearServo
 from arm_emulator.analysis.linearised import linearise
@@ -55,6 +54,8 @@ def find_vibration_modes(
     Raises:
         Refusal: see `linearise`, `LinearServo`.
     """
+    from scipy import linalg  # takes long to import
+
     scene, period = plant.scene, servo.period
     kinematics = Kinematics(scene.true_urdf, scene.joint_names, scene.tool)
     linear = linearise(plant, q)

@@ -270,20 +270,6 @@ def test_values_out_of_range_name_the_run(tmp_path):
 # ----------------------------------------------------------------------------- workers and results
 
 
-def command(file, into, *more):
-    words = [sys.executable, "-m", "arm_emulator", "campaign", str(file), "--into", str(into)]
-    return [*words, *more]
-
-
-def finished(file, into, *more):
-    done = subprocess.run(
-        command(file, into, "--json", *more), capture_output=True, text=True, timeout=300,
-        check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
 def digest_alone(file, count=None):
     """The digest of all runs, or the first ones, in random parts in this process."""
     definition = load_campaign(file)
@@ -296,16 +282,24 @@ def digest_alone(file, count=None):
 
 
 def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
-    file = written(tmp_path, TABLE)
-    digest, columns = digest_alone(file)
+    """The campaign stops when it knows enough."""
+    file = written(tmp_path, changed(TABLE, "stop", {"width": 0.16, "confidence": 0.9}))
+    digest, columns = digest_alone(file, 200)
     units = {
         field.name: (field.metadata or {}).get(b"unit")
         for field in make_schema(load_campaign(file))
     }
     assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
     assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
-    facts = finished(file, tmp_path / "two", "--workers", "2")
-    assert facts["digest"] == digest and facts["count"] == 300
+    words = [file, "--into", tmp_path / "two", "--workers", "2", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "arm_emulator", "campaign", *words], capture_output=True, text=True,
+        timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert facts["digest"] == digest and facts["count"] == 200
+    assert all(share["high"] - share["low"] <= 0.16 for share in facts["shares"])
     assert facts["shares"][1]["hits"] == np.count_nonzero(columns["robustness.never"] < 0) > 0
     report = (tmp_path / "two" / "report.html").read_text()
     assert "faults.push.force.2" in report and report.count("data:image/png") == 3
@@ -321,8 +315,7 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
 def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, capsys):
     data = changed(changed(TABLE, "count", 70), "scenario/seconds", 0.002)
     data = changed(data, "faults", None)
-    for name in ("faults.push.force.2",):
-        del data["vary"][name]
+    del data["vary"]["faults.push.force.2"]
     file, rng = written(tmp_path, data), np.random.default_rng(1)
     digest, _ = digest_alone(file)
     definition = load_campaign(file)
@@ -356,8 +349,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
             cases = [draw_case(definition.variation, k) for k in range(first, end)]
             write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
         assert not results.missing(70) and compute_digest(results.columns()) == digest
-    aside = list((tmp_path / "alone" / "set_aside").iterdir())
-    assert aside, "they are kept"
+    assert list((tmp_path / "alone" / "set_aside").iterdir()), "they are kept"
 
 
 def test_a_file_of_checks_is_beside_its_campaign_and_cannot_end_the_command(tmp_path):
@@ -442,20 +434,10 @@ def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
     assert trial.digest == digest_alone(file)[0], trial
 
 
-def test_a_campaign_stops_when_it_knows_enough(tmp_path):
-    data = changed(TABLE, "stop", {"width": 0.16, "confidence": 0.9})
-    file = written(tmp_path, data)
-    facts = finished(file, tmp_path / "two", "--workers", "2")
-    assert facts["count"] == 200 and facts["digest"] == digest_alone(file, 200)[0]
-    assert all(share["high"] - share["low"] <= 0.16 for share in facts["shares"])
-
-
-def test_the_price_is_stated_before_the_runs(tmp_path):
-    done = subprocess.run(
-        command(written(tmp_path, TABLE), tmp_path / "x", "--dry"), capture_output=True, text=True,
-        timeout=300, check=True,
-    )  # fmt: skip
-    assert "300 runs of 0.2 s" in done.stdout and "kB" in done.stdout
+def test_the_price_is_stated_before_the_runs(tmp_path, capsys):
+    assert campaign(written(tmp_path, TABLE), into=tmp_path / "x", dry=True) == 0
+    printed = capsys.readouterr().out
+    assert "300 runs of 0.2 s" in printed and "kB" in printed
     assert not (tmp_path / "x").exists()
 
 
