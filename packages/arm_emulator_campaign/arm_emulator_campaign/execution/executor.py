@@ -16,7 +16,13 @@ from arm_emulator_campaign.batch_simulator import WIDTH, make_simulator
 from arm_emulator_campaign.case import draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
-from arm_emulator_campaign.execution.worker_pool import CampaignProgress, Pool, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import (
+    CampaignProgress,
+    Pool,
+    Work,
+    WorkerPool,
+    wait_for_any,
+)
 from arm_emulator_campaign.results.parts import FAILED, INDEX, ROBUSTNESS, Results, divide_ranges
 
 FIRST_STAGE, GROWTH = 200, 1.5  # runs after which a campaign looks whether it may stop
@@ -74,7 +80,7 @@ def _simulate_chunks(
             waiting.add(pool.submit(simulate_chunk, *of_all, first, end))
         if not waiting:
             return
-        done, waiting = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
+        done, waiting = wait_for_any(pool, waiting)
         for future in done:
             progress.add(future.result())
         worker_pool.report(progress)

@@ -17,7 +17,13 @@ from arm_emulator_campaign.case import place_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.executor import count_failures
 from arm_emulator_campaign.execution.worker import Done, simulate_chunk
-from arm_emulator_campaign.execution.worker_pool import CampaignProgress, Pool, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import (
+    CampaignProgress,
+    Pool,
+    Work,
+    WorkerPool,
+    iterate_completed,
+)
 from arm_emulator_campaign.results.parts import INDEX, MEASURE, ROBUSTNESS, Results, divide_ranges
 from arm_emulator_campaign.search.method import Finding
 
@@ -144,7 +150,7 @@ class Searcher:
             rows = points[begin - first : end - first]
             chunk = str(campaign.file.absolute()), campaign.key, folder, begin, end, rows
             waiting[pool.submit(simulate_chunk, *chunk)] = begin
-        for future in cf.as_completed(waiting):
+        for future in iterate_completed(pool, waiting):
             done = future.result()
             at = waiting[future] - first
             assert done.outputs is not None

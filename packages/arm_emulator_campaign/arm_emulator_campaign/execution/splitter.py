@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import concurrent.futures as cf
 import json
 import time
 from collections.abc import Iterable, Sequence
@@ -14,7 +13,13 @@ from arm_emulator.extension.base import write_atomically
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.searcher import write_findings
 from arm_emulator_campaign.execution.worker import Done, load_same_campaign
-from arm_emulator_campaign.execution.worker_pool import CampaignProgress, Pool, Work, WorkerPool
+from arm_emulator_campaign.execution.worker_pool import (
+    CampaignProgress,
+    Pool,
+    Work,
+    WorkerPool,
+    iterate_completed,
+)
 from arm_emulator_campaign.forking import ForkingRun
 from arm_emulator_campaign.results.parts import Results, compute_checksum
 from arm_emulator_campaign.search.method import Finding
@@ -106,7 +111,8 @@ class Splitter:
             return [number for number in numbers if not self._is_done(number)]
 
         def work(pool: Pool, left: Sequence[int], _: int) -> None:
-            for future in cf.as_completed([pool.submit(run_repetition, *of_all, k) for k in left]):
+            futures = [pool.submit(run_repetition, *of_all, k) for k in left]
+            for future in iterate_completed(pool, futures):
                 self._progress.add(future.result())
                 self._worker_pool.report(self._progress)
 

@@ -8,7 +8,7 @@ import multiprocessing as mp
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from typing import Any, Self, TypeVar
@@ -22,6 +22,7 @@ CHUNK = 1.5  # s of simulation: more than a task costs, and little to lose
 LARGEST_CHUNK = 100_000  # runs
 MAX_BREAKS = 3  # of pools that end without a finished chunk
 Left = TypeVar("Left")
+Result = TypeVar("Result")
 
 
 class LocalPool(cf.ProcessPoolExecutor):
@@ -45,6 +46,9 @@ class LocalPool(cf.ProcessPoolExecutor):
         super().__init__(
             workers, spawned, initializer=begin_worker, initargs=(os.getpid(), device_queue)
         )
+
+    def check(self) -> None:
+        """Do nothing: the futures of a process that was killed end by themselves."""
 
     def end(self) -> None:
         """Let all workers write finished runs, and end them."""
@@ -91,18 +95,42 @@ class DaskPool:
             rule = "be the address of a Dask scheduler"
             raise Refusal("campaign", "--dask", rule, f"{address}: {error}") from None
         self._executor = self._client.get_executor(pure=False, retries=3)
-        self._device = device
-        self._fixed_workers, self._polled_at, self._threads = workers, -math.inf, 1
+        self._device, self._patience, self._fixed_workers = device, patience, workers
+        self._scheduler: str = self._client.scheduler_info()["id"]
+        self._asked_at, self._answered_at = -math.inf, time.monotonic()
+        self._threads = 1
 
     @property
     def workers(self) -> int:
         """Number given, or of the cluster's threads, asked now and then; at least 1."""
         if self._fixed_workers is not None:
             return self._fixed_workers
-        if time.monotonic() - self._polled_at >= POLL_PERIOD:
-            threads: dict[str, int] = self._client.nthreads()
-            self._polled_at, self._threads = time.monotonic(), max(1, sum(threads.values()))
+        self.check()
         return self._threads
+
+    def check(self) -> None:
+        """Ask the scheduler now and then whether it still is the one that has the tasks.
+
+        A client may miss that its scheduler was replaced, and then waits for ever.
+
+        Raises:
+            CancelledError: it is another one, or has not answered for as long as it may.
+        """
+        now = time.monotonic()
+        if now - self._asked_at < POLL_PERIOD:
+            return
+        self._asked_at = now
+        try:
+            answer = self._client.scheduler_info()
+        except OSError:
+            if now - self._answered_at > self._patience:
+                raise cf.CancelledError("the scheduler does not answer") from None
+            return
+        self._answered_at = time.monotonic()
+        if answer["id"] != self._scheduler:
+            raise cf.CancelledError("another scheduler is at the address")
+        threads = sum(worker["nthreads"] for worker in answer["workers"].values())
+        self._threads = max(1, threads)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> cf.Future[Any]:
         """Submit a call."""
@@ -119,6 +147,33 @@ class DaskPool:
 
 
 Pool = LocalPool | DaskPool
+
+
+def wait_for_any(
+    pool: Pool, waiting: Iterable[cf.Future[Result]]
+) -> tuple[set[cf.Future[Result]], set[cf.Future[Result]]]:
+    """Return the futures of a pool that are done, after a moment perhaps none, and the others.
+
+    Raises:
+        Exception: one of `pool.breaks`, if the pool cannot complete them.
+    """
+    pool.check()
+    done, others = cf.wait(waiting, timeout=0.5, return_when=cf.FIRST_COMPLETED)
+    return done, others
+
+
+def iterate_completed(
+    pool: Pool, futures: Iterable[cf.Future[Result]]
+) -> Iterator[cf.Future[Result]]:
+    """Yield the futures of a pool as they are done.
+
+    Raises:
+        Exception: see `wait_for_any`.
+    """
+    waiting = set(futures)
+    while waiting:
+        done, waiting = wait_for_any(pool, waiting)
+        yield from done
 
 
 @dataclass

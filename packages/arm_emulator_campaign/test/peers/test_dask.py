@@ -69,3 +69,20 @@ def test_a_campaign_takes_all_workers_of_a_cluster(cluster):
     finally:
         limited.end()
         every.end()
+
+
+def test_a_pool_notices_that_its_scheduler_was_replaced(cluster, monkeypatch):
+    # A client that misses the end of its tasks is imitated: Dask's own notice is taken away.
+    from distributed.client import FutureState
+
+    from arm_emulator_campaign.execution.worker_pool import DaskPool, iterate_completed
+
+    pool = DaskPool(cluster.options[1], 60.0)
+    try:
+        future = pool.submit(time.sleep, 3600.0)
+        monkeypatch.setattr(FutureState, "cancel", lambda *_, **__: None)
+        cluster.kill("scheduler", None, np.random.default_rng(7))
+        with pytest.raises(pool.breaks, match="another scheduler"):
+            list(iterate_completed(pool, [future]))
+    finally:
+        pool.end()
