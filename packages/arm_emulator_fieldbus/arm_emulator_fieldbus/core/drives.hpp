@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "canopen/sdo.hpp"
+#include "canopen/sdo_server.hpp"
 #include "drive.hpp"
 
 struct drives {
@@ -14,7 +14,7 @@ struct drives {
         joints(static_cast<std::size_t>(of.at->joints)),
         further(joints.size() * static_cast<std::size_t>(of.further)) {
     for (int j = 0; j < count(); ++j) one.emplace_back(of.joint[j], machine, j);
-    for (fieldbus::Drive& drive : one) sdo.emplace_back(drive);
+    for (fieldbus::Drive& drive : one) sdo.emplace_back(drive, fieldbus::SdoServer::Carrier::can);
     command.size = sizeof command;
     command.joint = joints.data();
     command.further = further.data();
@@ -65,7 +65,7 @@ struct drives {
 
   drives_machine machine;
   std::deque<fieldbus::Drive> one;
-  std::deque<fieldbus::CanopenSdo> sdo;
+  std::deque<fieldbus::SdoServer> sdo;
   std::vector<arm_joint_command> joints;  // of the command
   std::vector<double> further;            // of the command
   arm_command command = {};
@@ -162,12 +162,12 @@ std::int32_t drives_sdo(drives* all, std::int32_t drive, const std::uint8_t* req
                         std::uint8_t* replies) {
   if (!has(all, drive) || !request || !replies) return 0;
   std::vector<fieldbus::Bytes> out;
-  all->sdo[static_cast<std::size_t>(drive)].server.answer({request, 8}, 8, out);
+  all->sdo[static_cast<std::size_t>(drive)].answer({request, 8}, 8, out);
   for (const fieldbus::Bytes& one : out) replies = std::copy_n(one.begin(), 8, replies);
   return static_cast<std::int32_t>(out.size());
 }
 void drives_sdo_begin(drives* all, std::int32_t drive) {
-  if (has(all, drive)) all->sdo[static_cast<std::size_t>(drive)].server.begin();
+  if (has(all, drive)) all->sdo[static_cast<std::size_t>(drive)].begin();
 }
 std::uint32_t drives_communication(const drives* all, std::int32_t drive) {
   return has(all, drive) ? all->at(drive).communication() : 0;

@@ -6,36 +6,16 @@
 
 #include <variant>
 
+#include "../drive_dictionary.hpp"
 #include "sdo_block.hpp"
 
 namespace fieldbus {
-
-// Object of a transfer.
-struct SdoObject {
-  std::uint16_t index = 0;
-  std::uint8_t sub = 0;
-  bool complete = false;  // all entries of the object, from `sub` on
-};
-
-// Dictionary behind a server. Abort codes are returned; after one, nothing has changed.
-class SdoDictionary {
- public:
-  virtual std::uint32_t read(const SdoObject& at, Bytes& out) const = 0;
-  virtual std::uint32_t write(const SdoObject& at, std::span<const std::uint8_t> in) = 0;
-  virtual bool has(std::uint16_t index) const = 0;
-  // Bytes of a number, where a client does not name them; at most 4.
-  virtual std::size_t length(const SdoObject& at) const = 0;
-
- protected:
-  ~SdoDictionary() = default;
-};
 
 class SdoServer {
  public:
   enum class Carrier : std::uint8_t { can, mailbox };
 
-  SdoServer(SdoDictionary& dictionary, Carrier carrier)
-      : dictionary_(dictionary), carrier_(carrier) {}
+  SdoServer(Drive& drive, Carrier carrier) : dictionary_(drive), carrier_(carrier) {}
 
   // Forget a transfer that is under way.
   void begin() {
@@ -185,7 +165,7 @@ class SdoServer {
     if (size && *size > largest()) return abort_code::memory;
     if (size && *size < data.size()) return abort_code::wrong_length;
     if (in_mailbox() && size && *size == data.size()) return dictionary_.write(at_, data);
-    if (!dictionary_.has(at_.index)) return abort_code::no_object;
+    if (dictionary_.object(at_.index).empty()) return abort_code::no_object;
     transfer_ = Download{size, Bytes(data.begin(), data.end())};
     return abort_code::none;
   }
@@ -258,7 +238,7 @@ class SdoServer {
     return abort_code::none;
   }
 
-  SdoDictionary& dictionary_;
+  DriveDictionary dictionary_;
   const Carrier carrier_;
   SdoObject at_;  // what the transfer is about
   std::variant<std::monostate, Upload, Download, BlockUpload, BlockDownload> transfer_;

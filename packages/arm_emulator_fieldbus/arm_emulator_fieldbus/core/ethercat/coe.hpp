@@ -8,12 +8,13 @@
 #include <string>
 #include <vector>
 
-#include "complete_access.hpp"
+#include "../canopen/sdo_server.hpp"
 #include "frame.hpp"
 
 namespace ethercat {
 
-using fieldbus::Code, fieldbus::Drive, fieldbus::Pdo;
+namespace abort_code = fieldbus::abort_code;
+using fieldbus::Bytes, fieldbus::Code, fieldbus::Drive, fieldbus::Entry, fieldbus::Pdo;
 
 // Details of a mailbox error, ETG.1000.4, table 30.
 enum class MailboxError : std::uint16_t {
@@ -26,7 +27,8 @@ enum class MailboxError : std::uint16_t {
 
 class Coe {
  public:
-  explicit Coe(Drive& drive) : dictionary_(drive) {}
+  explicit Coe(Drive& drive)
+      : dictionary_(drive), server_(drive, fieldbus::SdoServer::Carrier::mailbox) {}
 
   // Discard a transfer in progress.
   void begin() { server_.begin(); }
@@ -119,9 +121,9 @@ class Coe {
   // 1: all objects, 2 and 3: those that can be mapped to receive and to transmit, 4 and 5: none.
   Bytes objects_of(std::uint16_t kind) const {
     Bytes out;
-    for (const std::uint16_t index : all_objects()) {
+    for (const std::uint16_t index : dictionary_.indices()) {
       bool there = kind == 1;
-      for (const Entry& entry : object(index))
+      for (const Entry& entry : dictionary_.object(index))
         there = there || (kind == 2 && maps(entry.pdo, Pdo::rx)) ||
                 (kind == 3 && maps(entry.pdo, Pdo::tx));
       if (there) append16(out, index);
@@ -143,7 +145,7 @@ class Coe {
     return 0;
   }
   std::uint32_t describe(std::uint16_t index, std::size_t room, std::vector<Bytes>& out) const {
-    const auto entries = object(index);
+    const auto entries = dictionary_.object(index);
     if (entries.empty()) return abort_code::no_object;
     const Entry& first = entries[0];
     Bytes body;
@@ -158,7 +160,7 @@ class Coe {
   }
   std::uint32_t describe_entry(std::uint16_t index, std::uint8_t sub, std::uint8_t wanted,
                                std::size_t room, std::vector<Bytes>& out) const {
-    const auto entries = object(index);
+    const auto entries = dictionary_.object(index);
     if (entries.empty()) return abort_code::no_object;
     if (sub >= entries.size()) return abort_code::no_sub;
     const Entry& entry = entries[sub];
@@ -195,8 +197,8 @@ class Coe {
     return static_cast<std::uint16_t>(out);
   }
 
-  Dictionary dictionary_;
-  fieldbus::SdoServer server_{dictionary_, fieldbus::SdoServer::Carrier::mailbox};
+  fieldbus::DriveDictionary dictionary_;
+  fieldbus::SdoServer server_;
 };
 
 }  // namespace ethercat
