@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 
 from arm_emulator_fieldbus.drives import Drives
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
@@ -30,123 +30,97 @@ _TYPES = {
 
 def make_esi(drives: Drives) -> str:
     """Return the file for the drives of a scene, which are alike in all that it reports."""
-    objects = _group_entries(drives)
-    root = ET.Element("EtherCATInfo", Version="1.6")
-    vendor = _add_element(root, "Vendor")
-    _add_texts(vendor, Id=_format_hex(drives.read(0, 0x1018, 1), 8), Name=VENDOR)
-    descriptions = _add_element(root, "Descriptions")
-    group = _add_element(_add_element(descriptions, "Groups"), "Group")
-    _add_texts(group, Type="Drives", Name="Servo drives")
-    device = _add_element(_add_element(descriptions, "Devices"), "Device", Physics="YY")
-    product, revision = (drives.read(0, 0x1018, sub) for sub in (2, 3))
-    _add_element(
-        device,
-        "Type",
-        DEVICE,
-        ProductCode=_format_hex(product, 8),
-        RevisionNo=_format_hex(revision, 8),
-    )
-    _add_texts(device, Name=DEVICE, GroupType="Drives")
-    _add_profile(device, drives, objects)
-    for use in ("Outputs", "Inputs", "MBoxState"):
-        _add_element(device, "Fmmu", use)
-    _add_guards(device, drives)
-    for first, tag, assignment in ((0x1600, "RxPdo", 0x1C12), (0x1A00, "TxPdo", 0x1C13)):
-        assigned = [drives.read(0, assignment, k + 1) for k in range(drives.read(0, assignment))]
-        for index in sorted(object for object in objects if first <= object < first + 0x200):
-            _add_pdo(device, drives, objects, tag, index, assigned)
+    objects: dict[int, list[ObjectEntry]] = {}
+    for entry in drives.entries:
+        if entry.buses & ETHERCAT:
+            objects.setdefault(entry.index, []).append(entry)
+    vendor, product, revision = (_format_hex(drives.read(0, 0x1018, sub), 8) for sub in (1, 2, 3))
     coe = {"SdoInfo": "true", "PdoAssign": "true", "PdoConfig": "true", "CompleteAccess": "true"}
-    _add_element(_add_element(device, "Mailbox", DataLinkLayer="true"), "CoE", **coe)
-    clocks = _add_element(device, "Dc")
-    for name, activate in (("FreeRun", 0), ("DC", 0x300)):
-        mode = _add_element(clocks, "OpMode")
-        _add_texts(mode, Name=name, AssignActivate=_format_hex(activate, 4))
-        if activate:
-            _add_element(mode, "CycleTimeSync0", "0", Factor="1")
-    _add_texts(_add_element(device, "Eeprom"), ByteSize="2048", ConfigData="0500000000000000")
+    free_run = _list_texts(Name="FreeRun", AssignActivate=_format_hex(0, 4))
+    clocks = _list_texts(Name="DC", AssignActivate=_format_hex(0x300, 4))
+    device = _element(
+        "Device",
+        _element("Type", DEVICE, ProductCode=product, RevisionNo=revision),
+        *_list_texts(Name=DEVICE, GroupType="Drives"),
+        _element("Profile", _element("ProfileNo", "402"), _make_dictionary(drives, objects)),
+        *(_element("Fmmu", use) for use in ("Outputs", "Inputs", "MBoxState")),
+        *_list_guards(drives),
+        *_list_pdos(drives, objects),
+        _element("Mailbox", _element("CoE", **coe), DataLinkLayer="true"),
+        _element(
+            "Dc",
+            _element("OpMode", *free_run),
+            _element("OpMode", *clocks, _element("CycleTimeSync0", "0", Factor="1")),
+        ),
+        _element("Eeprom", *_list_texts(ByteSize="2048", ConfigData="0500000000000000")),
+        Physics="YY",
+    )
+    group = _element("Group", *_list_texts(Type="Drives", Name="Servo drives"))
+    root = _element(
+        "EtherCATInfo",
+        _element("Vendor", *_list_texts(Id=vendor, Name=VENDOR)),
+        _element("Descriptions", _element("Groups", group), _element("Devices", device)),
+        Version="1.6",
+    )
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "unicode") + "\n"
 
 
-Objects = dict[int, list[ObjectEntry]]
-
-
-def _group_entries(drives: Drives) -> Objects:
-    out: Objects = {}
-    for entry in drives.entries:
-        if entry.buses & ETHERCAT:
-            out.setdefault(entry.index, []).append(entry)
-    return out
-
-
-def _add_profile(device: ET.Element, drives: Drives, objects: Objects) -> None:
-    profile = _add_element(device, "Profile")
-    _add_element(profile, "ProfileNo", "402")
-    dictionary = _add_element(profile, "Dictionary")
-    types, rows = _add_element(dictionary, "DataTypes"), _add_element(dictionary, "Objects")
-    plain: dict[str, int] = {}
+def _make_dictionary(drives: Drives, objects: dict[int, list[ObjectEntry]]) -> ET.Element:
+    records, rows, plain = [], [], dict[str, int]()
     for index, entries in objects.items():
-        row = _add_element(rows, "Object")
+        plain |= dict(_find_type(drives, entry) for entry in entries)
         if len(entries) == 1:
             name, bits = _find_type(drives, entries[0])
-            plain[name] = bits
         else:
-            name, bits = f"DT{index:04X}", _add_record(types, drives, index, entries, plain)
-        _add_texts(
-            row, Index=_format_hex(index, 4), Name=entries[0].object, Type=name, BitSize=str(bits)
+            name = f"DT{index:04X}"
+            bits, record = _make_record(drives, name, entries)
+            records.append(record)
+        texts = _list_texts(
+            Index=_format_hex(index, 4), Name=entries[0].object, Type=name, BitSize=str(bits)
         )
-        _add_info(row, entries)
-        _add_flags(row, entries[0])
+        rows.append(_element("Object", *texts, _make_info(entries), _make_flags(entries[0])))
     for name, bits in plain.items():
-        _add_texts(_add_element(types, "DataType"), Name=name, BitSize=str(bits))
+        records.append(_element("DataType", *_list_texts(Name=name, BitSize=str(bits))))
+    return _element("Dictionary", _element("DataTypes", *records), _element("Objects", *rows))
 
 
-def _add_record(
-    types: ET.Element,
-    drives: Drives,
-    index: int,
-    entries: Iterable[ObjectEntry],
-    plain: dict[str, int],
-) -> int:
-    """Add the data type of an object with subs; return its bits, sub 0 padded to 16."""
-    data_type = _add_element(types, "DataType")
-    _add_element(data_type, "Name", f"DT{index:04X}")
+def _make_record(
+    drives: Drives, name: str, entries: Sequence[ObjectEntry]
+) -> tuple[int, ET.Element]:
+    """Return bits and data type of an object with subs; sub 0 is padded to 16."""
     subs, at = [], 0
     for entry in entries:
-        name, bits = _find_type(drives, entry)
-        plain[name] = bits
-        subs.append((entry, name, bits, at))
+        type_, bits = _find_type(drives, entry)
+        texts = _list_texts(
+            SubIdx=str(entry.sub), Name=entry.name, Type=type_, BitSize=str(bits), BitOffs=str(at)
+        )
+        subs.append(_element("SubItem", *texts, _make_flags(entry)))
         at += 16 if entry.sub == 0 else bits
-    _add_element(data_type, "BitSize", str(at))
-    for entry, name, bits, place in subs:
-        sub = _add_element(data_type, "SubItem")
-        _add_texts(sub, SubIdx=str(entry.sub), Name=entry.name, Type=name)
-        _add_texts(sub, BitSize=str(bits), BitOffs=str(place))
-        _add_flags(sub, entry)
-    return at
+    return at, _element("DataType", *_list_texts(Name=name, BitSize=str(at)), *subs)
 
 
-def _add_info(row: ET.Element, entries: list[ObjectEntry]) -> None:
-    info = _add_element(row, "Info")
+def _make_info(entries: Sequence[ObjectEntry]) -> ET.Element:
+    info = _element("Info")
     for entry in entries:
         if entry.bits == 0:
             continue
-        where = info
+        default = _element("DefaultValue", str(entry.standard))
         if len(entries) > 1:
-            item = _add_element(info, "SubItem")
-            _add_element(item, "Name", entry.name)
-            where = _add_element(item, "Info")
-        elif entry.type not in REALS:
-            _add_texts(where, MinValue=str(entry.least), MaxValue=str(entry.most))
-        _add_element(where, "DefaultValue", str(entry.standard))
+            info.append(
+                _element("SubItem", _element("Name", entry.name), _element("Info", default))
+            )
+            continue
+        if entry.type not in REALS:
+            info.extend(_list_texts(MinValue=str(entry.least), MaxValue=str(entry.most)))
+        info.append(default)
+    return info
 
 
-def _add_flags(row: ET.Element, entry: ObjectEntry) -> None:
-    flags = _add_element(row, "Flags")
-    _add_element(flags, "Access", {"const": "ro"}.get(entry.access, entry.access))
+def _make_flags(entry: ObjectEntry) -> ET.Element:
+    access = _element("Access", {"const": "ro"}.get(entry.access, entry.access))
     mapping = ("R" if entry.rx else "") + ("T" if entry.tx else "")
-    if mapping:
-        _add_element(flags, "PdoMapping", mapping)
+    return _element("Flags", access, *([_element("PdoMapping", mapping)] if mapping else []))
 
 
 def _find_type(drives: Drives, entry: ObjectEntry) -> tuple[str, int]:
@@ -156,7 +130,7 @@ def _find_type(drives: Drives, entry: ObjectEntry) -> tuple[str, int]:
     return _TYPES[entry.type], entry.bits
 
 
-def _add_guards(device: ET.Element, drives: Drives) -> None:
+def _list_guards(drives: Drives) -> Iterator[ET.Element]:
     out, into = (_count_bytes(drives, assignment) for assignment in (0x1C12, 0x1C13))
     for name, start, control, size in (
         ("MBoxOut", MAILBOX_OUT, 0x26, MAILBOX),
@@ -170,7 +144,7 @@ def _add_guards(device: ET.Element, drives: Drives) -> None:
             "ControlByte": _format_hex(control, 2),
             "Enable": "1",
         }
-        _add_element(device, "Sm", name, DefaultSize=str(size), **mailbox, **reported)
+        yield _element("Sm", name, DefaultSize=str(size), **mailbox, **reported)
 
 
 def _count_bytes(drives: Drives, assignment: int) -> int:
@@ -181,37 +155,46 @@ def _count_bytes(drives: Drives, assignment: int) -> int:
     return bits // 8
 
 
-def _add_pdo(
-    device: ET.Element, drives: Drives, objects: Objects, tag: str, index: int, assigned: list[int]
-) -> None:
-    count = drives.read(0, index)
-    if count == 0:
-        return
-    guard = {"Sm": "2" if tag == "RxPdo" else "3"} if index in assigned else {}
-    pdo = _add_element(device, tag, **guard)
-    _add_texts(pdo, Index=_format_hex(index, 4), Name=objects[index][0].object)
-    for k in range(count):
-        mapped = drives.read(0, index, k + 1)
-        at, sub, bits = mapped >> 16, mapped >> 8 & 0xFF, mapped & 0xFF
-        row = _add_element(pdo, "Entry")
-        if not at:
-            _add_texts(row, Index=_format_hex(at, 4), BitLen=str(bits))
-            continue
-        entry = objects[at][sub]
-        _add_texts(row, Index=_format_hex(at, 4), SubIndex=str(sub), BitLen=str(bits))
-        _add_texts(row, Name=entry.name, DataType=_TYPES[entry.type])
+def _list_pdos(drives: Drives, objects: dict[int, list[ObjectEntry]]) -> Iterator[ET.Element]:
+    """Yield the process data objects that have entries; those assigned name their sync manager."""
+    for first, tag, assignment, manager in (
+        (0x1600, "RxPdo", 0x1C12, "2"),
+        (0x1A00, "TxPdo", 0x1C13, "3"),
+    ):
+        assigned = [drives.read(0, assignment, k + 1) for k in range(drives.read(0, assignment))]
+        for index in sorted(object for object in objects if first <= object < first + 0x200):
+            mapped = [drives.read(0, index, k + 1) for k in range(drives.read(0, index))]
+            if mapped:
+                texts = _list_texts(Index=_format_hex(index, 4), Name=objects[index][0].object)
+                rows = (_make_mapped(objects, word) for word in mapped)
+                guard = {"Sm": manager} if index in assigned else {}
+                yield _element(tag, *texts, *rows, **guard)
 
 
-def _add_element(parent: ET.Element, tag: str, text: str = "", **attributes: str) -> ET.Element:
-    element = ET.SubElement(parent, tag, attributes)
-    if text:
-        element.text = text
+def _make_mapped(objects: dict[int, list[ObjectEntry]], word: int) -> ET.Element:
+    """Return the element of a mapping's word: index, sub and bits; index 0 is a gap."""
+    at, sub, bits = word >> 16, word >> 8 & 0xFF, str(word & 0xFF)
+    if not at:
+        return _element("Entry", *_list_texts(Index=_format_hex(at, 4), BitLen=bits))
+    entry = objects[at][sub]
+    return _element("Entry", *_list_texts(
+        Index=_format_hex(at, 4), SubIndex=str(sub), BitLen=bits, Name=entry.name,
+        DataType=_TYPES[entry.type],
+    ))  # fmt: skip
+
+
+def _element(tag: str, *content: str | ET.Element, **attributes: str) -> ET.Element:
+    element = ET.Element(tag, attributes)
+    for part in content:
+        if isinstance(part, str):
+            element.text = part
+        else:
+            element.append(part)
     return element
 
 
-def _add_texts(parent: ET.Element, **texts: str) -> None:
-    for tag, text in texts.items():
-        _add_element(parent, tag, text)
+def _list_texts(**texts: str) -> list[ET.Element]:
+    return [_element(tag, text) for tag, text in texts.items()]
 
 
 def _format_hex(number: int, digits: int) -> str:

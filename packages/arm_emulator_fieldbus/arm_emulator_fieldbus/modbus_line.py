@@ -1,4 +1,4 @@
-"""A converter on a serial line whose time is logical. Knows nothing of ptys and clocks."""
+"""A converter on a serial line. Knows nothing of ptys and of the wall clock."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ class ModbusLine:
     Clock "lockstep": each write of commands is a servo period, and the line takes no time. "line":
     logical time is that which requests, replies and the silences between them take on the line, and
     while they do, servo periods pass under the commands held; the master itself takes none.
+    "realtime": servo periods pass by themselves, see `RealTimeService`.
 
     Attributes:
         receiver, station: of the converter.
@@ -20,10 +21,9 @@ class ModbusLine:
     Args:
         converter: what is behind the line.
         number: its address.
-        clock: "lockstep" or "line".
+        clock: "lockstep", "line" or "realtime".
         baud: speed of the line [bit/s].
         errors: that the line makes, in both directions.
-
     """
 
     def __init__(
@@ -31,24 +31,24 @@ class ModbusLine:
     ) -> None:
         self.receiver = FrameReceiver()
         self.station = ModbusStation(number, converter, lambda: self.receiver.damaged)
-        self._converter = converter
-        self._errors = errors
-        self._baud = baud
+        self.converter, self.errors, self.baud = converter, errors, baud
         self._silence = compute_silence(baud)
         self._bytes = self._silences = 0  # on the line since the machine's tick 0
         self._by_line = clock == "line"
-        if not self._by_line:
+        if clock == "lockstep":
             converter.on_commands = converter.answer_tick
+        elif clock == "realtime":
+            converter.on_commands = converter.offer
 
     @property
     def time(self) -> int:
         """Time for which the line has been busy since the start [ns]."""
-        return self._bytes * BITS_PER_BYTE * 10**9 // self._baud + self._silences * self._silence
+        return self._bytes * BITS_PER_BYTE * 10**9 // self.baud + self._silences * self._silence
 
     def bring(self, data: bytes) -> bytes:
         """Return what comes back for the bytes that a master sends."""
         self._bytes += len(data)
-        return self._answer(self.receiver.feed(self._errors.damage(data)))
+        return self._answer(self.receiver.feed(self.errors.damage(data)))
 
     def silence(self) -> bytes:
         """Take note that the master has sent nothing for a while; return what comes back."""
@@ -63,13 +63,13 @@ class ModbusLine:
             if reply:
                 self._bytes += len(reply)
                 self._silences += 1
-                replies += self._errors.damage(reply)
+                replies += self.errors.damage(reply)
         return replies
 
     def _follow(self) -> None:
         """Let the servo periods pass that end up to now on the line."""
         if not self._by_line:
             return
-        session = self._converter.session
+        session = self.converter.session
         while (session.tick + 1) * session.period_ns <= self.time and session.fault is None:
-            self._converter.pass_period()
+            self.converter.pass_period()

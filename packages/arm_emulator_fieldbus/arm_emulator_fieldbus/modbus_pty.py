@@ -12,10 +12,8 @@ import tty
 from pathlib import Path
 
 from arm_emulator.extension.base import Refusal
-from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_line import ModbusLine
-from arm_emulator_fieldbus.modbus_rtu import FrameReceiver, ModbusStation
-from arm_emulator_fieldbus.serial_line import LineErrors, compute_bytes_time, compute_silence
+from arm_emulator_fieldbus.serial_line import compute_bytes_time, compute_silence
 
 # Bytes from another process arrive later than on a line. Only an incomplete
 # request waits so long.
@@ -104,9 +102,9 @@ class SerialPort:
         return False
 
 
-def serve_port(port: SerialPort, line: ModbusLine, converter: RegisterConverter, baud: int) -> None:
+def serve_port(port: SerialPort, line: ModbusLine) -> None:
     """Serve masters in logical time, indefinitely."""
-    gap = max(compute_silence(baud), LONGEST_GAP) / 1e9
+    gap = max(compute_silence(line.baud), LONGEST_GAP) / 1e9
     silent = False
     while True:
         waiting = line.receiver.has_partial
@@ -118,9 +116,8 @@ def serve_port(port: SerialPort, line: ModbusLine, converter: RegisterConverter,
             port.give(line.silence())
         elif not silent:
             silent = True
-            _print_report(
-                f"the master is silent, logical time stands still at tick {converter.session.tick}"
-            )
+            tick = line.converter.session.tick
+            _print_report(f"the master is silent, logical time stands still at tick {tick}")
 
 
 class RealTimeService:
@@ -128,29 +125,17 @@ class RealTimeService:
 
     Args:
         port: where masters are.
-        converter: in front of a session in real time.
-        number: its address.
-        baud: speed of the line [bit/s].
-        errors: that the line makes, in both directions.
+        line: with a converter in front of a session in real time.
     """
 
-    def __init__(
-        self,
-        port: SerialPort,
-        converter: RegisterConverter,
-        number: int,
-        baud: int,
-        errors: LineErrors,
-    ) -> None:
-        self._session = converter.session
-        self._port, self._converter, self._baud, self._errors = port, converter, baud, errors
-        self._receiver = FrameReceiver()
-        self._station = ModbusStation(number, converter, lambda: self._receiver.damaged)
-        converter.on_commands = converter.offer
+    def __init__(self, port: SerialPort, line: ModbusLine) -> None:
+        self._port, self._line = port, line
 
     def serve(self) -> None:
         """Serve masters, indefinitely."""
-        gap = max(compute_silence(self._baud), LONGEST_GAP)
+        line, receiver = self._line, self._line.receiver
+        silence = compute_silence(line.baud)
+        gap = max(silence, LONGEST_GAP)
         last = began = time.monotonic_ns()
         while True:
             data = self._port.take(LOOK)
@@ -159,24 +144,23 @@ class RealTimeService:
             if data:
                 last = now
                 # The first of its bytes is there now; on a line the last one would come later.
-                if not self._receiver.has_partial:
+                if not receiver.has_partial:
                     began = now
                     count = 0
                 count += len(data)
-                requests = self._receiver.feed(self._errors.damage(data))
-            elif self._receiver.has_partial and now - last > gap:
-                requests = self._receiver.silence()
+                requests = receiver.feed(line.errors.damage(data))
+            elif receiver.has_partial and now - last > gap:
+                requests = receiver.silence()
             else:
                 continue
             for request in requests:
-                heard = began + compute_bytes_time(count, self._baud) + compute_silence(self._baud)
+                heard = began + compute_bytes_time(count, line.baud) + silence
                 self._wait_until(heard)
-                reply = self._station.answer(request)
+                reply = line.station.answer(request)
                 if reply:
-                    self._wait_until(
-                        max(heard, time.monotonic_ns()) + compute_bytes_time(len(reply), self._baud)
-                    )
-                    self._port.give(self._errors.damage(reply))
+                    duration = compute_bytes_time(len(reply), line.baud)
+                    self._wait_until(max(heard, time.monotonic_ns()) + duration)
+                    self._port.give(line.errors.damage(reply))
 
     def _wait_until(self, moment: int) -> None:
         while (left := moment - time.monotonic_ns()) > 0:
@@ -185,10 +169,11 @@ class RealTimeService:
 
     def _look(self) -> None:
         """Take what the loop in real time has reached."""
-        while self._session.take():
+        converter = self._line.converter
+        while converter.session.take():
             pass
-        if self._converter.has_tripped():
-            self._converter.offer()
+        if converter.has_tripped():
+            converter.offer()
 
 
 def _print_report(words: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from arm_emulator.extension.machine import (
     OUTPUT_AXES,
@@ -137,19 +138,19 @@ def _list_inputs(scene: Scene) -> list[Variable]:
     zero = (0.0,) * N
     commands = tuple(joint.unit for joint in scene.joints)
     about = "command to each motor, held over the step"
-    inputs = [_make_input(scene, "command", "Float64", about, commands, zero, "command")]
+    inputs = [_make_input(scene, "command", "Float64", about, commands, start=zero, rule="command")]
     for k, name in enumerate(list_further_inputs(scene)):
         abouts = (
             part_input.about for joint in scene.joints if (part_input := find_input(joint, name))
         )
         about, units = " or ".join(dict.fromkeys(abouts)), list_input_units(scene, name)
-        row = _make_input(scene, name, "Float64", about, units, zero, "further")
+        row = _make_input(scene, name, "Float64", about, units, start=zero, rule="further")
         inputs.append(replace(row, symbol="values.now.further[]", first=N * k))
     about = "whether each drive is enabled"
-    inputs.append(_make_input(scene, "enable", "Boolean", about, (), (1.0,) * N))
+    inputs.append(_make_input(scene, "enable", "Boolean", about, (), start=(1.0,) * N))
     if any(joint.brake for joint in scene.joints):
         about = "whether each brake closes though its drive is enabled"
-        inputs.append(_make_input(scene, "close_brake", "Boolean", about, (), zero))
+        inputs.append(_make_input(scene, "close_brake", "Boolean", about, (), start=zero))
     about = "power of all drives"
     inputs.append(Variable(("power",), "values.now.power", "Boolean", "input", about, start=(1.0,)))
     if scene.external_wrench:
@@ -159,12 +160,14 @@ def _list_inputs(scene: Scene) -> list[Variable]:
             ("point", "m", "where the external force acts, in the frame of each link"),
         ):
             moved = tuple(link.name for link in scene.chain.links)
-            start = (0.0,) * (len(moved) * OUTPUT_AXES)
+            shape = len(moved), OUTPUT_AXES
             symbol, units = f"values.now.external_{name}[]", (unit,) * len(moved)
-            row = _make_row(
-                moved, ("external", name), symbol, "Float64", "input", about, units, start
+            more = {"rule": "wrench", "shape": shape, "start": (0.0,) * math.prod(shape)}
+            inputs.append(
+                _make_row(
+                    moved, ("external", name), symbol, "Float64", "input", about, units, **more
+                )
             )
-            inputs.append(replace(row, rule="wrench", shape=(len(moved), OUTPUT_AXES)))
         about = "whether external forces and moments are in axes of the world, not of the links"
         name_ = ("external", "world_axes")
         symbol = "values.now.external_world_axes"
@@ -177,7 +180,7 @@ def _list_parameters(scene: Scene) -> list[Variable]:
     v = (0.0,) * len(q)
     parameters = [
         _make_row(scene.joint_names, ("start", name), f"values.start_{name}[]", "Float64", "fixed",
-             f"{quantity} of each joint at the start", units, start, f"start_{name}")
+             f"{quantity} of each joint at the start", units, start=start, rule=f"start_{name}")
         for name, quantity, units, start in (
             ("q", "position", _list_links(scene, "rad", "m"), q),
             ("v", "speed", _list_links(scene, "rad/s", "m/s"), v),
@@ -212,27 +215,21 @@ def _list_measurements(scene: Scene) -> list[Variable]:
             if output.per_unit:
                 about = f"{output.name.replace('_', ' ')} by {imu.name}, in its frame"
                 name, symbol = (output.name, imu.name), _name_in_unit(output, m)
-                variable = Variable(name, symbol, "Float64", "output", about, (output.unit,))
-                measurements.append(replace(variable, shape=(OUTPUT_AXES,)))
+                unit, shape = (output.unit,), (OUTPUT_AXES,)
+                measurements.append(
+                    Variable(name, symbol, "Float64", "output", about, unit, shape=shape)
+                )
     return measurements
 
 
 def _make_output(scene: Scene, output: Output) -> Variable:
     array, _, field = output.symbol.partition(".")
     symbol = f"shown.{array}[]" + (f".{field}" if field else "")
-    units = list_units(scene, output)
-    row = _make_row(
-        scene.joint_names,
-        (output.name,),
-        symbol,
-        _TYPES[output.kind],
-        "output",
-        output.about,
-        units,
-        None,
-    )
     rows = list_rows(scene).get(array)
-    return row if rows is None else replace(row, first=len(scene.joints) * rows.index(output.name))
+    first = 0 if rows is None else len(scene.joints) * rows.index(output.name)
+    kind, units = _TYPES[output.kind], list_units(scene, output)
+    name, about = (output.name,), output.about
+    return _make_row(scene.joint_names, name, symbol, kind, "output", about, units, first=first)
 
 
 def _name_in_unit(output: Output, unit: int) -> str:
@@ -242,17 +239,9 @@ def _name_in_unit(output: Output, unit: int) -> str:
 
 def _list_truth(scene: Scene) -> list[Variable]:
     N = len(scene.joints)
+    joints = scene.joint_names
     truths = [
-        _make_row(
-            scene.joint_names,
-            ("truth", name),
-            f"truth.{name}[]",
-            "Float64",
-            "output",
-            about,
-            units,
-            None,
-        )
+        _make_row(joints, ("truth", name), f"truth.{name}[]", "Float64", "output", about, units)
         for name, about, units in (
             ("q", "true position of each joint", _list_links(scene, "rad", "m")),
             ("v", "true speed of each joint", _list_links(scene, "rad/s", "m/s")),
@@ -269,23 +258,17 @@ def _list_truth(scene: Scene) -> list[Variable]:
         for output in (truth for part in joint.parts for truth in part.truths):
             name, symbol = ("truth", output.name, joint.name), f"truth.{output.symbol}[]"
             about = f"{output.about} of {joint.name}"
-            variable = Variable(name, symbol, "Float64", "output", about, (output.unit,))
-            truths.append(replace(variable, first=j))
+            unit = (output.unit,)
+            truths.append(Variable(name, symbol, "Float64", "output", about, unit, first=j))
     return truths
 
 
 def _make_input(
-    scene: Scene,
-    name: str,
-    type_: str,
-    about: str,
-    units: tuple[str, ...],
-    start: tuple[float, ...],
-    rule: str = "finite",
+    scene: Scene, name: str, type_: str, about: str, units: tuple[str, ...], **more: Any
 ) -> Variable:
-    """Return a value per joint that the machine is given."""
+    """Return a value per joint that the machine is given; `more`: further fields of it."""
     symbol = f"values.now.{name}[]"
-    return _make_row(scene.joint_names, (name,), symbol, type_, "input", about, units, start, rule)
+    return _make_row(scene.joint_names, (name,), symbol, type_, "input", about, units, **more)
 
 
 def _make_row(
@@ -296,25 +279,15 @@ def _make_row(
     role: str,
     about: str,
     units: tuple[str, ...],
-    start: tuple[float, ...] | None,
-    rule: str = "finite",
+    **more: Any,
 ) -> Variable:
-    """Return a variable with a value per joint."""
+    """Return a variable with a value per joint; `more`: further fields of it."""
     each = joints
     if len(set(units)) > 1:
         each = tuple(f"{joint} [{unit}]" for joint, unit in zip(joints, units, strict=True))
-    return Variable(
-        name,
-        symbol,
-        type_,
-        role,
-        f"{about}, base to tool: {', '.join(each)}",
-        units,
-        rule=rule,
-        shape=(len(joints),),
-        start=start,
-        joints=joints,
-    )
+    description = f"{about}, base to tool: {', '.join(each)}"
+    fields: dict[str, Any] = {"shape": (len(joints),), "joints": joints, **more}
+    return Variable(name, symbol, type_, role, description, units, **fields)
 
 
 def _list_links(scene: Scene, revolute: str, prismatic: str) -> tuple[str, ...]:

@@ -212,49 +212,45 @@ class DataMistakes:
         yield from self._times()
         yield from self._try_zeros()
         loaded = replace(self.as_is, loaded=True)
-        yield self._try_searched(
-            "load", "another load at the tool than the scene's payload", loaded
-        )
+        another = "another load at the tool than the scene's payload"
+        yield self._try("load", another, loaded, SEARCHED)
 
     def again(self, slip: Mistake) -> Mistake:
         """Return a slip with its cost at the present noise."""
         return replace(slip, cost=self.cost(slip.view) + slip.alone)
 
-    def _try_plain(
-        self, quantity: str, actual: str, view: RecordView, scale: float = 0.0
-    ) -> Mistake:
-        return Mistake(quantity, actual, self.cost(view) + PLAIN, view, PLAIN, scale)
+    def _try(self, quantity: str, got: str, view: RecordView, alone: float = PLAIN,
+             scale: float = 0.0) -> Mistake:  # fmt: skip
+        return Mistake(quantity, got, self.cost(view) + alone, view, alone, scale)
 
-    def _try_searched(self, quantity: str, actual: str, view: RecordView, scale: float = 0.0,
-                  alone: float = SEARCHED) -> Mistake:  # fmt: skip
-        return Mistake(quantity, actual, self.cost(view) + alone, view, alone, scale)
+    def _list_groups(self) -> Iterator[tuple[int, str, Mask]]:
+        """Yield all joints as -1, then each of several: number, words, and which they are (N,)."""
+        yield -1, "", np.full(self.N, True)
+        for j in range(self.N) if self.N > 1 else ():
+            yield j, f" of {self.names[j]}", np.arange(self.N) == j
 
     def _units(self) -> Iterator[Mistake]:
         view = self.as_is
-        yield self._try_plain("angles", "deg, given as rad", self._scale_angles(DEG))
-        yield self._try_plain("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
-        yield self._try_plain("angles", "turns, given as rad", self._scale_angles(2.0 * np.pi))
+        yield self._try("angles", "deg, given as rad", self._scale_angles(DEG))
+        yield self._try("angles", "rad, given as deg", self._scale_angles(1.0 / DEG))
+        yield self._try("angles", "turns, given as rad", self._scale_angles(2.0 * np.pi))
         for factor, actual_unit in UNITS.items():
-            scale = np.full(self.N, factor)
-            yield self._try_plain(
-                "torques", f"torques {actual_unit}", replace(view, scale=scale), factor
-            )
+            scaled = replace(view, scale=np.full(self.N, factor))
+            yield self._try("torques", f"torques {actual_unit}", scaled, scale=factor)
         at_links = 1.0 / np.abs(self.scene.gear_ratios)
         if not np.allclose(at_links, 1.0):
             actual_unit = "torques at the links, not at the motors' shafts"
-            yield self._try_plain("torques", actual_unit, replace(view, scale=at_links), 1e3)
+            yield self._try("torques", actual_unit, replace(view, scale=at_links), scale=1e3)
         constants = [getattr(joint.motor, "torque_constant", None) for joint in self.scene.joints]
         if None not in constants:
             amps = 1.0 / np.array(constants, np.float64)
             actual_unit = "currents in A, given as torques"
-            yield self._try_plain("torques", actual_unit, replace(view, scale=amps), 1e3)
+            yield self._try("torques", actual_unit, replace(view, scale=amps), scale=1e3)
 
     def _scales(self) -> Iterator[Mistake]:
         """Torques and angles of all joints or of one, scaled."""
-        view, every = self.as_is, np.arange(self.N)
-        for j in (-1, *(range(self.N) if self.N > 1 else ())):
-            of = "" if j < 0 else f" of {self.names[j]}"
-            here = every == j if j >= 0 else np.full(self.N, True)
+        view = self.as_is
+        for j, of, here in self._list_groups():
 
             def scale_torque(size: float, here: Mask = here) -> RecordView:
                 return replace(view, scale=np.where(here, size, 1.0))
@@ -264,32 +260,33 @@ class DataMistakes:
             actual = f"torques{of} {_describe_scale(size)}"
             if j >= 0 and abs(size * abs(self.scene.gear_ratios[j]) - 1.0) < 0.1:
                 actual = f"torque{of} at the link, not at the motor's shaft"
-            yield self._try_searched(f"scale of the torques{of}", actual, scale_torque(size), size)
+            scaled = scale_torque(size)
+            yield self._try(f"scale of the torques{of}", actual, scaled, SEARCHED, size)
 
             def scale_angle(size: float, here: Mask = here) -> RecordView:
                 return self._scale_angles(np.where(here, 1.0 / size, 1.0))
 
             size = self._search(scale_angle, SIZES[2:-2:2], True)
             actual = f"angles{of} {_describe_scale(size)}"
-            yield self._try_searched(f"scale of the angles{of}", actual, scale_angle(size))
+            yield self._try(f"scale of the angles{of}", actual, scale_angle(size), SEARCHED)
             if j >= 0:
                 for factor, actual in (
                     (DEG, "deg, given as rad"),
                     (1.0 / DEG, "rad, given as deg"),
                 ):
                     turned = self._scale_angles(np.where(here, factor, 1.0))
-                    yield self._try_plain(f"angles{of}", actual, turned)
+                    yield self._try(f"angles{of}", actual, turned)
 
     def _try_signs(self) -> Iterator[Mistake]:
         view, every = self.as_is, np.arange(self.N)
         opposite = "the opposite ones"
-        yield self._try_plain("signs of all torques", opposite, replace(view, tau=-view.tau))
-        yield self._try_plain("signs of all angles", opposite, self._scale_angles(-1.0))
+        yield self._try("signs of all torques", opposite, replace(view, tau=-view.tau))
+        yield self._try("signs of all angles", opposite, self._scale_angles(-1.0))
         for j, name in enumerate(self.names):
             flip = np.where(every == j, -1.0, 1.0)
             flipped = replace(view, tau=view.tau * flip)
-            yield self._try_plain(f"signs of {name}'s torque", opposite, flipped)
-            yield self._try_plain(f"signs of {name}'s angle", opposite, self._scale_angles(flip))
+            yield self._try(f"signs of {name}'s torque", opposite, flipped)
+            yield self._try(f"signs of {name}'s angle", opposite, self._scale_angles(flip))
         orders = [
             (f"{self.names[i]} and {self.names[j]}", _swap_joints(every, i, j))
             for i, j in combinations(range(self.N), 2)
@@ -303,38 +300,35 @@ class DataMistakes:
             tau = (view.tau * ratio)[:, order] / ratio
             moved = self._reorder_angles(order)
             actual = "swapped ones"
-            yield self._try_plain(f"torques of {names}", actual, replace(view, tau=tau))
-            yield self._try_plain(f"angles of {names}", actual, moved)
-            yield self._try_plain(f"columns of {names}", actual, replace(moved, tau=tau))
+            yield self._try(f"torques of {names}", actual, replace(view, tau=tau))
+            yield self._try(f"angles of {names}", actual, moved)
+            yield self._try(f"columns of {names}", actual, replace(moved, tau=tau))
 
     def _times(self) -> Iterator[Mistake]:
         view = self.as_is
         size = self._search(self.scale_time, TIMES, True)
         actual = f"a time base in which a second is {size:.3g} s"
-        yield self._try_searched("t", actual, self.scale_time(size))
+        yield self._try("t", actual, self.scale_time(size), SEARCHED)
 
-        def shift(seconds: float, j: int = -1) -> RecordView:
-            tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
-            here = np.arange(self.N) == j if j >= 0 else np.full(self.N, True)
-            return replace(view, tau=np.where(here, tau, view.tau))
+        delays = LATEST * np.array([-1.0, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
+        for j, of, here in self._list_groups():
 
-        for j in (-1, *(range(self.N) if self.N > 1 else ())):
-            of = "" if j < 0 else f" of {self.names[j]}"
-            delays = LATEST * np.array([-1.0, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0])
-            seconds = self._search(lambda d, j=j: shift(d, j), delays, False)  # type: ignore[misc]
+            def shift(seconds: float, here: Mask = here) -> RecordView:
+                tau = self._torque(np.clip(view.t + seconds, *self._torque.x[[0, -1]]))
+                return replace(view, tau=np.where(here, tau, view.tau))
+
+            seconds = self._search(shift, delays, False)
             direction = "late" if seconds > 0.0 else "early"
             actual = f"torques that come {1e3 * abs(seconds):.3g} ms {direction}"
             # The torques of all joints have the same delay.
             alone = SEARCHED if j < 0 and seconds > 0.0 else RARE
-            yield self._try_searched(
-                f"time of the torques{of}", actual, shift(seconds, j), alone=alone
-            )
+            yield self._try(f"time of the torques{of}", actual, shift(seconds), alone)
 
     def _try_zeros(self) -> Iterator[Mistake]:
         view = self.as_is
         for j, name in enumerate(self.names):
             offset = replace(view, offset=j)
-            yield self._try_searched(f"zero of {name}'s torque", "another one, an offset", offset)
+            yield self._try(f"zero of {name}'s torque", "another one, an offset", offset, SEARCHED)
             slides = self.scene.chain.joints[j].kind == "prismatic"
             if slides:
                 continue
@@ -345,7 +339,7 @@ class DataMistakes:
             zeros = TURN * np.array([k for k in range(-12, 13) if k])
             zero = self._search(turn, zeros, False)
             actual = f"one that is off by {zero:.3g} rad ({zero / DEG:.3g} deg)"
-            yield self._try_searched(f"zero of {name}'s angle", actual, turn(zero))
+            yield self._try(f"zero of {name}'s angle", actual, turn(zero), SEARCHED)
 
     def _search(self, of: Callable[[float], RecordView], sizes: Array,
                 by_ratio: bool) -> float:  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,11 @@ class Found:
     left: str = ""  # reason for keeping its value
     shown: str = ""  # what a record must have to show it
     mixed: tuple[str, ...] = ()  # numbers from which this record does not distinguish it
+
+    @classmethod
+    def kept(cls, name: str, unit: str, value: float, **why: Any) -> Found:
+        """Return a number that was not sought; `why`: `left`, `shown` or `mixed`."""
+        return cls(name, unit, value, value, np.nan, False, **why)
 
     @property
     def brief(self) -> str:
@@ -99,18 +105,7 @@ def list_numbers(scene: Scene, fit: TorqueFit) -> list[Found]:
                 )
             )  # fmt: skip
         elif u in fit.left:
-            left = fit.left[u]
-            numbers.append(
-                Found(
-                    of.name,
-                    of.unit,
-                    of.value,
-                    of.value,
-                    np.nan,
-                    False,
-                    left=left,
-                )
-            )
+            numbers.append(Found.kept(of.name, of.unit, of.value, left=fit.left[u]))
     return numbers
 
 
@@ -158,19 +153,15 @@ def list_unfitted(scene: Scene, unknowns: Sequence[Unknown], is_requested: Calla
                 if value is None or name in fitted_names or not is_requested(name):
                     continue
                 beside = tuple(name for name in own_names if name.rpartition(".")[2] == key)
+                why: dict[str, object] | None = None
                 if number.prior and value and beside:
-                    numbers.append(
-                        Found(name, number.unit, value, value, np.nan, False, mixed=beside)
-                    )
+                    why = {"mixed": beside}
                 elif number.excitation and number.prior:
-                    left = "held: 0 in the scene, which has no relative deviation"
-                    numbers.append(Found(name, number.unit, value, value, np.nan, False, left=left))
+                    why = {"left": "held: 0 in the scene, which has no relative deviation"}
                 elif number.excitation:
-                    numbers.append(
-                        Found(
-                            name, number.unit, value, value, np.nan, False, shown=number.excitation
-                        )
-                    )
+                    why = {"shown": number.excitation}
+                if why is not None:
+                    numbers.append(Found.kept(name, number.unit, value, **why))
     return numbers
 
 

@@ -170,15 +170,11 @@ def list_warnings(scene: Scene, fit: TorqueFit, numbers: Sequence[Found]) -> lis
 def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: Path,
                  title: str) -> None:  # fmt: skip
     """Draw measured torques, those of the fit, and their difference."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
     N = len(names)
-    figure, axes = plt.subplots(
-        N, 1, figsize=(10, 1.7 * N + 0.6), sharex=True, squeeze=False, layout="constrained"
-    )
+    figure = Figure(figsize=(10, 1.7 * N + 0.6), layout="constrained")
+    axes = figure.subplots(N, 1, sharex=True, squeeze=False)
     for j, (axis, name) in enumerate(zip(axes[:, 0], names, strict=True)):
         moving = np.where(data.moving[:, j], 1.0, np.nan)
         axis.plot(data.t, data.tau[:, j], color="0.6", lw=1.0, label="measured")
@@ -191,7 +187,6 @@ def draw_torques(data: Filtered, torques: Array, names: tuple[str, ...], file: P
     axes[-1, 0].set_xlabel("s")
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=100)
-    plt.close(figure)
 
 
 def add_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float]:

@@ -260,7 +260,7 @@ def _estimate_covariance(normal: _Normal, masks: list[Mask], independent: Array)
         power = float(r @ r) / max(len(r), 1)
         bent = max(len(r) / last, 1.0)
         per = 1.0 / max(
-            np.sqrt(power * last * bent / max(bent - _count_used(A), 0.3 * bent)), 1e-150
+            np.sqrt(power * last * bent / max(bent - count_directions(A), 0.3 * bent)), 1e-150
         )
         rows.append(A * per)
         left.append(r * per)
@@ -277,9 +277,9 @@ def _estimate_covariance(normal: _Normal, masks: list[Mask], independent: Array)
     return covariance
 
 
-def _count_used(A: Array) -> float:
-    """Return the number of directions of the unknowns that some rows determine."""
-    return float((np.linalg.eigvalsh(A.T @ A) > 1.0).sum()) if A.size else 0.0
+def count_directions(A: Array) -> int:
+    """Return the number of directions of the unknowns (U,) that rows (R, U) determine."""
+    return int((np.linalg.eigvalsh(A.T @ A) > 1.0).sum()) if A.size else 0
 
 
 def _list_candidates(data: Filtered, load: Array, error: Array,

@@ -17,6 +17,7 @@ from arm_emulator.extension.base import Array
 from arm_emulator_identification.filtered import Filtered, Mask
 from arm_emulator_identification.residual_effects import (
     Effect,
+    count_directions,
     estimate_correlation,
     find_structure,
 )
@@ -98,7 +99,7 @@ def fit_torques(model: TorqueModel, data: Filtered, fitted: Mask,
     far_out = np.array([int(((weights[:, j] < STANDS_OUT / FAR_OUT) & r).sum())
                         for j, r in enumerate(rows.T)])  # fmt: skip
     return TorqueFit(
-        model.unknowns, fitted, values, covariance, _count_directions(per_noise),
+        model.unknowns, fitted, values, covariance, count_directions(per_noise),
         compute_explained(data.tau, error, rows), structure.effects, far_out, left,
     )  # fmt: skip
 
@@ -156,7 +157,7 @@ def _search(model: TorqueModel, data: Filtered, fitted: Mask,
             last = estimate_correlation(error[:, j], r)
             noise[j] = _find_deviation(np.sqrt(weights[r, j]) * error[r, j]) * np.sqrt(last)
             samples += r.sum() / last
-        used = _count_directions(compute_slopes(values[fitted])[: rows.sum()] * widths)
+        used = count_directions(compute_slopes(values[fitted])[: rows.sum()] * widths)
         # The residual lacks the part absorbed by the fit.
         noise *= np.sqrt(samples / max(samples - used, 0.2 * samples))
         noise = np.clip(noise, 1e-9 * deviation, deviation)
@@ -173,11 +174,6 @@ def _find_driven(model: TorqueModel, fitted: Mask, values: Array) -> dict[int, f
             if np.isfinite(bound) and unknown.value and bound and abs(values[u] - bound) < near:
                 driven[int(u)] = bound
     return driven
-
-
-def _count_directions(per_width: Array) -> int:
-    """Return the number of directions of the unknowns in which the record adds information."""
-    return int((np.linalg.eigvalsh(per_width.T @ per_width) > 1.0).sum())
 
 
 def _find_deviation(values: Array) -> float:

@@ -73,11 +73,11 @@ def modbus(
         })  # fmt: skip
         print(f"modbus: scene {machine.name} ({len(machine.joints)} joints), station {station}")
         print(f"modbus: {at}, {baud} baud, clock {clock}", flush=True)
+        line = ModbusLine(converter, station, clock, baud, errors)
         if clock == "realtime":
-            RealTimeService(port, converter, station, baud, errors).serve()
+            RealTimeService(port, line).serve()
         else:
-            line = ModbusLine(converter, station, clock, baud, errors)
-            serve_port(port, line, converter, baud)
+            serve_port(port, line)
     return 0
 
 

@@ -15,7 +15,6 @@
 #include <utility>
 #include <vector>
 
-#include "bus.hpp"
 #include "clock.hpp"
 #include "fault.hpp"
 #include "memory.hpp"
@@ -24,6 +23,14 @@
 #include "thumb.hpp"
 
 namespace mcu {
+
+// Reads and writes of memory-mapped registers, by address.
+class Bus {
+ public:
+  virtual ~Bus() = default;
+  virtual uint32_t read(uint32_t at, unsigned size) = 0;
+  virtual void write(uint32_t at, unsigned size, uint32_t value) = 0;
+};
 
 // Instructions run in blocks: up to a branch, or what else ends the straight line. Time goes on,
 // and interrupts come, between blocks only; so do steps of a debugger through a block, which

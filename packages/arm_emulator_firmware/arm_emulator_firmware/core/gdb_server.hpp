@@ -18,23 +18,12 @@
 
 namespace mcu {
 
-// Target of the debugger. Registers: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR, 50 MSP,
-// 51 PSP, 52 PRIMASK, 53 BASEPRI, 54 FAULTMASK, 55 CONTROL.
-class Debugged {
- public:
-  virtual ~Debugged() = default;
-  virtual uint32_t get_register(int number) = 0;
-  virtual void set_register(int number, uint32_t value) = 0;
-  // Read a byte without side effects; false: no memory there.
-  virtual bool look(uint32_t at, uint8_t* out) = 0;
-  virtual bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) = 0;
-  virtual void set_stops(std::vector<uint32_t> stops) = 0;
-};
-
+// `Chip`: what is debugged, see `Runner`.
+template <class Chip>
 class GdbServer {
  public:
   // `socket` listens; this waits for a client.
-  GdbServer(Debugged& debugged, int socket) : debugged_(debugged) {
+  GdbServer(Chip& debugged, int socket) : debugged_(debugged) {
     client_ = ::accept(socket, nullptr, nullptr);
     const int at_once = 1;  // answers are short, and each is waited for
     ::setsockopt(client_, IPPROTO_TCP, TCP_NODELAY, &at_once, sizeof at_once);
@@ -86,7 +75,7 @@ class GdbServer {
   static constexpr const char* WORDS[] = {"fpscr",   "msp",       "psp",    "primask",
                                           "basepri", "faultmask", "control"};
   static constexpr int FIRST_WORD = REGISTERS + DOUBLES, ALL = FIRST_WORD + std::size(WORDS);
-  // The first of a register's words, as `Debugged` numbers them.
+  // The first of a register's words, as the chip numbers them.
   static int place_of(int number) {
     if (number < REGISTERS) return number;
     if (number < FIRST_WORD) return REGISTERS + 2 * (number - REGISTERS);
@@ -363,7 +352,7 @@ class GdbServer {
 
   static constexpr size_t MAX_PACKET = 0x1000;
 
-  Debugged& debugged_;
+  Chip& debugged_;
   int client_ = -1;
   bool halted_ = true, killed_ = false, asked_to_go_ = false;
   bool stepping_ = false, stepped_ = false, moved_ = false;

@@ -20,7 +20,7 @@
 
 namespace mcu {
 
-class Runner : public Bus, public Debugged {
+class Runner : public Bus {
  public:
   explicit Runner(const mcu_board& board)
       : board_(board),
@@ -55,7 +55,7 @@ class Runner : public Bus, public Debugged {
     return memory_.write(at, bytes, size);
   }
 
-  void debug(int socket) { debugger_ = std::make_unique<GdbServer>(*this, socket); }
+  void debug(int socket) { debugger_ = std::make_unique<GdbServer<Runner>>(*this, socket); }
 
   void step(const firmware_input& in, firmware_output& out) {
     if (stopped) return;
@@ -102,13 +102,14 @@ class Runner : public Bus, public Debugged {
   }
   void restore(const uint8_t* saved) { remembered(Checkpoint(saved)); }
 
-  // Registers as read and written by a debugger.
-  uint32_t get_register(int number) override {
+  // Registers as read and written by a debugger: 0 to 15, 16 xPSR, from 17 on S0 to S31, 49 FPSCR,
+  // 50 MSP, 51 PSP, 52 PRIMASK, 53 BASEPRI, 54 FAULTMASK, 55 CONTROL.
+  uint32_t get_register(int number) {
     if (number == 15) return cpu_.pc;
     if (number == 16) return cpu_.get(UC_ARM_REG_XPSR);
     return cpu_.get(register_of(number));
   }
-  void set_register(int number, uint32_t value) override {
+  void set_register(int number, uint32_t value) {
     if (number == 15)
       cpu_.jump(value & ~1u);
     else if (number == 16)
@@ -117,7 +118,8 @@ class Runner : public Bus, public Debugged {
       cpu_.set(register_of(number), value);
     if (number >= 50) cpu_.masks_changed();
   }
-  bool look(uint32_t at, uint8_t* out) override {
+  // Read a byte without side effects; false: no memory there.
+  bool look(uint32_t at, uint8_t* out) {
     if (memory_.read(at, out, 1)) return true;
     if (at - SystemControl::AT < SystemControl::SIZE)
       *out = static_cast<uint8_t>(system_.read(at, 1, true));
@@ -127,7 +129,7 @@ class Runner : public Bus, public Debugged {
       return false;
     return true;
   }
-  bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) override {
+  bool poke(uint32_t at, const uint8_t* bytes, uint32_t size) {
     if (memory_.write(at, bytes, size)) {
       cpu_.forget(at, size);
       return true;
@@ -139,7 +141,7 @@ class Runner : public Bus, public Debugged {
     write(at, size, value);
     return true;
   }
-  void set_stops(std::vector<uint32_t> stops) override { cpu_.stops = std::move(stops); }
+  void set_stops(std::vector<uint32_t> stops) { cpu_.stops = std::move(stops); }
 
   mcu_fault fault{};
   mcu_figures figures{};
@@ -392,7 +394,7 @@ class Runner : public Bus, public Debugged {
   SysTick systick_;
   SystemControl system_;
   Devices devices_;
-  std::unique_ptr<GdbServer> debugger_;
+  std::unique_ptr<GdbServer<Runner>> debugger_;
   std::vector<uint8_t> saved_;
   const firmware_input* in_ = nullptr;  // of the step that is under way
   Fault first_fault_;

@@ -341,13 +341,11 @@ PICTURED = 5  # free runs: one of this many is drawn
 
 def draw(comparison: RunComparison, names: tuple[str, ...], file: Path) -> None:
     """Draw torques, free runs and wind-up of each axis."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
     N, data, run = len(names), comparison.data, comparison.run
-    figure, axes = plt.subplots(N, 3, figsize=(15, 1.9 * N), layout="constrained", sharex=True)
+    figure = Figure(figsize=(15, 1.9 * N), layout="constrained")
+    axes = figure.subplots(N, 3, sharex=True)
     for j, (row, name) in enumerate(zip(axes, names, strict=True)):
         torque, free, wind_up = row
         moving = np.where(data.moving[:, j], 1.0, np.nan)
@@ -378,4 +376,3 @@ def draw(comparison: RunComparison, names: tuple[str, ...], file: Path) -> None:
         each.set_xlabel("s")
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=85)
-    plt.close(figure)

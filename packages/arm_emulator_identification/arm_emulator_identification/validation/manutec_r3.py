@@ -266,15 +266,11 @@ def draw(
     motion: SimulatedMotion, by_period: Sequence[tuple[float, SolutionErrors]], file: Path
 ) -> None:
     """Draw angles, currents, friction modes, and the error over the period."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    from matplotlib.figure import Figure  # not pyplot: no screen, no global state
 
     truth, modes, _, _ = load_solution()
-    figure, ((angles, currents), (sticking, errors)) = plt.subplots(
-        2, 2, figsize=(12, 7.5), layout="constrained"
-    )
+    figure = Figure(figsize=(12, 7.5), layout="constrained")
+    (angles, currents), (sticking, errors) = figure.subplots(2, 2)
     for j in range(AXES):
         colour = f"C{j}"
         for axes, name in ((angles, "q"), (currents, "current")):
@@ -300,4 +296,3 @@ def draw(
         axes.grid(alpha=0.3)
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=110)
-    plt.close(figure)
