@@ -175,7 +175,7 @@ install/.core: package.xml setup.py setup.cfg colcon.pkg $(SHARED) install/.mess
 	@echo "$$COMMAND" > .venv/bin/arm_emulator && chmod +x .venv/bin/arm_emulator
 	@touch $@
 
-install/.packages: $(wildcard packages/*/setup.py packages/*/package.xml) $(call unlinked,$(BESIDE)) \
+install/.packages: $(wildcard packages/*.py packages/*/setup.py packages/*/package.xml) $(call unlinked,$(BESIDE)) \
                    $(if $(COPIED),FORCE) | install/.core
 	@echo 'setup: packages beside the core ...'
 	@$(call link,$(BESIDE))

@@ -1,4 +1,4 @@
-"""What the packages beside the core have in common when they are installed."""
+"""Setup that the packages beside the core share."""
 
 import re
 from pathlib import Path
