@@ -121,10 +121,9 @@ def list_blocks(scene: Scene) -> tuple[Block, ...]:
         at += block.count
     rows += [
         Block(COMMANDED, 1, 0, "control", "bits", "", True),
-        Block(COMMANDED + 1, N, 1, "command", "int16", "full scale / 32768", True),
         *(
-            Block(COMMANDED + 1 + (1 + k) * N, N, 1, name, "int16", "full scale / 32768", True)
-            for k, name in enumerate(list_further_inputs(scene))
+            Block(COMMANDED + 1 + k * N, N, 1, name, "int16", "full scale / 32768", True)
+            for k, name in enumerate(("command", *list_further_inputs(scene)))
         ),
         Block(SETTINGS, 1, 0, "watchdog, 0: none", "uint16", "ms", True),
         Block(FAULTS, 1, 0, "faults F", "uint16", "1"),
@@ -205,7 +204,7 @@ class RegisterConverter:
             FAULT_NAMES: [
                 word
                 for fault in self._faults
-                for word in _pack_words(f">{2 * PER_FAULT}s", fault.name.encode()[: 2 * PER_FAULT])
+                for word in _pack_words(f">{2 * PER_FAULT}s", fault.name.encode())
             ],
         }
         starts = (MACHINE, MEASURED, COMMANDED, SETTINGS, FAULTS, JOINTS, FAULT_NAMES)
@@ -228,22 +227,22 @@ class RegisterConverter:
         self._command = [0] * self._N * (1 + len(self._inputs))
         self.target = np.zeros((1 + len(self._inputs), self._N))
 
-    def _describe_joint(self, index: int) -> list[int]:
+    def _describe_joint(self, index: int) -> tuple[int, ...]:
         scene = self.session.scene
         joint = ARM_HEADER.new("arm_joint_description")
         self.session.plant.core.arm_describe_joint(index, joint)
-        return [
+        return _pack_words(
+            ">2H2dq2dq12x32s",
             joint.kind,
             joint.modes & 0xFFFF,
-            *_pack_words(">d", find_full_scale(scene, scene.joints[index])),
-            *_pack_words(">d", joint.counts_per_rad),
-            *_pack_words(">q", joint.encoder_wrap),
-            *_pack_words(">d", joint.gear_ratio),
-            *_pack_words(">d", joint.link_counts_per_rad),
-            *_pack_words(">q", joint.link_encoder_wrap),
-            *[0] * (PER_JOINT - 42),
-            *_pack_words(">32s", scene.joint_names[index].encode()[:32]),
-        ]
+            find_full_scale(scene, scene.joints[index]),
+            joint.counts_per_rad,
+            joint.encoder_wrap,
+            joint.gear_ratio,
+            joint.link_counts_per_rad,
+            joint.link_encoder_wrap,
+            scene.joint_names[index].encode(),
+        )
 
     def _block(self, address: int, count: int) -> tuple[int, int]:
         for base, size in self._sizes.items():
@@ -393,8 +392,8 @@ class RegisterConverter:
         return True
 
 
-def _pack_words(layout: str, value: object) -> tuple[int, ...]:
-    data = struct.pack(layout, value)
+def _pack_words(layout: str, *values: object) -> tuple[int, ...]:
+    data = struct.pack(layout, *values)
     return struct.unpack(f">{len(data) // 2}H", data)
 
 

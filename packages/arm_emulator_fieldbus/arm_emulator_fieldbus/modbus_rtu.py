@@ -226,9 +226,6 @@ class ModbusStation:
 
     def _read(self, data: bytes) -> bytes:
         address, count = _unpack_words(data, 2)
-        return self._read_from(address, count)
-
-    def _read_from(self, address: int, count: int) -> bytes:
         _check_fit(1 <= count <= 125)
         words = self._registers.read(address, count)
         return struct.pack(f">B{count}H", 2 * count, *words)
@@ -253,7 +250,7 @@ class ModbusStation:
         words = _unpack_words(data[9:], written)
         self._registers.read(address, count)
         self._registers.write(to, words)
-        return self._read_from(address, count)
+        return self._read(data[:4])
 
     def _diagnostics(self, data: bytes) -> bytes:
         _check_fit(len(data) >= 2)

@@ -47,6 +47,10 @@ _BIT = Number("bit", at_least=0, at_most=31, whole=True)
 _INTERRUPT = Number("interrupt", at_least=0, whole=True, default=-1)
 _FULL_SCALE = Number("full_scale", "V, A or N m", at_least=1e-9, at_most=1e9)
 
+MEMORY = ("flash", "ram", "code_ram")
+BRIDGES = ("bipolar", "unipolar", "pair", "float")
+PINS = ("enable", "brake", "fault", "powered")
+
 _Entry = TypeVar("_Entry")
 _KINDS = {
     word: RUNNER.constant(kind)
@@ -114,7 +118,7 @@ class _Reader:
         self._top = top
         self._joints = tuple(joint_names)
         self._blocks: tuple[Region, ...] = ()
-        self._used: dict[int, str] = {}
+        self._used: set[int] = set()
         self._channels: list[Row] = []
         self._adcs = 0
 
@@ -169,11 +173,7 @@ class _Reader:
         return at
 
     def _memory(self, name: str, section: Section) -> Region:
-        kinds = ("flash", "ram", "code_ram")
-        kind = section.choice("kind", kinds, name)
-        if kind not in kinds:
-            raise section.refusal("kind", "be there", "nothing", ", ".join(kinds))
-        return self._region(name, section, kind)
+        return self._region(name, section, _choose(section, "kind", MEMORY, name))
 
     def _block(self, name: str, section: Section) -> Region:
         return self._region(name, section, "registers")
@@ -212,8 +212,8 @@ class _Reader:
             channel |= {"joint": self._joints.index(joint), "adc": self._adcs}
         self._channels += channels
         self._adcs += 1
-        status = self._own(section, "status") if section.has("status") else 0
-        control = self._own(section, "control") if section.has("control") else 0
+        status = self._own_if_given(section, "status")
+        control = self._own_if_given(section, "control")
         for key, needs in (("flag", status), ("enable", control), ("interrupt", status)):
             if section.has(key) and not needs:
                 register = "control" if key == "enable" else "status"
@@ -238,10 +238,7 @@ class _Reader:
         return {"at": at, **numbers}
 
     def _pwm(self, joint: str, section: Section) -> Row:
-        kinds = ("bipolar", "unipolar", "pair", "float")
-        kind = section.choice("kind", kinds, "")
-        if not kind:
-            raise section.refusal("kind", "be there", "nothing", ", ".join(kinds))
+        kind = _choose(section, "kind", BRIDGES)
         counted = kind != "float"
         unipolar = kind == "unipolar"
         row: Row = {
@@ -264,16 +261,13 @@ class _Reader:
         return row
 
     def _pin(self, _name: str, section: Section) -> Row:
-        kinds = ("enable", "brake", "fault", "powered")
-        is_ = section.choice("is", kinds, "")
-        if not is_:
-            raise section.refusal("is", "be there", "nothing", ", ".join(kinds))
+        kind = _choose(section, "is", PINS)
         joint = section.text("joint") if section.has("joint") else ""
         if joint:
             self._check_joint(section, "joint", joint)
         return {
             "joint": self._joints.index(joint) if joint else -1,
-            "kind": _KINDS[is_],
+            "kind": _KINDS[kind],
             "bit": section.integer(_BIT),
             "low": section.choice("active", ("high", "low"), "high") == "low",
             "at": self._register(section, "at"),
@@ -281,9 +275,9 @@ class _Reader:
 
     def _port(self, _name: str, section: Section) -> Row:
         row = {"output": self._register(section, "output")}
-        for key in ("set_reset", "set", "clear"):
-            row[key] = self._own(section, key) if section.has(key) else 0
-        return row
+        return row | {
+            key: self._own_if_given(section, key) for key in ("set_reset", "set", "clear")
+        }
 
     def _uart(self, _name: str, section: Section) -> Row:
         row = {key: self._own(section, key) for key in ("status", "data", "control")}
@@ -330,13 +324,16 @@ class _Reader:
             raise above.refusal(key, f"have at most {MAX_ENTRIES} entries", len(names))
         return [(name, section.required_section(name)) for name in names] if section else []
 
+    def _own_if_given(self, section: Section, key: str) -> int:
+        return self._own(section, key) if section.has(key) else 0
+
     def _own(self, section: Section, key: str) -> int:
         """Return the address of a register that nothing else uses."""
         at = self._register(section, key)
         if at in self._used:
-            rule = f"be a register of its own, not {self._used[at]}"
+            rule = "be a register of its own, not the one of another key"
             raise section.refusal(key, rule, hex(at))
-        self._used[at] = "the one of another key"
+        self._used.add(at)
         return at
 
     def _register(self, section: Section, key: str) -> int:
@@ -346,6 +343,14 @@ class _Reader:
             rule = "be a multiple of 4 within a block of `registers`"
             raise section.refusal(key, rule, hex(at), blocks)
         return at
+
+
+def _choose(section: Section, key: str, values: tuple[str, ...], default: str = "") -> str:
+    """Return one of some words, which must be there unless the default is one of them."""
+    value = section.choice(key, values, default)
+    if value not in values:
+        raise section.refusal(key, "be there", "nothing", ", ".join(values))
+    return value
 
 
 def _read_numbers(section: Section, declared: Sequence[Number]) -> Row:
