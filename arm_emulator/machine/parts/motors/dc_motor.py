@@ -48,7 +48,7 @@ class DcMotor(Motor):
         "A",
         above=0.0,
         default=None,
-        text="the drive lets no larger current flow, in either direction",
+        text="the largest current, in either direction; with a current loop that of its commands",
     )
 
     @classmethod
