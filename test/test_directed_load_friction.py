@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from arm_emulator.machine.parts.frictions.load_friction import DIRECTED, RotorLo
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 
-MASS, GRAVITY = 2.0, 9.81
+MASS, WEIGHT = 2.0, 19.62  # kg, N
 PERIOD, ROWS = 0.02, 15
 # Rhoban/bam, bam/params/erob80_100/m6.json and erob80_50/m6.json (Apache-2.0), at the output.
 EROB80_100 = Bam(
@@ -38,55 +39,61 @@ EROB80_50 = Bam(
 )  # fmt: skip
 VISCOUS = 9.709332392870175  # N m s/rad, of eRob80:100
 
+Friction = dict[str, float]
+Case = tuple[Rotor, Friction, bool]  # whether the section of friction is that of the rotor
 
-def scene_of(folder: Path, joint: Rotor, friction: dict[str, float], at_rotor: bool = False,
-             **integrator: Any) -> Scene:  # fmt: skip
-    """Return the machine of the joint; `at_rotor`: friction of the link is given for the rotor."""
-    motor: dict[str, Any] = {"kind": "torque", "rotor_inertia": joint.Jm}
-    gear = {"ratio": joint.Ng}
-    if joint.Kg:
-        gear |= {"stiffness": joint.Kg, "damping": joint.Dg}
-    section: dict[str, Any] = {"motor": motor, "gear": gear}
-    if at_rotor:
-        motor["friction"] = at_motor(joint, friction)
-    else:
-        (section if joint.at_link else motor)["friction"] = friction
+
+def scene_of(folder: Path, *cases: Case, weight: float = WEIGHT, **integrator: Any) -> Scene:
+    """Return the machine of joints that do not feel each other, under the same weight each."""
+    sections = {}
+    for k, (joint, friction, at_rotor) in enumerate(cases):
+        motor: dict[str, Any] = {"kind": "torque", "rotor_inertia": joint.Jm}
+        gear = {"ratio": joint.Ng}
+        if joint.Kg:
+            gear |= {"stiffness": joint.Kg, "damping": joint.Dg}
+        section: dict[str, Any] = {"motor": motor, "gear": gear}
+        (motor if at_rotor else section)["friction"] = friction
+        sections[f"joint{k}"] = section
     file = write_scene(
-        folder, slides_urdf(["joint"]), {"joint": section}, servo_period=PERIOD,
-        gravity=[-joint.weight / MASS, 0.0, 0.0], energy_flow=True,
+        folder, slides_urdf(sections), sections, servo_period=PERIOD,
+        gravity=[-weight / MASS, 0.0, 0.0], energy_flow=True,
         integrator={"scheme": "rosenbrock", "dt": PERIOD / 40, "events": "located", **integrator},
         varied=["joints.*"],  # one library for all draws
     )  # fmt: skip
     return load_scene(file)
 
 
-def vary(plant: Plant, joint: Rotor, friction: dict[str, float]) -> None:
-    """Give a machine the numbers of another joint of this ratio, and reset it."""
+def vary(plant: Plant, k: int, joint: Rotor, friction: Friction) -> None:
+    """Give joint k of a machine the numbers of another joint of its ratio."""
     numbers = {"motor.rotor_inertia": joint.Jm, "gear.stiffness": joint.Kg,
                "gear.damping": joint.Dg}  # fmt: skip
     friction = {key: value for key, value in friction.items() if key != "breakaway"}  # follows
     numbers |= {f"motor.friction.{key}": value for key, value in friction.items()}
     for name, value in numbers.items():
-        plant.set_parameter(f"joints.joint.{name}", value)
-    plant.reset()
+        plant.set_parameter(f"joints.joint{k}.{name}", value)
 
 
 def states(plant: Plant, rows: Array, steps: int) -> Array:
-    """Return angle of the rotor and position of the link after each command."""
+    """Return angles of rotors and positions of links (2, N) after each command."""
     reached = []
     for row in rows:
-        plant.advance(np.array([row]), steps)
-        reached.append([plant.state.theta_m[0], plant.state.q[0]])
+        plant.advance(row, steps)
+        reached.append([plant.state.theta_m, plant.state.q])
     return np.array(reached)
 
 
-def sample_joint(rng: np.random.Generator, at_link: bool = False) -> tuple[Rotor, Array]:
+RATIOS = -0.02, 0.02  # a library has one ratio for each joint
+
+
+def sample_joint(
+    rng: np.random.Generator, at_link: bool = False, ratio: float = 0.0
+) -> tuple[Rotor, Array]:
     """A weight behind a spring, and commands that lift it, let it down and hold it."""
-    ratio = float(rng.choice([-0.02, 0.02]))  # a library has one ratio
+    ratio = ratio or float(rng.choice(RATIOS))
     stiffness = float(10 ** rng.uniform(3.0, 4.3))
     joint = Rotor(
         Jm=float(10 ** rng.uniform(-4.3, -3.3)), Ng=ratio, Kg=stiffness,
-        Dg=0.02 * float(np.sqrt(MASS * stiffness)), mass=MASS, weight=GRAVITY * MASS,
+        Dg=0.02 * float(np.sqrt(MASS * stiffness)), mass=MASS, weight=WEIGHT,
         viscous=0.0, law=lambda *_: 0.0, at_link=at_link,
     )  # fmt: skip
     return joint, ratio * joint.weight * (1.0 + rng.uniform(-1.2, 1.2, ROWS))
@@ -100,7 +107,7 @@ def sample_bam(rng: np.random.Generator, scale: float, speed: float) -> Bam:
                speed * float(rng.uniform(0.3, 2.0)), float(rng.uniform(1.2, 3.5)))  # fmt: skip
 
 
-def sample_lossy(rng: np.random.Generator, scale: float) -> tuple[LossyGear, dict[str, float]]:
+def sample_lossy(rng: np.random.Generator, scale: float) -> tuple[LossyGear, Friction]:
     """LossyGear of a rotor, its bearing at flange a, and the section of the scene for it."""
     eta1, eta2 = rng.uniform(0.5, 0.95, 2).tolist()
     bearing = float(rng.uniform(0.02, 0.1)) * scale
@@ -108,7 +115,7 @@ def sample_lossy(rng: np.random.Generator, scale: float) -> tuple[LossyGear, dic
     return law, {"coulomb": bearing, "load": 1.0 / eta1 - 1.0, "back_load": 1.0 - eta2}
 
 
-def sample_driven(rng: np.random.Generator, scale: float) -> tuple[LossyGear, dict[str, float]]:
+def sample_driven(rng: np.random.Generator, scale: float) -> tuple[LossyGear, Friction]:
     """LossyGear of a link, or behind a rigid gear: its bearing at flange b."""
     eta1, eta2 = rng.uniform(0.5, 0.95, 2).tolist()
     bearing = float(rng.uniform(0.02, 0.1)) * scale
@@ -116,10 +123,10 @@ def sample_driven(rng: np.random.Generator, scale: float) -> tuple[LossyGear, di
     return law, {"coulomb": bearing, "load": 1.0 - eta1, "back_load": 1.0 / eta2 - 1.0}
 
 
-def sample_case(kind: str, seed: int) -> tuple[Rotor, Array, dict[str, float]]:
-    """A joint with its commands, and its section of friction."""
+def sample_case(kind: str, seed: int, ratio: float = 0.0) -> tuple[Case, Array]:
+    """A joint and its commands."""
     rng = np.random.default_rng([seed, 91])
-    joint, rows = sample_joint(rng, at_link=kind.endswith(("link", "rigid")))
+    joint, rows = sample_joint(rng, kind.endswith(("link", "rigid")), ratio)
     if is_rigid := kind.endswith("rigid"):
         joint = replace(joint, Kg=0.0, Dg=0.0)
     scale, speed = abs(joint.Ng) * joint.weight, 10.0
@@ -135,70 +142,65 @@ def sample_case(kind: str, seed: int) -> tuple[Rotor, Array, dict[str, float]]:
     else:
         law, friction = (sample_driven if joint.at_link else sample_lossy)(rng, scale)
         friction["viscous"] = viscous
+    at_rotor = "rotor" in kind
     if is_rigid:
         friction = {key: value for key, value in friction.items() if "motor_load" not in key}
-    return replace(joint, law=law, viscous=viscous), rows, friction
-
-
-def at_motor(joint: Rotor, friction: dict[str, float]) -> dict[str, float]:
-    """Return a friction of the link as one of the rotor that turns with it."""
-    torque = abs(joint.Ng)
-    by = {"viscous": torque**2, "coulomb": torque, "breakaway": torque, "stribeck": 1.0 / torque,
-          "rest_load_square": 1.0 / torque, "rest_motor_square": 1.0 / torque}  # fmt: skip
-    return {key: value * by.get(key, 1.0) for key, value in friction.items()}
+        if at_rotor:  # as one of the rotor that turns with the link
+            torque = abs(joint.Ng)
+            by = {"viscous": torque**2, "coulomb": torque, "breakaway": torque,
+                  "stribeck": 1.0 / torque, "rest_load_square": 1.0 / torque,
+                  "rest_motor_square": 1.0 / torque}  # fmt: skip
+            friction = {key: value * by.get(key, 1.0) for key, value in friction.items()}
+    return (replace(joint, law=law, viscous=viscous), friction, at_rotor), rows
 
 
 KINDS = ("budget of a rotor", "lossy gear of a rotor", "budget of a link", "lossy gear of a link",
          "budget, rigid", "lossy gear, rigid", "budget of a rotor, rigid",
          "lossy gear of a rotor, rigid")  # fmt: skip
-# Machines of even seeds and of odd ones move by different schemes. The first machine of each kind
-# is tested by `make test`, so every second kind comes first with each scheme.
-CASES = sorted(
-    ((kind, seed) for kind in KINDS for seed in some(range(10), 2)),
-    key=lambda case: (case[1] + KINDS.index(case[0])) % 2,
-)
+# Kinds beside each other. Machines of even seeds and of odd ones move by different schemes, and
+# each kind by one of them in `make test`.
+BESIDE = [(seed, KINDS[(seed + half) % 2 :: 2]) for half in (0, 1) for seed in some(range(10), 2)]
 
 
-@pytest.mark.parametrize(("kind", "seed"), with_slow(CASES, len(KINDS)))
-def test_motion_is_that_of_the_published_law_with_order_two(
-    tmp_path: Path, kind: str, seed: int
-) -> None:
-    joint, rows, friction = sample_case(kind, seed)
-    at_rotor = kind.endswith("rotor, rigid")
-    start = np.zeros(4)
-    truth, stops = joint.run(rows, PERIOD, start)
-    assert stops, "the joint shall stop on its way"
-    scheme = ("rosenbrock", "extrapolated")[seed % 2]
-    size = np.abs(truth[:, [0, 2]]).max(axis=0)
+def compare(
+    folder: Path, samples: Sequence[tuple[Case, Array]], **integrator: Any
+) -> tuple[Array, Array]:
+    """Return the largest errors (N,) of 40 and 640 steps a period, by the sizes of the motions."""
+    solved = [case[0].run(rows, PERIOD, np.zeros(4)) for case, rows in samples]
+    assert all(stops for _, stops in solved), "each joint shall stop on its way"
+    truth = np.stack([states[:, [0, 2]] for states, _ in solved], axis=2)
+    cases, commands = [case for case, _ in samples], np.stack([rows for _, rows in samples], axis=1)
     errors = []
-    for steps in (40, 80, 160, 320, 640):
-        scene = scene_of(tmp_path, joint, friction, at_rotor, scheme=scheme, dt=PERIOD / steps)
-        plant = Plant(scene)
-        off = np.abs(states(plant, rows, steps) - truth[:, [0, 2]]) / size
-        errors.append(float(off.max()))
-    # A constant pull and no spring: the scheme has no error, but that of its event times.
-    if errors[0] < 1e-7:
-        return
-    order = np.log2(errors[0] / errors[-1]) / 4.0
-    # Events come and go where a step resolves the swing badly; the mean order hardly varies.
-    assert order > 1.75, f"{kind}: {errors}"
-    assert errors[-1] < 1e-3, f"{kind}: {errors}"
+    for steps in (40, 640):
+        plant = Plant(scene_of(folder, *cases, **integrator, dt=PERIOD / steps))
+        off = np.abs(states(plant, commands, steps) - truth) / np.abs(truth).max(axis=0)
+        errors.append(off.max(axis=(0, 1)))
+    return errors[0], errors[1]
+
+
+@pytest.mark.parametrize(("seed", "kinds"), with_slow(BESIDE, 2))
+def test_motion_is_that_of_the_published_law_with_order_two(
+    tmp_path: Path, seed: int, kinds: tuple[str, ...]
+) -> None:
+    samples = [sample_case(kind, seed) for kind in kinds]
+    errors = compare(tmp_path, samples, scheme=("rosenbrock", "extrapolated")[seed % 2])
+    for kind, coarse, fine in zip(kinds, *errors, strict=True):
+        # A constant pull and no spring: the scheme has no error, but that of its event times.
+        if coarse < 1e-7:
+            continue
+        # Events come and go where a step resolves the swing badly; the mean order hardly varies.
+        assert np.log2(coarse / fine) / 4.0 > 1.75, f"{kind}: {coarse} {fine}"
+        assert fine < 1e-3, f"{kind}: {coarse} {fine}"
 
 
 @pytest.mark.parametrize("kind", with_slow(some(KINDS, 3), 1))
 def test_without_located_events_the_motion_is_that_of_the_law_too(
     tmp_path: Path, kind: str
 ) -> None:
-    joint, rows, friction = sample_case(kind, 1)
-    truth, _ = joint.run(rows, PERIOD, np.zeros(4))
-    size = np.abs(truth[:, [0, 2]]).max(axis=0)
-    errors = []
-    for steps in (40, 640):
-        scene = scene_of(tmp_path, joint, friction, events="step", dt=PERIOD / steps)
-        off = np.abs(states(Plant(scene), rows, steps) - truth[:, [0, 2]]) / size
-        errors.append(float(off.max()))
+    samples = [sample_case(kind, 1, ratio) for ratio in RATIOS]
+    coarse, fine = compare(tmp_path, samples, events="step")
     # Of order 1 it falls by 16, but each event lies well or badly within a step.
-    assert errors[-1] < max(errors[0] / 2.0, 1e-7) and errors[-1] < 0.02, errors
+    assert (fine < np.maximum(coarse / 2.0, 1e-7)).all() and (fine < 0.02).all(), (coarse, fine)
 
 
 def erob_joint(law: Bam, viscous: float, weight: float) -> Rotor:
@@ -233,8 +235,8 @@ def test_a_published_actuator_breaks_away_where_its_budget_states(
 ) -> None:
     """Under 50 N m from outside, by a motor whose torque grows, and falls, until it moves."""
     outside = 50.0
-    scene = scene_of(tmp_path, erob_joint(law, viscous, outside), law.section(viscous),
-                     dt=5e-4)  # fmt: skip
+    case = erob_joint(law, viscous, outside), law.section(viscous), True
+    scene = scene_of(tmp_path, case, weight=outside, dt=5e-4)
     drives = brentq(lambda tau: tau - outside - law(1.0, 0.0, tau, outside, True), 50.0, 90.0)
     driven = brentq(lambda tau: outside - tau - law(-1.0, 0.0, tau, outside, False), 1.0, 50.0)
     step = 0.01
@@ -255,8 +257,8 @@ def slowed(plant: Plant, torque: float, speed: float, outside: float) -> float:
 
 def test_erob80_100_has_the_published_friction_at_rest_and_in_motion(tmp_path: Path) -> None:
     """50 N m from outside: 45 N m of the motor hold it, or none."""
-    joint = erob_joint(EROB80_100, VISCOUS, 50.0)
-    plant = Plant(scene_of(tmp_path, joint, EROB80_100.section(VISCOUS), dt=1e-6, events="step"))
+    case = erob_joint(EROB80_100, VISCOUS, 50.0), EROB80_100.section(VISCOUS), True
+    plant = Plant(scene_of(tmp_path, case, weight=50.0, dt=1e-6, events="step"))
     nearly_at_rest = 1e-4  # rad/s
     measured = [
         slowed(plant, 45.0, nearly_at_rest, 50.0),
@@ -272,7 +274,7 @@ def test_friction_of_the_machine_is_the_budget_at_random_torques_and_speeds(
     rng = np.random.default_rng(92)
     for law in (EROB80_100, EROB80_50):
         joint = erob_joint(law, 0.5, 50.0)
-        scene = scene_of(tmp_path, joint, law.section(0.5), dt=5e-4)
+        scene = scene_of(tmp_path, (joint, law.section(0.5), True), weight=50.0, dt=5e-4)
         plant, terms = Plant(scene), TorqueTerms(scene)
         for _ in range(150):
             tau, gear = rng.uniform(-60.0, 60.0, 2)
@@ -299,31 +301,50 @@ def test_the_law_in_python_is_the_budget_at_random_torques_and_speeds() -> None:
         assert dry == pytest.approx(np.array(budget), rel=1e-12)
 
 
+def sample_budgets(
+    rng: np.random.Generator, back_load: float = 0.0
+) -> tuple[list[Case], list[Bam], Array]:
+    """A rotor of each ratio with its budget, and their commands (ROWS, 2).
+
+    Up to `back_load` of what is let down rubs beside it; the sections have all keys, so that the
+    machines share a library.
+    """
+    cases, laws, commands = list[Case](), list[Bam](), []
+    for ratio in RATIOS:
+        joint, rows = sample_joint(rng, ratio=ratio)
+        scale = abs(ratio) * joint.weight
+        laws.append(sample_bam(rng, scale, 10.0))
+        friction = laws[-1].section(0.01 * scale)
+        friction |= {"back_load": friction["load"], "rest_back_load": friction["rest_load"]}
+        if back_load:
+            friction |= {key: float(rng.uniform(0.0, back_load)) for key in friction
+                         if "back_load" in key}  # fmt: skip
+        cases.append((joint, friction, True))
+        commands.append(rows)
+    return cases, laws, np.stack(commands, axis=1)
+
+
 def test_friction_only_takes_energy(tmp_path: Path) -> None:
     """500 draws of the law, of its load and of the direction."""
-    rng, worst, plants = np.random.default_rng(93), 0.0, dict[float, Plant]()
-    for draw in range(500):
-        joint, rows = sample_joint(rng)
-        scale = abs(joint.Ng) * joint.weight
-        friction = sample_bam(rng, scale, 10.0).section(0.01 * scale)
-        friction |= {"back_load": float(rng.uniform(0.0, 2.0)),
-                     "rest_back_load": float(rng.uniform(0.0, 2.0))}  # fmt: skip
-        if joint.Ng not in plants:
-            plants[joint.Ng] = Plant(scene_of(tmp_path, joint, friction, dt=PERIOD / 160))
-        plant = plants[joint.Ng]
-        vary(plant, joint, friction)
+    rng, worst, plant = np.random.default_rng(93), 0.0, None
+    for draw in range(250):
+        cases, _, rows = sample_budgets(rng, back_load=2.0)
+        plant = plant or Plant(scene_of(tmp_path, *cases, dt=PERIOD / 160))
+        plant.reset()
+        for k, (joint, friction, _) in enumerate(cases):
+            vary(plant, k, joint, friction)
         for row in rows[:4]:
-            flow = plant.powers([row])
+            flow = plant.powers(row)
             assert (flow.dissipated >= 0.0).all(), f"draw {draw}: {flow}"
-            plant.advance([row], 40)
-        balance = balance_of(plant, rows[4:6, None], 160)
+            plant.advance(row, 40)
+        balance = balance_of(plant, rows[4:6], 160)
         worst = max(worst, balance.left / balance.exchanged)
     # The error of the scheme, of order 2, of what went to and fro.
     assert worst < 1e-3, f"{worst} of what was exchanged came from nowhere"
 
 
-def put_at_rest(rng: np.random.Generator, plant: Plant, law: Bam, joint: Rotor) -> float:
-    """Bring a joint to rest under a torque inside the cone, and return that torque."""
+def find_torque(rng: np.random.Generator, law: Bam, joint: Rotor) -> float:
+    """Return a torque inside the cone, under which a joint at rest remains there."""
     S = joint.Ng * joint.weight
     share = float(rng.uniform(-0.98, 0.98))
     direction = float(np.sign(share))
@@ -333,30 +354,28 @@ def put_at_rest(rng: np.random.Generator, plant: Plant, law: Bam, joint: Rotor) 
 
     far = S + direction * 20.0 * abs(S)
     end = brentq(excess, S + direction * 1e-9 * abs(S), far)
-    torque = S + abs(share) * (end - S)
-    plant.put("test", {"q": [0.0], "v": [0.0], "omega_m": [0.0],
-                       "theta_m": [joint.weight / joint.Kg / joint.Ng]})  # fmt: skip
-    return torque
+    return S + abs(share) * (end - S)
 
 
 def creep(folder: Path, draws: int, seconds: float) -> None:
     """Hold random joints for so long at random loads inside the cone: they do not move at all."""
     rng, dt = np.random.default_rng(94), 0.01
-    plants = dict[tuple[float, str], Plant]()
-    for draw in range(draws):
-        joint, _ = sample_joint(rng)
-        scale, events = abs(joint.Ng) * joint.weight, ("located", "step")[draw % 2]
-        law = sample_bam(rng, scale, 10.0)
-        friction = law.section(0.01 * scale)
-        which = joint.Ng, events
-        if which not in plants:
-            plants[which] = Plant(scene_of(folder, joint, friction, events=events, dt=dt))
-        plant = plants[which]
-        vary(plant, joint, friction)
-        torque = put_at_rest(rng, plant, law, joint)
-        before = plant.state.theta_m[0]
-        plant.advance(np.array([torque]), round(seconds / dt))
-        assert plant.state.theta_m[0] == before, f"draw {draw} creeps under {torque} N m"
+    plants = dict[str, Plant]()
+    for draw in range(draws // 2):
+        cases, laws, _ = sample_budgets(rng)
+        events = ("located", "step")[draw % 2]
+        if events not in plants:
+            plants[events] = Plant(scene_of(folder, *cases, events=events, dt=dt))
+        plant = plants[events]
+        plant.reset()
+        for k, (joint, friction, _) in enumerate(cases):
+            vary(plant, k, joint, friction)
+        before = np.array([joint.weight / joint.Kg / joint.Ng for joint, *_ in cases])
+        plant.put("test", {"q": [0.0, 0.0], "v": [0.0, 0.0], "omega_m": [0.0, 0.0],
+                           "theta_m": before})  # fmt: skip
+        torques = [find_torque(rng, law, case[0]) for law, case in zip(laws, cases, strict=True)]
+        plant.advance(np.array(torques), round(seconds / dt))
+        assert (plant.state.theta_m == before).all(), f"draw {draw} creeps under {torques} N m"
 
 
 def test_a_joint_that_holds_does_not_creep(tmp_path: Path) -> None:
@@ -377,12 +396,12 @@ def test_a_worm_holds_without_power_where_its_lead_is_small(
     tmp_path: Path, events: str, backward: float, locks: bool
 ) -> None:
     """Emergency stop of a weight on its way up, and on its way down: no power, and no brake."""
-    joint = Rotor(Jm=2e-4, Ng=0.02, Kg=2e4, Dg=20.0, mass=MASS, weight=GRAVITY * MASS,
+    joint = Rotor(Jm=2e-4, Ng=0.02, Kg=2e4, Dg=20.0, mass=MASS, weight=WEIGHT,
                   viscous=0.0, law=lambda *_: 0.0)  # fmt: skip
     friction = {**WORM, "back_load": 1.0 - backward}
     S = joint.Ng * joint.weight
     for torque in (3.0 * S, -0.9 * S):
-        plant = Plant(scene_of(tmp_path, joint, friction, events=events, dt=1e-4))
+        plant = Plant(scene_of(tmp_path, (joint, friction, True), events=events, dt=1e-4))
         plant.advance(np.array([torque]), 1500)
         moving = plant.state.omega_m[0]
         assert moving * torque > 0.0, "it shall move when the stop comes"
@@ -409,13 +428,13 @@ def test_a_worm_without_power_stops_where_the_closed_form_states(
         back_load = float(1.0 - np.tan(lead - rub) / np.tan(lead))
         carried = MASS * back_load * rng.uniform(1.0, 3.0)
         joint = Rotor(Jm=carried * 0.02**2, Ng=0.02, Kg=3e6, Dg=800.0, mass=MASS,
-                      weight=GRAVITY * MASS, viscous=0.0, law=lambda *_: 0.0)  # fmt: skip
+                      weight=WEIGHT, viscous=0.0, law=lambda *_: 0.0)  # fmt: skip
         friction = {"coulomb": 0.0, "load": load, "back_load": back_load}
         if plant is None:
-            plant = Plant(scene_of(tmp_path, joint, friction, events=events, dt=2e-4))
-        vary(plant, joint, friction)
+            plant = Plant(scene_of(tmp_path, (joint, friction, True), events=events, dt=2e-4))
+        vary(plant, 0, joint, friction)
         for speed in (0.2, -0.2):
-            # The rotor's equation is carried a = -share T, the load's T = MASS (GRAVITY + a).
+            # The rotor's equation is carried a = -share T, the load's T = WEIGHT + MASS a.
             share = 1.0 + load if speed > 0.0 else 1.0 - back_load
             a = share * joint.weight / (carried + share * MASS)
             at_rest = joint.weight / joint.Kg / joint.Ng
@@ -435,14 +454,14 @@ def test_a_worm_without_power_stops_where_the_closed_form_states(
      r"motor\.friction\.rest_motor_load must come with an elastic gear .*: rest_load\), got 0"),
     ({"load": 1.0}, True, r"motor\.friction\.load must be below 1 behind a rigid gear"),
     ({"load": 1.5, "back_load": 1.7}, False,
-     r"joint\.friction\.load must be below 1 behind .* efficiency is 1 - load, got 1\.5"),
+     r"joint0\.friction\.load must be below 1 behind .* efficiency is 1 - load, got 1\.5"),
 ])  # fmt: skip
 def test_loads_that_a_rigid_gear_has_not_are_refused(
-    tmp_path: Path, friction: dict[str, float], at_rotor: bool, line: str
+    tmp_path: Path, friction: Friction, at_rotor: bool, line: str
 ) -> None:
     joint = replace(sample_joint(np.random.default_rng(2), at_link=True)[0], Kg=0.0, Dg=0.0)
     with pytest.raises(Refusal, match=line):
-        scene_of(tmp_path, joint, friction, at_rotor)
+        scene_of(tmp_path, (joint, friction, at_rotor))
 
 
 def test_load_friction_of_a_joint_without_a_motor_is_refused(tmp_path: Path) -> None:
@@ -454,7 +473,7 @@ def test_load_friction_of_a_joint_without_a_motor_is_refused(tmp_path: Path) -> 
 def test_an_exponent_without_a_speed_is_refused(tmp_path: Path) -> None:
     joint, _ = sample_joint(np.random.default_rng(1))
     with pytest.raises(Refusal, match=r"motor\.friction\.exponent must come with a stribeck speed"):
-        scene_of(tmp_path, joint, {"load": 0.1, "exponent": 1.5})
+        scene_of(tmp_path, (joint, {"load": 0.1, "exponent": 1.5}, True))
 
 
 @pytest.mark.parametrize("key", DIRECTED)
