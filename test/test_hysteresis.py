@@ -243,26 +243,31 @@ def test_weights_rest_on_wound_up_gears_as_loops_have_it(tmp_path: Path, seed: i
     `twist` all slip, far below it none: weights are drawn for both and for what is between.
     """
     rng = np.random.default_rng([seed, 611])
-    mass, names, elements = 2.0, ["a", "b", "c"], int(rng.integers(1, 17))
-    numbers, joints = [], {}
-    for name, share in zip(names, (1e-3, 0.5, 3.0), strict=True):
+    mass, joints = 2.0, dict[str, Any]()
+    counts = {"a": 1, "b": 5, "c": 16}  # of elements; a library has one of each joint
+    numbers = []
+    for (name, elements), share in zip(
+        counts.items(), rng.permutation([1e-3, 0.5, 3.0]), strict=True
+    ):
         F, twist, K = 10 ** rng.uniform([0.0, -3.7, 3.0], [1.3, -2.7, 4.3])
         weight = share * (F + K * twist)
-        numbers.append((F, twist, K, weight))
+        numbers.append((elements, F, twist, K, weight))
         joints[name] = {
             "motor": {"kind": "torque", "rotor_inertia": 1e-4},
             "gear": {"ratio": 0.02, "stiffness": float(K), "damping": 1.0,
                      "hysteresis": {"torque": float(F), "twist": float(twist),
                                     "elements": elements}},
         }  # fmt: skip
-    file = write_scene(tmp_path, slides_urdf(names), joints, external_wrench=True)
+    file = write_scene(
+        tmp_path, slides_urdf(joints), joints, external_wrench=True, varied=["joints.*"]
+    )
     plant = Plant(load_scene(file))
-    for name, (*_, weight) in zip(names, numbers, strict=True):
+    for name, (*_, weight) in zip(joints, numbers, strict=True):
         plant.set_external_wrench(f"{name}_link", ExternalWrench([-weight, 0.0, 0.0]))
     linear = linearise(plant, [0.3, -0.2, 0.1])
     # Newton ends where what is left is rounding of the largest term, 1e4 N m/rad times 50 rad.
     assert np.abs(linear.rate[linear.v]).max() < 1e-8 * max(row[-1] for row in numbers) / mass
-    for j, (F, twist, K, weight) in enumerate(numbers):
+    for j, (elements, F, twist, K, weight) in enumerate(numbers):
         limits = (2 * np.arange(elements) + 1) * twist / (2 * elements)
         k = 2.0 * F / (elements * twist)
 

@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 from cyclopts import Parameter
-from scipy import signal
 
 from arm_emulator import LinearMachine, linearise
 from arm_emulator.extension.base import POSITION, Array, Number, Refusal
@@ -207,6 +206,8 @@ class FrequencyResponse:
         return self._find_peaks(-1.0)
 
     def _find_peaks(self, sign: float) -> Array:
+        from scipy import signal  # takes long to import
+
         decibels = sign * 20.0 * np.log10(np.abs(self.motor))
         at, _ = signal.find_peaks(decibels, prominence=PROMINENCE)
         peaks: Array = self.frequency[at]
