@@ -82,16 +82,6 @@ def node_of(process: psutil.Process) -> str:
     return module.removesuffix("_node.node")
 
 
-@pytest.mark.parametrize("stop", some([signal.SIGINT, signal.SIGTERM], 1))
-def test_up_ends_all_on_request_also_as_a_job_of_a_script(stop: signal.Signals) -> None:
-    with up(ignores_ctrl_c=True) as (launcher, _):
-        launcher.send_signal(stop)
-        printed, complaint = launcher.communicate(timeout=PATIENCE)
-        assert launcher.returncode == 0, complaint
-        assert printed == "", "what it states"
-        assert "Traceback" not in complaint, complaint
-
-
 @pytest.mark.parametrize("name", some(["servo", "emulator", "motion_controller"], 1))
 def test_up_ends_all_processes_when_a_process_ends(name: str) -> None:
     with up() as (launcher, children):
@@ -110,9 +100,15 @@ def test_up_that_is_killed_leaves_no_node() -> None:
         launcher.wait(PATIENCE)
 
 
-def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
-    """It is named, whether the second finds it before its nodes start or its emulator does."""
-    with up() as (launcher, children):
+@pytest.mark.parametrize("stop", some([signal.SIGINT, signal.SIGTERM], 1))
+def test_a_second_network_is_refused_and_the_first_goes_on_until_its_end_is_requested(
+    stop: signal.Signals,
+) -> None:
+    """It is named, whether the second finds it before its nodes start or its emulator does.
+
+    The first ends on request as a job of a script, too.
+    """
+    with up(ignores_ctrl_c=True) as (launcher, children):
         emulator = next(child for child in children if node_of(child) == "emulator")
         assert "real_time_factor:=1.0" in emulator.cmdline(), "real pace, unless another is given"
         alone = ("--ros-args", "-p", "alone:=true", "-r", "__node:=emulator_2")
@@ -134,8 +130,11 @@ def test_a_second_network_is_refused_and_the_first_goes_on() -> None:
             elsewhere.send_signal(signal.SIGINT)
             _, complaint = elsewhere.communicate(timeout=PATIENCE)
             assert elsewhere.returncode == 0, complaint
-        launcher.send_signal(signal.SIGINT)
-        assert launcher.wait(PATIENCE) == 0
+        launcher.send_signal(stop)
+        printed, complaint = launcher.communicate(timeout=PATIENCE)
+        assert launcher.returncode == 0, complaint
+        assert printed == "", "what it states"
+        assert "Traceback" not in complaint, complaint
 
 
 def test_up_reports_of_a_node_that_cannot_start() -> None:

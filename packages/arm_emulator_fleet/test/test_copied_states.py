@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from machines import SENSED
+from test_fleet_step import LOCATED
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator_fleet import Fleet
@@ -96,6 +97,7 @@ def test_a_refused_copy_changes_nothing(device: str | None, scene: Scene) -> Non
     fleet = move(scene, device, 1)
     before = fleet.save()
     faster = load_scene("three_axis", overrides={**SENSED, "integrator.dt": 5e-4})
+    other = load_scene("three_axis", overrides=LOCATED)
     elsewhere = "processor" if device is None else None
     for arm, arms, of, reason in (
         (COUNT, None, None, "arm must"),
@@ -104,7 +106,7 @@ def test_a_refused_copy_changes_nothing(device: str | None, scene: Scene) -> Non
         (0, [COUNT], None, "arms must"),
         (0, None, Plant(scene), "of must be a fleet on"),
         (0, None, Fleet(scene, 1, device=elsewhere), "of must be a fleet on"),
-        (0, None, Fleet("three_axis", 1, device=device), "of must be a fleet of this scene"),
+        (0, None, Fleet(other, 1, device=device), "of must be a fleet of this scene"),
         (0, None, Fleet(faster, 1, device=device), "arm 0: saved machine must have this step"),
     ):
         with pytest.raises(Refusal, match=f"Fleet.copy_state: {reason}"):
