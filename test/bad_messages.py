@@ -1,7 +1,5 @@
 """Messages that nodes refuse, and the words in which they do."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """The balance of energy of a machine over a run."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ Docstrings and comments of code must begin with a noun or a verb, not with a wor
 `make lint` runs this file.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A machine changed by hand, drawn: for tests of bags, brakes and of what changes at run time."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import time

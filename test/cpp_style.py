@@ -3,8 +3,6 @@
 `make tidy` runs this file.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Bytes damaged in the ways that any file may be."""
 
-from __future__ import annotations
-
 import numpy as np
 
 Rng = np.random.Generator

@@ -1,7 +1,5 @@
 """The pages that the tests compare with the code, of docs/ and of the packages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from docs.hooks import page_files

@@ -3,8 +3,6 @@
 Quick enough for many messages; `network` shows what the nodes do as processes.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Number of cases of a class per run."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Compilers that do something else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 

@@ -1,7 +1,5 @@
 """A machine that has every fault, for tests without a network."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

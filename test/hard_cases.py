@@ -5,8 +5,6 @@ A scheme holds a case, or the plant detects that it does not: anything else is a
 "drifts" marks it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import tempfile

@@ -1,7 +1,5 @@
 """Names that would become code or markup where a program writes them without care."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # `CANARY` stands for what must not run: window.hacked in a browser, a symbol in C.

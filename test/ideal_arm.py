@@ -1,7 +1,5 @@
 """An arm that follows its targets exactly, for tests of orders."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

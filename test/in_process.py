@@ -4,8 +4,6 @@ Nothing runs by itself but the threads of a machine in real time: a test deliver
 one, in the order in which they were reported, and may put its own in between.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Arms of which only the kinematics count."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ one moves a weight. The laws of friction are written down from their sources: BA
 LossyGear's quadrants. Neither shares a line with the core.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

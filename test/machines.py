@@ -1,7 +1,5 @@
 """Machines for tests: URDFs and scenes made from a few numbers."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterable
 from itertools import cycle

@@ -1,7 +1,5 @@
 """Bags made without a network."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plausible mistakes for `mutants.py`, each with the tests that must notice it."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -8,8 +8,6 @@ by their content, so a mutant of the core shares none with the sources. The exit
 mutant survives.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

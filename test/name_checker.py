@@ -4,8 +4,6 @@
 only move towards the aims: at most one name in 50 fails. `--list` prints each name that fails.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

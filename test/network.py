@@ -1,7 +1,5 @@
 """The three nodes as processes under test, and a user of their topics beside them."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

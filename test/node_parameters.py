@@ -1,7 +1,5 @@
 """Parameters of running nodes, set by their services."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from network import User

@@ -1,7 +1,5 @@
 """A servo of one joint against a motor that is integrated exactly."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Libraries of control code, built for the tests."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

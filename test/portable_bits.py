@@ -5,8 +5,6 @@ change of the physics, and of nothing else. With a target and a level, such as `
 digests of code that $CXX compiles so are printed: with FULL=1 all, else the first ones.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Messages and requests of any type, filled with random values of the types of their fields."""
 
-from __future__ import annotations
-
 import importlib
 import random
 import re

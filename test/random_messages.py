@@ -14,8 +14,6 @@ be as before, bit by bit, in both clocks. `random_message` is anything of the to
 sound to absurd: its receiver may take it, and must go on working.
 """
 
-from __future__ import annotations
-
 import math
 import random
 import sys

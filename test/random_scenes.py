@@ -10,8 +10,6 @@ not finite, or more than 2 s; and it lets any other exception and any warning pa
     line = verdict(draw(rng, tmp_path / "1"))
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import os

@@ -1,7 +1,5 @@
 """Numbers outside of a declared range, and the one form of refusal of every reader."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Copies of bags in which messages are changed or left out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any

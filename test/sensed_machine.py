@@ -1,7 +1,5 @@
 """A machine with sensors of all kinds, in motion: readings, and the truth that they read."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A server of a session in a thread of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Archives of arrays (.npz), sound and spoiled, as records for identification."""
 
-from __future__ import annotations
-
 import io
 import pickle
 import struct

@@ -1,7 +1,5 @@
 """Bags, sound and spoiled, for check-bag and what else reads them."""
 
-from __future__ import annotations
-
 import io
 import struct
 import tempfile

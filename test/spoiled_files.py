@@ -7,8 +7,6 @@ more than one line, a line that does not name the file, more than some seconds o
 the bounds allow.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

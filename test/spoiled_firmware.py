@@ -1,7 +1,5 @@
 """Boards and programs of firmware, sound and spoiled."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A mass that rubs, towed by a spring whose end moves on: links and rotors that stick and slip."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

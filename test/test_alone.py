@@ -1,7 +1,5 @@
 """Random mixtures of laws that stand alone, against a solution without decisions."""
 
-from __future__ import annotations
-
 import pytest
 from draws import some
 

@@ -1,7 +1,5 @@
 """The pictures of the architecture follow from the sources; headers include lower floors alone."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Loops of whole arms: stable and unstable ones, margins, refusals with gains that hold."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

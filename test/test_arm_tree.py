@@ -1,7 +1,5 @@
 """Kinematics and torques of many configurations at once, against Pinocchio one by one."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Every figure of a motor, a gear or friction states its origin, and what it does is reported."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bodies that a description leaves out, from shapes of a density, against closed forms."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Machines at rest without a command, with each law of friction alone."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Gears with play: rotor and link fly freely, touch and bounce as the closed form states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

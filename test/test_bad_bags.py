@@ -1,7 +1,5 @@
 """Bags that cannot be checked, and words that are refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import partial

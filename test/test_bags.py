@@ -1,7 +1,5 @@
 """Bags: what was reported is kept to the byte, stated again, and checked to the bit."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

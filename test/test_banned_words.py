@@ -1,7 +1,5 @@
 """The check of words finds what it shall, in every file that it shall."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import banned_words

@@ -1,7 +1,5 @@
 """Benches without what they measure: their modules, scenes and published report."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import itertools

@@ -1,7 +1,5 @@
 """The plain libraries and extreme finite numbers: refused, and every state as before."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The C boundary: pieces of a motion, saved machines, states that are set, a client in C."""
 
-from __future__ import annotations
-
 import ctypes
 import dataclasses
 import math

@@ -1,7 +1,5 @@
 """Brakes: when they close and open, what they take, and that they hold."""
 
-from __future__ import annotations
-
 import random
 import re
 import shutil

@@ -8,8 +8,6 @@ friction of link and rotor, which may both go with |T|, a joint at rest stays th
 which with mu < 1 is an interval of T around G.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Breakpoints: C stops at the tick at which Python's condition begins to hold."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable

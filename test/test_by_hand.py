@@ -1,7 +1,5 @@
 """A machine that is changed by hand: what services do, and what is refused."""
 
-from __future__ import annotations
-
 import math
 import random
 import time

@@ -1,7 +1,5 @@
 """Changes of a machine by hand in bags: repeated, spoiled and missing ones."""
 
-from __future__ import annotations
-
 import random
 import re
 import signal

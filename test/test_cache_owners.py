@@ -1,7 +1,5 @@
 """Folders of the cache that another user could change are not searched; its files are private."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat

@@ -1,7 +1,5 @@
 """The machine's kinematics and the description that controllers have, when both differ."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import replace

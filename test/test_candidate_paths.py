@@ -1,7 +1,5 @@
 """Ways to a target where the first one is not gone: slow searches, far ends, collisions."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Bags of a network replayed into one of its nodes: an answer to each message, the same bits."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 `python -m bench.child_kills --count 200` is the same at full size.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """No part of an arm touches another or an obstacle: known before, and stopped before."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path as File

@@ -1,7 +1,5 @@
 """The command line as a whole: help, misspelled words, completion, what is imported before."""
 
-from __future__ import annotations
-
 import io
 import random
 import re

@@ -1,7 +1,5 @@
 """The scene's library: compiled once, cached by content, and what happens where that fails."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes.util
 import os

@@ -1,7 +1,5 @@
 """Conditions on a machine, against Python's own evaluation of the same text."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

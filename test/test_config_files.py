@@ -1,7 +1,5 @@
 """Every command finds the files beside a scene, from any folder."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

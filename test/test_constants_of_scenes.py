@@ -1,7 +1,5 @@
 """Constants of scenes and servos have the same bits, whatever BLAS does on this processor."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

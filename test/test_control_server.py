@@ -1,7 +1,5 @@
 """Hands of a page on machines of field buses and firmware: fulfilled between two ticks only."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """Convergence of eq. (6): derived, against closed forms and the whole machine."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

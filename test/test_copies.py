@@ -1,7 +1,5 @@
 """Copies, pickles, forks and threads of machines, sessions and servos."""
 
-from __future__ import annotations
-
 import copy
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Joints that do not go each with a drive: telescopes, palletizers, bevel wrists, any matrix C."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace

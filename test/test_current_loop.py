@@ -3,8 +3,6 @@
 The joints of a gantry do not feel each other: each is a machine by itself.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

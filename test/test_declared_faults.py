@@ -4,8 +4,6 @@ The table, declared_faults.txt, is written by hand; test_faults.py shows that ma
 declarations.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -4,8 +4,6 @@ The table, declared_numbers.txt, is written by hand. Tests that ask the declarat
 default or range cannot notice that either is wrong.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The demo: three processes make the paper's experiment, and report the truth about it."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Every import of our packages is declared: in package.xml for rosdep, or for pip beside it."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -1,7 +1,5 @@
 """The programs of examples/ for a card, on the processor: their laws, against plain loops."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rate of a node's health messages: at each change, and every second."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 

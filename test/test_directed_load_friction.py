@@ -1,7 +1,5 @@
 """Friction that knows the direction of power: published joints, lossy gears, worms."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Findings of `doctor`: missing requirements, and remains of earlier runs."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """README.md, CONTRIBUTING.md and docs/ agree with the code."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import re

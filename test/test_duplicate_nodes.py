@@ -1,7 +1,5 @@
 """Two nodes of one kind on the same topics are named on both sides; the first emulator rules."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

@@ -1,7 +1,5 @@
 """The links against Pinocchio: M(q) a + nle(q, v) = tau."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Encoders: counts of known motions with each error, index pulses, words, losses."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

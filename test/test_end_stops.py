@@ -1,7 +1,5 @@
 """End stops: impacts of one link in closed form, of a driven arm by their energy."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """The examples of README.md do what it states."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

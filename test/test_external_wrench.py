@@ -1,7 +1,5 @@
 """Forces and moments on links, and loads that change while the arm moves."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

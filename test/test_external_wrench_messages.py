@@ -1,7 +1,5 @@
 """Wrenches that come as messages: they act from a tick on, and `check-bag` repeats them."""
 
-from __future__ import annotations
-
 import math
 import random
 import shutil

@@ -1,7 +1,5 @@
 """No number that comes from outside ends a node, spoils its state, or passes silently."""
 
-from __future__ import annotations
-
 import math
 import random
 import time

@@ -1,7 +1,5 @@
 """Effects of faults beside what is sent and what is true: closed forms of lines and sensors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Faults: named changes of a machine's numbers, exact to the tick, at every door alike."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Feed-forward: the motors' motion that follows from that of the links, and what it is good for."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

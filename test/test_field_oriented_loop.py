@@ -3,8 +3,6 @@
 The joints of a gantry do not feel each other: each is a machine by itself.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

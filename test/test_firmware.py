@@ -1,7 +1,5 @@
 """Control code in C: our servo as portable C, a user's library in the loop, a table of targets."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import os

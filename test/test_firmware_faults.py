@@ -1,7 +1,5 @@
 """Libraries that cannot be run, end the process, or do not return."""
 
-from __future__ import annotations
-
 import random
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Goals of `follow_joint_trajectory`: tolerances, results, cancelling."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

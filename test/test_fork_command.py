@@ -1,7 +1,5 @@
 """`run --bag` and `fork`: another future from any moment of a bag, to the last bit."""
 
-from __future__ import annotations
-
 import json
 import math
 import random

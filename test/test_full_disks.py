@@ -4,8 +4,6 @@ A small file system of its own stands for a full disk, where the system lets us 
 `/dev/full` takes nothing anywhere.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

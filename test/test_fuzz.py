@@ -1,7 +1,5 @@
 """A short part of `make fuzz`, and all that ever broke (test/corpus/)."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

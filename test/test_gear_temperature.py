@@ -1,7 +1,5 @@
 """The temperature of gears: friction heats them, and follows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

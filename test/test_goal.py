@@ -1,7 +1,5 @@
 """Goals of runs: the exit code states whether they are reached; tables keep the arm's limits."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from functools import partial

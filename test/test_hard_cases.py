@@ -1,7 +1,5 @@
 """Machines that break integrators: held, or detected and reported, no numbers past divergence."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from typing import Any

@@ -1,8 +1,6 @@
 """Joints that follow one that is held: by the law of the description, position = multiplier times
 that of the joint which they follow, plus offset (urdf/XML/joint, element mimic)."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

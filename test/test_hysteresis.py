@@ -1,7 +1,5 @@
 """Gears with hysteresis: springs that bend with the twist and slip one after the other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ The joints of a gantry do not feel each other: each is a linear machine by itsel
 the end of a period is a matrix exponential.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Inertial measurement units, against the equations of motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

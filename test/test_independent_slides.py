@@ -1,7 +1,5 @@
 """Cogging, drag and counterbalances, each alone on slides of one tree, against closed forms."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Inertias that no body has, or hardly any: refused, warned of, or replaced from shapes."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Input shaping against closed forms and the equation of an elastic joint, solved by SciPy."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

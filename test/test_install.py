@@ -1,7 +1,5 @@
 """`tools/install.py`: uv is given what pip is configured with, and pip installs where uv cannot."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The voltage lost in an inverter against closed forms, and the balance of its power."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

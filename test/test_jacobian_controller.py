@@ -1,7 +1,5 @@
 """Eq. (6): kinematics against first principles, the law against what it promises, the residual."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Data files of joints that exist, and new scenes with them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import astuple
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Joint trajectories against splines of SciPy, and the rules of their door."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

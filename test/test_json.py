@@ -1,7 +1,5 @@
 """`--json`: one object on stdout, whatever command, however it ends."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

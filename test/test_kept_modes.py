@@ -1,7 +1,5 @@
 """Modes kept from step to step are those that every step would determine anew."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

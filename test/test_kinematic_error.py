@@ -1,7 +1,5 @@
 """Gears whose teeth are not quite where they should be."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

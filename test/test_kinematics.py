@@ -1,7 +1,5 @@
 """Kinematics: against first principles, differences, and the names of joints."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path

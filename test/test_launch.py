@@ -1,7 +1,5 @@
 """Start, refusal and end of the nodes: alone and together."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

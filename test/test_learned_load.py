@@ -1,7 +1,5 @@
 """The servo learns by which factor a load follows the torques that were announced for it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import NamedTuple

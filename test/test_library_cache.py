@@ -1,7 +1,5 @@
 """Contents of a cache, their owners, and its size."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import stat

@@ -1,7 +1,5 @@
 """The programs of examples/ that use the library: each runs, and comes to its result."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Trajectories faster than the limits: slower along the same angles, or refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from draws import some

@@ -1,7 +1,5 @@
 """Currents at their limits: the motion is that of the equations, at any step."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

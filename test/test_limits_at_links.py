@@ -1,7 +1,5 @@
 """Links keep their limits of acceleration on the whole way, whatever the motion period is."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

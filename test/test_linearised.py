@@ -4,8 +4,6 @@ The truth is `oracles.reference` and `oracles.event_reference`, in NumPy and Pin
 differences; what they do not know, by what must follow from how the machine stands.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pairs of links without a test for contact: a planar arm of spheres, and the Panda's own SRDF."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 

@@ -1,7 +1,5 @@
 """Friction that grows with the torque of the gear."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Events that are located within steps: the order survives sticking and current limits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Lock-step: the same bits on every run, under every load, and without a network."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Iterator

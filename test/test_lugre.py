@@ -1,7 +1,5 @@
 """Friction by bristles that bend before they slip."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

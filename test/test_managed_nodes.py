@@ -1,7 +1,5 @@
 """The nodes' states, asked for by a generic client: every transition, and those out of order."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager

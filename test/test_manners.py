@@ -1,7 +1,5 @@
 """Machines as objects of Python: copies, forks, threads, and whatever a caller may hand over."""
 
-from __future__ import annotations
-
 import copy
 import random
 from collections.abc import Callable, Iterator

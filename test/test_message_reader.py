@@ -1,7 +1,5 @@
 """Messages decoded and checked in C, against rclpy's decoding and rules written out here."""
 
-from __future__ import annotations
-
 import random
 import struct
 from array import array

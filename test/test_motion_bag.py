@@ -1,7 +1,5 @@
 """Bags of runs in which trajectories and paths moved the arm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from geometry_msgs.msg import PoseStamped

@@ -1,7 +1,5 @@
 """The node of the motion controller: its topics follow, refuse and report as the library does."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Iterator
 

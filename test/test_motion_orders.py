@@ -1,7 +1,5 @@
 """Tool targets, joint trajectories and tool paths in a row: what holds, what is reported."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import pairwise
 from typing import Any

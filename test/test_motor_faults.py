@@ -1,7 +1,5 @@
 """Faults of every kind of motor: by the motion each has an effect, or a scene refuses it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The winding of a motor, the limit of its supply, and a joint without a gear."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Arms on a wall, under a ceiling, on a slope: gravity in the scene, or a base that is turned."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

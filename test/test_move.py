@@ -1,7 +1,5 @@
 """`move` and `status` beside a running network, and without one."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

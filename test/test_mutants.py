@@ -1,7 +1,5 @@
 """The list of mutants follows the sources: each text stands where a mistake would replace it."""
 
-from __future__ import annotations
-
 import pytest
 from documents import ROOT
 from mutant_list import MUTANTS, Mutant

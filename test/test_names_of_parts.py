@@ -4,8 +4,6 @@ What others need, a part declares. The names are those of the registry: classes,
 headers, kinds of motors, sections and keys.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Gears whose link turns against the motor: the mirror image of those whose link turns with it."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The nodes among strangers: bad messages, services, both clocks, simulated time."""
 
-from __future__ import annotations
-
 import math
 import random
 import time

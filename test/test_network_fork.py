@@ -1,7 +1,5 @@
 """`fork` of a network's bag: machine and servo made again from joint targets, to the last bit."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From a robot description to a machine that moves."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Drives of new scenes: sized for their loads, makers' figures before rules, placeholders found."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """A new scene starts where no parts of its arm touch, if there is such a pose."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

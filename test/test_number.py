@@ -1,7 +1,5 @@
 """Ranges of numbers are declared once; all that is derived from them agrees."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterator

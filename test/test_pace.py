@@ -1,7 +1,5 @@
 """A limit of how fast logical time passes: never faster, and at most 0.1 s is made up for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from test_command_line import run

@@ -1,7 +1,5 @@
 """Packages are found by their entry points; the core without them names what is missing."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

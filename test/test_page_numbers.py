@@ -1,7 +1,5 @@
 """Numbers that pages name are those of the code."""
 
-from __future__ import annotations
-
 import re
 from importlib import import_module
 from typing import Any

@@ -1,7 +1,5 @@
 """The page's token: a new one for each run, or the one that its launcher has printed."""
 
-from __future__ import annotations
-
 import os
 import re
 

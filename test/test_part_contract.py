@@ -5,8 +5,6 @@ whose slides do not feel each other. Commands jump, and the power is cut on the 
 part compares its motion with the truth, `test_lanes` all of them in lanes with single arms.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

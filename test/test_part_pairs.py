@@ -1,7 +1,5 @@
 """Every pair of parts, at one joint and at two, keeps the order that the pages promise."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parts of a drive: what follows from their declared numbers, and what the pages state of these."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

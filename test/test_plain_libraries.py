@@ -4,8 +4,6 @@ Anything else is refused in one line, and changes nothing. Calls of plants and
 fleets: test_manners.py.
 """
 
-from __future__ import annotations
-
 import math
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The plant as an object: resets, bits, refusals, divergence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

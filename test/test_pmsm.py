@@ -1,7 +1,5 @@
 """Permanent-magnet synchronous motors against an independent solution; energy: test_winding.py."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from pathlib import Path

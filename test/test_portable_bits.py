@@ -1,7 +1,5 @@
 """The bits of machines, fleets and servos are those that other compilers and processors compute."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

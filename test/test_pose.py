@@ -1,7 +1,5 @@
 """Poses of tools: quaternions of messages, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

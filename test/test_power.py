@@ -1,7 +1,5 @@
 """Power acts wherever a machine goes on: by exchange, advance, rows, with a meter, in a fleet."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gears that stiffen as they wind up: a part of the drive that is not linear."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The names that programs may rely on: found late, documented, typed, and what they promise."""
 
-from __future__ import annotations
-
 import abc
 import copy
 import dataclasses

@@ -1,7 +1,5 @@
 """Friction of published joints, measured by motions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

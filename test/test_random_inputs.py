@@ -4,8 +4,6 @@ No node ends, each refusal has its answer, and the network works afterwards. Whe
 for it and no service changes the machine, no joint exceeds its limits.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

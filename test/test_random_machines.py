@@ -1,7 +1,5 @@
 """Random machines that stick and meet limits, against an independent solution."""
 
-from __future__ import annotations
-
 import pytest
 from draws import some
 

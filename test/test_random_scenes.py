@@ -1,7 +1,5 @@
 """Any file is accepted, or refused in one line that names it, within 2 s."""
 
-from __future__ import annotations
-
 import re
 import sys
 import time

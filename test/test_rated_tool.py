@@ -1,7 +1,5 @@
 """Drives that a description does not rate: sized for a tool, as makers rate their wrists."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterator

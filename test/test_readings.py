@@ -1,7 +1,5 @@
 """Analog sensors of joints: what each kind reads, with its errors, against the truth."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

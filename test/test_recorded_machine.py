@@ -1,7 +1,5 @@
 """Recorded runs visited at any tick, and explained."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs without a network, recorded and shown: every tick, whatever lets time pass or ends it."""
 
-from __future__ import annotations
-
 import csv
 import inspect
 import itertools

@@ -1,7 +1,5 @@
 """Recordings lose nothing in lock-step, whatever becomes of a recorder, and count in real time."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

@@ -1,7 +1,5 @@
 """Bags that were cut off anywhere, or met a full disk: every whole chunk is there afterwards."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random

@@ -1,7 +1,5 @@
 """The residual that the motion controller predicts, and what arms leave."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

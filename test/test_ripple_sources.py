@@ -1,7 +1,5 @@
 """An arm at constant speed shakes at the orders of its motor and gear, by its linear response."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The shipped robots: brakes hold them, end stops take a hit at full speed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

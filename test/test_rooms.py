@@ -1,7 +1,5 @@
 """Every room has its floor in the contracts of pyproject.toml and its row in CONTRIBUTING.md."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """A ROS domain of one's own: nobody is in it, and nobody comes into it."""
 
-from __future__ import annotations
-
 import os
 import random
 import socket

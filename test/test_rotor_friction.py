@@ -1,7 +1,5 @@
 """Dry friction of rotors: they stick exactly, and slide as the closed form states."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

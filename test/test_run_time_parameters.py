@@ -1,7 +1,5 @@
 """Gains, weight and timeout are set while the network runs: as a whole, between two ticks."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

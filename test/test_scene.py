@@ -1,7 +1,5 @@
 """Scene files: what is valid, and how what is not is refused."""
 
-from __future__ import annotations
-
 import re
 import sys
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Warnings about a scene: joints that stick while events are not located."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The schemes against an independent solution: orders, limits, friction."""
 
-from __future__ import annotations
-
 import tempfile
 from functools import cache
 from pathlib import Path

@@ -5,8 +5,6 @@ order. All machines locate their events, so that motions are smooth in their
 numbers between two orders of events.
 """
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

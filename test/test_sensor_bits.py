@@ -1,7 +1,5 @@
 """Readings to the last bit: seeds, pieces of time, restored machines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sensed_machine import FIELDS, motion, noisy, rows, same, truth, write

@@ -1,7 +1,5 @@
 """Sensors: readings of a known motion, noise, faults, and the same bits always."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """The servo against motors integrated exactly, and everything that it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

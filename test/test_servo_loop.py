@@ -1,7 +1,5 @@
 """Loops of machine and servo: their linear form is what runs, and what is called stable is."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Parameters of the servo: how they may be written, and what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Targets of the servo between two motion periods: their speed, their ramps."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Ticks and answers: what a session takes, what it refuses, when it moves on."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The shaper of the motion controller's node: the bits of an offline run, set at run time."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """simulation_interfaces by a generic client: each call, and features exactly as claimed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ parser, so that no page names an option or a command that has gone; files, modul
 and types of messages must exist.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The SO-ARM100: an arm of published joints."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """Topics of one publisher: messages of others change nothing, whatever they contain."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Iterator

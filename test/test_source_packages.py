@@ -1,7 +1,5 @@
 """Descriptions in clones of makers' repositories: packages that no shell knows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 

@@ -1,7 +1,5 @@
 """Files from outside, whatever they are: taken, or refused in one line that names the file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

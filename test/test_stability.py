@@ -1,7 +1,5 @@
 """The matrix by which a scheme's small motions are judged is that of its steps."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

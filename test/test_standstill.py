@@ -4,8 +4,6 @@ Everything is judged on the true links along the whole way, from the moment when
 on: nothing is made up for at a jump.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import threading

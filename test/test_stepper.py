@@ -1,7 +1,5 @@
 """A stepper against the pendulum that its currents make of it, and against its load angle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ways close beside an obstacle: gone to their end, and stopped on themselves."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tool targets at a high rate: the tool keeps up with them, and rests at the last."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

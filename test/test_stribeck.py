@@ -1,7 +1,5 @@
 """Friction that falls as a shaft begins to slide."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

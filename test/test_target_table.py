@@ -1,7 +1,5 @@
 """Tables of targets: held from row to row, and spoiled ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

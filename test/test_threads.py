@@ -1,7 +1,5 @@
 """Two threads in the core: deterministic, true to one thread, and gone when they should be."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """A run's past visited again, and runs that fork from it, equal straight runs to the last bit."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

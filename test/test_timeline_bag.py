@@ -1,7 +1,5 @@
 """Forks written as bags: check-bag repeats each, its metadata name the parent."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tool paths against geometry and finite differences: speeds, accelerations and jerks held."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

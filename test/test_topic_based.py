@@ -6,8 +6,6 @@ commands of all joints where they differ from the states by more than a threshol
 judged by its true angles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

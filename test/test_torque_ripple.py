@@ -1,7 +1,5 @@
 """Torque ripple of motors against the integral of its work."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Torques over the angle as tables: SciPy's interpolant, its energy, the order of the motion."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

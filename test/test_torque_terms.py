@@ -1,7 +1,5 @@
 """Torques term by term: they sum up, and each equals what others compute for it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

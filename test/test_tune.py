@@ -1,7 +1,5 @@
 """The command `tune`, and the gains that it writes."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import xml.etree.ElementTree as ET

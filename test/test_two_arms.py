@@ -1,7 +1,5 @@
 """Two arms of one machine do not run into each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from draws import some

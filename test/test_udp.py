@@ -1,7 +1,5 @@
 """The machine behind a UDP socket, against `Plant` under the same commands."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """The machine behind a Unix socket; the lines themselves: test_tcp.py."""
 
-from __future__ import annotations
-
 import json
 import socket
 import stat

@@ -1,7 +1,5 @@
 """`arm_emulator up`: its options, and how its nodes end together."""
 
-from __future__ import annotations
-
 import re
 import signal
 import socket

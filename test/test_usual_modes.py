@@ -1,7 +1,5 @@
 """If drives report that they are in their usual modes, their parts agree one by one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

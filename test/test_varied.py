@@ -1,7 +1,5 @@
 """Numbers that a scene lists as varied; that they act as constants do: test_varied_axes.py."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A varied number must give the machine in which it is built in. Tilts are drawn f
 so that every threshold by which terms could be left out stands between some of them.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any

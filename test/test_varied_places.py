@@ -1,7 +1,5 @@
 """Places of joints as data of each machine: numbers of a calibration that vary."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Residual vibration: its measures by closed forms, its frequency by the modes of the machine."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The watchdog of a servo: holds, then cuts, when targets or states fall silent."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

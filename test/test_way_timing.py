@@ -1,7 +1,5 @@
 """The timing of a way: within limits all along any curve, and hardly longer than needed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from draws import some

@@ -1,7 +1,5 @@
 """Method way: limits hold whatever is asked, and the hard places of kinematics are passed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

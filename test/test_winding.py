@@ -1,7 +1,5 @@
 """The temperature of windings against closed forms, an integration of its own, and energy."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

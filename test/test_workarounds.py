@@ -1,7 +1,5 @@
 """Reasons of the workarounds: a test that fails shows that one can go, or needs another look."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import signal

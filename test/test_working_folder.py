@@ -1,7 +1,5 @@
 """Nothing of the user's folder is imported, whatever the files in it are called."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Visits to the past of a table run, and forks, against runs that went straight on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

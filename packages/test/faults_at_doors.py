@@ -4,8 +4,6 @@ What doors do stands in faults_at_doors.json beside this file, from which the pa
 table. `FAULTS_AT_DOORS=write pytest packages/test/test_faults_at_*.py` writes it again.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

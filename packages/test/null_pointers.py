@@ -4,8 +4,6 @@ Run as a program by test_null_pointers.py. It prints what it is about to call, s
 a name.
 """
 
-from __future__ import annotations
-
 import itertools
 import sys
 from collections.abc import Iterator

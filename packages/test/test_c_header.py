@@ -1,7 +1,5 @@
 """cffi reads our C headers as a C compiler does."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import subprocess

@@ -4,8 +4,6 @@ Whatever the shafts do, it is the joints that have limits and carry the tool: bo
 q = C p and Pinocchio's model of the bare chain, which knows nothing of couplings.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import struct
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Each fault gives the same at every door, in the same words; the page of doors has the table."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Each fault gives the same over ROS 2 as at every other door (test_faults_at_doors.py)."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 Every writer gets names that scenes would refuse, too: it must not rely on that rule.
 """
 
-from __future__ import annotations
-
 import ast
 import configparser
 import io

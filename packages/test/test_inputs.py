@@ -1,7 +1,5 @@
 """Inputs of motors, declared once: commands and further inputs of mixed motors at every door."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 An FMU that its importer loads so is one. Ours call their own functions all the same.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

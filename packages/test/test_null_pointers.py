@@ -1,7 +1,5 @@
 """Null pointers into the functions of our C headers: refused, or nothing happens."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Outputs of parts, declared once: every door and display has all of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

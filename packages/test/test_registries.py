@@ -1,7 +1,5 @@
 """Registries: parts, schemes and faults are those that are registered, whatever inherits them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A servo period of the machine is implemented once: the same fault ends alike at every door."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ Without numbers, scenes, files, machines and frames share the time that messages
 printed with the command that repeats it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -6,8 +6,6 @@ Whatever is asked of a machine, it answers, refuses or reports a divergence; wha
 nothing, and its state is always finite.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

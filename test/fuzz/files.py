@@ -4,8 +4,6 @@ python -m fuzz.files SEED FIRST STEP: case FIRST, FIRST + STEP, ... of a seed, u
 The kinds take turns.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

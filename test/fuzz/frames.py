@@ -6,8 +6,6 @@ Compiled with AddressSanitizer and UBSan. A frame that is not sound changes noth
 of errors; whatever else comes, slaves are in a known state.
 """
 
-from __future__ import annotations
-
 import itertools
 import sys
 import traceback

@@ -1,7 +1,5 @@
 """Cases one after the other, each in a folder of its own that is removed after it."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import sys

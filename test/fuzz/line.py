@@ -1,7 +1,5 @@
 """Reports of the fuzzer's parts to the process that runs them: one JSON object per line."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

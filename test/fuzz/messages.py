@@ -7,8 +7,6 @@ one without them. The others may be anything: afterwards the network begins anew
 run.
 """
 
-from __future__ import annotations
-
 import itertools
 import random
 import sys

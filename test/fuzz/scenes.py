@@ -3,8 +3,6 @@
 python -m fuzz.scenes SEED FIRST STEP: case FIRST, FIRST + STEP, ... of a seed, until it is ended.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

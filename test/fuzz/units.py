@@ -4,8 +4,6 @@ python -m fuzz.units SEED CALLS FOLDER: so many calls to units of FMI 3.0 and 2.
 is compiled in a folder.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The tests need ros2_control, built or installed, on AMENT_PREFIX_PATH.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

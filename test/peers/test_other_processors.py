@@ -3,8 +3,6 @@
 It goes on from states that were saved here, too.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

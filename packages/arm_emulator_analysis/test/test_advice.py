@@ -1,7 +1,5 @@
 """Advice on schemes and steps: for an error, into the scene file, and where a machine diverges."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

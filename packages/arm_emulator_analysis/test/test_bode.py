@@ -1,7 +1,5 @@
 """Frequency responses against two masses on a spring, and against a machine that swings."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

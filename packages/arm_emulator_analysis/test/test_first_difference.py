@@ -1,7 +1,5 @@
 """Differences planted into one of two runs are found: tick, quantity, and joint."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Advised settings written into a scene's file: two values and nothing else."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Campaigns: what varies, runs as functions of their index, results that outlive kills."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

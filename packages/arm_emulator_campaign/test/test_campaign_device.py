@@ -1,7 +1,5 @@
 """Runs of a campaign on a device equal those in lanes, to the last bit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A blow against the tool in campaigns, beside the change of speed that follows from inertia."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

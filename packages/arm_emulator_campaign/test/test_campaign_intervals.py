@@ -1,7 +1,5 @@
 """Intervals of campaigns have the true value as often as they state, for few runs and many."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

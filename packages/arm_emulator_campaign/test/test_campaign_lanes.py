@@ -1,7 +1,5 @@
 """Runs of a campaign side by side: each equals its single run, whatever runs are beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

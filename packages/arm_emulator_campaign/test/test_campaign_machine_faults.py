@@ -1,7 +1,5 @@
 """Faults of the machine in campaigns, by the names that every door uses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

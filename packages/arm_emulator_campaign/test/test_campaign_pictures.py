@@ -1,7 +1,5 @@
 """Pictures of a campaign's report."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.collections import LineCollection

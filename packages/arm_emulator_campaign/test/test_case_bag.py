@@ -1,7 +1,5 @@
 """Runs of campaigns as bags: `check-bag` drives each again, faults and all, to equal bits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

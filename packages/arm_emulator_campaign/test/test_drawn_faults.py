@@ -1,7 +1,5 @@
 """Faults whose numbers vary: set by their numbers, they are those that a file with these states."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The fault matrix: who detects faults, and how far the tool goes meanwhile."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

@@ -3,8 +3,6 @@
 The truth is written beside each text, or computed by Python and NumPy for random ones.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Requirements: robustness that runs along, against brute force over whole traces."""
 
-from __future__ import annotations
-
 import math
 import sys
 

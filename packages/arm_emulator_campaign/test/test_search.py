@@ -1,7 +1,5 @@
 """Search of campaigns: rare failures, falsification, sensitivity, and failures that are shrunk."""
 
-from __future__ import annotations
-
 import concurrent.futures as cf
 import importlib.util
 import itertools

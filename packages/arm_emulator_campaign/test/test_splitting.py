@@ -1,7 +1,5 @@
 """Splitting: probabilities known in closed form, and forks of a campaign's runs to the last bit."""
 
-from __future__ import annotations
-
 import concurrent.futures as cf
 import math
 

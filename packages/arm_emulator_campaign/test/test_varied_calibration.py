@@ -1,7 +1,5 @@
 """Campaigns that draw an arm's true kinematics: tools are where its joints stand in each run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

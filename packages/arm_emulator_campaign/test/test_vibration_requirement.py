@@ -1,7 +1,5 @@
 """Requirements on the vibration after a stop, against the same run by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import yaml

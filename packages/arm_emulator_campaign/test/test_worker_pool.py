@@ -1,7 +1,5 @@
 """Work that goes on although processes are killed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from types import SimpleNamespace

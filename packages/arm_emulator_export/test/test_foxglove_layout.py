@@ -1,7 +1,5 @@
 """The layout of Foxglove names topics, fields and joints that a network has, each panel once."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A scene's package for MoveIt: its SRDF by Pinocchio's reader, its files by what they mean."""
 
-from __future__ import annotations
-
 import ast
 import re
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """ros2_control for a scene: description, controllers, and names that its plugin knows."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small CANopen master for tests: frames into nodes of the same process, no bus."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A master of drives for tests: their objects, their states, and how they are enabled."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

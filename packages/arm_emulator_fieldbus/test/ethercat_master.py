@@ -1,7 +1,5 @@
 """A small EtherCAT master for tests: frames into a segment of the same process, no sockets."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A station on a Modbus line, and its master."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 

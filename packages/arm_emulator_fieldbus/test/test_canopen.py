@@ -1,7 +1,5 @@
 """Drives as CANopen nodes, by their frames and without a bus: NMT, PDOs, heartbeats."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

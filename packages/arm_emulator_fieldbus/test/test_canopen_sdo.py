@@ -1,7 +1,5 @@
 """SDO of CANopen nodes and the data sheet of their entries."""
 
-from __future__ import annotations
-
 import configparser
 import random
 import re

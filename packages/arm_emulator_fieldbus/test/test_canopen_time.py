@@ -1,7 +1,5 @@
 """Times on CANopen, against the text of CiA 301: SYNC, its period and window, monitored times."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Drives behind field buses: dictionary, state machine, page."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,7 +1,5 @@
 """Modes of drives behind field buses: cyclic, profile, halt, changes of the mode."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -3,8 +3,6 @@
 The profiles are quoted by makers' manuals; each test names the manual whose wording it follows.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Limits, stops, faults, brakes, homing and touch probes of drives behind field buses."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

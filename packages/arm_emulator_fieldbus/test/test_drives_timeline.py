@@ -1,7 +1,5 @@
 """Drives of field buses in a timeline: any tick of their past and its forks, to the last bit."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The EtherCAT segment as a master meets it, in-process: no sockets, no root."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

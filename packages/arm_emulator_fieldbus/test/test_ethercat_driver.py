@@ -4,8 +4,6 @@ A file of ethercat_driver_ros2 lists vendor and product, service data for the st
 SYNC0 and process data with the interfaces of ros2_control. The one below is of the same form.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -1,7 +1,5 @@
 """Mailboxes of EtherCAT slaves: their dictionary, segments, malformed mail."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

@@ -1,7 +1,5 @@
 """Process data of EtherCAT slaves, watchdogs, clocks, malformed frames."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import struct

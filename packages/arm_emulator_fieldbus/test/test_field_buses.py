@@ -1,7 +1,5 @@
 """The contract of both field buses: the same drives, one SDO server behind EtherCAT and CANopen."""
 
-from __future__ import annotations
-
 import random
 import struct
 from typing import ClassVar

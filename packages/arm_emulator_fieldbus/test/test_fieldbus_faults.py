@@ -1,7 +1,5 @@
 """Faults set over field buses, by SDO and by registers: the bits of a session that sets them."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The interpolation time 0x60C2, the modes that are supported, and what targets make of them."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace

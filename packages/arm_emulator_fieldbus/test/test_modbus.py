@@ -1,7 +1,5 @@
 """The data converter on Modbus RTU: frames, registers, the line's time and errors, the watchdog."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

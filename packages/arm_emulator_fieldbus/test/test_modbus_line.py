@@ -1,7 +1,5 @@
 """The line of Modbus: checksums, frames in pieces, times, errors."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

@@ -1,7 +1,5 @@
 """The port of the data converter: in lock-step and in real time."""
 
-from __future__ import annotations
-
 import os
 import random
 import select

@@ -1,7 +1,5 @@
 """Loops of every mode that a drive can be put into: eigenvalues, what is offered, torques."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import subprocess

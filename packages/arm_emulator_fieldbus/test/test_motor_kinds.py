@@ -1,8 +1,6 @@
 """Our servo on every kind of motor: steps against the linear prediction, without a network and over
 a field bus, gains that are computed, and refusals of what does not fit."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

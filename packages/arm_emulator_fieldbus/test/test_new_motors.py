@@ -1,7 +1,5 @@
 """`new --motor`: arms with motors of every kind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Behaviour of drives in their torque modes: joint after joint, from the scene's start."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Board files of a microcontroller: every mistake is refused in one line, whatever it is."""
 
-from __future__ import annotations
-
 import copy
 import importlib.util
 from pathlib import Path

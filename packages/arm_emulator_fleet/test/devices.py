@@ -1,7 +1,5 @@
 """The processor and two cards of a stub in the place of NVIDIA's driver, for tests."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 from collections.abc import Iterator

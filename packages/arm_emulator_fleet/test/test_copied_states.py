@@ -1,7 +1,5 @@
 """One arm's state in others, in lanes and on a device: all of it, to the last bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Memory and kernels: the processor and a card behind a stub of the driver do the same."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import os

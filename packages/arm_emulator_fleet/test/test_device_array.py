@@ -1,7 +1,5 @@
 """Arrays on a device: shared with other libraries without a copy, and alive as long as they."""
 
-from __future__ import annotations
-
 import copy
 import ctypes
 import gc

@@ -1,7 +1,5 @@
 """Arms in lanes: each moves as it would alone, whatever its neighbours do."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

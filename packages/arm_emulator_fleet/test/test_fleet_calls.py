@@ -1,7 +1,5 @@
 """A fleet has what a plant has: every call on all arms is that call on each of them alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

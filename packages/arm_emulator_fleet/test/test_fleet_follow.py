@@ -1,7 +1,5 @@
 """Closed loops of a fleet in C: each arm does what machine and servo do alone."""
 
-from __future__ import annotations
-
 import ctypes
 from pathlib import Path
 from typing import Any

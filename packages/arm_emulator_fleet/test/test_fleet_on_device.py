@@ -1,7 +1,5 @@
 """A fleet on a device does what a fleet in lanes does, to the last bit, whatever it is asked."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import dataclasses

@@ -1,7 +1,5 @@
 """Arms stay in their lanes between calls, and nobody can see it; `step` is exchange and looks."""
 
-from __future__ import annotations
-
 import copy
 import gc
 from typing import Any

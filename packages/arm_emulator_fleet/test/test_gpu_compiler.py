@@ -1,7 +1,5 @@
 """Kernels become PTX, cached by content; a compiler that cannot make it is refused in one line."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import struct

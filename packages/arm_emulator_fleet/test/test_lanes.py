@@ -1,7 +1,5 @@
 """Arms in lanes of a fleet move as single arms do, whatever parts they have."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Work on a fleet goes to as many threads as it is quicker with."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

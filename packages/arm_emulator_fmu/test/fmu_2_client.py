@@ -1,7 +1,5 @@
 """As fmu_client.py, for units of FMI 2.0."""
 
-from __future__ import annotations
-
 import ctypes
 import xml.etree.ElementTree as ET
 import zipfile

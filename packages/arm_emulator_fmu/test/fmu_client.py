@@ -1,7 +1,5 @@
 """A small importer of units of FMI 3.0, by ctypes alone, and the machines that its tests load."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import xml.etree.ElementTree as ET

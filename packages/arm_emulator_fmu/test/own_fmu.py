@@ -1,7 +1,5 @@
 """A unit of a scene, and the same machine as `Plant`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 What needs the standard's own schemas and importers of others is in `peers/test_fmu_fmpy.py`."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import math

@@ -1,7 +1,5 @@
 """The file of a unit: its description, its units, its bytes, its arguments."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path

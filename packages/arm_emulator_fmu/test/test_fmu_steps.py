@@ -1,7 +1,5 @@
 """Steps of a unit: of any length, ended early, discarded, in threads."""
 
-from __future__ import annotations
-
 import math
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction

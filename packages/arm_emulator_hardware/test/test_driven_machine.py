@@ -1,7 +1,5 @@
 """A machine with the loops of its drives in C++: loops, readings, power, refusals, equal bits."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pose accuracy by ISO 9283, and the true kinematics from measured poses of the tool."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Records with effects that a scene lacks, and spoiled ones; bench/doubtful_records.py has all."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Torques declared by parts for a motion, against those of the core."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Unknowns of one's own, fitted to records of machines whose numbers are known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Numbers of machines found from records of their motion, and records that cannot be right."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

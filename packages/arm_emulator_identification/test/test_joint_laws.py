@@ -1,7 +1,5 @@
 """Laws of joints as measured, from records of machines whose numbers are known."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The Manutec r3 with its published controllers, beside an independent solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from draws import FULL, some

@@ -1,7 +1,5 @@
 """Trees of links: the core against Pinocchio, and what rests on it for several branches."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Validation: what it measures of our machines, and that it rejects machines that are wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows of a running machine in bounded memory: what is kept, and what a plot gets of it."""
 
-from __future__ import annotations
-
 import math
 import random
 

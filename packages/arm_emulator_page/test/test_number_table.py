@@ -1,7 +1,5 @@
 """The page's table of all joints: units, equal decimals, names as text."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

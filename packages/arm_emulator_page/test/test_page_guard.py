@@ -1,7 +1,5 @@
 """The page is opened by its token alone, under its own address, from its own origin."""
 
-from __future__ import annotations
-
 import gzip
 import socket
 from types import SimpleNamespace

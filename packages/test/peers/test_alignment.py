@@ -5,8 +5,6 @@ array has it is luck of the stack, and of the compiler. One test refuses such ca
 UBSan check each address at run time, with both compilers.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

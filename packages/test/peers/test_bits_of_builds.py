@@ -3,8 +3,6 @@
 With FULL=1 these are the first of the digests by all builds; with WHOLE=1, too, all of them.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -1,7 +1,5 @@
 """Both compilers take everything that we compile, and make the same machine of it."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -1,7 +1,5 @@
 """Commands with `--page` serve their page: to the token alone, its buttons work, Ctrl-C ends it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

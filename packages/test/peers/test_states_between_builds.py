@@ -1,7 +1,5 @@
 """Code of one compiler goes on to the last bit from states and bags of that of another."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The report of a campaign on the screen of a phone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from browser import chromium

@@ -1,7 +1,5 @@
 """Campaigns on a cluster of Dask: processes come and go, the digest is that of one process."""
 
-from __future__ import annotations
-
 import json
 import time
 

@@ -1,7 +1,5 @@
 """Robustness of random formulas beside rtamt's."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

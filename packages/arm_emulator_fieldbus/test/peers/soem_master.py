@@ -4,8 +4,6 @@ Run in a network namespace of its own by test_ethercat_masters.py, which states 
 Prints one line of JSON.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """The package `canopen` as the master of our nodes, on the virtual bus of python-can."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

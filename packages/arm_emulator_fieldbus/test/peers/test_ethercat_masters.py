@@ -4,8 +4,6 @@ A master logs what it sent and got in each exchange of process data. In lock-ste
 motion: the same outputs, given to a segment of this process, must bring the same inputs.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

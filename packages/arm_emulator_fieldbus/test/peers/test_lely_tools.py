@@ -1,7 +1,5 @@
 """Lely's tools, which prepare masters such as ros2_canopen, read the data sheets of our nodes."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import subprocess

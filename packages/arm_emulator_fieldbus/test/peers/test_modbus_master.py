@@ -1,7 +1,5 @@
 """pymodbus as the master of the data converter: its own servo loop moves the three-axis arm."""
 
-from __future__ import annotations
-
 import re
 import signal
 import struct

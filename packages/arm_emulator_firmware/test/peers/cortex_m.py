@@ -1,7 +1,5 @@
 """Firmware for the tests of microcontrollers: boards, small programs, how they are run."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

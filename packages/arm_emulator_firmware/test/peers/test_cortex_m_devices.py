@@ -1,7 +1,5 @@
 """Counters, converters, bridges, serial lines and timers of an emulated microcontroller."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

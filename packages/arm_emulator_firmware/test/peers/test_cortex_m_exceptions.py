@@ -1,7 +1,5 @@
 """Interrupts, tasks and faults of an emulated Cortex-M4F."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

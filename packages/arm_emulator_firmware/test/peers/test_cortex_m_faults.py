@@ -1,7 +1,5 @@
 """Faults, resets and the cycle counter of an emulated Cortex-M4F, by the rules of ARMv7-M."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading

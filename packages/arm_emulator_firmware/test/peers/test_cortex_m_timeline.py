@@ -1,7 +1,5 @@
 """A chip with firmware in a timeline: any tick of its past and its forks, to the last bit."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

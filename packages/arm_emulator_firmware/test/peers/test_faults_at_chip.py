@@ -1,7 +1,5 @@
 """The faults of packages/test/faults_at_doors.py at a microcontroller."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import ClassVar
 

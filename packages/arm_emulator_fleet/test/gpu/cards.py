@@ -1,7 +1,5 @@
 """The card of this machine, for tests that need one."""
 
-from __future__ import annotations
-
 import pytest
 
 from arm_emulator import Refusal

@@ -1,7 +1,5 @@
 """A card of this machine does as the tests' stub of its driver: `make test-gpu`."""
 
-from __future__ import annotations
-
 import importlib
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """The examples for a card do there what they do on the processor: `make test-gpu`."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Fleets on a card have the bits of the processor, in any size and block: `make test-gpu`."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

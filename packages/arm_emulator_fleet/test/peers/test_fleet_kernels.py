@@ -1,7 +1,5 @@
 """The kernels of a fleet by other compilers: ptxas for cards, clang for the processor."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

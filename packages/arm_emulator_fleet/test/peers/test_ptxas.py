@@ -1,7 +1,5 @@
 """NVIDIA's assembler takes our PTX for each of its cards."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

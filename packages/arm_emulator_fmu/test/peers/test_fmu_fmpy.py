@@ -1,7 +1,5 @@
 """Units of FMI in the hands of fmpy: its validation, its importer, and the standard's headers."""
 
-from __future__ import annotations
-
 import ctypes
 import html
 import io

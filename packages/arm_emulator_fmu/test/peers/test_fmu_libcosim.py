@@ -1,7 +1,5 @@
 """Units of FMI 2.0 in the hands of libcosim, which loads them by Modelon's FMI Library."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

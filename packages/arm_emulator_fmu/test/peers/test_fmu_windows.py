@@ -1,7 +1,5 @@
 """The binary of a unit for Windows: what it has and needs, and its motion under Wine."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

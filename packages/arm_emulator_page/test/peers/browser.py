@@ -1,7 +1,5 @@
 """The browser in which tests look at a page."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import time

@@ -1,7 +1,5 @@
 """The arm in the browser, without a browser."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from unittest.mock import MagicMock

@@ -1,7 +1,5 @@
 """Hostile names on the page: its Markdown renders HTML, whose frames run JavaScript."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

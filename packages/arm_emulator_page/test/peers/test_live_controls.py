@@ -1,7 +1,5 @@
 """Controls of a running machine's page, pressed in a browser; those of ROS: test_live_page.py."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

@@ -1,7 +1,5 @@
 """The page of a running network: what is done there stands in the bag, which re-drives it."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import urllib.error

@@ -1,7 +1,5 @@
 """The page in a browser: every control is used, and what it shows is the recorded run."""
 
-from __future__ import annotations
-
 import socket
 import urllib.error
 import urllib.request

@@ -1,7 +1,5 @@
 """Browsers that come late, and connections that break off."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import subprocess

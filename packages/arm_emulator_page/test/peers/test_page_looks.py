@@ -1,7 +1,5 @@
 """The page on a phone, in dark and in light: nothing is cut off, and all can be read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
