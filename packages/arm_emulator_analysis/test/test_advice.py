@@ -326,7 +326,8 @@ def test_a_motion_of_the_user_is_judged_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = tmp_path / "mine.csv"
-    table.write_text("t,waist,shoulder,elbow\n0,1,2,3\n0.03,-4,5,-6\n0.05,0,0,0\n")
+    rows = "t,waist,shoulder,elbow\n0,1,2,3\n{},-4,5,-6\n{},0,0,0\n"
+    table.write_text(rows.format(0.03, 0.05))
     assert advise_scene("three_axis", error=1e-5, motion=table) == 0
     printed = capsys.readouterr().out
     assert "scene three_axis, 0.07 s of mine.csv; wanted" in printed, printed
@@ -334,6 +335,7 @@ def test_a_motion_of_the_user_is_judged_alone(
     turned = scene_copy(tmp_path)
     text = re.sub(r"start: [-0-9.]+", "start: 10000.0", turned.read_text())
     turned.write_text(text)
+    table.write_text(rows.format(0.004, 0.006))
     # After many turns an angle is rounded to 2e-12 rad in every step.
     assert advise_scene(str(turned), error=1e-11, motion=table) == 1, "exit code"
     printed = capsys.readouterr().out
