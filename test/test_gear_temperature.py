@@ -136,16 +136,21 @@ def test_every_scheme_keeps_its_order(
     assert errors[-1][0] < 2e-2 * expected[-1, 0] and errors[-1][1] < 2e-2 * expected[-1, 2]
 
 
-def test_a_joint_that_warms_for_hours_comes_to_rest_where_losses_leave(tmp_path: Path) -> None:
-    """At a constant speed: the rise is Rth times the loss, and viscous friction fell by it."""
-    body = {"heat_capacity": 400.0, "thermal_resistance": 0.8, "viscous_decay": 20.0,
-            "viscous_floor": 0.2}  # fmt: skip
+def driven_at_once(folder: Path, body: dict[str, float], viscous: float, coulomb: float) -> Plant:
+    """A joint behind a gear of ratio 1; the numbers are data, so that joints share a library."""
     joint = {
         "motor": {"kind": "torque", "rotor_inertia": 1e-3},
         "gear": {"ratio": 1.0, "thermal": body},
-        "friction": {"viscous": 4.0, "coulomb": 2.0},
+        "friction": {"viscous": viscous, "coulomb": coulomb},
     }
-    plant = Plant(scene_of(tmp_path, joint, 4))
+    return Plant(scene_of(folder, joint, 4, varied=["joints.*"]))
+
+
+def test_a_joint_that_warms_for_hours_comes_to_rest_where_losses_leave(tmp_path: Path) -> None:
+    """At a constant speed: the rise is Rth times the loss, and viscous friction fell by it."""
+    body = {"heat_capacity": 400.0, "thermal_resistance": 0.8, "viscous_decay": 20.0,
+            "viscous_floor": 0.2, "dry_coefficient": 0.0}  # fmt: skip
+    plant = driven_at_once(tmp_path, body, viscous=4.0, coulomb=2.0)
     plant.run(np.full((180_000, 1), 14.0), 4)  # an hour: 11 times C Rth
     v, rise = float(plant.state.v[0]), float(plant.gear_temperatures[0]) - 20.0
     viscous = 4.0 * (0.2 + 0.8 * np.exp(-rise / 20.0))
@@ -157,19 +162,15 @@ def test_a_joint_that_warms_for_hours_comes_to_rest_where_losses_leave(tmp_path:
 
 def test_a_joint_that_sticks_breaks_away_at_its_temperature(tmp_path: Path) -> None:
     """Under a steady load: exactly at rest until dry friction has fallen to it."""
-    body = {"heat_capacity": 10.0, "thermal_resistance": 1.0, "dry_coefficient": -0.01}
-    joint = {
-        "motor": {"kind": "torque", "rotor_inertia": 1e-3},
-        "gear": {"ratio": 1.0, "thermal": body},
-        "friction": {"coulomb": 5.0},
-    }
-    plant = Plant(scene_of(tmp_path, joint, varied=["joints.joint.gear.thermal.ambient"]))
+    body = {"heat_capacity": 10.0, "thermal_resistance": 1.0, "viscous_decay": 20.0,
+            "viscous_floor": 1.0, "dry_coefficient": -0.01}  # fmt: skip
+    plant = driven_at_once(tmp_path, body, viscous=0.0, coulomb=5.0)
     for ambient in (20.0, 40.0, 59.9):
         plant.set_parameter("joints.joint.gear.thermal.ambient", ambient)
-        plant.run(np.full((200, 1), 3.0), 40)
+        plant.run(np.full((200, 1), 3.0), 4)
         assert plant.state.q[0] == 0.0, f"at {ambient} degC it holds 5 (1 - 0.01 (T - 20)) N m"
     plant.set_parameter("joints.joint.gear.thermal.ambient", 60.1)
-    plant.run(np.full((200, 1), 3.0), 40)
+    plant.run(np.full((200, 1), 3.0), 4)
     assert plant.state.q[0] > 1e-4
 
 
