@@ -36,7 +36,8 @@ class SimulationEntities:
         # Imported at the first question: Pinocchio takes longer than a node's whole start.
         from arm_emulator.motion.model.link_motions import LinkMotions
 
-        return LinkMotions(self._session.scene.true_urdf, self._session.scene.joint_names)
+        scene = self._session.scene
+        return LinkMotions(scene.true_urdf, list(scene.machine_joints), scene.chain.deflections)
 
     @property
     def names(self) -> list[str]:
@@ -79,8 +80,7 @@ class SimulationEntities:
 
     def place(self) -> None:
         """Place all links as they are at this tick."""
-        state = self._session.state
-        self._links.place(state.q, state.v)
+        self._links.place(*self._session.plant.machine_motion)
 
     def fill(self, name: str, state: Any) -> None:
         """Fill an EntityState with the motion of an entity that was placed.

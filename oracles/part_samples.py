@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator.base.validation.number import REQUIRED
+from arm_emulator.machine.parts.bearing import Shift, Tilt
 from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.parts.drive_stages.inverter import Inverter
 from arm_emulator.machine.parts.drive_stages.torque_ripple import TorqueRipple
@@ -62,6 +63,8 @@ TYPICAL: dict[type[Part], dict[str, tuple[float, float]]] = {
     },
     Hysteresis: {"torque": (1.0, 20.0), "twist": (3e-4, 3e-3)},
     Drag: {"coefficient": (0.1, 10.0)},
+    Tilt: {"stiffness": (1e3, 1e5), "damping": (0.0, 10.0)},
+    Shift: {"stiffness": (1e5, 1e7), "damping": (0.0, 1e3)},
 }
 
 

@@ -98,7 +98,7 @@ def _compute_spring_torques(scene: Scene, q: Array) -> Array:
 
 
 class LinkLoads:
-    """The links of a scene, by the angles of its shafts."""
+    """The links of a scene, by the angles of its joints; bearings are straight."""
 
     def __init__(self, scene: Scene) -> None:
         model = pin.Model()
@@ -115,11 +115,12 @@ class LinkLoads:
         gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
         model.gravity.linear = scene.chain.R_BW @ gravity
         self._model, self._data = model, model.createData()
-        self._coupling = scene.chain.coupling
+        coupling = scene.chain.coupling
+        self._C, self._offset = coupling.C[:, scene.joint_places], coupling.offset
 
     def mass_matrix(self, q: Array) -> Array:
         """Return M(q), (N, N)."""
-        C = self._coupling.C
+        C = self._C
         M = pin.crba(self._model, self._data, self._joints(q))
         M_reduced: Array = C.T @ (np.triu(M) + np.triu(M, 1).T) @ C
         return M_reduced
@@ -127,9 +128,9 @@ class LinkLoads:
     def weight(self, q: Array) -> Array:
         """Return the torques that hold the links at q, (N,) [N m or N]."""
         gravity = pin.computeGeneralizedGravity(self._model, self._data, self._joints(q))
-        torque: Array = self._coupling.C.T @ gravity
+        torque: Array = self._C.T @ gravity
         return torque
 
     def _joints(self, q: Array) -> Array:
-        joints: Array = self._coupling.C @ q + self._coupling.offset
+        joints: Array = self._C @ q + self._offset
         return joints

@@ -39,6 +39,9 @@ class LinearMachine(ArrayEquality):
         current, current_by_u: motor currents likewise [A].
         q, v: places of the links' positions and speeds in x.
         sticks: links that stick (N,).
+
+    N counts the joints that controllers know. Deflections of bearings are further states, between
+    those of the drives and of the joints as `scene.machine_joints` has them.
     """
 
     A: Array
@@ -50,8 +53,8 @@ class LinearMachine(ArrayEquality):
     theta_m_by_u: Array
     current: Array
     current_by_u: Array
-    q: slice
-    v: slice
+    q: slice | NDArray[np.int64]
+    v: slice | NDArray[np.int64]
     sticks: NDArray[np.bool_]
 
     def __repr__(self) -> str:
@@ -85,10 +88,10 @@ def linearise(
         plant = Plant(coerce_scene(plant, "linearise"))
     if q is None:
         voltages = plant.commanded[0] if command is None else command
-        return _eliminate_algebraic_states(plant.equations(voltages))
+        return _eliminate_algebraic_states(plant.equations(voltages), plant.scene)
     if command is not None:
         raise Refusal("linearise", "command", "be absent in a pose, which decides it", command)
-    return _eliminate_algebraic_states(_solve_rest(plant, q))
+    return _eliminate_algebraic_states(_solve_rest(plant, q), plant.scene)
 
 
 def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
@@ -99,12 +102,13 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
     """
     trial = copy.copy(plant)
     trial.reset(q)
-    joints = trial.scene.joints
+    joints, places = trial.scene.machine_joints.values(), trial.scene.joint_places
     N = len(joints)
     driven = np.array([joint.motor is not None for joint in joints])
-    z = np.concatenate([trial.equations(np.zeros(N), slides=True).x, np.zeros(N)])
+    at_start = trial.equations(np.zeros(len(places)), slides=True)
+    z = np.concatenate([at_start.x, np.zeros(N)])
     for _ in range(MAX_ITERATIONS):
-        now = plant.equations(z[-N:], z[:-N], slides=True, follows=False)
+        now = plant.equations(z[-N:][places], z[:-N], slides=True, follows=False)
         m = len(now.D)
         # States without a rate, such as anchors of hysteresis, stay: gears wind up from unloaded.
         states = now.states[now.by[now.states].any(axis=1)]
@@ -117,13 +121,13 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
         of_column[of_column == 0.0] = 1.0
         scaled = J / of_row[:, np.newaxis] / of_column
         if (np.abs(off) <= ROUNDING * of_row).all():
-            return plant.equations(z[-N:], z[:-N], slides=True)
+            return plant.equations(z[-N:][places], z[:-N], slides=True)
         z[columns] += np.linalg.lstsq(scaled, -off / of_row, rcond=1e-12)[0] / of_column
     raise Refusal("linearise", "the pose", "be one that motors and springs hold", np.asarray(q))
 
 
-def _eliminate_algebraic_states(of: Equations) -> LinearMachine:
-    """Return the linear system without the algebraic states."""
+def _eliminate_algebraic_states(of: Equations, scene: Scene) -> LinearMachine:
+    """Return the linear system without the algebraic states, as controllers see it."""
     N, m = len(of.u), len(of.D)
     follows = of.states[of.D[of.states] == 0.0]
     differential = of.states[of.D[of.states] != 0.0]
@@ -148,17 +152,24 @@ def _eliminate_algebraic_states(of: Equations) -> LinearMachine:
     (resting,) = np.nonzero(of.sticks)
     for first in (len(differential), len(differential) + N):
         table[first + resting], rate[first + resting] = 0.0, 0.0
+    own: slice | NDArray[np.int64] = slice(None)
+    q: slice | NDArray[np.int64] = slice(len(differential), len(differential) + N)
+    v: slice | NDArray[np.int64] = slice(len(differential) + N, n)
+    if scene.chain.deflections:
+        own = np.array(scene.joint_places)
+        q, v = len(differential) + own, len(differential) + N + own
+    by_u = slice(None), np.arange(n, n + N)[own]
     return LinearMachine(
         A=table[:, :n],
-        B=table[:, n:],
+        B=table[by_u],
         rate=rate,
         x0=of.x[columns[:n]],
-        u0=of.u,
-        theta_m=of_angles[0][:, :n],
-        theta_m_by_u=of_angles[0][:, n:],
-        current=of_currents[0][:, :n],
-        current_by_u=of_currents[0][:, n:],
-        q=slice(len(differential), len(differential) + N),
-        v=slice(len(differential) + N, n),
-        sticks=of.sticks,
+        u0=of.u[own],
+        theta_m=of_angles[0][own, :n],
+        theta_m_by_u=of_angles[0][own][by_u],
+        current=of_currents[0][own, :n],
+        current_by_u=of_currents[0][own][by_u],
+        q=q,
+        v=v,
+        sticks=of.sticks[own],
     )

@@ -65,8 +65,8 @@ def sample_plant(
         braked: the joint whose brake is closed; None: no joint's.
     """
     scene = motions.scene
-    N, n = len(scene.joints), len(motions.J)
-    q = np.eye(N, n, motions.links)
+    n = len(motions.J)
+    q = np.eye(n)[motions.q]
     counts = {joint.name: joint.counts_per_turn for joint in servo.joints}
     # A servo that is set up for another encoder takes the angle for another one.
     scale = np.array([[joint.counts_per_turn / counts[joint.name]] for joint in scene.joints])

@@ -64,6 +64,7 @@ class SmallMotions:
 
     Attributes:
         J: (n, n).
+        q: places of the joints' positions in x (N,).
         B: (n, N), per volt (A, N m); 0 for a joint without a motor.
         theta_m: motor angles by x, (N, n); those of the links for joints without a motor.
         current: motor currents by x, (N, n).
@@ -80,9 +81,10 @@ class SmallMotions:
     def __init__(self, plant: Plant, q: Array, loaded: bool = False) -> None:
         scene = plant.scene
         self.scene = scene
-        N = len(scene.joints)
+        N, places = len(scene.chain.shafts), scene.joint_places
         zero, unit = np.zeros((N, N)), np.eye(N)
-        at = np.tile(q, (N, 1))
+        at = np.zeros((N, N))
+        at[:, places] = q
         M_inverse, torques = compute_rest(plant, q)
         holding = np.tile(torques, (N, 1))
         step = 1e-5  # rad: the difference is good to 1e-10 of the second derivative
@@ -124,10 +126,15 @@ class SmallMotions:
             )
 
         all_states, jacobian = expand_states(F), rates(F, G)
-        jacobian, self.B = jacobian[:, :-N], jacobian[:, -N:]
-        self.theta_m = (of_drives.motor_angle @ all_states)[:, :-N]
-        measured = of_drives.current @ all_states
-        self.current, self.current_by_command = measured[:, :-N], np.diag(measured[:, -N:])
+        jacobian, B = jacobian[:, :-N], jacobian[:, -N:]
+        angles, measured = of_drives.motor_angle @ all_states, of_drives.current @ all_states
+        by_command = np.diag(measured[:, -N:])
+        self.B, self.theta_m = B, angles[:, :-N]
+        self.current, self.current_by_command = measured[:, :-N], by_command
+        if scene.chain.deflections:
+            self.B, self.theta_m = B[:, places], angles[places, :-N]
+            self.current, self.current_by_command = measured[places, :-N], by_command[places]
+        self.q = self.links + np.array(places)
         self.A = jacobian.copy()  # what the schemes treat implicitly
         jacobian[-N:, own_places] += by_q
         self.J = jacobian  # all
@@ -147,14 +154,14 @@ class SmallMotions:
         """
         J, B = self.J.copy(), self.B.copy()
         (own,) = np.nonzero(self.theta_m[joint])
-        m, N = self.links, len(self.theta_m)
+        m, N, place = self.links, len(self._by_torque), int(self.q[joint])
         if own[0] < m:
             braked_states = [own[0], int(np.argmax(J[own[0]]))]  # its angle, and what that grows by
         else:
-            by = self._by_torque[:, joint] / self._by_torque[joint, joint]
+            by = self._by_torque[:, place - m] / self._by_torque[place - m, place - m]
             for rows in (J, B):  # the torque that keeps the link acts on the others
-                rows[m + N :] -= np.outer(by, rows[m + N + joint])
-            braked_states = [m + joint, m + N + joint]
+                rows[m + N :] -= np.outer(by, rows[N + place])
+            braked_states = [place, N + place]
         J[braked_states], B[braked_states] = 0.0, 0.0
         return J, B
 
@@ -200,11 +207,15 @@ def list_contacts(plant: Plant) -> tuple[bool, ...]:
 
 
 def compute_rest(plant: Plant, q: Array) -> tuple[Array, Array]:
-    """Return the inverse of the links' mass matrix at q (N, N), and what holds them there (N,)."""
-    N = len(plant.scene.joints)
-    zero, unit = np.zeros((N, N)), np.eye(N)
-    fall = plant.links.accelerations(q, zero[0], zero[0])
-    M_inverse: Array = (plant.links.accelerations(np.tile(q, (N, 1)), zero, unit) - fall).T
+    """Return the inverse of the links' mass matrix (N, N), and what holds them at rest (N,).
+
+    N counts the joints of the machine; no bearing is deflected.
+    """
+    N = len(plant.scene.chain.shafts)
+    zero, unit, at = np.zeros((N, N)), np.eye(N), np.zeros(N)
+    at[plant.scene.joint_places] = q
+    fall = plant.links.accelerations(at, zero[0], zero[0])
+    M_inverse: Array = (plant.links.accelerations(np.tile(at, (N, 1)), zero, unit) - fall).T
     return M_inverse, np.linalg.solve(M_inverse, -fall).astype(np.float64)
 
 

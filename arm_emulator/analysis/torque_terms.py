@@ -70,10 +70,12 @@ class TorqueTerms:
         """
         plant, scene = self._plant, self._scene
         plant.restore(saved)
-        N = len(scene.joints)
-        out = np.zeros((plant.equation("arm_torque_terms", NULL, NULL), N))
-        powered_command = np.ascontiguousarray(command, np.float64) * plant.powered
-        plant.equation("arm_torque_terms", pointer(powered_command), pointer(out))
+        N, joints, places = len(scene.joints), scene.machine_joints, scene.joint_places
+        of_machine = np.zeros((plant.equation("arm_torque_terms", NULL, NULL), len(joints)))
+        powered_command = np.zeros(len(joints))
+        powered_command[places] = np.asarray(command) * plant.powered
+        plant.equation("arm_torque_terms", pointer(powered_command), pointer(of_machine))
+        out = of_machine[:, places]
         k, n = len(_OF_LINK), len(_OF_LINK) + len(_OF_ROTOR)
         link, rotor = (
             dict(zip(_OF_LINK, out, strict=False)),
@@ -81,7 +83,7 @@ class TorqueTerms:
         )
         extras = (len(out) - n) // 2
         for e in range(extras):
-            for j, joint in enumerate(scene.joints):
+            for j, joint in enumerate(joints[name] for name in scene.joint_names):
                 if e < len(joint.extras):
                     side = rotor if out[n + extras + e, j] else link
                     section = type(joint.extras[e]).section.replace("_", " ")

@@ -71,7 +71,7 @@ def list_doubtful_inertias(
         (math.hypot(*frame.p) for frame in chain.links[-1].links.values()), default=0.0
     )
     doubtful: list[Doubt] = []
-    for joint in chain.links:
+    for joint in chain.bodies.values():
         own: list[Doubt] = []
         parts = [name for name in joint.links if name not in unchecked]
         alone = {name: bodies.body(places[name]) for name in parts}

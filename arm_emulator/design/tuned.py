@@ -87,6 +87,7 @@ def compute_link_inertias(scenes: list[Scene]) -> list[Range]:
     """
     smallest, largest = [], []
     for scene in scenes:
+        scene.refuse_bearings("tuning")
         plant = Plant(scene)
         for q in draw_poses(scene, POSES):
             M_inverse, _ = compute_rest(plant, q)
@@ -102,6 +103,7 @@ def compute_falls(scene: Scene) -> Array:
     The weight of what stands over a joint grows with its angle, (N,) [N m/rad, N/m]; 0 where all
     that a joint moves hangs from it.
     """
+    scene.refuse_bearings("tuning")
     plant, N = Plant(scene), len(scene.joints)
     still, unit, steepest = np.zeros((N, N)), np.eye(N), np.zeros(N)
     for q in draw_poses(scene, POSES):

@@ -133,8 +133,10 @@ class Chain:
 
     Parents come before children, and what a joint carries follows it before anything else.
 
-    `links` has all of them; `joints` those by whose names the drives' shafts go, which is all where
-    each joint has a drive of its own. `coupling` relates the links' joints to the shafts.
+    `links` has all of them; `shafts` those by whose names the drives' shafts go, which is all where
+    each joint has a drive of its own; `joints` those of these that controllers know. The others are
+    `deflections` of bearings, by name: between a joint and its body, with links without a body
+    between them. `coupling` relates the links' joints to the shafts.
 
     `R_BW` (3, 3) turns world vectors (gravity) into the base's frame, from which the first joint is
     seen; both have their origin at the URDF's root link. `carried` has the URDF's links that move,
@@ -147,11 +149,22 @@ class Chain:
     R_BW: Array
     R_core: Array
     carried: Mapping[str, tuple[int, Frame]]
+    deflections: tuple[str, ...] = ()
+
+    @property
+    def shafts(self) -> tuple[ChainJoint, ...]:
+        """Joints of the shafts."""
+        return tuple(self.links[k] for k in self.link_of)
 
     @property
     def joints(self) -> tuple[ChainJoint, ...]:
-        """Joints of the shafts."""
-        return tuple(self.links[k] for k in self.link_of)
+        """Joints of the shafts that controllers know."""
+        return tuple(shaft for shaft in self.shafts if shaft.name not in self.deflections)
+
+    @property
+    def bodies(self) -> dict[int, ChainJoint]:
+        """Links that have a body, by their places among all."""
+        return {k: link for k, link in enumerate(self.links) if link.link not in self.deflections}
 
     @property
     def link_of(self) -> tuple[int, ...]:

@@ -27,7 +27,7 @@ def vary_places(chain: Chain, calibration: Calibration) -> list[Varied]:
     declared = list_numbers(Deviation)
     return [
         Varied(declared[key].named(f"{SECTION}.joints.{link.name}.{key}"), value)
-        for link in chain.links
+        for link in chain.joints
         for key, value in read_place(link, calibration).items()
     ]
 

@@ -29,7 +29,7 @@ void write_text(char (&to)[room], const char* text) {
   to[length] = 0;
 }
 
-// The enum arm_mode of each joint's commands.
+// The enum arm_mode of each drive's commands.
 struct CommandModes {
   std::int32_t at[Scene::N] = {};
   constexpr CommandModes() {
@@ -39,7 +39,7 @@ struct CommandModes {
 };
 inline constexpr CommandModes kModes;
 
-// Whether joint j has a sensor of a field, of the readings that of a row.
+// Whether drive j has a sensor of a field, of the readings that of a row.
 template <class S>
 bool senses([[maybe_unused]] int j, [[maybe_unused]] Field field, [[maybe_unused]] int row = 0) {
   bool is_present = false;
@@ -52,12 +52,23 @@ bool senses([[maybe_unused]] int j, [[maybe_unused]] Field field, [[maybe_unused
   return is_present;
 }
 
+// The drive of the deflection in a row of readings at a joint; -1: none.
+template <class S>
+constexpr int deflection_of([[maybe_unused]] int row, [[maybe_unused]] int joint) {
+  if constexpr (kDeflects<S>)
+    return S::deflection[row][joint];
+  else
+    return -1;
+}
+
 template <class S>
 int describe_reading(int reading, int joint, arm_reading* out) {
   if constexpr (S::readings > 0) {
     const Reading& source = S::reading[reading];
-    const bool slides = kind_of<S>(joint) != JointKind::revolute;
-    out->present = senses<S>(joint, Field::reading, reading);
+    const int drive = drive_of<S>(joint), sensor = reading - count_deflections<S>();
+    const bool slides = kind_of<S>(drive) != JointKind::revolute;
+    out->present = sensor < 0 ? deflection_of<S>(reading, joint) >= 0
+                              : senses<S>(drive, Field::reading, sensor);
     out->name = source.name, out->unit = slides ? source.unit_of_slides : source.unit;
   }
   return ARM_OK;
@@ -67,7 +78,8 @@ int describe_reading(int reading, int joint, arm_reading* out) {
 
 struct arm_machine {
   using Machine = arm::Machine<Scene>;
-  static constexpr int N = Scene::N;
+  // Drives of the machine, and joints of arm.h: those that controllers know.
+  static constexpr int N = Scene::N, J = arm::count_joints<Scene>();
 
   // Values of the varied numbers and the brakes, and one that is 0.
   using Values = double[arm::kOwnNumbers<Scene> + 1];
@@ -109,10 +121,10 @@ struct arm_machine {
   int check_count(std::int64_t count, const char* quantity) const {
     return count >= 0 ? ARM_OK : refuse(-1, quantity, "be at least 0", static_cast<double>(count));
   }
-  // ARM_OK if all numbers of a row are finite.
+  // ARM_OK if all numbers of a row of joints are finite.
   int check_finite(const double* row, const char* quantity) const {
     if (check_there(row, quantity)) return ARM_REFUSED;
-    for (int j = 0; j < N; ++j)
+    for (int j = 0; j < J; ++j)
       if (!arm::is_finite(row[j])) return refuse(j, quantity, "be finite", row[j]);
     return ARM_OK;
   }
@@ -181,19 +193,34 @@ struct arm_machine {
       }
     }
   }
+  // A row of joints to one of drives, of which the others stay as they are, and back.
+  template <class Number, class To>
+  static void to_drives(const Number* row, To* drives) {
+    for (int j = 0; j < J; ++j) drives[arm::drive_of<Scene>(j)] = row[j];
+  }
+  template <class Number, class To>
+  static void to_joints(const Number* drives, To* row) {
+    for (int j = 0; j < J; ++j) row[j] = drives[arm::drive_of<Scene>(j)];
+  }
+  // A row of drives that is 0 but for those of joints.
+  struct Drives {
+    double of[N] = {};
+    explicit Drives(const double* row) { to_drives(row, of); }
+  };
   // Commands applied to the motors: 0 without power.
-  const double* with_power(const double* command) const {
-    static constexpr double nothing[N] = {};
-    return powered ? command : nothing;
+  Drives with_power(const double* command) const {
+    static constexpr double nothing[J] = {};
+    return Drives(powered ? command : nothing);
   }
   // Follow rows of commands; q after each goes to `q`.
   void follow(const double* command, std::int64_t rows, std::int64_t steps, double* q) {
-    if (!looks && powered) {
+    if (!looks && powered && J == N) {
       machine.follow(command, rows, steps, q);
     } else {
-      for (; rows > 0; --rows, command += N, q += N) {
-        go(steps, [&](std::int64_t some) { machine.advance(with_power(command), some); });
-        for (int j = 0; j < N; ++j) q[j] = machine.state().q[j];
+      for (; rows > 0; --rows, command += J, q += J) {
+        const Drives applied = with_power(command);
+        go(steps, [&](std::int64_t some) { machine.advance(applied.of, some); });
+        to_joints(machine.state().q, q);
       }
     }
   }
@@ -216,16 +243,17 @@ struct arm_machine {
   // ARM_OK if a drive takes each of these; of `further` only that of a drive that is enabled
   // counts.
   int check_commands(const arm_joint_command* joint, const double* further) const {
-    for (int j = 0; j < N; ++j) {
+    for (int j = 0; j < J; ++j) {
+      const int drive = arm::drive_of<Scene>(j);
       if (!joint[j].enable) continue;
-      if (joint[j].mode != arm::kModes.at[j])
+      if (joint[j].mode != arm::kModes.at[drive])
         return refuse(j, "mode", "be one that the drive has", joint[j].mode);
       if (!arm::is_finite(joint[j].value)) return refuse(j, "command", "be finite", joint[j].value);
       for (int r = 0; further && r < Scene::inputs; ++r) {
-        const double value = further[r * N + j];
+        const double value = further[r * J + j];
         const char* name = Scene::input[r].name;
         if (!arm::is_finite(value)) return refuse(j, name, "be finite", value);
-        if (Scene::input[r].of[j] < 0 && value != 0.0)
+        if (Scene::input[r].of[drive] < 0 && value != 0.0)
           return refuse(j, name, "be 0, its motor has no such input", value);
       }
     }
@@ -236,10 +264,10 @@ struct arm_machine {
   void take_commands(const arm_joint_command* joint, const double* further, std::int64_t tick,
                      bool came = false) {
     if constexpr (IoLinks::present) {
-      arm_joint_command received[N];
-      double rows[Scene::inputs * N + 1] = {};
-      for (int j = 0; j < N; ++j) received[j] = joint[j];
-      for (int k = 0; further && k < Scene::inputs * N; ++k) rows[k] = further[k];
+      arm_joint_command received[J];
+      double rows[Scene::inputs * J + 1] = {};
+      for (int j = 0; j < J; ++j) received[j] = joint[j];
+      for (int k = 0; further && k < Scene::inputs * J; ++k) rows[k] = further[k];
       lines.command(machine, this->tick(), came, received, rows);
       put_commands(received, rows, tick);
     } else {
@@ -252,11 +280,12 @@ struct arm_machine {
     double rows[Scene::inputs * N + 1] = {};
     bool hot[N] = {};  // a motor that is too hot is not enabled
     if constexpr (Machine::heats) machine.too_hot(hot);
-    for (int j = 0; j < N; ++j) {
-      const bool on = powered && joint[j].enable && !hot[j];
-      applied[j] = on ? joint[j].value : 0.0;
+    for (int j = 0; j < J; ++j) {
+      const int drive = arm::drive_of<Scene>(j);
+      const bool on = powered && joint[j].enable && !hot[drive];
+      applied[drive] = on ? joint[j].value : 0.0;
       for (int r = 0; r < Scene::inputs; ++r)
-        rows[r * N + j] = on && further ? further[r * N + j] : 0.0;
+        rows[r * N + drive] = on && further ? further[r * J + j] : 0.0;
     }
     for (int k = 0; k < Scene::brakes; ++k) {
       machine.want_brake(k, closes_brake(k, joint, hot));
@@ -267,7 +296,7 @@ struct arm_machine {
   // Whether brake k is wanted closed under these commands.
   bool closes_brake(int k, const arm_joint_command* joint, const bool* hot) const {
     const int j = Scene::braked[k];
-    const std::uint32_t enable = hot && hot[j] ? 0 : joint[j].enable;
+    const std::uint32_t enable = hot && hot[arm::drive_of<Scene>(j)] ? 0 : joint[j].enable;
     return !powered || !enable || enable & ARM_CLOSE_BRAKE;
   }
 
@@ -295,9 +324,9 @@ struct arm_machine {
   // Measure everything on this side of the lines, for use(measurement).
   template <class Use>
   void measure_all(Use&& use) const {
-    arm_joint_measurement joint[N];
-    arm_joint_sensors own[N] = {};
-    double current_d[N] = {}, readings[Scene::readings * N + 1], further[Scene::inputs * N + 1];
+    arm_joint_measurement joint[J];
+    arm_joint_sensors own[J] = {};
+    double current_d[J] = {}, readings[Scene::readings * J + 1], further[Scene::inputs * J + 1];
     arm_measurement all = {};
     all.size = sizeof all;
     all.joint = joint, all.sensors = own, all.current_d = current_d;
@@ -323,14 +352,16 @@ struct arm_machine {
   void measure_here(arm_measurement* out, const Motors& motors) const {
     [[maybe_unused]] bool hot[N] = {};
     if constexpr (Machine::heats) machine.too_hot(hot);
-    for (int j = 0; j < N; ++j) {
+    const int faulty = faulty_joint();
+    for (int j = 0; j < J; ++j) {
+      const int drive = arm::drive_of<Scene>(j);
       arm_joint_measurement& joint = out->joint[j];
-      joint.encoder = counts(j, motors.angle[j]);
-      joint.current = motors.current[j];
-      joint.applied = applied[j];
-      joint.faults = machine.faulty_joint() == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
+      joint.encoder = counts(drive, motors.angle[drive]);
+      joint.current = motors.current[drive];
+      joint.applied = applied[drive];
+      joint.faults = faulty == j ? std::uint32_t{ARM_FAULT_DIVERGED} : 0;
       if constexpr (Machine::heats)
-        if (hot[j]) joint.faults |= ARM_FAULT_THERMAL;
+        if (hot[drive]) joint.faults |= ARM_FAULT_THERMAL;
       joint.brake = 0;
     }
     for (int k = 0; k < Scene::brakes; ++k)
@@ -339,13 +370,35 @@ struct arm_machine {
     out->tick = motors.steps / steps_per_period;
     out->answered = answered;
     const bool more = has(out, offsetof(arm_measurement, readings));
-    if (more && out->current_d) machine.currents_d(out->current_d);
+    if (more && out->current_d) {
+      double of_drives[N];
+      machine.currents_d(of_drives);
+      to_joints(of_drives, out->current_d);
+    }
     if constexpr (Scene::inputs > 0)
-      if (has(out, sizeof *out) && out->further) machine.applied_inputs(out->further);
+      if (has(out, sizeof *out) && out->further) {
+        double of_drives[Scene::inputs * N];
+        machine.applied_inputs(of_drives);
+        for (int r = 0; r < Scene::inputs; ++r) to_joints(of_drives + r * N, out->further + r * J);
+      }
+    double* readings = has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr;
+    const auto& q = machine.state().q;
+    for_each_deflection(readings, [&](int drive) { return q[drive]; });
     const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
-                           has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr};
+                           readings ? readings + arm::count_deflections<Scene>() * J : nullptr};
     measure_by(sensors, places);
   }
+  // Fill the rows of deflections among the readings, if they are there, by position(drive).
+  template <class Position>
+  static void for_each_deflection(double* readings, Position&& position) {
+    for (int row = 0; readings && row < arm::count_deflections<Scene>(); ++row)
+      for (int j = 0; j < J; ++j) {
+        const int drive = arm::deflection_of<Scene>(row, j);
+        readings[row * J + j] = drive < 0 ? 0.0 : position(drive);
+      }
+  }
+  // The joint that diverged, or in whose bearing a deflection did; -1: none.
+  int faulty_joint() const { return arm::joint_of<Scene>(machine.faulty_joint()); }
   static bool has(const arm_measurement* out, std::size_t size) { return out->size >= size; }
 
   // Destination of readings; all but the first may be null.
@@ -358,10 +411,12 @@ struct arm_machine {
   // Replace ideal values by the sensors' readings.
   template <class TheSensors>
   static void measure_by(const TheSensors& sensors, const Places& to) {
-    for (int j = 0; to.sensors && j < N; ++j) to.sensors[j] = {};
+    for (int j = 0; to.sensors && j < J; ++j) to.sensors[j] = {};
     if constexpr (TheSensors::present) {
-      for (int j = 0; j < N; ++j) {
-        const arm::EncoderReading &motor = sensors.encoder(j), &link = sensors.link_encoder(j);
+      for (int j = 0; j < J; ++j) {
+        const int drive = arm::drive_of<Scene>(j);
+        const arm::EncoderReading &motor = sensors.encoder(drive),
+                                  &link = sensors.link_encoder(drive);
         to.joint[j].encoder = motor.counts;
         if (to.sensors)
           to.sensors[j] = {motor.index, motor.pulses, link.counts, link.index, link.pulses, 0.0};
@@ -369,13 +424,14 @@ struct arm_machine {
       double* readings = to.readings;
       sensors.for_each_analog([&](auto quantity, auto&& reading) {
         constexpr arm::Field field = decltype(quantity)::field;
-        for (int j = 0; j < N; ++j) {
+        for (int j = 0; j < J; ++j) {
+          const int drive = arm::drive_of<Scene>(j);
           if constexpr (field == arm::Field::current) {
-            to.joint[j].current = reading(j);
+            to.joint[j].current = reading(drive);
           } else if constexpr (field == arm::Field::torque) {
-            if (to.sensors) to.sensors[j].torque = reading(j);
+            if (to.sensors) to.sensors[j].torque = reading(drive);
           } else if (readings) {
-            *readings++ = reading(j);
+            *readings++ = reading(drive);
           }
         }
       });

@@ -36,7 +36,7 @@ int arm_reset(arm_machine* machine, const double* q, const double* v) {
     return ARM_REFUSED;
   machine->forget_external_wrenches();
   machine->machine.put_brakes(!machine->powered);
-  machine->machine.reset(q, v);
+  machine->machine.reset(arm_machine::Drives(q).of, arm_machine::Drives(v).of);
   machine->answered = -1;
   for (double& value : machine->applied) value = 0.0;
   machine->begin_to_look(true);
@@ -128,7 +128,7 @@ namespace {
 
 int check_wrench(const arm_machine* machine, std::int32_t link, const arm_wrench* wrench,
                  arm::GivenWrench& wrench_numbers) {
-  const int joint = arm::kCoupled<Scene> ? -1 : link;
+  const int joint = arm::kCoupled<Scene> ? -1 : arm::joint_of<Scene>(link);
   if (machine->refuse_wrench(link) || machine->check_size(wrench)) return ARM_REFUSED;
   if (wrench->axes != ARM_LINK_AXES && wrench->axes != ARM_WORLD_AXES)
     return machine->refuse(joint, "axes", "be one of enum arm_axes", wrench->axes);
@@ -180,8 +180,8 @@ int arm_get_truth(const arm_machine* machine, arm_truth* out) {
   double* const to[] = {out->current, out->motor_angle, out->motor_speed,
                         out->q,       out->v,           out->gear_torque};
   for (int row = 0; row < 6; ++row)
-    for (int j = 0; to[row] && j < N; ++j) to[row][j] = from[row][j];
-  out->fault = machine->machine.faulty_joint();
+    if (to[row]) arm_machine::to_joints(from[row], to[row]);
+  out->fault = machine->faulty_joint();
   out->time = machine->machine.time();
   if (out->energy) *out->energy = machine->machine.energy();
   return machine->result();
@@ -199,11 +199,17 @@ ARM_ONCE std::int32_t arm_get_point(const arm_machine* machine, double* out) {
 }
 
 void arm_get_winding_temperatures(const arm_machine* machine, double* out) {
-  if (machine && out) machine->machine.winding_temperatures(out);
+  double of_drives[arm_machine::N];
+  if (!machine || !out) return;
+  machine->machine.winding_temperatures(of_drives);
+  arm_machine::to_joints(of_drives, out);
 }
 
 void arm_get_gear_temperatures(const arm_machine* machine, double* out) {
-  if (machine && out) machine->machine.gear_temperatures(out);
+  double of_drives[arm_machine::N];
+  if (!machine || !out) return;
+  machine->machine.gear_temperatures(of_drives);
+  arm_machine::to_joints(of_drives, out);
 }
 
 ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
@@ -219,7 +225,7 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
   for (int row = 0; row < 5; ++row) {
     if (!from[row]) continue;
     if (machine->check_finite(from[row], names[row])) return ARM_REFUSED;
-    for (int j = 0; j < N; ++j) to[row][j] = from[row][j];
+    arm_machine::to_drives(from[row], to[row]);
   }
   int result = ARM_OK;
   machine->machine.numbers_now().for_each_drive([&](const auto& drive, int j) {
@@ -228,14 +234,17 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
     const auto differs = [&](const double* row, double actual, double expected) {
       return row && arm::magnitude(actual - expected) > 1e-9 * (1.0 + arm::magnitude(expected));
     };
+    const int joint = arm::joint_of<Scene>(j);
     if (!drive.driven && truth->current && current[j] != 0.0)
-      result = machine->refuse(j, names[0], "be 0 without a motor", current[j]);
+      result = machine->refuse(joint, names[0], "be 0 without a motor", current[j]);
     if (limit > 0.0 && arm::magnitude(current[j]) > limit)
-      result = machine->refuse(j, names[0], "be within the current limit", current[j]);
+      result = machine->refuse(joint, names[0], "be within the current limit", current[j]);
     if (!drive.elastic && differs(truth->motor_angle, angle[j], drive.motor_angle(behind)))
-      result = machine->refuse(j, names[1], "be that of the link, which it turns with", angle[j]);
+      result =
+          machine->refuse(joint, names[1], "be that of the link, which it turns with", angle[j]);
     if (!drive.elastic && differs(truth->motor_speed, speed[j], drive.motor_speed(behind)))
-      result = machine->refuse(j, names[2], "be that of the link, which it turns with", speed[j]);
+      result =
+          machine->refuse(joint, names[2], "be that of the link, which it turns with", speed[j]);
     auto put = input_of(drive, j, x, 0.0);
     drive.put_motor(put, current[j], angle[j], speed[j]);
     put_states(drive, j, 0, put, x);
@@ -249,8 +258,8 @@ ARM_ONCE int arm_set_truth(arm_machine* machine, const arm_truth* truth) {
 int arm_advance(arm_machine* machine, const double* command, std::int64_t steps) {
   if (!machine || machine->check_finite(command, "command") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
-  const double* applied = machine->with_power(command);
-  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(applied, some); });
+  const arm_machine::Drives applied = machine->with_power(command);
+  machine->go(steps, [&](std::int64_t some) { machine->machine.advance(applied.of, some); });
   return machine->result();
 }
 
@@ -260,7 +269,7 @@ int arm_run(arm_machine* machine, const double* command, std::int64_t rows, std:
       machine->check_count(rows, "rows") || machine->check_count(steps, "steps"))
     return ARM_REFUSED;
   for (std::int64_t row = 0; row < rows; ++row)
-    if (machine->check_finite(command + row * arm_machine::N, "command")) return ARM_REFUSED;
+    if (machine->check_finite(command + row * arm_machine::J, "command")) return ARM_REFUSED;
   machine->follow(command, rows, steps, q);
   return machine->result();
 }

@@ -21,7 +21,7 @@ int arm_describe(arm_description* out) {
   arm_description all = {};
   all.size = out->size;
   all.version = ARM_VERSION;
-  all.joints = arm_machine::N;
+  all.joints = arm_machine::J;
   all.parameters = Scene::parameters;
   all.fingerprint = ARM_FINGERPRINT;
   all.supply_voltage = Scene::supply_voltage;
@@ -39,34 +39,37 @@ int arm_describe(arm_description* out) {
 
 int arm_describe_joint(std::int32_t joint, arm_joint_description* out) {
   if (!out || out->size < offsetof(arm_joint_description, encoder_wrap) || joint < 0 ||
-      joint >= arm_machine::N)
+      joint >= arm_machine::J)
     return ARM_REFUSED;
+  const int of_joint = arm::drive_of<Scene>(joint);
   arm_joint_description all = {};
   all.size = out->size;
-  all.name = Scene::device[joint].name;
-  all.kind = arm::kind_of<Scene>(joint) == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
-  all.counts_per_rad = Scene::device[joint].counts_per_rad;
+  all.name = Scene::device[of_joint].name;
+  all.kind =
+      arm::kind_of<Scene>(of_joint) == arm::JointKind::revolute ? ARM_REVOLUTE : ARM_PRISMATIC;
+  all.counts_per_rad = Scene::device[of_joint].counts_per_rad;
   arm::for_each_drive<Scene>([&](const auto& drive, int j) {
-    if (j != joint) return;
+    if (j != of_joint) return;
     all.modes = drive.driven ? arm::kModes.at[j] : 0;
     all.gear_ratio = drive.gear.Ng;
     all.current_limit = drive.motor.largest_current();
   });
-  arm_machine::describe<arm_machine::Sensors>(joint, all);
+  arm_machine::describe<arm_machine::Sensors>(of_joint, all);
   return fill(out, all);
 }
 
 int arm_describe_reading(std::int32_t reading, std::int32_t joint, arm_reading* out) {
   if (!out || out->size < sizeof *out || reading < 0 || reading >= Scene::readings || joint < 0 ||
-      joint >= arm_machine::N)
+      joint >= arm_machine::J)
     return ARM_REFUSED;
   return arm::describe_reading<Scene>(reading, joint, out);
 }
 
 int arm_describe_input(std::int32_t input, std::int32_t joint, arm_reading* out) {
   if (!out || out->size < sizeof *out || input < 0 || input >= Scene::inputs || joint < 0 ||
-      joint >= arm_machine::N)
+      joint >= arm_machine::J)
     return ARM_REFUSED;
+  joint = arm::drive_of<Scene>(joint);
   const arm::FurtherInput<arm_machine::N>& row = Scene::input[input];
   *out = {out->size, row.of[joint] >= 0, row.name, row.unit[joint]};
   return ARM_OK;

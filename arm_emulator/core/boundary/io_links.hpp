@@ -29,7 +29,7 @@ template <class S>
 class IoLinks<S> {
  public:
   static constexpr bool present = true;
-  static constexpr int N = S::N;
+  static constexpr int N = count_joints<S>();
 
   // Tick of the newest measurement.
   std::int64_t newest() const { return newest_; }

@@ -8,10 +8,14 @@
 namespace {
 
 void write_flow(const auto& flow, double* out) {
-  for (int j = 0; j < arm_machine::N; ++j) {
-    out[j] = flow.supplied[j];
-    out[arm_machine::N + j] = flow.dissipated[j];
-  }
+  constexpr int J = arm_machine::J;
+  arm_machine::to_joints(flow.supplied, out);
+  arm_machine::to_joints(flow.dissipated, out + J);
+  for (int drive = 0; drive < arm_machine::N; ++drive)  // deflections count to their joint
+    if (const int j = arm::joint_of<Scene>(drive); drive != arm::drive_of<Scene>(j)) {
+      out[j] += flow.supplied[drive];
+      out[J + j] += flow.dissipated[drive];
+    }
 }
 
 // Call meter(), which is compiled for scenes that meter energy alone.
@@ -29,7 +33,7 @@ int metered([[maybe_unused]] auto* machine, [[maybe_unused]] auto&& meter) {
 int arm_powers(const arm_machine* machine, const double* command, double* out) {
   return metered<Scene>(machine, [&](const auto& one) {
     if (one.check_finite(command, "command") || one.check_there(out, "out")) return ARM_REFUSED;
-    write_flow(one.machine.powers(one.with_power(command)), out);
+    write_flow(one.machine.powers(one.with_power(command).of), out);
     return ARM_OK;
   });
 }
@@ -41,8 +45,8 @@ int arm_advance_metered(arm_machine* machine, const double* command, std::int64_
         one.check_count(steps, "steps"))
       return ARM_REFUSED;
     arm::EnergyFlow<Scene> flow;
-    const double* applied = one.with_power(command);
-    one.go(steps, [&](std::int64_t some) { one.machine.advance_metered(applied, some, flow); });
+    const arm_machine::Drives applied = one.with_power(command);
+    one.go(steps, [&](std::int64_t some) { one.machine.advance_metered(applied.of, some, flow); });
     write_flow(flow, out);
     return one.result();
   });

@@ -163,6 +163,41 @@ constexpr JointKind kind_of(int j) {
     return kLinks<S>.at[j].kind;
 }
 
+// Joints that controllers know. Where bearings give way, further ones of the machine stand behind
+// each of them: their deflections, with drives without motors (parts/bearing.hpp).
+template <class S>
+inline constexpr bool kDeflects = requires { S::drive_of; };
+template <class S>
+constexpr int count_joints() {
+  if constexpr (kDeflects<S>)
+    return S::J;
+  else
+    return S::N;
+}
+// The drive of such a joint.
+template <class S>
+constexpr int drive_of(int joint) {
+  if constexpr (kDeflects<S>)
+    return S::drive_of[joint];
+  else
+    return joint;
+}
+// The joint of a drive, or in whose bearing it is a deflection; -1 of -1.
+template <class S>
+constexpr int joint_of(int drive) {
+  int joint = drive < 0 ? drive : count_joints<S>() - 1;
+  while (joint >= 0 && drive_of<S>(joint) > drive) --joint;
+  return joint;
+}
+// Of the rows of readings, how many are deflections.
+template <class S>
+constexpr int count_deflections() {
+  if constexpr (kDeflects<S>)
+    return S::deflections;
+  else
+    return 0;
+}
+
 // body(drive, j) for the drive of every joint of a scene, to learn its structure; its numbers are
 // in numbers.hpp.
 template <class S, class Body>

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.bearing import Deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import Friction, LinkFriction, OfRotor
@@ -43,6 +44,9 @@ ROTOR_FRICTIONS = _select_by_keys(list_kinds(OfRotor))
 # Parts with an optional section of their own.
 EXTRAS = tuple(sorted(list_kinds(JointEffect), key=lambda kind: kind.rank))
 
+# Directions in which a joint's bearing may give way.
+DEFLECTIONS = tuple(list_kinds(Deflection))
+
 # Decorators around a motor, innermost first.
 _DECORATORS = sorted(list_kinds(DriveStage), key=lambda kind: kind.layer)
 DECORATORS = tuple(kind for kind in _DECORATORS if not kind.around_kind)
@@ -60,6 +64,7 @@ PARTS: tuple[type[Part], ...] = (
     *ROTOR_FRICTIONS,
     Brake,
     *EXTRAS,
+    *DEFLECTIONS,
 )
 
 
@@ -136,3 +141,9 @@ def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Joi
             kind.put_limits(section, limits)
             effects.append(kind.read(section))
     return tuple(effects)
+
+
+def read_bearing(joint: Section) -> tuple[Deflection, ...]:
+    """Return the directions in which the bearing of a joint gives way."""
+    sections = ((kind, joint.below(kind.section)) for kind in DEFLECTIONS)
+    return tuple(kind.read(section) for kind, section in sections if section is not None)

@@ -18,7 +18,12 @@ from arm_emulator.base.validation.coerce import coerce_flag
 from arm_emulator.machine.plant.call_arguments import build_refusal, make_options, make_truth
 from arm_emulator.machine.plant.compiler import load_equations, load_machine
 from arm_emulator.machine.plant.core_calls import ARM, REFUSED
-from arm_emulator.machine.plant.external_wrench import AXES, ExternalWrench, move_to_moving_link
+from arm_emulator.machine.plant.external_wrench import (
+    AXES,
+    NUMBERS,
+    ExternalWrench,
+    move_to_moving_link,
+)
 from arm_emulator.machine.plant.plant_state import ROWS, SET, PlantState, bound_state
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import find_varied
@@ -59,6 +64,8 @@ class CoreMachine(Synchronized):
         self.scene = scene
         self.core = of.core if of else core or load_machine(scene)
         self._N = N = len(scene.joints)
+        self._places = scene.joint_places  # of these among the joints of the machine
+        self._of_machine = len(scene.chain.shafts)
         self._owner = of.owner if of else None  # it must not go before
         self.machine = of.machine if of else self._new()
         self._rows = np.zeros((len(ROWS), N))
@@ -154,7 +161,7 @@ class CoreMachine(Synchronized):
     def external_wrenches(self) -> dict[str, ExternalWrench]:
         """External wrench on each link that a joint moves, by name; empty in a scene without."""
         wrenches = {}
-        for place, moved in enumerate(self.scene.chain.links):
+        for place, moved in self.scene.chain.bodies.items():
             if self.scene.external_wrench:
                 raw = ARM.new("arm_wrench")
                 self.core.arm_get_external_wrench(self.machine, place, raw)
@@ -248,6 +255,23 @@ class CoreMachine(Synchronized):
 
     @property
     @synchronized
+    def machine_motion(self) -> tuple[Array, Array]:
+        """Positions and speeds of `scene.machine_joints` now, deflections of bearings among them.
+
+        Two rows, of rad and rad/s or m and m/s.
+        """
+        point = np.empty(self.core.arm_get_point(self.machine, NULL))
+        self.core.arm_get_point(self.machine, pointer(point))
+        inputs = len(self.scene.varied) + sum(
+            joint.brake is not None for joint in self.scene.joints
+        )
+        if self.scene.external_wrench:
+            inputs += NUMBERS * len(self.scene.chain.links)
+        q, v = point[inputs:].reshape(self._of_machine, -1)[:, -2:].T.copy()
+        return q, v
+
+    @property
+    @synchronized
     def winding_temperatures(self) -> Array:
         """Temperatures of the windings (N,) [degC]; NaN where the scene has no `winding`."""
         temperatures = np.empty(self._N)
@@ -264,14 +288,14 @@ class CoreMachine(Synchronized):
 
     @synchronized
     def linear_drives(self, loaded: bool = False) -> list[LinearDrive]:
-        """Return the linear part of each joint's drive, base to tool.
+        """Return the linear part of the drive of each joint of the machine, base to tool.
 
         Args:
             loaded: whether a tooth is in contact in gears with play.
         """
         loaded = coerce_flag(loaded, "Plant.linear_drives", "loaded")
         K = self.equation("arm_linear_drives", loaded, NULL)
-        numbers = np.zeros((self._N, 2 + K + (K + 3) * (K + 3)))
+        numbers = np.zeros((self._of_machine, 2 + K + (K + 3) * (K + 3)))
         self.equation("arm_linear_drives", loaded, pointer(numbers))
         return [LinearDrive.of(row, K) for row in numbers]
 

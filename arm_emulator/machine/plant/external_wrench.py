@@ -17,6 +17,7 @@ from arm_emulator.machine.scene.scene import Scene
 
 AXES = ("link", "world")
 NONE = (0.0, 0.0, 0.0)
+NUMBERS = 10  # of a wrench in the point of a machine (arm_get_point)
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,8 @@ def _read_vectors(
 
 
 def _find_frame(scene: Scene, where: str, link: str) -> tuple[int, Frame]:
-    for place, carrier in enumerate(scene.chain.links):
+    for place, carrier in scene.chain.bodies.items():
         if isinstance(link, str) and link in carrier.links:
             return place, carrier.links[link]
-    names = [name for link in scene.chain.links for name in link.links]
+    names = [name for link in scene.chain.bodies.values() for name in link.links]
     raise Refusal(where, "link", "be one that moves", link, ", ".join(names))

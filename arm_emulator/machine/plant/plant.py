@@ -295,8 +295,11 @@ class Plant(CoreMachine):
 
     @property
     def links(self) -> LinkDynamics:
-        """Dynamics of the links alone: mass matrix, nle, inverse and forward dynamics."""
-        return LinkDynamics(self.equation, self._N)
+        """Dynamics of the links alone: mass matrix, nle, inverse and forward dynamics.
+
+        Their arrays have the joints of the machine, `scene.machine_joints`.
+        """
+        return LinkDynamics(self.equation, self._of_machine)
 
     @property
     @synchronized
@@ -436,6 +439,8 @@ class Plant(CoreMachine):
     ) -> Equations:
         """Return the machine's equations about a state, and their derivatives there.
 
+        Their N counts the joints of the machine, `scene.machine_joints`.
+
         Args:
             command: (N,), or by names of all joints [V, N m, A].
             x: the state, as `Equations.x`; None: the machine's own.
@@ -445,9 +450,11 @@ class Plant(CoreMachine):
         Raises:
             Refusal: wrong shape or not finite.
         """
-        where, N = "Plant.equations", self._N
-        ordered = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), N)
-        u = ordered.copy()  # to be put within its bounds
+        where, N = "Plant.equations", self._of_machine
+        u = np.zeros(N)  # to be put within its bounds
+        u[self._places] = ANY_COMMAND.row(
+            where, order_by_joint(command, self.scene, where), self._N
+        )
         slides = coerce_flag(slides, where, "slides")
         follows = coerce_flag(follows, where, "follows")
         size = N * (self.equation("arm_linear_drives", False, NULL) + 2)

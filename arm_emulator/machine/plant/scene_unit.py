@@ -13,8 +13,9 @@ from arm_emulator.base.products import apply_matrix
 from arm_emulator.machine.chain import Body, Chain, ChainJoint
 from arm_emulator.machine.cxx_literals import format_fields, format_number, format_vector
 from arm_emulator.machine.faults.scene_faults import put_faults
+from arm_emulator.machine.parts.bearing import name_deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import Supply
-from arm_emulator.machine.parts.known import rotor_friction_of
+from arm_emulator.machine.parts.known import DEFLECTIONS, rotor_friction_of
 from arm_emulator.machine.parts.line import write_lines
 from arm_emulator.machine.parts.measuring.sensors import (
     list_measured_kinds,
@@ -48,8 +49,9 @@ def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> s
     gravity = apply_matrix(R_BW, scene.gravity) if scene.gravity is not None else (0.0, 0.0, 0.0)
     links = ",\n".join(map(_write_link, scene.chain.links, _write_bodies(scene, places)))
     axes = _write_axes(scene.chain) if scene.external_wrench else ""
-    devices = ",\n".join(_write_device(joint) for joint in scene.joints)
-    drives = ",\n".join(_write_drive(joint, places, scene.supply_voltage) for joint in scene.joints)
+    joints = scene.machine_joints.values()
+    devices = ",\n".join(map(_write_device, joints))
+    drives = ",\n".join(_write_drive(joint, places, scene.supply_voltage) for joint in joints)
     around = _write_surroundings(scene, places)
     read, sensors = _write_sensors(scene, places)
     braked = sum(joint.brake is not None for joint in scene.joints)
@@ -58,9 +60,9 @@ def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> s
 {_write_includes(scene, places)}
 
 {read}struct Scene {{
-  static constexpr int N = {len(scene.joints)};
+  static constexpr int N = {len(joints)};
   static constexpr int L = {len(scene.chain.links)};
-{_write_coupling(scene.chain)}\
+{_write_coupling(scene.chain)}{_write_joints(scene)}\
   using Scheme = {scene.integrator.method.cxx_type()};
   template <class Stepper>
   using Threads = arm::{kind}<Scene, Stepper>;
@@ -140,7 +142,7 @@ def _write_sensors(scene: Scene, places: Mapping[str, str]) -> tuple[str, str]:
     read, sensors = "", ""
     if scene.has_sensor_errors:
         read = write_quantities(list_measured_kinds(joint.sensors for joint in scene.joints))
-        of_joints = {joint.name: joint.sensors for joint in scene.joints}
+        of_joints = {name: joint.sensors for name, joint in scene.machine_joints.items()}
         sensors = write_suite(_write_seed(scene, places), of_joints, scene.imus, places)
     return read, sensors + _write_lines(scene, places)
 
@@ -172,10 +174,10 @@ def _write_surroundings(scene: Scene, places: Mapping[str, str]) -> str:
 
 def _write_inputs(scene: Scene) -> str:
     """Return the motors' further inputs."""
-    names, rows = list_further_inputs(scene), []
+    names, joints, rows = list_further_inputs(scene), scene.machine_joints.values(), []
     for name in names:
-        at = [find_input(joint, name) for joint in scene.joints]
-        pairs = zip(scene.joints, at, strict=True)
+        at = [find_input(joint, name) for joint in joints]
+        pairs = zip(joints, at, strict=True)
         of = ", ".join(
             str(joint.inputs[1:].index(input_) if input_ else -1) for joint, input_ in pairs
         )
@@ -213,6 +215,28 @@ def _write_coupling(chain: Chain) -> str:
 {rows}}};
   static constexpr arm::Real coupling_offset[L] = {{{offsets}}};
   static constexpr int link_of[N] = {{{", ".join(map(str, chain.link_of))}}};
+"""
+
+
+def _write_joints(scene: Scene) -> str:
+    """Return the joints that controllers know and their deflections, if bearings give way."""
+    names = list(scene.machine_joints)
+    if not scene.chain.deflections:
+        return ""
+    places = ", ".join(map(str, scene.joint_places))
+    rows = []
+    for kind in DEFLECTIONS:
+        at = [name_deflection(joint.name, kind) for joint in scene.joints]
+        row = [names.index(name) if name in names else -1 for name in at]
+        if set(row) != {-1}:
+            rows.append(f"      {{{', '.join(map(str, row))}}}")
+    table = ",\n".join(rows)
+    return f"""\
+  static constexpr int J = {len(scene.joints)};
+  static constexpr int drive_of[J] = {{{places}}};
+  static constexpr int deflections = {len(rows)};  // the first of the readings
+  static constexpr int deflection[deflections][J] = {{
+{table}}};
 """
 
 
@@ -335,9 +359,9 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
         gear[0],
         friction[0],
         kind,
-        *(extra.cxx_type for extra in joint.extras),
+        *(extra.cxx_type for extra in (*joint.extras, *joint.bearing)),
     ]
-    extras = ", ".join(map(part, joint.extras))
+    extras = ", ".join(map(part, (*joint.extras, *joint.bearing)))
     return f"""\
       arm::Drive<{", ".join(kinds)}>{{
           .motor = {motor.value},

@@ -23,7 +23,7 @@ def list_variable_numbers(
         for number in part.list_variable_numbers(joint.name)
     ]
     of_imus = [number for imu in imus for number in imu.list_variable_numbers()]
-    of_links = [number for link in chain.links for number in vary_body(link)]
+    of_links = [number for link in chain.bodies.values() for number in vary_body(link)]
     return of_joints + of_imus + of_links
 
 
@@ -67,7 +67,8 @@ def list_faults(
         for key, value in part.list_fault_numbers().items()
         if (place := f"{part.owners}.{name}.{part.section}.{key}") not in hidden
     }
-    numbers |= {number.name: number.value for link in chain.links for number in vary_body(link)}
+    bodies = chain.bodies.values()
+    numbers |= {number.name: number.value for link in bodies for number in vary_body(link)}
     numbers |= list_line_numbers({joint.name: joint.motor is not None for joint in joints})
     if any(joint.motor and joint.motor.has_winding for joint in joints):
         numbers["supply.share"] = 1.0
@@ -77,7 +78,7 @@ def list_faults(
         numbers["payload.mass"] = payload
     owners = {
         "joints": [joint.name for joint in joints],
-        "links": [link.link for link in chain.links],
+        "links": [link.link for link in bodies],
         "imus": [imu.name for imu in imus],
     }
     return list_scene_faults(FAULTS, owners, numbers, varied)

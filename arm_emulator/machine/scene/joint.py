@@ -11,6 +11,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import LARGEST, number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Chain
+from arm_emulator.machine.parts.bearing import Deflection, name_deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor
@@ -23,6 +24,7 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     find_gear,
     link_friction_of,
+    read_bearing,
     read_decorators,
     read_extras,
     read_friction,
@@ -58,6 +60,7 @@ class Joint:
     decorators: tuple[DriveStage, ...] = ()  # around its motor, innermost first
     brake: Brake | None = None
     extras: tuple[JointEffect, ...] = ()  # that stand in sections of their own
+    bearing: tuple[Deflection, ...] = ()  # directions in which it gives way
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -74,11 +77,27 @@ class Joint:
             *rotor,
             *brake,
             *self.extras,
+            *self.bearing,
         )
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return its part of a kind, None if it has none."""
         return next((part for part in self.parts if isinstance(part, kind)), None)
+
+    def list_drives(self) -> dict[str, Joint]:
+        """Return its drive and those of its bearing's deflections, as joints without motors."""
+        rigid, friction = find_gear(ratio=1.0), link_friction_of()
+        return {self.name: replace(self, bearing=())} | {
+            name_deflection(self.name, type(spring)): Joint(
+                name=self.name,
+                motor=None,
+                gear=rigid,
+                sensors=JointSensors(),
+                friction=friction,
+                bearing=(spring,),
+            )
+            for spring in self.bearing
+        }
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -228,6 +247,7 @@ def read_joint(name: str, kind: str, section: Section, limits: tuple[float, floa
         decorators=read_decorators(driven, motor) if driven and motor else (),
         brake=None if brake is None else Brake.read(brake),
         extras=read_extras(section, limits),
+        bearing=read_bearing(section),
     )
     section.finish()
     for extra in joint.extras:

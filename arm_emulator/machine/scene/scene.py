@@ -67,8 +67,8 @@ class Scene(ArrayEquality, SharedObject):
     supply_voltage: float = number(
         "V", above=0.0, at_most=1e5, text="no motor gets more, in either direction"
     )
-    joints: tuple[Joint, ...]  # base to tool
-    chain: Chain  # the same joints' geometry and inertia
+    joints: tuple[Joint, ...]  # that controllers know, base to tool
+    chain: Chain  # geometry and inertia of these, and of what their bearings give way
     bare: tuple[Body, ...]  # what the links of the chain are, without the payload
     integrator: Integrator
     servo_period: float = number(
@@ -116,8 +116,32 @@ class Scene(ArrayEquality, SharedObject):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the moving joints, base to tool."""
+        """Names of the moving joints that controllers know, base to tool."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def machine_joints(self) -> dict[str, Joint]:
+        """All joints of the machine by name, base to tool: deflections of bearings, too."""
+        drives = {
+            name: drive for joint in self.joints for name, drive in joint.list_drives().items()
+        }
+        return {shaft.name: drives[shaft.name] for shaft in self.chain.shafts}
+
+    @property
+    def joint_places(self) -> list[int]:
+        """Places of the joints that controllers know among the machine's."""
+        names = [shaft.name for shaft in self.chain.shafts]
+        return [names.index(name) for name in self.joint_names]
+
+    def refuse_bearings(self, user: str) -> None:
+        """Refuse bearings that give way, for what cannot take them.
+
+        Raises:
+            Refusal: a bearing gives way.
+        """
+        if self.chain.deflections:
+            deflection = f"joints.{self.chain.deflections[0]}"
+            raise Refusal(self.where, deflection, f"be absent for {user}", "given")
 
     @property
     def largest_commands(self) -> Array:

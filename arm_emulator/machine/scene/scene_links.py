@@ -16,6 +16,7 @@ from arm_emulator.base.urdf.urdf_text import parse_urdf, read_limits, read_urdf
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.chain import Body, Chain
+from arm_emulator.machine.scene.bearings import add_bearings
 from arm_emulator.machine.scene.payload import Load, load_of, read_payload
 from arm_emulator.machine.scene.urdf_chain import lock_joints, read_chain
 from arm_emulator.machine.scene.urdf_file import find_urdf
@@ -27,10 +28,12 @@ LOCKED = Number("locked", "rad or m", at_least=-1e4, at_most=1e4)
 class SceneLinks:
     """Result of a scene's keys `urdf`, `tool`, `payload`, `locked`, `couplings` and `calibration`.
 
+    The bearings of its joints that give way are part of the machine's links.
+
     Attributes:
         urdf_file: the description.
         urdf: its text, locked joints fixed, shares of couplings in it: what controllers know.
-        true_urdf: the same with the joints where the machine has them.
+        true_urdf: the same with the joints where the machine has them, and its bearings.
         robot: the description, parsed.
         tool: link whose frame is the tool.
         calibration: deviations of the machine from its description.
@@ -64,6 +67,10 @@ class SceneLinks:
         _apply_coupling(root.section("couplings"), self.robot)
         self._true_robot = self.robot
         self.calibration = self._calibrate(root.section("calibration"), file)
+        joints = root.section("joints")
+        self._true_robot, self._deflections = add_bearings(
+            self._true_robot, joints, self.urdf_file.name
+        )
         self.chain = self._chain(body)
         twice = None if body is None else self._chain(body.scale(2.0))
         self.bare = _remove_payload(self.chain, twice)
@@ -105,6 +112,7 @@ class SceneLinks:
             locked=self._locked,
             tool=self.tool,
             payload=load,
+            deflections=self._deflections,
         )
 
 

@@ -52,6 +52,7 @@ def read_chain(
     locked: Mapping[str, float],
     tool: str,
     payload: Body | None = None,
+    deflections: tuple[str, ...] = (),
 ) -> Chain:
     """Read the tree of moving joints from a URDF, fixed and locked joints merged.
 
@@ -62,6 +63,7 @@ def read_chain(
         locked: joints held at a position [rad or m].
         tool: the link that carries `payload`, which is given in that link's frame.
         payload: a body to add at the tool.
+        deflections: joints that are those of bearings (bearings.py).
 
     Raises:
         Refusal: it is no URDF, or its machine is no tree with sound inertias.
@@ -69,10 +71,18 @@ def read_chain(
     moving = _add_bodies(robot, where, asks, locked, tool, payload)
     of_joints = list_followers(robot, where, list(locked))
     coupling = read_coupling([moved.joint.name for moved in moving], of_joints, where, locked)
-    faults = [fault for moved in moving if (fault := _explain_bad_body(moved, where)) is not None]
+    if deflections and not coupling.is_identity:
+        rule, got = "be absent where joints are coupled", deflections[0]
+        raise Refusal(asks, f"joints.{deflections[0]}", rule, got)
+    bodies = [moved for moved in moving if moved.links[0] not in deflections]
+    faults = [
+        fault
+        for moved in bodies
+        if (fault := _explain_bad_body(moved, where, moved.joint.name in deflections)) is not None
+    ]
     if faults:
         raise _collect_links(faults, where)
-    return _assemble(moving, coupling)
+    return _assemble(moving, coupling, deflections)
 
 
 @dataclass(frozen=True)
@@ -254,7 +264,7 @@ def _sort_joints(moving: list[_Moving]) -> list[_Moving]:
     return [dataclasses.replace(moving[k], parent=places[moving[k].parent]) for k in order]
 
 
-def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
+def _assemble(moving: list[_Moving], coupling: Coupling, deflections: tuple[str, ...]) -> Chain:
     """Choose each link's frame: z along its joint, x so that the next joint's tilt is about x.
 
     With z fixed, one free turn gamma about z is left per link. It is spent so that the axis of the
@@ -314,16 +324,19 @@ def _assemble(moving: list[_Moving], coupling: Coupling) -> Chain:
         link: (index, frame)
         for index, moved in enumerate(moving)
         for link, frame in zip(moved.links, moved.frames, strict=True)
+        if link not in deflections
     }
-    return Chain(tuple(joints), coupling, R_WB.T, np.array([R.T for R in turned]), carried)
+    R_core = np.array([R.T for R in turned])
+    return Chain(tuple(joints), coupling, R_WB.T, R_core, carried, deflections)
 
 
-def _explain_bad_body(moved: _Moving, where: str) -> Refusal | None:
+def _explain_bad_body(moved: _Moving, where: str, in_bearing: bool = False) -> Refusal | None:
     """Return why the equations of motion are not solvable with what a joint moves.
 
     The mass matrix is positive definite in every pose if no body has a negative principal moment
     and each has inertia about its own joint's axis (mass, along the axis of a prismatic one). So a
-    thin rod or a point mass may be moved, though not a rod about its own length.
+    thin rod or a point mass may be moved, though not a rod about its own length; nor either in a
+    bearing that gives way, where a body moves in several directions.
     """
     body, label = moved.body, f"moved by joint {moved.joint.name} (links {', '.join(moved.links)})"
     if not body.mass >= SMALLEST_MASS:
@@ -341,6 +354,9 @@ def _explain_bad_body(moved: _Moving, where: str) -> Refusal | None:
         return Refusal(where, f"inertia {label}", rule, text)
     about = float(moved.joint.axis @ body.inertia @ moved.joint.axis)
     smallest = max(SMALLEST_INERTIA, float(rounding))
+    if in_bearing and (thin or moments[0] < smallest):
+        rule = "be positive definite in a bearing that gives way"
+        return Refusal(where, f"inertia {label}", rule, text)
     if MOVING_KINDS[moved.joint.kind] == "revolute" and about < smallest:
         return Refusal(
             where, f"inertia about the axis {label}", f"be >= {smallest:.2g} kg m2", about

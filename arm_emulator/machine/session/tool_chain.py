@@ -16,8 +16,11 @@ TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
 
 
 def list_tool_signals(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the tool's coordinates; none where no joint carries the tool."""
-    return TOOL if scene.tool in scene.chain.carried else ()
+    """Return the names of the tool's coordinates.
+
+    None where no joint carries the tool, or where bearings give way, which the joints do not tell.
+    """
+    return TOOL if scene.tool in scene.chain.carried and not scene.chain.deflections else ()
 
 
 class ToolChain:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -16,9 +16,14 @@ class LinkMotions:
 
     Attributes:
         names: of the links, the base first.
+
+    Args:
+        urdf: the description.
+        joint_names: shafts, in the order of all arrays.
+        hidden: links that `names` leaves out.
     """
 
-    def __init__(self, urdf: str, joint_names: Sequence[str]) -> None:
+    def __init__(self, urdf: str, joint_names: Sequence[str], hidden: Collection[str] = ()) -> None:
         self._shafts = Shafts(urdf, joint_names)
         self._model = pin.buildModelFromXML(urdf)
         self._data = self._model.createData()
@@ -28,7 +33,7 @@ class LinkMotions:
         self._frames = {
             frame.name: number
             for number, frame in enumerate(self._model.frames)
-            if frame.type == pin.FrameType.BODY
+            if frame.type == pin.FrameType.BODY and frame.name not in hidden
         }
         self.names = tuple(self._frames)
 

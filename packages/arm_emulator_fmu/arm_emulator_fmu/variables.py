@@ -154,6 +154,7 @@ def _list_inputs(scene: Scene) -> list[Variable]:
     about = "power of all drives"
     inputs.append(Variable(("power",), "values.now.power", "Boolean", "input", about, start=(1.0,)))
     if scene.external_wrench:
+        scene.refuse_bearings("external wrenches of an FMU")
         for name, unit, about in (
             ("force", "N", "external force on the link that each joint moves"),
             ("moment", "N m", "external moment on the link that each joint moves"),
@@ -300,7 +301,7 @@ def _list_parts(varied: Varied, scene: Scene) -> Sequence[str]:
     group, _, rest = varied.name.partition(".")
     owners_by_group = {
         "joints": scene.joint_names,
-        "links": tuple(link.link for link in scene.chain.links),
+        "links": tuple(link.link for link in scene.chain.bodies.values()),
         "imus": tuple(imu.name for imu in scene.imus),
     }
     owners = (
@@ -318,7 +319,7 @@ def _list_varied_units(scene: Scene) -> dict[str, str]:
     Those of parts are declared for joints that turn; of joints that slide they are left out.
     """
     units = {"payload.mass": "kg"}
-    for link in scene.chain.links:
+    for link in scene.chain.bodies.values():
         for name, unit in _LINK_UNITS.items():
             for tail in ("", *(f"_{x}" for x in (*"xyz", "xx", "yy", "zz", "xy", "xz", "yz"))):
                 units[f"links.{link.link}.{name}{tail}"] = unit

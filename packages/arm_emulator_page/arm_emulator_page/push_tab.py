@@ -38,7 +38,7 @@ class PushTab:
         if not scene.external_wrench:
             gui.add_markdown("Links cannot be pushed: the scene has no `external_wrench: true`.")
             return
-        links = tuple(link.link for link in scene.chain.links)
+        links = tuple(link.link for link in scene.chain.bodies.values())
         self._link = gui.add_dropdown("Link", links, initial_value=links[-1])
         self._link.on_update(lambda _: self._switch())
         self._force = gui.add_vector3("Force [N], world axes", NONE, step=1.0)
