@@ -38,7 +38,8 @@ def arm_urdf(joints: int, kind: str = "continuous", axis: str = "0 0 1") -> str:
         text.append(
             f"<link name='link_{k}'><inertial><origin xyz='{LENGTH} 0 0'/><mass value='{MASS}'/>"
             f"<inertia ixx='{xx}' iyy='{yy}' izz='{zz}' ixy='0' ixz='0' iyz='0'/></inertial></link>"
-            f"<joint name='joint_{k}' type='{kind}'><parent link='{f'link_{k - 1}' if k else 'base'}'/>"
+            f"<joint name='joint_{k}' type='{kind}'>"
+            f"<parent link='{f'link_{k - 1}' if k else 'base'}'/>"
             f"<child link='link_{k}'/><axis xyz='{axis}'/>"
             f"<origin xyz='{' '.join(map(str, xyz))}' rpy='{' '.join(map(str, rpy))}'/></joint>"
         )
@@ -147,7 +148,8 @@ def test_modes_are_those_of_pinocchio_s_mass_matrix(arm: Scene) -> None:
     by_size = lambda z: np.sort_complex(z[z.imag > 1.0])  # noqa: E731
     # Both are solved by LAPACK from matrices of condition 1e6; the core's slopes are exact.
     assert by_size(actual) == pytest.approx(by_size(expected), rel=1e-9)
-    assert (linear.q, linear.B.shape) == (pytest.approx(places), (16, 2))
+    assert (linear.q, linear.v, linear.B.shape) == (slice(0, 2), slice(2, 4), (16, 2))
+    assert linear.x0[linear.q] == pytest.approx(pose)
 
 
 def test_motion_keeps_its_energy_and_dampers_take_it(arm: Scene) -> None:

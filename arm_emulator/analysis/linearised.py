@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,8 +41,8 @@ class LinearMachine(ArrayEquality):
         q, v: places of the links' positions and speeds in x.
         sticks: links that stick (N,).
 
-    N counts the joints that controllers know. Deflections of bearings are further states, between
-    those of the drives and of the joints as `scene.machine_joints` has them.
+    N counts the joints that controllers know. The last states are deflections of bearings, then their
+    speeds, as `scene.machine_joints` has them.
     """
 
     A: Array
@@ -53,8 +54,8 @@ class LinearMachine(ArrayEquality):
     theta_m_by_u: Array
     current: Array
     current_by_u: Array
-    q: slice | NDArray[np.int64]
-    v: slice | NDArray[np.int64]
+    q: slice
+    v: slice
     sticks: NDArray[np.bool_]
 
     def __repr__(self) -> str:
@@ -88,10 +89,10 @@ def linearise(
         plant = Plant(coerce_scene(plant, "linearise"))
     if q is None:
         voltages = plant.commanded[0] if command is None else command
-        return _eliminate_algebraic_states(plant.equations(voltages), plant.scene)
+        return _eliminate_algebraic_states(plant.equations(voltages), plant.scene.joint_places)
     if command is not None:
         raise Refusal("linearise", "command", "be absent in a pose, which decides it", command)
-    return _eliminate_algebraic_states(_solve_rest(plant, q), plant.scene)
+    return _eliminate_algebraic_states(_solve_rest(plant, q), plant.scene.joint_places)
 
 
 def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
@@ -126,8 +127,13 @@ def _solve_rest(plant: Plant, q: ArrayLike) -> Equations:
     raise Refusal("linearise", "the pose", "be one that motors and springs hold", np.asarray(q))
 
 
-def _eliminate_algebraic_states(of: Equations, scene: Scene) -> LinearMachine:
-    """Return the linear system without the algebraic states, as controllers see it."""
+def _eliminate_algebraic_states(of: Equations, places: Sequence[int]) -> LinearMachine:
+    """Return the linear system without the algebraic states.
+
+    Args:
+        of: the equations.
+        places: of the joints that controllers know among the machine's.
+    """
     N, m = len(of.u), len(of.D)
     follows = of.states[of.D[of.states] == 0.0]
     differential = of.states[of.D[of.states] != 0.0]
@@ -152,24 +158,46 @@ def _eliminate_algebraic_states(of: Equations, scene: Scene) -> LinearMachine:
     (resting,) = np.nonzero(of.sticks)
     for first in (len(differential), len(differential) + N):
         table[first + resting], rate[first + resting] = 0.0, 0.0
-    own: slice | NDArray[np.int64] = slice(None)
-    q: slice | NDArray[np.int64] = slice(len(differential), len(differential) + N)
-    v: slice | NDArray[np.int64] = slice(len(differential) + N, n)
-    if scene.chain.deflections:
-        own = np.array(scene.joint_places)
-        q, v = len(differential) + own, len(differential) + N + own
-    by_u = slice(None), np.arange(n, n + N)[own]
-    return LinearMachine(
+    machine = LinearMachine(
         A=table[:, :n],
-        B=table[by_u],
+        B=table[:, n:],
         rate=rate,
         x0=of.x[columns[:n]],
-        u0=of.u[own],
-        theta_m=of_angles[0][own, :n],
-        theta_m_by_u=of_angles[0][own][by_u],
-        current=of_currents[0][own, :n],
-        current_by_u=of_currents[0][own][by_u],
-        q=q,
-        v=v,
+        u0=of.u,
+        theta_m=of_angles[0][:, :n],
+        theta_m_by_u=of_angles[0][:, n:],
+        current=of_currents[0][:, :n],
+        current_by_u=of_currents[0][:, n:],
+        q=slice(len(differential), len(differential) + N),
+        v=slice(len(differential) + N, n),
+        sticks=of.sticks,
+    )
+    return machine if len(places) == N else _put_joints_first(machine, places)
+
+
+def _put_joints_first(of: LinearMachine, joints: Sequence[int]) -> LinearMachine:
+    """Return a linear machine of the joints that controllers know, deflections as its last states.
+
+    Args:
+        of: the machine with all of its joints.
+        joints: places of those that controllers know.
+    """
+    own, N, m = np.array(joints), len(of.u0), of.q.start
+    others = np.setdiff1d(np.arange(N), own)
+    at = np.concatenate(
+        [np.arange(m), *(m + k * N + some for some in (own, others) for k in (0, 1))]
+    )
+    return LinearMachine(
+        A=of.A[np.ix_(at, at)],
+        B=of.B[np.ix_(at, own)],
+        rate=of.rate[at],
+        x0=of.x0[at],
+        u0=of.u0[own],
+        theta_m=of.theta_m[np.ix_(own, at)],
+        theta_m_by_u=of.theta_m_by_u[np.ix_(own, own)],
+        current=of.current[np.ix_(own, at)],
+        current_by_u=of.current_by_u[np.ix_(own, own)],
+        q=slice(m, m + len(own)),
+        v=slice(m + len(own), m + 2 * len(own)),
         sticks=of.sticks[own],
     )

@@ -382,15 +382,15 @@ struct arm_machine {
         for (int r = 0; r < Scene::inputs; ++r) to_joints(of_drives + r * N, out->further + r * J);
       }
     double* readings = has(out, offsetof(arm_measurement, further)) ? out->readings : nullptr;
-    const auto& q = machine.state().q;
-    for_each_deflection(readings, [&](int drive) { return q[drive]; });
+    put_deflections(readings, [&](int drive) { return motors.angle[drive]; });
     const Places places = {out->joint, more ? out->sensors : nullptr, more ? out->imu : nullptr,
                            readings ? readings + arm::count_deflections<Scene>() * J : nullptr};
     measure_by(sensors, places);
   }
-  // Fill the rows of deflections among the readings, if they are there, by position(drive).
+  // Fill the rows of deflections among the readings, if they are there, by position(drive), which
+  // is the angle of a motor that is not there.
   template <class Position>
-  static void for_each_deflection(double* readings, Position&& position) {
+  static void put_deflections(double* readings, Position&& position) {
     for (int row = 0; readings && row < arm::count_deflections<Scene>(); ++row)
       for (int j = 0; j < J; ++j) {
         const int drive = arm::deflection_of<Scene>(row, j);

@@ -21,6 +21,7 @@ class Deflection(Part):
 
     header = "bearing.hpp"
     cxx = "Bearing"
+    shaft = "bearing"  # one of its own
     axis: ClassVar[str]  # of the joint's frame, which turns with its link: x, y or z
     slides: ClassVar[bool]  # whether it is a displacement along the axis, or a turn about it
 
@@ -55,7 +56,7 @@ def _report(direction: str, about: str, unit: str) -> tuple[Output, ...]:
 
 @register_part
 class ShiftX(Shift):
-    """Displacement along x."""
+    """A displacement of the bearing along x."""
 
     section, axis = "bearing.shift_x", "x"
     outputs = _report("shift_x", "along x", "m")
@@ -63,7 +64,7 @@ class ShiftX(Shift):
 
 @register_part
 class ShiftY(Shift):
-    """Displacement along y."""
+    """A displacement of the bearing along y."""
 
     section, axis = "bearing.shift_y", "y"
     outputs = _report("shift_y", "along y", "m")
@@ -71,7 +72,7 @@ class ShiftY(Shift):
 
 @register_part
 class ShiftZ(Shift):
-    """Displacement along z."""
+    """A displacement of the bearing along z."""
 
     section, axis = "bearing.shift_z", "z"
     outputs = _report("shift_z", "along z", "m")
@@ -79,7 +80,7 @@ class ShiftZ(Shift):
 
 @register_part
 class TiltX(Tilt):
-    """Tilt about x."""
+    """A tilt of the bearing about x."""
 
     section, axis = "bearing.tilt_x", "x"
     outputs = _report("tilt_x", "about x", "rad")
@@ -87,7 +88,7 @@ class TiltX(Tilt):
 
 @register_part
 class TiltY(Tilt):
-    """Tilt about y."""
+    """A tilt of the bearing about y."""
 
     section, axis = "bearing.tilt_y", "y"
     outputs = _report("tilt_y", "about y", "rad")
@@ -95,7 +96,7 @@ class TiltY(Tilt):
 
 @register_part
 class TiltZ(Tilt):
-    """Tilt about z."""
+    """A tilt of the bearing about z."""
 
     section, axis = "bearing.tilt_z", "z"
     outputs = _report("tilt_z", "about z", "rad")

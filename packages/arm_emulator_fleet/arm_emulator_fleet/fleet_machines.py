@@ -81,7 +81,6 @@ class CoreMachines(Synchronized):
         kernels: Sequence[Path] = (),
     ) -> None:
         super().__init__()
-        scene.refuse_bearings("fleets")
         self.scene = scene
         self._count = check_count("Fleet", "count", count, 1, LARGEST_FLEET)
         self._N = len(scene.joints)

@@ -24,8 +24,14 @@ from arm_emulator_fleet.servo_fleet import ServoFleet
 from arm_emulator_fleet.unit import FOLDER
 
 STICKING: dict[str, Any] = {**LOCATED, "integrator.dt": 5e-4, "joints.*.friction.coulomb": 2.0}
+BEARINGS: dict[str, Any] = {
+    "joints.waist.bearing.tilt_x": {"stiffness": 2e4, "damping": 20.0},
+    "joints.shoulder.bearing.tilt_z": {"stiffness": 3e4, "damping": 20.0},
+    "joints.shoulder.bearing.shift_x": {"stiffness": 1e6, "damping": 1e3},
+}
 SCENES: dict[str, tuple[str, dict[str, Any]]] = {
     "three_axis": ("three_axis", STICKING),
+    "bearings": ("three_axis", {**STICKING, **BEARINGS}),
     "ur5": ("ur5", {}),
     "panda": ("panda", {}),
 }

@@ -10,7 +10,7 @@ from draws import some
 from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
-from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.parts.known import DEFLECTIONS, PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator_fleet import Fleet
 from oracles.mixtures import LARGEST, draw_alone
@@ -25,6 +25,8 @@ RIGID_DIRECTED = {"load": 0.1, "back_load": 0.3, "rest_load": 0.2, "stribeck": 3
 DIRECTED = {**RIGID_DIRECTED, "motor_load": 0.1}
 WINDING = {"heat_capacity": 0.05, "thermal_resistance": 4.0, "magnet_coefficient": -0.002}
 RIPPLE = {"waves": [[5.0, 0.2, 0.3], [12.0, -0.1, 1.0]]}
+SHIFTS = {"stiffness": 5e4, "damping": 50.0}
+TILTS = {"stiffness": 2e3, "damping": 2.0}
 # Joints of two gantries, with every part at least once and gears of either sign; and what each
 # motor is commanded at most; None: as in mixtures.
 JOINTS: dict[str, list[tuple[dict[str, Any], float | None]]] = {
@@ -61,6 +63,14 @@ JOINTS: dict[str, list[tuple[dict[str, Any], float | None]]] = {
           "gear": {**ELASTIC, "kinematic_error": {"motor": [[2.0, 1e-3, 0.5]],
                                                   "link": [[3.0, 1e-2, 1.0]]}},
           "friction": {**DRY, "load": 0.2}}, 0.4),
+    ],
+    "bearings that give way": [
+        ({"motor": {"kind": "torque", "rotor_inertia": 1e-4, "torque_limit": 0.3},
+          "gear": {"ratio": 0.02}, "bearing": {"shift_y": SHIFTS, "shift_z": SHIFTS,
+          "tilt_x": TILTS, "tilt_y": TILTS, "tilt_z": TILTS}}, 0.4),
+        ({"motor": {**DC, "current_limit": 4.0}, "gear": ELASTIC, "friction": DRY}, 20.0),
+        ({"motor": {**DC, "current_limit": 4.0}, "gear": ELASTIC, "bearing": {"shift_x": SHIFTS}},
+         20.0),
     ],
     "brakes with stops and springs": [
         ({"motor": {"kind": "current", "torque_constant": 0.05, "current_limit": 5.0,
@@ -155,6 +165,9 @@ def test_lanes_move_as_single_arms(machine: Scene) -> None:
             hot = plant.winding_temperatures
             reported = fleet[arm].winding_temperatures
             assert reported == pytest.approx(hot, rel=1e-9, nan_ok=True), f"heat of arm {arm}"
+            for name in (kind.outputs[0].name for kind in DEFLECTIONS):
+                way, ways = getattr(plant.measured, name), getattr(fleet[arm].measured, name)
+                assert ways == pytest.approx(way, rel=1e-9, abs=1e-12), f"{name} of arm {arm}"
             closed = plant.measured.brake_closed
             assert (fleet[arm].measured.brake_closed == closed).all(), f"brakes of arm {arm}"
     sticks = stuck[:, 0].any() and not stuck[:, 0].all()

@@ -8,7 +8,7 @@
 
 class ControlledGroup {
  public:
-  static constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
+  static constexpr int N = arm_fleet::N, J = arm_fleet::J, lanes = arm_fleet::lanes;
 
   ControlledGroup(arm_fleet& fleet, int group, const arm_fleet_control& control,
                   const arm_fleet_measurement& measured, const arm_fleet_way& way)
@@ -29,7 +29,7 @@ class ControlledGroup {
     double* links = way_.links;
     for (std::int64_t period = 0; period < periods && sound; ++period) {
       if (changes_.are_due(period)) {
-        if (glides) fleet_.note(g_, rows_.value, -1);
+        if (glides) fleet_.note(g_, of_drives(), -1);
         glides = false;
         changes_.make(period);
       }
@@ -38,10 +38,10 @@ class ControlledGroup {
         sound = glide(*fleet_.group[g_], links, glides);
       else
         sound = walk(links);
-      if (links) links += std::int64_t{fleet_.arms} * N;
+      if (links) links += std::int64_t{fleet_.arms} * J;
       if (way_.look && sound) way_.look(way_.with, first_, end_ - first_);
     }
-    if (glides) fleet_.note(g_, rows_.value, -1);
+    if (glides) fleet_.note(g_, of_drives(), -1);
     return sound;
   }
   // The arm whose command was refused.
@@ -49,8 +49,8 @@ class ControlledGroup {
 
  private:
   struct alignas(64) Rows {
-    std::int64_t encoder[N * lanes] = {}, brake[N * lanes] = {};
-    double current[N * lanes] = {}, applied[N * lanes] = {}, value[N * lanes] = {};
+    std::int64_t encoder[J * lanes] = {}, brake[J * lanes] = {};
+    double current[J * lanes] = {}, applied[J * lanes] = {}, value[J * lanes] = {};
     std::uint8_t powered[lanes] = {};
   };
 
@@ -58,30 +58,43 @@ class ControlledGroup {
   template <class Group>
   bool glide([[maybe_unused]] Group& group, [[maybe_unused]] double* links, bool& glides) {
     if constexpr (requires { group.is_abreast(0); }) {
-      alignas(64) double angle[N * lanes], speed[N * lanes];
-      group.report(rows_.current, angle, speed);
-      fleet_.put_applied(group, g_, rows_.applied);
+      alignas(64) double current[N * lanes], angle[N * lanes], speed[N * lanes], applied[N * lanes];
+      group.report(current, angle, speed);
+      fleet_.put_applied(group, g_, applied);
       using OfLanes = arm::LanesOf<lanes>;
-      for (int j = 0; j < N; ++j) {
-        const auto counts = arm_machine::counts(j, OfLanes::load(angle + j * lanes));
+      for (int j = 0; j < J; ++j) {
+        const int drive = arm::drive_of<Scene>(j);
+        const auto counts = arm_machine::counts(drive, OfLanes::load(angle + drive * lanes));
         __builtin_memcpy(rows_.encoder + j * lanes, &counts, sizeof counts);
+        copy_row(current + drive * lanes, rows_.current + j * lanes);
+        copy_row(applied + drive * lanes, rows_.applied + j * lanes);
       }
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();
       if (!all_finite<OfLanes>()) return false;
-      glides = fleet_.glide(g_, rows_.value, 1, links ? links + first_ * N : nullptr);
-      if (!glides) fleet_.note(g_, rows_.value, -1);
+      glides = fleet_.glide(g_, of_drives(), 1, links ? links + first_ * J : nullptr);
+      if (!glides) fleet_.note(g_, of_drives(), -1);
     }
     return true;
+  }
+  static void copy_row(const double* from, double* to) {
+    __builtin_memcpy(to, from, lanes * sizeof(double));
+  }
+  // The commands in rows of lanes, one per drive.
+  const double* of_drives() {
+    if constexpr (J == N) return rows_.value;
+    for (int j = 0; j < J; ++j)
+      copy_row(rows_.value + j * lanes, drives_ + arm::drive_of<Scene>(j) * lanes);
+    return drives_;
   }
   template <class OfLanes>
   bool all_finite() {
     auto finite = typename OfLanes::type{} == typename OfLanes::type{};
-    for (int j = 0; j < N; ++j) finite &= arm::is_finite(OfLanes::load(rows_.value + j * lanes));
+    for (int j = 0; j < J; ++j) finite &= arm::is_finite(OfLanes::load(rows_.value + j * lanes));
     if (arm::all(finite)) return true;
     for (int k = first_; k < end_; ++k) {
-      double given[N];
-      for (int j = 0; j < N; ++j) given[j] = rows_.value[j * lanes + k - first_];
+      double given[J];
+      for (int j = 0; j < J; ++j) given[j] = rows_.value[j * lanes + k - first_];
       if (fleet_.machine[k]->check_finite(given, "command")) {
         fleet_.put_refused(refused_ = k);
         return false;
@@ -98,7 +111,7 @@ class ControlledGroup {
       control_.step(control_.with, first_, end_ - first_, measured_.joint, measured_.powered,
                     control_.joint);
     for (int k = first_; k < end_; ++k)
-      if (fleet_.machine[k]->check_commands(control_.joint + k * N, nullptr)) {
+      if (fleet_.machine[k]->check_commands(control_.joint + k * J, nullptr)) {
         fleet_.put_refused(refused_ = k);
         return false;
       }
@@ -113,7 +126,7 @@ class ControlledGroup {
   void step_transposed() {
     const auto for_each = [&](auto&& act) {
       for (int k = first_; k < end_; ++k)
-        for (int j = 0; j < N; ++j) act(k * N + j, j * lanes + k - first_);
+        for (int j = 0; j < J; ++j) act(k * J + j, j * lanes + k - first_);
     };
     for_each([&](int from, int to) {
       const arm_joint_measurement& joint = measured_.joint[from];
@@ -139,4 +152,5 @@ class ControlledGroup {
   const arm_fleet_way& way_;
   GroupChanges changes_;
   Rows rows_;
+  alignas(64) double drives_[J == N ? 1 : N * lanes] = {};
 };

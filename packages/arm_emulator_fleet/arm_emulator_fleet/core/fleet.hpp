@@ -7,7 +7,8 @@
 
 struct arm_fleet {
   using Machine = arm_machine::Machine;
-  static constexpr int N = Scene::N;
+  // As of a machine: drives, and joints of a row.
+  static constexpr int N = arm_machine::N, J = arm_machine::J;
   // Lanes are not for two threads, nor for drives without a regular mode.
   static constexpr bool together =
       std::is_same_v<Machine::Threads, arm::OneThread<Scene, Machine::Stepper>> &&
@@ -63,19 +64,24 @@ struct arm_fleet {
     known[g].has_applied = false;
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
-    if (powered) {
+    if (powered && J == N) {
       follow_command(g, command, stride, rows, steps, q);
     } else {
       for (; rows > 0; --rows, command += stride, q += stride) {
-        double given[lanes * N] = {};
+        double given[lanes * N] = {}, at[lanes * N];
         for (int k = first; k < end; ++k) {
-          const double* own = machine[k]->with_power(command + (k - first) * N);
-          for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own[j];
+          const auto own = machine[k]->with_power(command + (k - first) * J);
+          for (int j = 0; j < N; ++j) given[(k - first) * N + j] = own.of[j];
         }
-        follow_command(g, given, 0, 1, steps, q);
+        follow_command(g, given, 0, 1, steps, at);
+        put_joints(g, at, q);
       }
     }
     settle_lent(g);
+  }
+  // Positions of the drives of a group, one arm after the other, to a row of joints.
+  void put_joints(int g, const double* at, double* q) const {
+    for (int k = 0; k < end_of(g) - g * lanes; ++k) arm_machine::to_joints(at + k * N, q + k * J);
   }
   void follow_command(int g, const double* command, std::int64_t stride, std::int64_t rows,
                       std::int64_t steps, double* q) {
@@ -107,7 +113,7 @@ struct arm_fleet {
     double given[lanes * N] = {};
     put_down(g);
     for (int k = first; k < end; ++k) {
-      take_commands(k, joint + k * N, further ? further + k * Scene::inputs * N : nullptr, tick);
+      take_commands(k, joint + k * J, further ? further + k * Scene::inputs * J : nullptr, tick);
       for (int j = 0; j < N; ++j) given[(k - first) * N + j] = machine[k]->applied[j];
     }
     follow_command(g, given, 0, 1, steps_per_period, nullptr);
@@ -120,9 +126,9 @@ struct arm_fleet {
 
   // Whether the lanes of a group know all that periods under these commands need.
   bool may_glide(int g, const arm_joint_command* joint) {
-    for (int k = g * lanes * N; k < end_of(g) * N; ++k)
+    for (int k = g * lanes * J; k < end_of(g) * J; ++k)
       if (!joint[k].enable || joint[k].enable & ARM_CLOSE_BRAKE ||
-          joint[k].mode != arm::kModes.at[k % N])
+          joint[k].mode != arm::kModes.at[arm::drive_of<Scene>(k % J)])
         return false;
     return is_free(*group[g], g);
   }
@@ -145,11 +151,17 @@ struct arm_fleet {
   bool is_marked_free(const auto& own, int g) const {
     return known[g].free_since == own.departures();
   }
-  // Periods in lanes, of a group that may, under commands in rows of lanes; the positions then go
-  // to `q` if it is not null. Whether all arms are still there after them. `note` is due before the
-  // machines are read.
+  // Periods in lanes, of a group that may, under commands in rows of lanes, one per drive; the
+  // positions then go to `q` if it is not null. Whether all arms are still there after them. `note`
+  // is due before the machines are read.
   bool glide(int g, const double* given, std::int64_t periods, double* q) {
-    group[g]->follow(given, 0, periods, steps_per_period, q, lanes);
+    if (J == N || !q) {
+      group[g]->follow(given, 0, periods, steps_per_period, q, lanes);
+    } else {
+      double at[lanes * N];
+      group[g]->follow(given, 0, periods, steps_per_period, at, lanes);
+      put_joints(g, at, q);
+    }
     known[g].has_applied = true;
     return are_abreast(g);
   }
@@ -182,7 +194,8 @@ struct arm_fleet {
     if (periods == 0) return;
     double given[lanes * N] = {};
     for (int k = g * lanes; k < end_of(g); ++k)
-      for (int j = 0; j < N; ++j) given[j * lanes + k % lanes] = joint[k * N + j].value;
+      for (int j = 0; j < J; ++j)
+        given[arm::drive_of<Scene>(j) * lanes + k % lanes] = joint[k * J + j].value;
     known[g].answered = tick;
     known[g].answers = glide(g, given, periods, nullptr);
     if (!known[g].answers) note(g, given, tick);
@@ -257,15 +270,15 @@ struct arm_fleet {
 
   void measure(int k, const arm_fleet_measurement& out) const {
     constexpr int M = arm_machine::Sensors::M;
-    arm_joint_measurement joint[N];
+    arm_joint_measurement joint[J];
     arm_measurement one = {};
     one.size = sizeof one;
-    one.joint = out.joint ? out.joint + k * N : joint;
-    one.sensors = row_of(out.sensors, k * N);
+    one.joint = out.joint ? out.joint + k * J : joint;
+    one.sensors = row_of(out.sensors, k * J);
     one.imu = row_of(out.imu, k * M);
-    one.current_d = row_of(out.current_d, k * N);
-    one.readings = row_of(out.readings, k * Scene::readings * N);
-    one.further = row_of(out.further, k * Scene::inputs * N);
+    one.current_d = row_of(out.current_d, k * J);
+    one.readings = row_of(out.readings, k * Scene::readings * J);
+    one.further = row_of(out.further, k * Scene::inputs * J);
     measure(k, &one);
     if (out.powered) out.powered[k] = one.powered != 0;
     if (out.tick) out.tick[k] = one.tick;
@@ -276,12 +289,12 @@ struct arm_fleet {
                        -1,
                        0.0,
                        row_of(out.energy, k),
-                       row_of(out.current, k * N),
-                       row_of(out.motor_angle, k * N),
-                       row_of(out.motor_speed, k * N),
-                       row_of(out.q, k * N),
-                       row_of(out.v, k * N),
-                       row_of(out.gear_torque, k * N)};
+                       row_of(out.current, k * J),
+                       row_of(out.motor_angle, k * J),
+                       row_of(out.motor_speed, k * J),
+                       row_of(out.q, k * J),
+                       row_of(out.v, k * J),
+                       row_of(out.gear_torque, k * J)};
     if (!truth_in_lanes(k, truth)) {
       settle(k);
       arm_get_truth(machine[k], &truth);
@@ -289,11 +302,11 @@ struct arm_fleet {
     if (out.fault) out.fault[k] = truth.fault;
     if (out.time) out.time[k] = truth.time;
     if (!out.encoder) return;
-    arm_joint_measurement joint[N];
+    arm_joint_measurement joint[J];
     arm_measurement measurement = {};
     measurement.size = sizeof measurement, measurement.joint = joint;
     measure(k, &measurement);
-    for (int j = 0; j < N; ++j) out.encoder[k * N + j] = joint[j].encoder;
+    for (int j = 0; j < J; ++j) out.encoder[k * J + j] = joint[j].encoder;
   }
   // Measurements and true states of a group; either may be null.
   void show(int g, const arm_fleet_measurement* measurement, const arm_fleet_truth* truth) const {
@@ -350,15 +363,17 @@ struct arm_fleet {
     const bool free = is_marked_free(own, g);
     std::int64_t steps = 0, tick = 0;
     for (int k = first; k < end_of(g); ++k) {
-      for (int j = 0; out.joint && j < N; ++j) {
-        const int at = j * lanes + k - first;
-        arm_joint_measurement& joint = out.joint[k * N + j];
-        joint = {arm_machine::counts(j, angle[at]), current[at], applied[at], 0, 0};
+      for (int j = 0; out.joint && j < J; ++j) {
+        const int drive = arm::drive_of<Scene>(j), at = drive * lanes + k - first;
+        arm_joint_measurement& joint = out.joint[k * J + j];
+        joint = {arm_machine::counts(drive, angle[at]), current[at], applied[at], 0, 0};
       }
       for (int b = 0; out.joint && !free && b < Scene::brakes; ++b)
-        out.joint[k * N + Scene::braked[b]].brake = machine[k]->machine.brake_closed(b);
-      for (int j = 0; out.sensors && j < N; ++j) out.sensors[k * N + j] = {};
-      for (int j = 0; out.current_d && j < N; ++j) out.current_d[k * N + j] = 0.0;
+        out.joint[k * J + Scene::braked[b]].brake = machine[k]->machine.brake_closed(b);
+      for (int j = 0; out.sensors && j < J; ++j) out.sensors[k * J + j] = {};
+      for (int j = 0; out.current_d && j < J; ++j) out.current_d[k * J + j] = 0.0;
+      arm_machine::put_deflections(row_of(out.readings, k * Scene::readings * J),
+                                   [&](int drive) { return angle[drive * lanes + k - first]; });
       if (out.powered) out.powered[k] = free || machine[k]->powered;
       if (out.tick && steps != own.steps_taken(k - first)) {  // mostly that of the arm before
         steps = own.steps_taken(k - first);
@@ -371,7 +386,7 @@ struct arm_fleet {
   // Rows of lanes to a row of all arms, if it is not null.
   void put_rows(int g, const double* rows, double* to) const {
     for (int k = g * lanes; to && k < end_of(g); ++k)
-      for (int j = 0; j < N; ++j) to[k * N + j] = rows[j * lanes + k % lanes];
+      for (int j = 0; j < J; ++j) to[k * J + j] = rows[arm::drive_of<Scene>(j) * lanes + k % lanes];
   }
   // Fill in what a lane has without its machine; false if more is requested.
   bool truth_in_lanes(int k, arm_truth& out) const {
@@ -381,7 +396,7 @@ struct arm_fleet {
       lanes.links(l, row[3], row[4]);
       double* const to[] = {out.current, out.motor_angle, out.motor_speed, out.q, out.v};
       for (int r = 0; r < 5; ++r)
-        for (int j = 0; to[r] && j < N; ++j) to[r][j] = row[r][j];
+        if (to[r]) arm_machine::to_joints(row[r], to[r]);
       out.time = static_cast<double>(lanes.steps_taken(l)) * step;
     });
   }
@@ -421,8 +436,8 @@ struct arm_fleet {
     if (!command || command->size < offsetof(arm_command, further) || !command->joint) return false;
     const double* further = further_of(*command);
     for (std::int32_t k = first; k < first + count; ++k)
-      if (machine[k]->check_commands(command->joint + k * N,
-                                     row_of(further, k * Scene::inputs * N)))
+      if (machine[k]->check_commands(command->joint + k * J,
+                                     row_of(further, k * Scene::inputs * J)))
         return false;
     return true;
   }

@@ -33,7 +33,7 @@ void arm_fleet_give_back(arm_fleet* fleet, std::int32_t arm) {
 
 int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const double* command,
                   std::int64_t rows, std::int64_t steps, double* q) {
-  constexpr int N = arm_fleet::N, lanes = arm_fleet::lanes;
+  constexpr int N = arm_fleet::J, lanes = arm_fleet::lanes;
   if (!fleet || !command || !q || !fleet->has(first, arms) || rows < 0 || steps < 0)
     return ARM_REFUSED;
   const std::int32_t end = first + arms;
@@ -52,7 +52,7 @@ int arm_fleet_run(arm_fleet* fleet, std::int32_t first, std::int32_t arms, const
 std::int32_t arm_fleet_refused(const arm_fleet* fleet) { return fleet ? fleet->refused() : -1; }
 
 int arm_fleet_reset(arm_fleet* fleet, const std::uint8_t* mask, const double* q, const double* v) {
-  constexpr int N = arm_fleet::N;
+  constexpr int N = arm_fleet::J;
   if (!fleet || !q || !v) return ARM_REFUSED;
   const auto check = [&](const arm_machine* arm, int k) {
     return arm->check_finite(q + k * N, "q") || arm->check_finite(v + k * N, "v") ? ARM_REFUSED

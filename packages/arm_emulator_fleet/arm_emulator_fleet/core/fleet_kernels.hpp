@@ -78,7 +78,7 @@ ARM_KERNEL(fleet_build) {
 ARM_KERNEL(fleet_end) { call.fleet->~arm_fleet(); }
 
 ARM_KERNEL(fleet_check_start) {
-  constexpr std::int64_t N = arm_fleet::N;
+  constexpr std::int64_t N = arm_fleet::J;
   check_arms_of(call.fleet, thread, call.mask, call.refused, [&](const arm_machine* arm, int k) {
     for (int j = 0; j < N; ++j) {
       const double q = call.q[k * N + j], v = call.v[k * N + j];
@@ -92,7 +92,7 @@ ARM_KERNEL(fleet_check_start) {
 }
 ARM_KERNEL(fleet_reset) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
-  constexpr std::int64_t N = arm_fleet::N;
+  constexpr std::int64_t N = arm_fleet::J;
   for_arms_of(call.fleet, thread, call.mask,
               [&](arm_machine* arm, int k) { arm_reset(arm, call.q + k * N, call.v + k * N); });
 }
@@ -160,8 +160,8 @@ ARM_KERNEL(fleet_tell_why) { *call.why = call.fleet->machine[call.arm]->why; }
 ARM_KERNEL(fleet_check_commands) {
   check_arms_of(call.fleet, thread, nullptr, call.refused, [&](const arm_machine* arm, int k) {
     return arm->check_commands(
-        call.joint + std::int64_t{k} * arm_fleet::N,
-        arm_fleet::row_of(call.further, std::int64_t{k} * Scene::inputs * arm_fleet::N));
+        call.joint + std::int64_t{k} * arm_fleet::J,
+        arm_fleet::row_of(call.further, std::int64_t{k} * Scene::inputs * arm_fleet::J));
   });
 }
 static void show(const arm_fleet& fleet, int g, const arm_fleet_measurement& measurement,
@@ -186,8 +186,8 @@ ARM_KERNEL(fleet_gather) {
 
 ARM_KERNEL(fleet_put_commands) {
   const int g = static_cast<int>(thread);
-  const std::int64_t first = thread * arm_fleet::lanes * arm_fleet::N;
-  for (std::int64_t k = first; k < std::int64_t{call.fleet->end_of(g)} * arm_fleet::N; ++k)
+  const std::int64_t first = thread * arm_fleet::lanes * arm_fleet::J;
+  for (std::int64_t k = first; k < std::int64_t{call.fleet->end_of(g)} * arm_fleet::J; ++k)
     call.joint[k].value = call.value[k];
 }
 
@@ -200,8 +200,8 @@ ARM_KERNEL(fleet_check_changes) {
 }
 // The positions after each row of commands.
 static void advance_under_rows(arm_fleet& fleet, int g, const fleet_advance_call& call) {
-  const std::int64_t first = std::int64_t{g} * arm_fleet::lanes * arm_fleet::N;
-  const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::N;
+  const std::int64_t first = std::int64_t{g} * arm_fleet::lanes * arm_fleet::J;
+  const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::J;
   fleet.follow(g, call.command + first, stride, call.rows, call.steps, call.q + first);
 }
 static void advance_under_control(arm_fleet& fleet, int g, const fleet_advance_call& call) {
