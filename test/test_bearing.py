@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 from machines import write_scene
+from network import assert_same_bits, network, offline_states
 from scipy.optimize import brentq
 
-from arm_emulator import Plant, Refusal, Scene, linearise, load_scene
+from arm_emulator import ExternalWrench, Plant, Pose, Refusal, Scene, linearise, load_scene
+from arm_emulator.base.config_files import find_config
+from arm_emulator.machine.scene.urdf_file import find_example_robot_data
+from arm_emulator.motion.model.kinematics import Kinematics
+from arm_emulator.runs.offline import load_offline_run
+from arm_emulator_msgs.msg import MotorState
 
 MASS, LENGTH, INERTIA = 2.0, 0.4, (0.02, 0.03, 0.05)  # kg, m, kg m2 about the centre of mass
 GRAVITY = 9.81  # m/s2
@@ -191,8 +197,6 @@ def test_one_call_and_many_give_the_same_bits(beam: Scene) -> None:
 
 
 def test_a_wrench_acts_on_the_body_behind_the_bearing(beam: Scene) -> None:
-    from arm_emulator import ExternalWrench
-
     plant, force = Plant(beam), 50.0
     plant.set_external_wrench("link_0", ExternalWrench((0.0, 0.0, force), axes="world"))
     settle(plant)
@@ -219,13 +223,6 @@ def test_controllers_see_their_joints_alone(arm: Scene) -> None:
     assert deflections.bearing_shift_y == pytest.approx([0.0, q[6]], abs=0.0)
     assert (q[arm.joint_places] == plant.state.q).all()
     assert plant.core.arm_describe  # a joint's number in C is that of the controllers
-
-
-def _with(key: str, value: object) -> Callable[[dict[str, Any]], None]:
-    def put(bearing: dict[str, Any]) -> None:
-        bearing[key] = value
-
-    return put
 
 
 @pytest.mark.parametrize(
@@ -278,3 +275,56 @@ def test_a_body_that_does_not_fill_space_is_refused(tmp_path: Path) -> None:
     joints["joint_0"]["bearing"] = {"tilt_x": {"stiffness": 1.0}}
     with pytest.raises(Refusal, match=r"inertia moved by joint .* in a bearing that gives way"):
         load_scene(write_scene(tmp_path, rod, joints))
+
+
+def write_ur5(folder: Path) -> Path:
+    """Write a UR5 with large joints in bearings, and the gains of the one without."""
+    file = find_config("ur5", ".yaml")
+    data = yaml.safe_load(file.read_text(encoding="utf-8"))
+    tilt = {"stiffness": 4e4, "damping": 20.0}
+    for name, axes in {"shoulder_pan": "xy", "shoulder_lift": "xz", "elbow": "xz"}.items():
+        data["joints"][f"{name}_joint"]["bearing"] = {f"tilt_{axis}": tilt for axis in axes}
+    data |= {kind: str(find_config("ur5", ".yaml", kind)) for kind in ("servo", "motion")}
+    written = folder / "ur5.yaml"
+    written.write_text(yaml.safe_dump(data))
+    return written
+
+
+@pytest.mark.skipif(
+    find_example_robot_data() is None, reason="needs the package example-robot-data"
+)
+def test_three_nodes_move_a_robot_in_bearings_as_a_run_without_a_network(tmp_path: Path) -> None:
+    """Servo and motion controller know nothing of them, and messages show the deflections."""
+    file, ticks, at = write_ur5(tmp_path), 300, 0.1
+    run = load_offline_run(str(file))
+    scene = run.session.scene
+    R_WT, p_WT = run.controller.kinematics.forward(scene.start)
+    orientation = Pose(p_WT, R_WT).quaternion()
+    target = Pose.from_quaternion(p_WT + np.array([0.0, 0.01, 0.0]), orientation)
+    run.instructor.add(round(at * 1e9), target)
+    expected = offline_states(run, ticks)
+    with network(tmp_path, scene=str(file)) as (user, _):
+        user.joint_names = list(scene.joint_names)
+        received: list[MotorState] = []
+        user.node.create_subscription(MotorState, "motor_states", received.append, 10)
+        user.await_start()
+        x, y, z, w = map(float, target.quaternion())
+        user.send_tool_target(tuple(map(float, target.p_WT)), at, (x, y, z, w))
+        user.wait("the target", lambda: user.value("motion_controller", "tool targets") == "1")
+        assert user.call("emulator/pause", False).success
+        user.wait("the run", lambda: user.tick >= ticks and bool(received))
+        assert_same_bits(user.motor_states(), expected, ticks)
+    assert list(received[-1].joint_names) == list(scene.joint_names)
+    names = [f"bearing_tilt_{axis}" for axis in "xyz"]
+    assert list(received[-1].reading_names) == names
+    readings = np.array(received[-1].readings).reshape(3, 6)
+    assert (readings[:, 3:] == 0.0).all(), "wrists are rigid"
+    measured = run.session.measured
+    assert np.abs(measured.bearing_tilt_x[:3]).max() > 1e-5, "the arm's weight bends its bearings"
+    # The tool of the machine is off by that, behind joints that are at their targets.
+    whole = Kinematics(scene.true_urdf, tuple(scene.machine_joints), scene.tool)
+    off = (
+        whole.forward(run.session.plant.machine_motion[0])[1]
+        - run.controller.kinematics.forward(run.session.state.q)[1]
+    )
+    assert 1e-5 < np.linalg.norm(off) < 1e-2

@@ -41,8 +41,8 @@ class LinearMachine(ArrayEquality):
         q, v: places of the links' positions and speeds in x.
         sticks: links that stick (N,).
 
-    N counts the joints that controllers know. The last states are deflections of bearings, then their
-    speeds, as `scene.machine_joints` has them.
+    N counts the joints that controllers know. The last states are deflections of bearings, then
+    their speeds, as `scene.machine_joints` has them.
     """
 
     A: Array
