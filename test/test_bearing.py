@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,16 @@ from machines import write_scene
 from network import assert_same_bits, network, offline_states
 from scipy.optimize import brentq
 
-from arm_emulator import ExternalWrench, Plant, Pose, Refusal, Scene, linearise, load_scene
+from arm_emulator import (
+    ExternalWrench,
+    Plant,
+    Pose,
+    Refusal,
+    Scene,
+    linearise,
+    load_scene,
+    sensitivities,
+)
 from arm_emulator.base.config_files import find_config
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.kinematics import Kinematics
@@ -73,7 +83,8 @@ def beam(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Two links in bearings, without gravity."""
-    return make_scene(tmp_path_factory.mktemp("arm"), [SPRINGS, UPPER])
+    folder, varied = tmp_path_factory.mktemp("arm"), ["joints.*.bearing.*"]
+    return make_scene(folder, [SPRINGS, UPPER], varied=varied)
 
 
 def settle(plant: Plant) -> None:
@@ -167,6 +178,32 @@ def test_motion_keeps_its_energy_and_dampers_take_it(arm: Scene) -> None:
     lost = before - plant.energy
     # Of second order in steps of 0.1 ms of modes below 300 Hz.
     assert lost == pytest.approx(flow.dissipated.sum() - flow.supplied.sum(), rel=2e-3)
+
+
+@pytest.mark.parametrize("events", ["step", "located"])
+def test_derivatives_are_those_of_differences(events: str, arm: Scene) -> None:
+    """Central differences over 2e-4 of a number lack 1e-8 of its third derivative."""
+    name = "joints.joint_0.bearing.tilt_x.stiffness"
+    scene = replace(arm, integrator=replace(arm.integrator, events=events))
+    commands = np.random.default_rng(1).uniform(-4.0, 4.0, (60, 2))
+    motion = sensitivities(scene, commands, [name, "start.q.joint_1"], steps=20)
+    stiffness = SPRINGS["tilt_x"]["stiffness"]
+
+    def run(value: float, start: float) -> np.ndarray:
+        plant = Plant(scene)
+        plant.set_parameter(name, value)
+        plant.reset([0.0, start])
+        return plant.run(commands, 20)
+
+    h, d = 1e-4 * stiffness, 1e-4
+    expected = [
+        (run(stiffness + h, 0.0) - run(stiffness - h, 0.0)) / (2.0 * h),
+        (run(stiffness, d) - run(stiffness, -d)) / (2.0 * d),
+    ]
+    for k, slopes in enumerate(expected):
+        size = np.abs(slopes).max()
+        assert motion.by["q"][..., k] == pytest.approx(slopes, abs=1e-5 * size)
+    assert np.abs(expected[0][:, 0]).max() > 0.0, "the bearing matters"
 
 
 def test_a_saved_machine_continues_to_the_bit(beam: Scene) -> None:

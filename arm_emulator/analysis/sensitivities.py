@@ -73,7 +73,6 @@ class SensitiveMachine:
     """
 
     def __init__(self, scene: Scene, by: Sequence[str]) -> None:
-        scene.refuse_bearings("derivatives of motions")
         possible = numbers_of(scene)
         starts = [f"start.{which}.{joint}" for which in "qv" for joint in scene.joint_names]
         rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"

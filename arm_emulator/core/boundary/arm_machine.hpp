@@ -202,11 +202,7 @@ struct arm_machine {
   static void to_joints(const Number* drives, To* row) {
     for (int j = 0; j < J; ++j) row[j] = drives[arm::drive_of<Scene>(j)];
   }
-  // A row of drives that is 0 but for those of joints.
-  struct Drives {
-    double of[N] = {};
-    explicit Drives(const double* row) { to_drives(row, of); }
-  };
+  using Drives = arm::DriveRow<Scene, double>;
   // Commands applied to the motors: 0 without power.
   Drives with_power(const double* command) const {
     static constexpr double nothing[J] = {};

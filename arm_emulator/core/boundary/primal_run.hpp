@@ -12,10 +12,11 @@ struct arm_primal {
   arm::StepSegments<Scene::N, arm::State<Scene>::K> pieces;
 
   explicit arm_primal(const arm_sensitive_run* run) : machine(run->step, -1, run->parameters) {
-    machine.reset(run->q, run->v);
+    using Drives = arm::DriveRow<Scene, double>;
+    machine.reset(Drives(run->q).of, Drives(run->v).of);
     if (run->theta_m && run->omega_m) {
       arm::State<Scene> at = machine.state();
-      arm::put_motors(machine.numbers_now(), run->theta_m, run->omega_m, at);
+      arm::put_motors(machine.numbers_now(), Drives(run->theta_m).of, Drives(run->omega_m).of, at);
       machine.put(at, true);
     }
     [this]<class Machine>(Machine& of) {

@@ -30,17 +30,21 @@ struct Seeded {
 struct Begin {
   using Numbers = arm::Numbers<Scene>;
   Seeded<Scene::parameters> parameters;
-  Seeded<Scene::N> q, v;
+  static constexpr int J = arm::count_joints<Scene>();
+  Seeded<J> q, v;
 
   Begin(const arm_sensitive_run& run, std::int64_t part)
       : parameters(run.parameters, run.parameter_seeds + part * Scene::parameters * ARM_DIRECTIONS),
-        q(run.q, run.q_seeds + part * Scene::N * ARM_DIRECTIONS),
-        v(run.v, run.v_seeds + part * Scene::N * ARM_DIRECTIONS) {}
+        q(run.q, run.q_seeds + part * J * ARM_DIRECTIONS),
+        v(run.v, run.v_seeds + part * J * ARM_DIRECTIONS) {}
 
   arm::State<Scene> state(const arm_sensitive_run& run) const {
     const Numbers numbers(parameters.at);
-    auto x = arm::at_rest_behind(numbers, q.at, v.at);
-    if (run.theta_m && run.omega_m) arm::put_motors(numbers, run.theta_m, run.omega_m, x);
+    using Drives = arm::DriveRow<Scene, Real>;
+    auto x = arm::at_rest_behind(numbers, Drives(q.at).of, Drives(v.at).of);
+    using Motors = arm::DriveRow<Scene, double>;
+    if (run.theta_m && run.omega_m)
+      arm::put_motors(numbers, Motors(run.theta_m).of, Motors(run.omega_m).of, x);
     return x;
   }
 };
@@ -48,11 +52,13 @@ struct Begin {
 // Put down a part's derivatives at the end of a row, and the values.
 void write(const arm_sensitive_run& run, std::int64_t part, std::int64_t row,
            const arm::Numbers<Scene>& numbers, const arm::State<Scene>& x) {
-  constexpr int N = Scene::N;
+  constexpr int N = arm::count_joints<Scene>();
   Real of[5][N];
-  numbers.for_each_drive([&](const auto& drive, int j) {
-    const auto at = arm::input_of(drive, j, x, 0.0);
-    of[0][j] = x.q[j], of[1][j] = x.v[j];
+  numbers.for_each_drive([&](const auto& drive, int number) {
+    const int j = arm::joint_of<Scene>(number);
+    if (arm::drive_of<Scene>(j) != number) return;
+    const auto at = arm::input_of(drive, number, x, 0.0);
+    of[0][j] = x.q[number], of[1][j] = x.v[number];
     of[2][j] = drive.current(at);
     of[3][j] = drive.motor_angle(at);
     of[4][j] = drive.motor_speed(at);
@@ -73,10 +79,10 @@ std::int64_t run_alone(const arm_sensitive_run& run, std::int64_t part) {
   const Begin begin(run, part);
   arm::Machine<S> machine(run.step, -1, begin.parameters.at);
   machine.put(begin.state(run), true);
-  const double* command = run.commands;
   for (std::int64_t row = 0; row < run.rows; ++row) {
+    const arm::DriveRow<Scene, double> command(run.commands + row * arm::count_joints<Scene>());
     Real u[Scene::N];
-    for (Real& entry : u) entry = *command++;
+    for (int j = 0; j < Scene::N; ++j) u[j] = command.of[j];
     if (machine.advance(u, run.steps) >= 0) return row;
     write(run, part, row, machine.numbers_now(), machine.state());
   }
@@ -99,7 +105,8 @@ std::int64_t run_following(const arm_sensitive_run& run) {
   typename DerivativeReplay::Values values(run.step, parameters.data(), run.parts == 1);
   std::vector<typename DerivativeReplay::Common> common;
   for (std::int64_t row = 0; row < run.rows; ++row) {
-    const double* command = run.commands + row * Scene::N;
+    const arm::DriveRow<Scene, double> drives(run.commands + row * arm::count_joints<Scene>());
+    const double* command = drives.of;
     if (!arm_primal_advance(primal.get(), command, run.steps)) return row;
     std::int64_t count;
     const auto* pieces = static_cast<const typename DerivativeReplay::Piece*>(

@@ -189,6 +189,14 @@ constexpr int joint_of(int drive) {
   while (joint >= 0 && drive_of<S>(joint) > drive) --joint;
   return joint;
 }
+// A row of such joints as one of drives, 0 for all others.
+template <class S, class X>
+struct DriveRow {
+  X of[S::N] = {};
+  explicit constexpr DriveRow(const X* row) {
+    for (int j = 0; j < count_joints<S>(); ++j) of[drive_of<S>(j)] = row[j];
+  }
+};
 // Of the rows of readings, how many are deflections.
 template <class S>
 constexpr int count_deflections() {
