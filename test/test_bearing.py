@@ -26,8 +26,9 @@ from arm_emulator import (
     sensitivities,
 )
 from arm_emulator.base.config_files import find_config
+from arm_emulator.design.tuned import compute_falls
+from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
-from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import MotorState
 
@@ -359,9 +360,29 @@ def test_three_nodes_move_a_robot_in_bearings_as_a_run_without_a_network(tmp_pat
     measured = run.session.measured
     assert np.abs(measured.bearing_tilt_x[:3]).max() > 1e-5, "the arm's weight bends its bearings"
     # The tool of the machine is off by that, behind joints that are at their targets.
-    whole = Kinematics(scene.true_urdf, tuple(scene.machine_joints), scene.tool)
-    off = (
-        whole.forward(run.session.plant.machine_motion[0])[1]
-        - run.controller.kinematics.forward(run.session.state.q)[1]
-    )
+    off = run.true_tool[1] - run.controller.kinematics.forward(run.session.state.q)[1]
     assert 1e-5 < np.linalg.norm(off) < 1e-2
+
+
+def test_what_does_not_take_bearings_refuses_them(arm: Scene, tmp_path: Path) -> None:
+    text = r"joints\.joint_0\.bearing\.shift_x must be absent for tuning"
+    with pytest.raises(Refusal, match=text):
+        compute_falls(arm)
+    urdf = arm_urdf(2).replace("</robot>", "") + (
+        "<link name='hand'><inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' "
+        "ixz='0' iyz='0'/></inertial></link><joint name='finger' type='continuous'>"
+        "<parent link='link_1'/><child link='hand'/><axis xyz='0 0 1'/><mimic joint='joint_1'/>"
+        "</joint></robot>"
+    )
+    joints: dict[str, Any] = {"joint_0": {"bearing": SPRINGS}, "joint_1": {}}
+    with pytest.raises(Refusal, match=r"shift_x must be absent where joints are coupled"):
+        load_scene(write_scene(tmp_path, urdf, joints))
+
+
+def test_a_scene_without_bearings_has_no_word_of_them(tmp_path: Path) -> None:
+    """So its library is the same, and its bits are."""
+    scene = load_scene(write_scene(tmp_path, arm_urdf(1), {"joint_0": {"motor": MOTOR}}))
+    text = write_scene_unit(scene)
+    assert "drive_of" not in text and "deflection" not in text
+    assert scene.true_urdf == scene.urdf
+    assert list(scene.machine_joints.values()) == list(scene.joints)

@@ -54,15 +54,14 @@ def predict_rest(scene: Scene, gains: Gains, plan: DemoPlan) -> PredictedRest:
         Diverged: the machine diverges on the way.
     """
     run = OfflineRun(scene, gains.servo, gains.motion)
-    forward = run.true_kinematics.forward
     x, y, z = plan.displacement.tolist()
     target = MoveTool((x, y, z)).target(run)
     run.instructor.add(plan.settle_ns, target)
     run.advance(plan.settle_ns // run.session.period_ns)
-    deviations = [target.p_WT - forward(run.session.state.q)[1]]
+    deviations = [target.p_WT - run.true_tool[1]]
     for _ in range(plan.instructions):
         run.advance(run.motion_ticks)
-        deviations.append(target.p_WT - forward(run.session.state.q)[1])
+        deviations.append(target.p_WT - run.true_tool[1])
     newest = run.instructor.reports.newest
     state = GoalState.REFUSED if newest is None else newest.state
     words = _WORDS.get(state, state.name.lower())

@@ -83,6 +83,13 @@ class OfflineRun(NonCopyable):
         """Kinematics of the machine, which may differ from the controller's."""
         return find_true_kinematics(self.session.scene, self.controller.kinematics)
 
+    @property
+    def true_tool(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) [m] of the machine's tool in the world now."""
+        names, plant = list(self.session.scene.machine_joints), self.session.plant
+        places = [names.index(name) for name in self.true_kinematics.joint_names]
+        return self.true_kinematics.forward(plant.machine_motion[0][places])
+
     def __repr__(self) -> str:
         return f"<OfflineRun of {self.session.scene.name} at tick {self.session.tick}>"
 

@@ -163,7 +163,7 @@ def load_table_run(
 def compute_tool_error(session: Session, q_target: Array) -> Array:
     """Return what the tool lacks to joint targets (N,) [rad or m], in the world (3,) [m]."""
     scene = session.scene
-    nominal, true = (
-        Kinematics(urdf, scene.joint_names, scene.tool) for urdf in (scene.urdf, scene.true_urdf)
-    )
-    return np.asarray(nominal.forward(q_target)[1] - true.forward(session.state.q)[1])
+    nominal = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    true = Kinematics(scene.true_urdf, tuple(scene.machine_joints), scene.tool)
+    q, _ = session.plant.machine_motion
+    return np.asarray(nominal.forward(q_target)[1] - true.forward(q)[1])

@@ -88,6 +88,7 @@ def demo(
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     file = find_scene(scene)
     machine, gains = load_scene(file), load_gains(file)
+    machine.refuse_bearings("the demo")
     check_fit(machine, gains.servo, gains.motion)
     warn_of_loops(machine, gains.servo)
     plan = DemoPlan.load(file, round(gains.motion.period * NANOSECONDS))

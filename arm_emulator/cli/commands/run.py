@@ -80,7 +80,7 @@ def run(
     if bag is not None:
         check_new_bag("run", bag)
     offline = load_offline_run(scene)
-    session, kinematics = offline.session, offline.true_kinematics
+    session = offline.session
     machine = session.scene
     warn_of_loops(machine, offline.drives.servo.config)
     ticks = ticks_of(10.0 if seconds is None else seconds, machine)
@@ -96,7 +96,7 @@ def run(
         except Diverged as fault:
             return _report_divergence(fault, session)
         wall = time.perf_counter() - started
-        report(session, ticks, wall, target.p_WT - kinematics.forward(session.state.q)[1])
+        report(session, ticks, wall, target.p_WT - offline.true_tool[1])
     missed = (
         find_missed_order(offline) if displacement else find_missed_target(session, machine.start)
     )

@@ -18,7 +18,7 @@ TOOL = ("tool.x", "tool.y", "tool.z")  # position in the world [m]
 def list_tool_signals(scene: Scene) -> tuple[str, ...]:
     """Return the names of the tool's coordinates.
 
-    None where no joint carries the tool, or where bearings give way, which the joints do not tell.
+    None where no joint carries the tool, or where bearings give way, which joints do not show.
     """
     return TOOL if scene.tool in scene.chain.carried and not scene.chain.deflections else ()
 

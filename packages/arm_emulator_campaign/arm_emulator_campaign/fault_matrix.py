@@ -97,7 +97,7 @@ def _simulate_fault(
             run.advance(run.motion_ticks)
         except Diverged:
             return _Trace(tool, "drive", k + 1 - begins, largest)
-        tool.append(run.true_kinematics.forward(session.state.q)[1])
+        tool.append(run.true_tool[1])
         largest = max(largest, _compare_encoders(run))
         unable = k > begins and able and not run.drives.movable(session.powered).all()
         states = [message.state for message in run.instructor.reports.waiting]

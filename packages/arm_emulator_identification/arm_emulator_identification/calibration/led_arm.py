@@ -71,9 +71,7 @@ class LedArm:
                 return None
             run.advance(run.motion_ticks)
         run.advance(self._dwell)
-        names, session = run.true_kinematics.joint_names, run.session
-        places = [session.scene.joint_names.index(name) for name in names]
-        R, p = run.true_kinematics.forward(session.state.q[places])
+        R, p = run.true_tool
         measured = run.drives.servo.q_measured - run.wind_up
         return ToolRest(measured[self._order], R, p)
 
