@@ -300,6 +300,24 @@ MUTANTS = (
         "test_gear_temperature.py",
     ),
     Mutant(
+        f"{CORE_PARTS}/bearing.hpp",
+        "return 0.5 * K * q * q;",
+        "return K * q * q;",
+        "test_bearing.py",
+    ),
+    Mutant(
+        "arm_emulator/core/mechanics/scene.hpp",
+        "while (joint >= 0 && drive_of<S>(joint) > drive) --joint;",
+        "while (joint >= 0 && drive_of<S>(joint) >= drive) --joint;",
+        "test_bearing.py",
+    ),
+    Mutant(
+        "arm_emulator/machine/scene/bearings.py",
+        "if kind.slides == slides and along > ACROSS:",
+        "if kind.slides == slides and along > 1.0:",
+        "test_bearing.py",
+    ),
+    Mutant(
         f"{MECHANICS}/drive.hpp",
         "f[Motor::rise] -= flow;",
         "f[Motor::rise] += flow;",

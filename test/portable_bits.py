@@ -24,7 +24,8 @@ from own_firmware import code
 import arm_emulator.machine.plant.compiler as of_machines
 from arm_emulator import Diverged, ExternalWrench, Plant, Scene, load_scene
 from arm_emulator.core import BOUNDARY
-from arm_emulator.machine.plant.outputs import KNOWN
+from arm_emulator.machine.parts.known import DEFLECTIONS
+from arm_emulator.machine.plant.outputs import KNOWN, list_outputs
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from arm_emulator.runs.table_run import load_table_run
 from arm_emulator.toolchain.flags import C_FLAGS
@@ -128,6 +129,16 @@ def disturb(arms: Plant | Fleet, row: int) -> None:
         arms.set_external_wrench(scene.chain.joints[-1].link, push)
 
 
+def names_of(scene: Scene) -> list[str]:
+    """Return the outputs in a digest: zeros of what is not there too, but for deflections.
+
+    So that digests are those from before there were any.
+    """
+    deflections = {output.name for kind in DEFLECTIONS for output in kind.outputs}
+    there = {output.name for output in list_outputs(scene)}
+    return [name for name in KNOWN if name in there or name not in deflections]
+
+
 def digest_of_machine(scene: Scene, arm: int = 0) -> str:
     """Return a digest along a run of one arm that is wound back on its way."""
     plant, digest = Plant(scene), Digest()
@@ -146,7 +157,7 @@ def digest_of_machine(scene: Scene, arm: int = 0) -> str:
         if row == REWOUND and not has_returned:
             plant.restore(saved)
             row, has_returned = CHANGED + 1, True
-    digest.put(plant.energy, *(getattr(plant.measured, name) for name in KNOWN))
+    digest.put(plant.energy, *(getattr(plant.measured, name) for name in names_of(scene)))
     return str(digest)
 
 
@@ -173,7 +184,8 @@ def digests_of_fleet(scene: Scene) -> list[str]:
     measured = fleet.measured
     for arm in set(range(ARMS)) - stopped:
         digest = arm_digests[arm]
-        digest.put(fleet[arm].energy, *(getattr(measured, name)[arm] for name in KNOWN))
+        rows = (getattr(measured, name)[arm] for name in names_of(scene))
+        digest.put(fleet[arm].energy, *rows)
     return [str(digest) for digest in arm_digests]
 
 

@@ -8,7 +8,7 @@
  * state, for judging and not for control.
  *
  * Arrays have one entry per joint, base to tool. Units are SI, angles in rad (m for prismatic
- * joints).
+ * joints). What bearings give way is no joint here: readings show it.
  *
  * A struct begins with its size, which the user sets to its sizeof: a library reads and writes no
  * more than that, so that later versions can add fields at the end. Only `arm_new` allocates
@@ -256,7 +256,8 @@ typedef struct arm_wrench {
 
 /* The wrench that acts on a link until it is set again; a reset removes it. It is part of a saved
  * machine. Both calls need a scene with `external_wrench`. A link has the number of the joint that
- * moves it; with couplings that is its number among all joints that move, from base to tips. */
+ * moves it; with couplings or bearings that give way that is its number among all joints that move,
+ * from base to tips, deflections among them. */
 int arm_set_external_wrench(arm_machine* machine, int32_t link, const arm_wrench* wrench);
 int arm_get_external_wrench(const arm_machine* machine, int32_t link, arm_wrench* out);
 
