@@ -364,7 +364,7 @@ def test_three_nodes_move_a_robot_in_bearings_as_a_run_without_a_network(tmp_pat
     assert 1e-5 < np.linalg.norm(off) < 1e-2
 
 
-def test_what_does_not_take_bearings_refuses_them(arm: Scene, tmp_path: Path) -> None:
+def test_tuning_and_coupled_joints_refuse_bearings(arm: Scene, tmp_path: Path) -> None:
     text = r"joints\.joint_0\.bearing\.shift_x must be absent for tuning"
     with pytest.raises(Refusal, match=text):
         compute_falls(arm)
