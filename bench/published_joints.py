@@ -21,6 +21,7 @@ from arm_emulator.base.config_files import find_config_folder
 from bench.measure import show_progress
 from bench.pictures import make_figure, save
 from bench.tables import format_table
+from oracles.bam import Bam
 from oracles.random_chain import LINK
 
 TITLE = "Friction of published joints"
@@ -36,37 +37,23 @@ POINTS, CURVE = 6, 61
 
 
 @dataclass(frozen=True)
-class Published:
-    """Friction of a joint at its output by M. Duclusaud and G. Passault, model M6.
+class Published(Bam):
+    """Friction of a joint at its output.
 
     Attributes:
+        Kv: viscous friction [N m s/rad].
         load: largest torque of the load here [N m].
-        Kc, Kcs, Km, Ke, Kms, Kes, Kmq, Keq, speed, alpha, Kv: as in arXiv 2410.08650 [SI].
     """
 
-    load: float
-    Kc: float
-    Kcs: float
-    Km: float
-    Ke: float
-    Kms: float
-    Kes: float
-    Kmq: float
-    Keq: float
-    speed: float
-    alpha: float
     Kv: float
+    load: float
 
     def resist(self, w: float, tau: float, load: float) -> float:
         """Return the torque against motion at the speed w, of the motor's torque and the load.
 
         Both count positive where the motor holds the load.
         """
-        s = np.exp(-((w / self.speed) ** self.alpha))
-        square = self.Keq * load**2 if abs(tau) > abs(load) else self.Kmq * tau**2
-        at_rest = self.Kcs + abs(self.Kms * tau + self.Kes * load) + square * (tau * load > 0.0)
-        moving = self.Kc + abs(self.Km * tau + self.Ke * load)
-        return float(moving + s * at_rest + self.Kv * w)
+        return self(1.0, w, tau, load, abs(tau) > abs(load)) + self.Kv * w
 
     def solve(self, kind: str, w: float, load: float) -> float:
         """Return the friction where joint, motor and load are in balance [N m].
@@ -89,18 +76,18 @@ class Published:
 
 # Rhoban/bam (Apache-2.0), bam/params/*/m6.json, commit 1b5a1cee2e.
 JOINTS = {
-    "erob80_50": Published(40.0, 3.25894, 0.320431, 0.0356619, 0.000843166, 0.00377099, 0.041438,
-                           0.00187212, 0.0015991, 2.83039, 1.78644, 1.40339),
-    "erob80_100": Published(50.0, 0.000477967, 5.22642, 0.0488877, 7.62632e-08, 8.82328e-06,
-                            0.0511666, 0.00270292, 0.00255626, 2.03303, 2.99992, 9.70933),
-    "mx64": Published(2.5, 6.21792e-07, 0.122695, 0.311472, 2.0462e-08, 0.187744, 0.0140659,
-                      0.00690851, 0.00999998, 2.57528, 0.840902, 0.025337),
-    "mx106": Published(4.0, 1.02325e-05, 0.121954, 0.198006, 0.0222155, 0.1986, 0.0871033,
-                       0.00999993, 7.32692e-05, 1.74633, 1.14283, 0.0507157),
-    "xl320": Published(0.08, 4.33378e-07, 0.0163055, 3.08821e-06, 0.158325, 5.96572e-09, 0.245483,
-                       0.00361641, 0.00471093, 2.30105, 1.70674, 0.00722517),
-    "xl330": Published(0.4, 0.00477118, 0.00467635, 0.266786, 8.51587e-06, 1.07229e-05, 0.0807793,
-                       0.00997247, 0.00490257, 2.89037, 8.68326, 0.00535967),
+    "erob80_50": Published(3.25894, 0.320431, 0.0356619, 0.000843166, 0.00377099, 0.041438,
+                           0.00187212, 0.0015991, 2.83039, 1.78644, 1.40339, 40.0),
+    "erob80_100": Published(0.000477967, 5.22642, 0.0488877, 7.62632e-08, 8.82328e-06, 0.0511666,
+                            0.00270292, 0.00255626, 2.03303, 2.99992, 9.70933, 50.0),
+    "mx64": Published(6.21792e-07, 0.122695, 0.311472, 2.0462e-08, 0.187744, 0.0140659,
+                      0.00690851, 0.00999998, 2.57528, 0.840902, 0.025337, 2.5),
+    "mx106": Published(1.02325e-05, 0.121954, 0.198006, 0.0222155, 0.1986, 0.0871033, 0.00999993,
+                       7.32692e-05, 1.74633, 1.14283, 0.0507157, 4.0),
+    "xl320": Published(4.33378e-07, 0.0163055, 3.08821e-06, 0.158325, 5.96572e-09, 0.245483,
+                       0.00361641, 0.00471093, 2.30105, 1.70674, 0.00722517, 0.08),
+    "xl330": Published(0.00477118, 0.00467635, 0.266786, 8.51587e-06, 1.07229e-05, 0.0807793,
+                       0.00997247, 0.00490257, 2.89037, 8.68326, 0.00535967, 0.4),
 }  # fmt: skip
 SPEEDS = {"at rest": 0.0, "at half Stribeck's speed": 0.5, "at Stribeck's speed": 1.0}
 WORDS = {"drives": "motor drives", "driven": "load drives", "off": "motor off"}

@@ -1,8 +1,8 @@
 """A weight behind a gear with losses, solved from event to event by SciPy: truth for load friction.
 
 A motor of inertia Jm has the torque A. Behind it an elastic gear, S = Ng T on the rotor, or a rigid
-one moves a weight. The laws of friction are written down from their sources: BAM's budget, and
-LossyGear's quadrants. Neither shares a line with the core.
+one moves a weight. The laws of friction are written down from their sources: BAM's budget in
+oracles/bam.py, and LossyGear's quadrants here. Neither shares a line with the core.
 """
 
 from collections.abc import Callable
@@ -15,44 +15,10 @@ from scipy.optimize import brentq
 
 from arm_emulator.base.arrays import Array
 
+MAX_PIECES = 200  # between two events, in one row
 # Torque against a shaft that moves that way, at a speed, under the torque that drives it and the
 # torque of the gear that it moves; the last: whether the first counts as the greater one.
-MAX_PIECES = 200  # between two events, in one row
 Law = Callable[[float, float, float, float, bool], float]
-
-
-@dataclass(frozen=True)
-class Bam:
-    """Friction budget M6 of Duclusaud and Passault (arXiv 2410.08650), by their symbols."""
-
-    Kc: float
-    Kcs: float
-    Km: float
-    Ke: float
-    Kms: float
-    Kes: float
-    Kmq: float
-    Keq: float
-    speed: float
-    alpha: float
-
-    def __call__(self, sign: float, w: float, A: float, S: float, leads: bool) -> float:
-        """Return the budget; what the gear takes, S, is the external torque's opposite."""
-        tm, te = A, -S
-        share = float(np.exp(-(abs(w / self.speed) ** self.alpha)))
-        quadratic = (self.Keq * te**2 if leads else self.Kmq * tm**2) if tm * te < 0.0 else 0.0
-        at_rest = self.Kcs + abs(self.Kes * te - self.Kms * tm) + quadratic
-        return self.Kc + abs(self.Ke * te - self.Km * tm) + share * at_rest
-
-    def section(self, viscous: float) -> dict[str, float]:
-        """Return the section of the scene, at the same shaft."""
-        return {
-            "viscous": viscous, "coulomb": self.Kc, "breakaway": self.Kc + self.Kcs,
-            "stribeck": self.speed, "exponent": self.alpha,
-            "load": self.Ke, "motor_load": self.Km,
-            "rest_load": self.Kes, "rest_motor_load": self.Kms,
-            "rest_load_square": self.Keq, "rest_motor_square": self.Kmq,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True)

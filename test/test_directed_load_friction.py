@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from balance import balance_of
 from draws import some, with_slow
-from lossy_joint import Bam, Law, LossyGear, LossyGearDriven, Rotor
+from lossy_joint import Law, LossyGear, LossyGearDriven, Rotor
 from machines import slides_urdf, write_scene
 from scipy.optimize import brentq
 
@@ -19,23 +19,13 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.frictions.load_friction import DIRECTED, RotorLoadFriction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
+from bench.published_joints import JOINTS, Published
+from oracles.bam import Bam
 
 MASS, WEIGHT = 2.0, 19.62  # kg, N
 PERIOD, ROWS = 0.02, 15
-# Rhoban/bam, bam/params/erob80_100/m6.json and erob80_50/m6.json (Apache-2.0), at the output.
-EROB80_100 = Bam(
-    Kc=0.0004779665335836211, Kcs=5.2264235087217585, Km=0.048887727723564756,
-    Ke=7.626323416955297e-08, Kms=8.823275901433639e-06, Kes=0.05116664604344119,
-    Kmq=0.0027029166135035076, Keq=0.002556257557735874, speed=2.0330344391978556,
-    alpha=2.9999247237894795,
-)  # fmt: skip
-EROB80_50 = Bam(
-    Kc=3.258936577427873, Kcs=0.32043116640097835, Km=0.03566185222966088,
-    Ke=0.0008431659435708802, Kms=0.003770985236415064, Kes=0.041438023645284434,
-    Kmq=0.0018721192347735344, Keq=0.0015990991138724365, speed=2.830385649014235,
-    alpha=1.7864364677651365,
-)  # fmt: skip
-VISCOUS = 9.709332392870175  # N m s/rad, of eRob80:100
+EROB80_100, EROB80_50 = JOINTS["erob80_100"], JOINTS["erob80_50"]
+OUTSIDE = 50.0  # N m, at the output of these
 
 Friction = dict[str, float]
 Case = tuple[Rotor, Friction, bool]  # whether the section of friction is that of the rotor
@@ -201,10 +191,11 @@ def test_without_located_events_the_motion_is_that_of_the_law_too(
     assert (fine < np.maximum(coarse / 2.0, 1e-7)).all() and (fine < 0.02).all(), (coarse, fine)
 
 
-def erob_joint(law: Bam, viscous: float, weight: float) -> Rotor:
+def erob_case(law: Bam, viscous: float) -> Case:
     """The actuator by its output, with a spring that is stiff against what is measured."""
-    return Rotor(Jm=1.1350955632532613, Ng=1.0, Kg=1e4, Dg=200.0, mass=MASS, weight=weight,
-                 viscous=viscous, law=law)  # fmt: skip
+    joint = Rotor(Jm=1.1350955632532613, Ng=1.0, Kg=1e4, Dg=200.0, mass=MASS, weight=OUTSIDE,
+                  viscous=viscous, law=law)  # fmt: skip
+    return joint, law.section(viscous), True
 
 
 def settled(plant: Plant, torque: float) -> None:
@@ -225,21 +216,17 @@ def ramped(plant: Plant, begin: float, by: float) -> float:
     raise AssertionError("it never moves")
 
 
-@pytest.mark.parametrize(
-    ("law", "viscous"), with_slow([(EROB80_100, VISCOUS), (EROB80_50, 1.4)], 1)
-)
+@pytest.mark.parametrize("law", with_slow([EROB80_100, EROB80_50], 1))
 def test_a_published_actuator_breaks_away_where_its_budget_states(
-    tmp_path: Path, law: Bam, viscous: float
+    tmp_path: Path, law: Published
 ) -> None:
-    """Under 50 N m from outside, by a motor whose torque grows, and falls, until it moves."""
-    outside = 50.0
-    case = erob_joint(law, viscous, outside), law.section(viscous), True
-    scene = scene_of(tmp_path, case, weight=outside, dt=5e-4)
-    drives = brentq(lambda tau: tau - outside - law(1.0, 0.0, tau, outside, True), 50.0, 90.0)
-    driven = brentq(lambda tau: outside - tau - law(-1.0, 0.0, tau, outside, False), 1.0, 50.0)
+    """Under a torque from outside, by a motor whose torque grows, and falls, until it moves."""
+    scene = scene_of(tmp_path, erob_case(law, law.Kv), weight=OUTSIDE, dt=5e-4)
+    drives = brentq(lambda tau: tau - OUTSIDE - law(1.0, 0.0, tau, OUTSIDE, True), 50.0, 90.0)
+    driven = brentq(lambda tau: OUTSIDE - tau - law(-1.0, 0.0, tau, OUTSIDE, False), 1.0, 50.0)
     step = 0.01
-    assert ramped(Plant(scene), outside, step) == pytest.approx(drives, abs=2.0 * step)
-    assert ramped(Plant(scene), outside, -step) == pytest.approx(driven, abs=2.0 * step)
+    assert ramped(Plant(scene), OUTSIDE, step) == pytest.approx(drives, abs=2.0 * step)
+    assert ramped(Plant(scene), OUTSIDE, -step) == pytest.approx(driven, abs=2.0 * step)
 
 
 def slowed(plant: Plant, torque: float, speed: float, outside: float) -> float:
@@ -255,12 +242,12 @@ def slowed(plant: Plant, torque: float, speed: float, outside: float) -> float:
 
 def test_erob80_100_has_the_published_friction_at_rest_and_in_motion(tmp_path: Path) -> None:
     """50 N m from outside: 45 N m of the motor hold it, or none."""
-    case = erob_joint(EROB80_100, VISCOUS, 50.0), EROB80_100.section(VISCOUS), True
-    plant = Plant(scene_of(tmp_path, case, weight=50.0, dt=1e-6, events="step"))
+    case = erob_case(EROB80_100, EROB80_100.Kv)
+    plant = Plant(scene_of(tmp_path, case, weight=OUTSIDE, dt=1e-6, events="step"))
     nearly_at_rest = 1e-4  # rad/s
     measured = [
         slowed(plant, 45.0, nearly_at_rest, 50.0),
-        slowed(plant, 45.0, 10.0, 50.0) - 10.0 * VISCOUS,
+        slowed(plant, 45.0, 10.0, 50.0) - 10.0 * EROB80_100.Kv,
         slowed(plant, 0.0, nearly_at_rest, 50.0),
     ]
     assert measured == pytest.approx([15.5, 2.2, 7.8], abs=0.06), "N m, as published"
@@ -271,8 +258,7 @@ def test_friction_of_the_machine_is_the_budget_at_random_torques_and_speeds(
 ) -> None:
     rng = np.random.default_rng(92)
     for law in (EROB80_100, EROB80_50):
-        joint = erob_joint(law, 0.5, 50.0)
-        scene = scene_of(tmp_path, (joint, law.section(0.5), True), weight=50.0, dt=5e-4)
+        scene = scene_of(tmp_path, erob_case(law, 0.5), weight=OUTSIDE, dt=5e-4)
         plant, terms = Plant(scene), TorqueTerms(scene)
         for _ in range(150):
             tau, gear = rng.uniform(-60.0, 60.0, 2)

@@ -1,5 +1,7 @@
 """The examples of README.md do what it states."""
 
+import json
+import runpy
 import signal
 import subprocess
 import sys
@@ -10,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from network import PATIENCE, network
+from test_command_line import run as command
 
 from arm_emulator import load_scene, load_servo_config
+from arm_emulator.cli.commands import status
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import make_controller
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds
@@ -33,7 +37,9 @@ def example(name: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait(PATIENCE)  # whichever the code: rclpy may fail when a signal ends it
 
 
-def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> None:
+def test_a_servo_of_ones_own_that_restarts_brings_the_tool_to_its_target(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene = load_scene("three_axis")
     motion = load_motion_config(ROOT / "config" / "motion" / "three_axis.yaml")
     servo = load_servo_config(ROOT / "config" / "servo" / "three_axis.yaml")
@@ -42,13 +48,14 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
     target = np.array([0.43, 0.05, 0.64])
     inside: list[int] = []  # when the tool is where it shall be [ns]
 
-    with (
-        network(tmp_path, only=("emulator", "motion_controller"), start="first_answer") as (
-            user,
-            _,
-        ),
-        example("my_servo"),
+    with network(tmp_path, only=("emulator", "motion_controller"), start="first_answer") as (
+        user,
+        _,
     ):
+        for _ in range(2):  # one of them ends within a motion period
+            before = user.tick
+            with example("my_servo"):
+                user.wait("a hundred ticks", lambda before=before: user.tick > before + 100)
 
         def settled() -> bool:
             """Whether the tool has been at its target for 0.5 s of logical time."""
@@ -63,32 +70,29 @@ def test_a_servo_of_ones_own_brings_the_tool_to_its_target(tmp_path: Path) -> No
             inside.append(to_nanoseconds(user.truth.header.stamp))
             return inside[-1] - inside[0] > NANOSECONDS // 2
 
-        words = [repr(float(x)) for x in target]
-        with subprocess.Popen([sys.executable, str(EXAMPLES / "move_tool.py"), *words]) as sender:
-            user.wait("the tool at its target", settled)
-        assert sender.returncode == 0
-
-
-def test_a_servo_of_ones_own_goes_on_after_a_restart_within_a_motion_period(tmp_path: Path) -> None:
-    with network(tmp_path, only=("emulator", "motion_controller"), start="first_answer") as (
-        user,
-        _,
-    ):
-        for _ in range(3):  # at least one of three ends within a period
-            before = user.tick
-            with example("my_servo"):
-                user.wait("a hundred ticks", lambda before=before: user.tick > before + 100)
+        words = [sys.executable, str(EXAMPLES / "move_tool.py"), *map(repr, target.tolist())]
+        with example("my_servo"):
+            with subprocess.Popen(words) as sender:
+                user.wait("the tool at its target", settled)
+            assert sender.returncode == 0
+            # A node of another maker is not missing.
+            monkeypatch.setattr(status, "NAMED_WITHIN", PATIENCE)
+            # It waits so long for the health of a servo of ours, which there is not.
+            code, out, errors = command("status", "--json", "--timeout", "10")
+        nodes = json.loads(out)["nodes"]
+        assert nodes["servo"]["level"] == "other" and "/my_servo" in nodes["servo"]["message"], out
+        assert code == 0 and nodes["emulator"]["level"] == "ok", out + errors
 
 
 @pytest.mark.parametrize(
     "words", ["", "0.4 0.5", "0.4 0.5 0.6 0.7", "0.4 O.5 0.6", "0,4 0.5 0.6", "0.4 nan 0.6"]
 )
-def test_a_target_that_is_mistyped_is_a_line(words: str) -> None:
-    command = [sys.executable, str(EXAMPLES / "move_tool.py"), *words.split()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+def test_a_target_that_is_mistyped_is_a_line(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["move_tool.py", *words.split()])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(EXAMPLES / "move_tool.py"), run_name="__main__")
     rule = "move_tool: the target must be three finite numbers, x y z [m], got"
-    assert done.stderr == f"{rule} {words or 'none'}\n", done.stderr
+    assert end.value.code == f"{rule} {words or 'none'}"
 
 
 def test_a_motion_controller_of_ones_own_swings_the_waist(tmp_path: Path) -> None:

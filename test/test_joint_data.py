@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import yaml
 from draws import some, with_slow
-from lossy_joint import Bam
 from machines import CONFIG
 from test_new_drives import untuned
 
@@ -22,9 +21,10 @@ from arm_emulator.machine.parts.frictions.friction import Friction
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from bench.origins import list_origins
 from bench.published_joints import JOINTS
+from oracles.bam import Bam
 
 # At the output; of the servo of model M1 Coulomb's and viscous friction alone.
-PUBLISHED = {name: astuple(joint)[1:] for name, joint in JOINTS.items()} | {
+PUBLISHED = {name: astuple(joint)[:-1] for name, joint in JOINTS.items()} | {
     "sts3215": (0.0523929, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 0.0590852),
 }  # fmt: skip
 # N m/A, kg m2 and A or V/ohm at the output.
@@ -57,8 +57,8 @@ def robot_of(folder: Path, kind: str = "continuous", mass: float = 0.5) -> Path:
 
 def law_of(name: str) -> tuple[Bam, float]:
     """Return the budget of a joint at its output, and its viscous friction."""
-    Kc, Kcs, Km, Ke, Kms, Kes, Kmq, Keq, speed, alpha, viscous = PUBLISHED[name]
-    return Bam(Kc, Kcs, Km, Ke, Kms, Kes, Kmq, Keq, speed, alpha), viscous
+    *budget, viscous = PUBLISHED[name]
+    return Bam(*budget), viscous
 
 
 def test_the_joints_are_those_of_the_source() -> None:

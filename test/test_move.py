@@ -62,24 +62,6 @@ def test_a_target_is_sent_and_its_end_is_the_exit_code(
         assert code == 1 and "no end within 0.001 s" in out, out
 
 
-def test_a_node_of_another_maker_is_not_missing(tmp_path: Path) -> None:
-    """The example of a servo takes the place of ours."""
-    file = Path(__file__).resolve().parents[1] / "examples/my_servo.py"
-    only = ("emulator", "motion_controller")
-    with network(tmp_path / "log", start="first_answer", only=only) as (user, _):
-        servo = subprocess.Popen([sys.executable, str(file)])
-        try:
-            user.wait("the run", lambda: user.tick > 200)
-            # It waits so long for the health of a servo of ours, which there is not.
-            code, out, errors = run("status", "--json", "--timeout", "10")
-        finally:
-            servo.kill()
-            servo.wait()
-        nodes = json.loads(out)["nodes"]
-        assert nodes["servo"]["level"] == "other" and "/my_servo" in nodes["servo"]["message"], out
-        assert code == 0 and nodes["emulator"]["level"] == "ok", out + errors
-
-
 def test_without_a_network_a_line_names_the_remedy() -> None:
     with own_domain():
         started = {

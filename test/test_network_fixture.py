@@ -79,7 +79,6 @@ def test_a_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture[s
         lambda net: net.power(False),
         lambda net: net.go_on(),
         lambda net: net.wait_until(0.0),
-        lambda net: net.state_of(net.send_joint_target(ANGLES, 0.3, at=0.1)) == "accepted",
         lambda net: net.state_of(net.send_joint_target(ANGLES, 0.3)) == "accepted",
         lambda net: net.state_of(net.send_tool_target(TARGET)) == "accepted",
     ],

@@ -369,46 +369,37 @@ def test_redundant_arms_do_not_drift_over_circles(seed: int) -> None:
     assert np.abs(q - start).max() < 1e-4
 
 
+def limited_arm(**limits: tuple[float, float]) -> Kinematics:
+    """The three-axis arm whose joints turn between limits."""
+    urdf = THREE_AXIS
+    for name, (lower, upper) in limits.items():
+        urdf = urdf.replace(
+            f'<joint name="{name}" type="continuous">',
+            f'<joint name="{name}" type="revolute">'
+            f'<limit lower="{lower}" upper="{upper}" effort="9" velocity="9"/>',
+        )
+    return Kinematics(urdf, NAMES, "tool")
+
+
+def assert_reached(arm: Kinematics, start: np.ndarray, end: np.ndarray) -> None:
+    controller = law_of(arm, PERIOD)
+    controller.begin(start)
+    q = run(controller, start, pose_of(arm, end), 8.0)
+    assert np.linalg.norm(arm.tool_error(q, pose_of(arm, end))) < 1e-6, f"{start} {end}"
+
+
 def test_a_joint_limit_in_the_path_is_circumvented() -> None:
     """An elbow that bends to one side only: from a pose on the other side of the base."""
-    urdf = THREE_AXIS.replace(
-        '<joint name="elbow" type="continuous">',
-        '<joint name="elbow" type="revolute"><limit lower="0.2" upper="2.5" effort="9" '
-        'velocity="9"/>',
-    ).replace(
-        '<joint name="waist" type="continuous">',
-        '<joint name="waist" type="revolute"><limit lower="-2.8" upper="2.8" effort="9" '
-        'velocity="9"/>',
-    )
-    arm = Kinematics(urdf, NAMES, "tool")
-    rng = np.random.default_rng(3)
+    arm, rng = limited_arm(elbow=(0.2, 2.5), waist=(-2.8, 2.8)), np.random.default_rng(3)
     for _ in some(range(10), 5):
-        start, end = (
-            np.array([rng.uniform(-2.7, 2.7), rng.uniform(-1.5, 1.5), rng.uniform(0.3, 2.4)])
-            for _ in range(2)
-        )
-        target = pose_of(arm, end)
-        controller = law_of(arm, PERIOD)
-        controller.begin(start)
-        q = run(controller, start, target, 8.0)
-        assert np.linalg.norm(arm.tool_error(q, target)) < 1e-6, f"{start} {end}"
+        start, end = rng.uniform((-2.7, -1.5, 0.3), (2.7, 1.5, 2.4), (2, 3))
+        assert_reached(arm, start, end)
 
 
 def test_a_joint_at_its_limit_goes_a_turn_back() -> None:
     """Waist from -pi to pi: the short way to the other side leads through the limit."""
-    urdf = THREE_AXIS.replace(
-        '<joint name="waist" type="continuous">',
-        '<joint name="waist" type="revolute"><limit lower="-3.14159" upper="3.14159" effort="9" '
-        'velocity="9"/>',
-    )
-    arm = Kinematics(urdf, NAMES, "tool")
-    rng = np.random.default_rng(5)
+    arm, rng = limited_arm(waist=(-3.14159, 3.14159)), np.random.default_rng(5)
     for _ in some(range(10), 4):
-        side = rng.choice([-1.0, 1.0])
-        bend = np.array([rng.uniform(0.2, 0.8), rng.uniform(0.3, 1.5)])
-        start = np.array([side * rng.uniform(2.6, 3.0), *bend])
-        end = np.array([-side * rng.uniform(2.6, 3.0), *bend])
-        controller = law_of(arm, PERIOD)
-        controller.begin(start)
-        q = run(controller, start, pose_of(arm, end), 8.0)
-        assert np.linalg.norm(arm.tool_error(q, pose_of(arm, end))) < 1e-6, f"{start} {end}"
+        side, bend = rng.choice([-1.0, 1.0]), rng.uniform((0.2, 0.3), (0.8, 1.5))
+        start, end = (np.array([way * rng.uniform(2.6, 3.0), *bend]) for way in (side, -side))
+        assert_reached(arm, start, end)

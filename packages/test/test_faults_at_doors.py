@@ -227,7 +227,22 @@ class ByDrives(OfPlant):
         return f"{words}; Fault 0x{self.drives.read(ELBOW, ERROR):04X}"
 
 
-class ByLibrary(OfPlant):
+class OfRun(OfPlant):
+    """A door with its run in this process."""
+
+    loop: OfflineRun | TableRun
+
+    def run(self, periods: int) -> None:
+        self.loop.advance(periods)
+
+    def _set_fault(self, name: str, size: float) -> None:
+        self.loop.session.set_varied(name, size)
+
+    def _power(self, on: bool) -> None:
+        self.loop.session.powered = on
+
+
+class ByLibrary(OfRun):
     title = "C library"
     lacks: ClassVar = {
         "stale": "time waits for the step",
@@ -239,8 +254,7 @@ class ByLibrary(OfPlant):
 
     def _begin(self) -> None:
         self.loop = TableRun(SCENE, self._table(0.0), Firmware(self._library))
-        self.session = self.loop.session
-        self.plant = self.session.plant
+        self.plant = self.loop.session.plant
 
     @staticmethod
     def _table(volt: float, silent: float = 0.0) -> TargetTable:
@@ -254,17 +268,8 @@ class ByLibrary(OfPlant):
         self.loop.aim(self._table(0.0, silent=1.0))
         self.loop.advance(1)
 
-    def run(self, periods: int) -> None:
-        self.loop.advance(periods)
 
-    def _set_fault(self, name: str, size: float) -> None:
-        self.session.set_varied(name, size)
-
-    def _power(self, on: bool) -> None:
-        self.session.powered = on
-
-
-class ByRun(OfPlant):
+class ByRun(OfRun):
     """The run in one process of `arm_emulator run`, which moves the elbow alone."""
 
     title = "`run` in one process"
@@ -288,15 +293,6 @@ class ByRun(OfPlant):
         if name != "elbow":
             self._aim(name)
         self.run(1)
-
-    def run(self, periods: int) -> None:
-        self.loop.advance(periods)
-
-    def _set_fault(self, name: str, size: float) -> None:
-        self.loop.session.set_varied(name, size)
-
-    def _power(self, on: bool) -> None:
-        self.loop.session.powered = on
 
 
 class ByFmu(Door):
