@@ -29,6 +29,7 @@ from arm_emulator.base.config_files import find_config
 from arm_emulator.design.tuned import compute_falls
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
+from arm_emulator.machine.session.tool_chain import ToolChain
 from arm_emulator.runs.offline import load_offline_run
 from arm_emulator_msgs.msg import MotorState
 
@@ -368,6 +369,8 @@ def test_tuning_and_coupled_joints_refuse_bearings(arm: Scene, tmp_path: Path) -
     text = r"joints\.joint_0\.bearing\.shift_x must be absent for tuning"
     with pytest.raises(Refusal, match=text):
         compute_falls(arm)
+    with pytest.raises(Refusal, match="must be absent for the position of the tool"):
+        ToolChain(arm)
     urdf = arm_urdf(2).replace("</robot>", "") + (
         "<link name='hand'><inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' "
         "ixz='0' iyz='0'/></inertial></link><joint name='finger' type='continuous'>"

@@ -32,9 +32,13 @@ class ToolChain:
     Args:
         scene: whose tool a joint carries.
         values: of varied numbers, by their name; others are the scene's.
+
+    Raises:
+        Refusal: bearings give way.
     """
 
     def __init__(self, scene: Scene, values: Mapping[str, float] | None = None) -> None:
+        scene.refuse_bearings("the position of the tool by those of the joints")
         chain = scene.chain
         last, frame = chain.place_of(scene.tool)
         path = chain.find_path(last)[::-1]

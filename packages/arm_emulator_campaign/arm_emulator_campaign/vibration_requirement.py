@@ -50,6 +50,7 @@ class VibrationRequirement:
         self._band = section.number(_BAND)
         section.finish()
         joints = scene.joint_names
+        scene.refuse_bearings("requirements of vibration")
         if not list_tool_signals(scene):
             raise section.refusal(KEY, "be of a scene whose tool a joint carries", scene.name)
         read, self._scale = "q", np.ones(len(joints))

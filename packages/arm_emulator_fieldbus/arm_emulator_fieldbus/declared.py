@@ -110,9 +110,10 @@ def find_places(scene: Scene, units: int) -> NDArray[np.int32]:
     Raises:
         Refusal: a link has more units.
     """
-    drives = (scene.chain.coupling.C != 0.0).argmax(axis=1)  # the first that moves each link
+    shafts = (scene.chain.coupling.C != 0.0).argmax(axis=1)  # the first that moves each link
+    joints = np.searchsorted(scene.joint_places, shafts, side="right") - 1  # deflections follow
     on = [
-        [m for m, imu in enumerate(scene.imus) if drives[imu.place] == j]
+        [m for m, imu in enumerate(scene.imus) if joints[imu.place] == j]
         for j in range(len(scene.joints))
     ]
     for joint, there in zip(scene.joints, on, strict=True):

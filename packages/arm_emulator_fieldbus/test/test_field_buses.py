@@ -11,8 +11,10 @@ from ethercat_master import Aborted, Master
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
+from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator_fieldbus import object_dictionary as dictionaries
 from arm_emulator_fieldbus.canopen_node import CanFrame
+from arm_emulator_fieldbus.declared import REPORTED, find_places
 from arm_emulator_fieldbus.drives_unit import CANOPEN, ETHERCAT
 from arm_emulator_fieldbus.ethercat import Segment
 from arm_emulator_fieldbus.object_dictionary import list_entries
@@ -255,3 +257,18 @@ def test_both_buses_answer_alike(seed: int) -> None:
     for entry in BOTH:
         at = entry.index, entry.sub
         assert by_can.upload(0, *at) == master.segment.drives.upload(0, *at), entry
+
+
+def test_a_unit_behind_a_bearing_belongs_to_the_joint() -> None:
+    """Deflections count among the machine's joints, not among the drives."""
+    unit = {"accelerometer": {"noise": 0.1}}
+    tilts = {"tilt_x": {"stiffness": 1e5}, "tilt_y": {"stiffness": 1e5}}
+    keys = {"joints.waist.bearing": tilts, "imus.hand": {"link": "forearm", **unit}}
+    scene = load_scene("three_axis", keys)
+    without = load_scene("three_axis", {"imus.hand": keys["imus.hand"]})
+    assert scene.imus[0].place == without.imus[0].place + 2
+    found = {name for name, output in KNOWN.items() if output.per_unit}
+    places = [find_places(one, 1) for one in (scene, without)]
+    per_unit = [k for k, output in enumerate(REPORTED) if output.name in found]
+    assert (places[0][:, per_unit] == places[1][:, per_unit]).all()
+    assert (places[0][:, per_unit] >= 0).any()
