@@ -48,6 +48,15 @@ OWN_SERVO = code(
   }"""
 )
 
+BEARINGS = {
+    f"joints.{place}": {"stiffness": stiffness, "damping": damping}
+    for place, stiffness, damping in (
+        ("waist.bearing.tilt_x", 2e4, 20.0),
+        ("shoulder.bearing.tilt_z", 3e4, 30.0),
+        ("elbow.bearing.shift_y", 1e6, 500.0),
+    )
+}
+
 Drawing = Callable[[dict[str, Any]], Scene]
 
 
@@ -87,6 +96,8 @@ def cases(folder: Path) -> Iterator[tuple[str, Scene]]:
             for events in ("step", "located") if scheme in LOCATING_SCHEMES else ("step",):
                 integrator = {"integrator.scheme": scheme, "integrator.events": events}
                 yield f"{name}, {scheme}, {events}", draw_case(integrator)
+    if FULL:
+        yield "three_axis in bearings", load_scene("three_axis", BEARINGS)
 
 
 class Digest:
