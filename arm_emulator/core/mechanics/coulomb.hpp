@@ -117,8 +117,10 @@ class Coulomb {
     }
     if (all(slide | holds_all(rhs))) return;
     auto M = mass();
-    solve(M.at, v, rhs);
+    solve_apart(M.at, v, rhs);
   }
+  // `solve`, not inlined, for rare calls.
+  ARM_APART void solve_apart(Matrix& W, const X* v, X* x) { solve(W, v, x); }
 
   // Mode of each joint: locked, or the direction in which it slides, which is 0 without dry
   // friction.

@@ -16,11 +16,7 @@ inline constexpr int kUnrollLimit = 24;
 // The limit of loops with long loops inside.
 inline constexpr int kUnrollNested = 12;
 
-#ifdef TRYINL
-#define ARM_INLINE inline
-#else
 #define ARM_INLINE __attribute__((always_inline)) inline
-#endif
 
 // Neither inlined nor cloned (which clang never does): every caller runs the same instructions and
 // gets the same bits.

@@ -113,7 +113,6 @@ class DerivativeReplay {
   }
 
  private:
-  using Past = typename Part::Past;
 
   // Whether no joint is held by anything, so that nothing settles.
   static bool is_regular(const Piece& piece) {
@@ -213,7 +212,7 @@ class DerivativeReplay {
     length.by[0] = 1.0;
     common.along = common.start;
     values.part.retime(length, modes);
-    values.part.step_in(modes, common.along, u, links, Past::unknown);
+    values.part.step_in(modes, common.along, u, links);
     if (piece.end == PieceEnd::event) common.slope = condition(piece, modes, common.along, u).by[0];
     common.moved = true;
   }

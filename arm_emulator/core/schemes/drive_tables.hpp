@@ -98,6 +98,7 @@ class DriveTables : public ServedDrives<S, X>,
   using Stored::rhs_1, Stored::rhs_2, Stored::dz, Stored::k_z, Stored::diagonal;
   using typename Served::In, typename Served::Inputs, typename Served::Modes;
   static constexpr bool own = Served::own;
+  static constexpr bool has_past = true;  // the last step had the length of this
   static constexpr std::integral_constant<int, -1> link = {};
   using Number = typename Served::Number;
 

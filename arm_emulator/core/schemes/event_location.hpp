@@ -74,9 +74,9 @@ class EventLocation {
     if (kept_.rest())
       full_.step_at_rest(y, u, memo_.at(n_, x));
     else
-      full_.step_using_up(memo_.used_up(), modes.friction, y, u, Past::used);
+      full_.step_using_up(memo_.used_up(), modes.friction, y, u);
     if (kept_.end(y, u, memo_)) {
-      if (meter_) meter_->part(x, y, u, modes, h_);
+      measure(x, y, u, modes, h_);
       note(PieceEnd::step, x, modes, h_, true);
       x = y;
     } else {
@@ -100,7 +100,6 @@ class EventLocation {
   }
 
  private:
-  using Past = typename Method::Past;
   static constexpr int kMaxEvents = 4 * N + 8;
   static constexpr int kMaxTrials = 150;
   // Share of a step within which an event's time is known. Conditions are rounded so that a better
@@ -152,7 +151,7 @@ class EventLocation {
         part.reset(y);
         part.step(y, u, links, no_exchange);
         follow_at_once(n_, y, u);
-        if (meter_) meter_->part(x, y, u, modes, left);
+        measure(x, y, u, modes, left);
         note(PieceEnd::unlocated, x, modes, left);
         x = y;
         links = memo_.at(n_, x);
@@ -162,13 +161,13 @@ class EventLocation {
       if (events > 0) {
         y = x;
         part_.retime(left, modes);
-        part_.step_in(modes.friction, y, u, links, Part::Past::unknown);
+        part_.step_in(modes.friction, y, u, links);
         full.take(left, modes, y, u, memo_);
       }
       const bool fails = !full.holds();
       const Real t = fails ? first_event(x, y, u, modes, links, full) : left;
       modes.settle(y, u);
-      if (meter_) meter_->part(x, y, u, modes, t);
+      measure(x, y, u, modes, t);
       note(fails ? PieceEnd::event : PieceEnd::step, x, modes, t);
       x = y;
       left -= t;
@@ -179,6 +178,12 @@ class EventLocation {
     full_.serve(modes);
     kept_.take(modes);
     note(PieceEnd::cut, x, modes, 0.0);
+  }
+
+  void measure(const State<S>& x, const State<S>& y, const Real (&u)[row], const Modes<S>& modes,
+               Real length) {
+    if constexpr (S::energy_flow)
+      if (meter_) meter_->part(x, y, u, modes, length);
   }
 
   void note([[maybe_unused]] PieceEnd end, [[maybe_unused]] const State<S>& x,
@@ -220,7 +225,7 @@ class EventLocation {
       const Real t = last.t + share * width;
       State<S> end = x;
       part_.retime(t, modes);
-      part_.step_in(modes.friction, end, u, links, Part::Past::unknown);
+      part_.step_in(modes.friction, end, u, links);
       Trial now;
       now.take(t, modes, end, u, memo_);
       if (!now.holds()) y = end;

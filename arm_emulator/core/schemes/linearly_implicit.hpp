@@ -95,9 +95,7 @@ class LinearlyImplicit {
   void reset(const State<S, X>& x) {
     past() = {};
     if constexpr (!extrapolates) return;
-    typename Links<S, X>::Kinematics kinematics;
-    Links<S, X>::kinematics(n_, x.q, kinematics);
-    Links<S, X>::inverse_dynamics(n_, kinematics, x.v, nullptr, past().torque);
+    inverse_dynamics_apart<S>(n_, x.q, x.v, past().a, past().torque);
   }
   const Memory& memory() const { return past_[newest_]; }
   Memory& past() { return past_[newest_]; }
@@ -106,38 +104,32 @@ class LinearlyImplicit {
   const Memory& memory_before() const { return past_[memories - 1 - newest_]; }
   void restore(const Memory& memory) { past() = memory; }
 
-  // Whether the last step's data exists and has this step's length.
-  enum class Past { used, unknown };
-
   // Serve the drives in these modes.
   void serve(const Modes<S>& modes) {
     if constexpr (Tables::modal)
       for (int j = 0; j < N; ++j) tables_.serve(j, modes.drive[j]);
   }
   // A step in the given modes, whether they hold or not (event_location.hpp).
-  void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], Dynamics links,
-               Past from) {
+  void step_in(const Modes<S>& modes, State<S>& x, const Real (&u)[row], Dynamics links) {
     serve(modes);
-    step_using_up(links, modes.friction, x, u, from);
+    step_using_up(links, modes.friction, x, u);
   }
   // A step with the drives in the modes that the tables serve.
   void step_in(const typename Coulomb<S, X>::Modes& friction, State<S, X>& x, const X (&u)[row],
-               Dynamics links, Past from) {
-    step_using_up(links, friction, x, u, from);
+               Dynamics links) {
+    step_using_up(links, friction, x, u);
   }
   void step_using_up(Dynamics& links, const typename Coulomb<S, X>::Modes& friction, State<S, X>& x,
-                     const X (&u)[row], Past from) {
+                     const X (&u)[row]) {
     Inputs in;
     begin(x, u, in);
     if constexpr (Tables::modal) tables_.put_modes(in);
     Accelerations own;
     Accelerations& k1 = place_of_next(own);
     begin_links(x, u, in, k1);
-    prescribed_ = {&friction, from};
-    stages_of(x, u, links, in, k1);
+    stages_of(x, u, links, in, k1, friction);
     move_links(x, in);
     move_drives(x, in);
-    prescribed_ = {};
   }
 
   // A step in which all links rest under these torques: nothing is left to solve.
@@ -184,8 +176,9 @@ class LinearlyImplicit {
       Accelerations& k1 = place_of_next(own);
       begin_links(x, u, in, k1);
       exchange.take(links);
-      stages_of(x, u, links, in, k1);
+      stages_of(x, u, links, in, k1, Undecided());
       move_links(x, in);
+      coulomb_.stop_at_reversal(x.v);
       exchange.give(x);
       move_drives(x, in);
     } else {
@@ -202,6 +195,8 @@ class LinearlyImplicit {
   static constexpr int stages = S::Scheme::stages;
   static constexpr double gamma = gamma_of(stages);
   using Numbers = Row<N, X>;
+  // In the place of the modes of the links, which the step then decides.
+  struct Undecided {};
 
   Accelerations& place_of_next(Accelerations& own) {
     if constexpr (memories == 2)
@@ -237,19 +232,18 @@ class LinearlyImplicit {
 
   // k1 and k2 of the links. `k1.torque` holds rhs_1.
   ARM_INLINE void stages_of(const State<S, X>& x, const X (&u)[row], Dynamics& links, Inputs& in,
-                            Accelerations& k1) {
+                            Accelerations& k1, const auto& friction) {
     for_each<N>([&](auto j) __attribute__((always_inline)) { links.M.at[j][j] += n_.carried(j); });
     if constexpr (Coulomb<S, X>::loaded)
       coulomb_.take(x, pulled_at_rest(x, in), u, tables_.modes());
     else
       coulomb_.take(x, x, u, tables_.modes());
     X change[row] = {};
-    if constexpr (extrapolates) extrapolate_change(links, change);
-    first_stage(x, links, in, k1);
+    constexpr bool has_past = extrapolates && Tables::has_past;
+    if constexpr (has_past) extrapolate_change(links, change);
+    first_stage(x, links, in, k1, friction);
     keep_past(k1);
-    if constexpr (stages == 2 && !extrapolates) evaluate_change(x, k1, change);
-    if constexpr (extrapolates && locates && kWidth<X> == 1)  // lanes have a past
-      if (prescribed_.past == Past::unknown) evaluate_change(x, k1, change);
+    if constexpr (stages == 2 && !has_past) evaluate_change(x, k1, change);
     if constexpr (stages == 2 && !Tables::linear) evaluate_rest(u, in, change);
     if constexpr (stages == 2) second_stage(links, change, in);
   }
@@ -268,23 +262,28 @@ class LinearlyImplicit {
     return pulled;
   }
 
-  ARM_INLINE void first_stage(const State<S, X>& x, Dynamics& links, Inputs& in,
-                              Accelerations& k1) {
+  ARM_INLINE void first_stage(const State<S, X>& x, Dynamics& links, Inputs& in, Accelerations& k1,
+                              const auto& friction) {
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.a[j] = k1.torque[j] - links.nle[j];
       links.M.at[j][j] += tables_.diagonal[j];
     });
-    solve(links, x, k1);
+    solve(links, x, k1, friction);
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       k1.torque[j] = fma(-tables_.diagonal[j], k1.a[j], k1.torque[j] - coulomb_.force(j));
     });
     in[In::k1] = Numbers::gather(k1.a);
   }
 
-  ARM_INLINE void solve(Dynamics& links, const State<S, X>& x, Accelerations& k1) {
+  ARM_INLINE void solve(Dynamics& links, const State<S, X>&, Accelerations& k1,
+                        const typename Coulomb<S, X>::Modes& friction) {
+    coulomb_.solve_in(friction, links.M.at, k1.a);
+  }
+  ARM_INLINE void solve(Dynamics& links, const State<S, X>& x, Accelerations& k1, Undecided) {
     if constexpr (locates)
-      if (prescribed_.modes) return coulomb_.solve_in(*prescribed_.modes, links.M.at, k1.a);
-    coulomb_.solve(links.M.at, x.v, k1.a);
+      coulomb_.solve_apart(links.M.at, x.v, k1.a);
+    else
+      coulomb_.solve(links.M.at, x.v, k1.a);
   }
 
   ARM_INLINE void second_stage(const Dynamics& links, const X (&change)[row], Inputs& in) {
@@ -333,14 +332,18 @@ class LinearlyImplicit {
   // d of `rosenbrock`.
   ARM_INLINE void evaluate_change(const State<S, X>& x, const Accelerations& k1,
                                   X (&change)[row]) const {
-    typename Links<S, X>::Kinematics kinematics;
     X q[N], v[N];
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       q[j] = fma(h_, fma(gamma * h_, k1.a[j], x.v[j]), x.q[j]);
       v[j] = fma(h_, k1.a[j], x.v[j]);
     });
-    Links<S, X>::kinematics(n_, q, kinematics);
-    Links<S, X>::inverse_dynamics(n_, kinematics, v, k1.a, change);
+    if constexpr (Tables::has_past) {
+      typename Links<S, X>::Kinematics kinematics;
+      Links<S, X>::kinematics(n_, q, kinematics);
+      Links<S, X>::inverse_dynamics(n_, kinematics, v, k1.a, change);
+    } else {
+      inverse_dynamics_apart<S>(n_, q, v, k1.a, change);
+    }
     for_each<N>([&](auto j) __attribute__((always_inline)) {
       change[j] = fma(-n_.carried(j), k1.a[j], k1.torque[j] - change[j]);
     });
@@ -371,9 +374,6 @@ class LinearlyImplicit {
     });
     q.store(x.q);
     v.store(x.v);
-    if constexpr (locates)
-      if (prescribed_.modes) return;
-    coulomb_.stop_at_reversal(x.v);
   }
 
   template <bool rests = false>
@@ -437,8 +437,9 @@ class LinearlyImplicit {
     y = x;
     tables_.put_modes(in);
     begin_links(y, u, in, k1);
-    stages_of(y, u, links, in, k1);
+    stages_of(y, u, links, in, k1, Undecided());
     move_links(y, in);
+    coulomb_.stop_at_reversal(y.v);
     move_drives(y, in);
   }
 
@@ -472,13 +473,6 @@ class LinearlyImplicit {
   Coulomb<S, X> coulomb_;
   LinearlyImplicit* half_ = nullptr;  // made when it is first needed
   int halvings_ = 0;
-
-  // A step that is taken in given modes; empty for schemes without modes.
-  struct Prescribed {
-    const typename Coulomb<S, X>::Modes* modes = nullptr;
-    Past past = Past::used;
-  };
-  [[no_unique_address]] std::conditional_t<locates, Prescribed, Nothing> prescribed_;
 };
 
 struct Implicit : AnyScheme {

@@ -13,6 +13,7 @@ class TrialDrives : public ServedDrives<S, Real> {
   using Served::K, Served::M, Served::R, Served::row;
   using typename Served::In, typename Served::Inputs, typename Served::Modes;
   using Row = arm::Row<S::N, Real>;
+  static constexpr bool has_past = false;
 
   TrialDrives(const Numbers<S, Real>& numbers, const MakeImplicit& maker) : Served(numbers) {
     for (Group& group : of_) group.drive = Linear::none();

@@ -114,12 +114,19 @@ struct CoupledLinks {
 template <class S, class X = Real>
 using Links = std::conditional_t<kCoupled<S>, CoupledLinks<S, X>, LinkTree<S, X>>;
 
-// Torques of the links, and of the rotors that turn with them, for the accelerations `a`.
+// Torques M a + nle of the links, not inlined, for rare calls.
 template <class S, class X>
-void torques_for(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
+ARM_APART void inverse_dynamics_apart(const Numbers<S, X>& n, const X* q, const X* v, const X* a,
+                                      X* torque) {
   typename Links<S, X>::Kinematics kinematics;
   Links<S, X>::kinematics(n, q, kinematics);
   Links<S, X>::inverse_dynamics(n, kinematics, v, a, torque);
+}
+
+// Torques of the links, and of the rotors that turn with them, for the accelerations `a`.
+template <class S, class X>
+void torques_for(const Numbers<S, X>& n, const X* q, const X* v, const X* a, X* torque) {
+  inverse_dynamics_apart<S>(n, q, v, a, torque);
   for (int j = 0; j < S::N; ++j) torque[j] += n.carried(j) * a[j];
 }
 

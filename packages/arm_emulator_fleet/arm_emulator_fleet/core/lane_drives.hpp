@@ -111,7 +111,7 @@ class SmoothTogether {
     if (rest_)
       method_.step_at_rest(x, u, links);
     else
-      method_.step_using_up(memo_.used_up(), modes_, x, u, Method::Past::used);
+      method_.step_using_up(memo_.used_up(), modes_, x, u);
     Mask<X> smooth = X{} == X{};
     if constexpr (Friction::present) smooth = friction_holds(modes_, x, u);
     follow(x, u);
