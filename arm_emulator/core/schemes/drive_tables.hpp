@@ -138,7 +138,7 @@ class DriveTables : public ServedDrives<S, X>,
     this->note(j, modes);
   }
   // Put all joints into the modes that the state x calls for.
-  void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
+  ARM_APART void serve_modes_at(const State<S>& x, const Real (&u)[row]) {
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         const auto at = input_of(drive, j, x, u[j]);
@@ -148,7 +148,7 @@ class DriveTables : public ServedDrives<S, X>,
     });
   }
   // Change the modes that do not hold at the end y of a step from x. Returns whether all hold.
-  bool correct_modes(const State<S>& x, const State<S>& y, const Real (&u)[row]) {
+  ARM_APART bool correct_modes(const State<S>& x, const State<S>& y, const Real (&u)[row]) {
     if (!is_finite(y.v[0])) return true;  // diverged, whatever its modes
     bool hold = true;
     this->n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {

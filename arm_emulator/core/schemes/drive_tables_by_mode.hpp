@@ -121,7 +121,7 @@ class ServedDrives {
   }
 
   // Set x to the values that the modes in use hold, against rounding.
-  void settle(State<S, X>& x, const X (&u)[row]) const {
+  ARM_APART void settle(State<S, X>& x, const X (&u)[row]) const {
     n_.for_each_drive([&]<class Drive>(const Drive& drive, int j) {
       if constexpr (Drive::modes > 0) {
         auto at = input_of(drive, j, x, u[j]);

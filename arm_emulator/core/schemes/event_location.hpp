@@ -128,7 +128,7 @@ class EventLocation {
     }
     // The condition that fails first between a trial that holds and this one, on straight lines; -1
     // if that cannot be known.
-    int first_after(const Trial& sound) const {
+    ARM_APART int first_after(const Trial& sound) const {
       int first = -1;
       for (int k = 0; k < Modes<S>::conditions; ++k)
         if (each[k] < 0.0 && sound.each[k] > 0.0 &&
@@ -145,17 +145,7 @@ class EventLocation {
     Real left = h_;
     for (int events = 0; left > kInstant * h_; ++events) {
       if (events == kMaxEvents) {
-        Method part(left, n_);
-        y = x;
-        NullExchange no_exchange;
-        part.reset(y);
-        part.step(y, u, links, no_exchange);
-        follow_at_once(n_, y, u);
-        measure(x, y, u, modes, left);
-        note(PieceEnd::unlocated, x, modes, left);
-        x = y;
-        links = memo_.at(n_, x);
-        modes = Modes<S>(n_, x, u, links);
+        take_unlocated(left, x, u, links, modes);
         break;
       }
       if (events > 0) {
@@ -178,6 +168,22 @@ class EventLocation {
     full_.serve(modes);
     kept_.take(modes);
     note(PieceEnd::cut, x, modes, 0.0);
+  }
+
+  // The rest of a step with too many events.
+  ARM_ONCE void take_unlocated(Real length, State<S>& x, const Real (&u)[row], Dynamics& links,
+                               Modes<S>& modes) {
+    Method part(length, n_);
+    State<S> y = x;
+    NullExchange no_exchange;
+    part.reset(y);
+    part.step(y, u, links, no_exchange);
+    follow_at_once(n_, y, u);
+    measure(x, y, u, modes, length);
+    note(PieceEnd::unlocated, x, modes, length);
+    x = y;
+    links = memo_.at(n_, x);
+    modes = Modes<S>(n_, x, u, links);
   }
 
   void measure(const State<S>& x, const State<S>& y, const Real (&u)[row], const Modes<S>& modes,
