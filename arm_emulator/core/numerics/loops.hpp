@@ -37,16 +37,27 @@ inline constexpr int kUnrollNested = 12;
 // save compile time.
 #define ARM_ONCE __attribute__((cold)) ARM_APART
 
+// body(i) for i = first, first + step, ...: unrolled. Not by a function in a function: a compiler
+// optimises each of them once more.
+template <class Counts, int first, int step>
+struct Unrolled;
+template <int... count, int first, int step>
+struct Unrolled<std::integer_sequence<int, count...>, first, step> {
+  template <class Body>
+  ARM_INLINE static void run(Body&& body) {
+    (body(std::integral_constant<int, first + step * count>{}), ...);
+  }
+};
+template <int N, int first = 0, int step = 1>
+using Unroll = Unrolled<std::make_integer_sequence<int, N>, first, step>;
+
 // body(i) for i = 0 .. N-1; `i` converts to int and, when unrolled, is a compile-time constant.
 template <int N, int limit = kUnrollLimit, class Body>
 ARM_INLINE void for_each(Body&& body) {
-  if constexpr (N <= limit) {
-    [&]<int... i>(std::integer_sequence<int, i...>) __attribute__((always_inline)) {
-      (body(std::integral_constant<int, i>{}), ...);
-    }(std::make_integer_sequence<int, N>{});
-  } else {
+  if constexpr (N <= limit)
+    Unroll<N>::run(body);
+  else
     for (int i = 0; i < N; ++i) body(i);
-  }
 }
 
 // Above it the inner loops run over whole groups of this size.
@@ -62,13 +73,10 @@ constexpr int first_lane(int j) {
 // body(i) for i = N-1 .. 0.
 template <int N, int limit = kUnrollLimit, class Body>
 ARM_INLINE void for_each_reverse(Body&& body) {
-  if constexpr (N <= limit) {
-    [&]<int... i>(std::integer_sequence<int, i...>) __attribute__((always_inline)) {
-      (body(std::integral_constant<int, N - 1 - i>{}), ...);
-    }(std::make_integer_sequence<int, N>{});
-  } else {
+  if constexpr (N <= limit)
+    Unroll<N, N - 1, -1>::run(body);
+  else
     for (int i = N - 1; i >= 0; --i) body(i);
-  }
 }
 
 // The index after j, as constant as j is.
@@ -92,13 +100,10 @@ ARM_INLINE constexpr auto before(Index i) {
 // body(j) for j = first .. N-1, with the constants of `first` kept.
 template <int N, class Index, class Body>
 ARM_INLINE void for_each_from(Index first, Body&& body) {
-  if constexpr (std::is_same_v<Index, int>) {
+  if constexpr (std::is_same_v<Index, int>)
     for (int j = first; j < N; ++j) body(j);
-  } else {
-    for_each<N - Index::value, N>([&](auto j) __attribute__((always_inline)) {
-      body(std::integral_constant<int, Index::value + decltype(j)::value>{});
-    });
-  }
+  else
+    Unroll<N - Index::value, Index::value>::run(body);
 }
 
 // body(j) in whole groups of lanes: beyond kUnrollNested also for some j before `first` and some
