@@ -113,7 +113,6 @@ class DerivativeReplay {
   }
 
  private:
-
   // Whether no joint is held by anything, so that nothing settles.
   static bool is_regular(const Piece& piece) {
     bool regular = true;

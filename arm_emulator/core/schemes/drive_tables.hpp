@@ -241,20 +241,36 @@ class DriveTables : public ServedDrives<S, X>,
   // A row's numbers times the inputs, for a group of joints.
   template <int inputs, bool rests>
   ARM_INLINE static auto answer_of(const Numbers& numbers, const Inputs& x, int g, auto k) {
-    typename arm::Row<N, X>::Vector out = {};
     if constexpr (kDifferentiates) {
       return numbers.answer(g, inputs, [&](int input) -> const X& { return x[input].at[g]; });
+    } else if constexpr (inputs <= kMaxInputs && !std::is_same_v<decltype(k), int>) {
+      return sum_of<rests, k>(numbers, x, g, std::make_integer_sequence<int, inputs>{});
     } else {
-      for_each<inputs, kMaxInputs>([&](auto input) __attribute__((always_inline)) {
-        if (rests && (input == In::v || input == In::k1 || input == In::k2)) return;
-        if (matters(input) && (k < 0 || enters(k, input)))
-          out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
-      });
+      typename arm::Row<N, X>::Vector out = {};
+      for (int input = 0; input < inputs; ++input)
+        if (counts(k, input, rests)) out = fma(group_of(numbers.at[input], g), x[input].at[g], out);
+      return out;
     }
-    return out;
   }
 
  private:
+  // Whether an input may change the row of state k, or of the link.
+  static constexpr bool counts(int k, int input, bool rests) {
+    if (rests && (input == In::v || input == In::k1 || input == In::k2)) return false;
+    return matters(input) && (k < 0 || enters(k, input));
+  }
+  // Without a function for each input: there are hundreds, and a compiler optimises each.
+  template <bool rests, int k, int... input>
+  ARM_INLINE static auto sum_of(const Numbers& numbers, const Inputs& x, int g,
+                                std::integer_sequence<int, input...>) {
+    typename arm::Row<N, X>::Vector out = {};
+    ((out = std::bool_constant<counts(k, input, rests)>::value
+                ? fma(group_of(numbers.at[input], g), x[input].at[g], out)
+                : out),
+     ...);
+    return out;
+  }
+
   // Numbers that are the same for all lanes are taken one by one.
   ARM_INLINE static auto group_of(const Number (&numbers)[row], int g) {
     using Row = arm::Row<N, X>;
