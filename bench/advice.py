@@ -43,7 +43,7 @@ from arm_emulator_analysis.judged_motions import (
 )
 from arm_emulator_analysis.true_motion import IntegrationMethod
 from oracles import mixtures
-from oracles.part_samples import draw_part, draw_scaled
+from oracles.part_samples import draw_part, draw_scaled, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 CLASSES = ("friction", "play", "limits", "pmsm", "torque")
@@ -81,7 +81,9 @@ def draw_joint_section(rng: Rng, kind: str) -> Numbers:
         motor = {**mixtures.draw_motor(rng, which), **inertia}
         if rng.random() < 0.5:
             joint["friction"] = dry
-    return {**joint, "motor": motor, "gear": gear}
+    joint |= {"motor": motor, "gear": gear}
+    fit_friction_to_gear(joint)
+    return joint
 
 
 def draw_scene(folder: Path, seed: int) -> tuple[str, Scene]:

@@ -44,7 +44,7 @@ from arm_emulator.machine.parts.known import (
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part
 from arm_emulator_fleet import Fleet
-from oracles.part_samples import draw_part, draw_scaled
+from oracles.part_samples import draw_part, draw_scaled, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 PERIOD, ROWS = 0.01, 20  # s, that each command is held, and how many of them
@@ -94,6 +94,7 @@ def draw_joint(rng: Rng) -> Numbers:
     if rng.random() < 0.9:
         joint["motor"] = {**draw_motor(rng, choose_any(rng, MOTORS)), **_draw_rotor(rng)}
         joint["gear"] = draw_part(choose_any(rng, GEARS), rng)
+        fit_friction_to_gear(joint)
     for extra in EXTRAS:
         if rng.random() < 0.3 and (place := place_of(joint, extra)) is not None:
             place[get_section_key(extra)] = draw_part(extra, rng)

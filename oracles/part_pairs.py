@@ -55,7 +55,7 @@ from oracles.mixtures import (
     place_of,
     write_scene,
 )
-from oracles.part_samples import draw_part
+from oracles.part_samples import draw_part, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain
 
 Rng = np.random.Generator
@@ -122,6 +122,7 @@ def draw_random_joint(rng: Rng) -> RandomJoint:
     always: tuple[tuple[Kind, ...], ...] = (GEARS, LINK_FRICTIONS, ROTOR_FRICTIONS)
     for kinds in always:
         joint.put(choose_any(rng, kinds), rng)
+    fit_friction_to_gear(joint.section)
     gear = joint.section["gear"]
     within_gear = GEAR_STAGES if "stiffness" in gear and "backlash" not in gear else ()
     sometimes: tuple[Kind, ...] = (Brake, *within_gear, *EXTRAS)

@@ -19,7 +19,7 @@ from arm_emulator.machine.parts.drive_stages.torque_ripple import TorqueRipple
 from arm_emulator.machine.parts.drive_stages.winding import Winding
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import Friction, OfRotor
-from arm_emulator.machine.parts.frictions.load_friction import LoadFriction
+from arm_emulator.machine.parts.frictions.load_friction import OF_MOTOR_TORQUE, LoadFriction
 from arm_emulator.machine.parts.frictions.lugre import LinkLuGre, LuGre
 from arm_emulator.machine.parts.frictions.stribeck import Stribeck
 from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
@@ -147,9 +147,35 @@ def _draw_stribeck(part: type[Part], rng: Rng) -> Numbers:
 
 
 def _draw_load_friction(part: type[Part], rng: Rng) -> Numbers:
-    """With and without a fall of the dry torque."""
+    """With and without a fall of the dry torque, half of them with keys of the direction."""
     falls = {"stribeck": _find_typical_speed(part)} if rng.random() < 0.5 else {}
-    return _draw_friction(part, rng) | {"load": 0.2, **falls}
+    directed = _draw_directions(part, rng.spawn(1)[0], falls=bool(falls))
+    return _draw_friction(part, rng) | {"load": 0.2, **falls, **directed}
+
+
+def _draw_directions(part: type[Part], rng: Rng, *, falls: bool) -> Numbers:
+    """Draw half of the keys of the direction of power; some gears lock themselves."""
+    if rng.random() < 0.5:
+        return {}
+    per_torque = 5.0 if issubclass(part, OfRotor) else 0.05
+    numbers: Numbers = {
+        "back_load": draw_scaled(rng, 0.05, 1.5),
+        "rest_load": draw_scaled(rng, 0.02, 0.2),
+        "rest_back_load": draw_scaled(rng, 0.02, 0.4),
+        "motor_load": draw_scaled(rng, 0.02, 0.2),
+        "rest_motor_load": draw_scaled(rng, 0.02, 0.2),
+        "rest_load_square": per_torque * draw_scaled(rng, 0.1, 1.0),
+        "rest_motor_square": per_torque * draw_scaled(rng, 0.1, 1.0),
+        **({"exponent": draw_scaled(rng, 1.0, 4.0)} if falls else {}),
+    }
+    return {key: value for key, value in numbers.items() if rng.random() < 0.5}
+
+
+def fit_friction_to_gear(joint: Numbers) -> None:
+    """Leave out friction by a rotor's torque behind a rigid gear, which has no other torque."""
+    if "stiffness" not in joint["gear"]:
+        for key in OF_MOTOR_TORQUE:
+            joint["motor"].get("friction", {}).pop(key, None)
 
 
 def _draw_lugre(part: type[Part], rng: Rng) -> Numbers:
