@@ -1,5 +1,6 @@
 """Dry friction of rotors: they stick exactly, and slide as the closed form states."""
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from draws import some
 from machines import make_link_urdf, slides_urdf, write_scene
 
-from arm_emulator import Plant, Scene, load_scene
+from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
 
 PERIOD = 1e-2  # s
@@ -161,3 +162,36 @@ def test_friction_of_a_rotor_that_moves_with_its_link_is_that_of_the_link(tmp_pa
     q = Plant(load_scene(file, {"integrator.dt": 1e-3})).run(rows.repeat(2, axis=1), 100)
     assert np.ptp(q) > 0.01, "the link shall move"
     assert q[:, 1] == pytest.approx(q[:, 0], rel=1e-9), "friction of rotor and of link differ"
+
+
+@pytest.mark.parametrize("events", some(["located", "step"], 2))
+def test_a_rotor_far_faster_than_the_step_costs_a_bounded_time(events: str, tmp_path: Path) -> None:
+    """No modes may hold in any part of its steps; it moves on, or is refused as diverged."""
+    motor = {
+        "resistance": 1.2,
+        "inductance": 2e-3,
+        "torque_constant": 0.05,
+        "back_emf_constant": 0.05,
+        "rotor_inertia": 1e-4,
+        "current_loop": {"bandwidth": 400.0},
+        "friction": {"coulomb": 4e-3, "breakaway": 5e-3, "load": 0.2},
+    }
+    gear = {"ratio": 0.02, "stiffness": 5e3, "damping": 1.0, "backlash": 1e-3}
+    link = {"coulomb": 0.4, "breakaway": 0.6, "load": 0.2}
+    scene = scene_of(tmp_path, {"motor": motor, "gear": gear, "friction": link}, 20, events=events)
+
+    def measure_period(rotor_inertia: float, periods: int) -> float:
+        plant = Plant(scene)
+        plant.set_parameter("joints.joint.motor.rotor_inertia", rotor_inertia)
+        began = time.process_time()
+        for count in range(periods):
+            try:
+                plant.exchange([4.0 if count % 2 else -4.0])
+            except Diverged:
+                break
+        return (time.process_time() - began) / (count + 1)
+
+    usual = measure_period(1e-4, 400)
+    for rotor_inertia in (1e-15, 1e-14, 1e-13, 1e-12):
+        # With 8191 parts in a step some 500 to 1600 times as long, with 129 some 15 to 250 times.
+        assert measure_period(rotor_inertia, 40) < 400.0 * usual, rotor_inertia

@@ -1,6 +1,8 @@
 // The drives of all joints in the modes that a step serves, and what the inputs of a step are.
 #pragma once
 
+#include <array>
+
 #include "schemes/drive_table.hpp"
 
 namespace arm {
@@ -50,6 +52,10 @@ class ServedDrives {
     for (const Modes& modes : now_) regular = regular && modes == Modes{};
     return regular;
   }
+
+  // Keep the modes in use, to know them again.
+  void mark_modes() { marked_ = now_; }
+  bool serves_marked() const { return now_ == marked_; }
 
   // The numbers of the modes that are in use.
   ARM_INLINE void put_modes(Inputs& in) const {
@@ -253,7 +259,7 @@ class ServedDrives {
     for (int m = 0; m < M; ++m) offsets_[m][j] = now_[j].at[m].offset;
   }
 
-  Modes now_[N];
+  std::array<Modes, N> now_, marked_;
   unsigned active_[N] = {};  // of each drive
   alignas(64) X offsets_[modal ? M : 1][row] = {};
   using Linears = decltype(linear_of(S::drives(nullptr)));

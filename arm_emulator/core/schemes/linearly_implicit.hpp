@@ -406,7 +406,7 @@ class LinearlyImplicit {
     const bool begins_regular = regular_ && is_regular(n_, x, u);
     if (!begins_regular) tables_.serve_modes_at(x, u);
     State<S> y;
-    for (int round = 0;; ++round) {
+    for (int round = 0, mark = 1;; ++round) {
       past() = memory;
       attempt(x, u, links, in, y);
       if (begins_regular && round == 0 && is_regular(n_, y, u)) {
@@ -420,12 +420,15 @@ class LinearlyImplicit {
         regular_ = !keeps && tables_.serves_regular();
         return;
       }
-      if (round < round_limit) continue;
-      if (halvings_ < kMaxHalvings) break;
+      // A round depends on its modes alone: those that come again would come in all further rounds.
+      const bool comes_again = round > 0 && tables_.serves_marked();
+      if (round + 1 == mark) tables_.mark_modes(), mark *= 2;
+      if (round < round_limit && !comes_again) continue;
+      if (can_halve()) break;
       tables_.serve_modes_at(x, u);
+      round = round_limit;
     }
     regular_ = false;
-    tables_.settle(y, u);
     past() = memory;
     halve(x, u);
   }
@@ -449,6 +452,7 @@ class LinearlyImplicit {
       half_->halvings_ = halvings_ + 1;
     }
     half_->past() = past();
+    half_->spare_ = spare_ - 1;
     for (int part = 0; part < 2; ++part) {
       Dynamics links;
       Inputs in;
@@ -457,9 +461,17 @@ class LinearlyImplicit {
       half_->step_in_modes(x, u, links, in);
     }
     past() = half_->past();
+    spare_ = half_->spare_;
   }
 
-  static constexpr int kMaxHalvings = 12;
+  // Whether this part of a step may be halved. A step that needs more parts than its events have
+  // does not resolve the machine (a motor far faster than the step), and keeps modes sooner.
+  bool can_halve() {
+    if (halvings_ == 0) spare_ = kMaxHalved;
+    return halvings_ < kMaxHalvings && spare_ > 0;
+  }
+
+  static constexpr int kMaxHalvings = 12, kMaxHalved = 64;
 
   Real h_;
   const arm::Numbers<S, X>& n_;
@@ -473,6 +485,7 @@ class LinearlyImplicit {
   Coulomb<S, X> coulomb_;
   LinearlyImplicit* half_ = nullptr;  // made when it is first needed
   int halvings_ = 0;
+  int spare_ = 0;  // further parts of a step that may be halved
 };
 
 struct Implicit : AnyScheme {
