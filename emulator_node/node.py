@@ -30,7 +30,7 @@ from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.parameters import parameter
 from arm_emulator.machine.plant.build_facts import build_facts
 from arm_emulator.machine.scene.scene import load_scene
-from arm_emulator.machine.session.pace import LARGEST, Pace
+from arm_emulator.machine.session.pace import LARGEST, SMALLEST, Pace
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.machine.session.session import CLOCKS, STARTS, Session
 from arm_emulator.page.page_process import PageProcess
@@ -89,7 +89,8 @@ class EmulatorParameters:
     )
     real_time_factor: float = parameter(
         1.0,
-        "in lock-step: logical time per wall time, at most; 0: as fast as possible",
+        f"in lock-step: logical time per wall time, at most, {SMALLEST:g} and more; "
+        "0: as fast as possible",
         ends=(0.0, LARGEST),
         settable=True,
     )
@@ -272,7 +273,10 @@ class EmulatorNode(ManagedNode):
 
 
 def check_pace(config: EmulatorParameters) -> None:
-    """Refuse another pace than that of the wall clock in real time."""
+    """Refuse another pace than that of the wall clock in real time, and one without an end."""
+    if 0.0 < config.real_time_factor < SMALLEST:
+        rule = f"be 0, or at least {SMALLEST:g} times real time"
+        raise Refusal("emulator", "parameter real_time_factor", rule, config.real_time_factor)
     if config.clock == "realtime" and config.real_time_factor not in (0.0, 1.0):
         rule = "be 0 or 1 with clock realtime, which is never faster or slower"
         actual = config.real_time_factor

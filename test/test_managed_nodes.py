@@ -1,6 +1,7 @@
 """The nodes' states, asked for by a generic client: every transition, and those out of order."""
 
 import itertools
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -163,6 +164,8 @@ def test_a_second_scene_by_parameter_and_a_refused_scene(tmp_path: Path) -> None
         user.wait("tick 0", lambda: user.tick == 0)
         user.wait("the end of its start", lambda: emulator.state == "active")
         assert "unconfigured, got active" in emulator.set(scene="ur5")
+        for value in (False, math.nan, "later"):  # it acts at the node's start alone
+            assert "read-only" in emulator.set(autostart=value)
         assert emulator.change("deactivate")
         assert "unconfigured, got inactive" in emulator.set(scene="ur5")
         assert emulator.change("cleanup")

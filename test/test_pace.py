@@ -89,8 +89,8 @@ def test_an_idle_network_wakes_once_a_grain_at_the_mean_rate_of_its_pace(factor:
 def test_a_pace_is_a_factor_or_max() -> None:
     assert parse_factor("up", "max") == 0.0 and parse_factor("up", "2.5") == 2.5
     assert EmulatorParameters().real_time_factor == 1.0, "real pace, for people"
-    for text in ("0", "-1", "nan", "inf", "fast", "", "1001"):
-        with pytest.raises(Refusal, match="up: pace must be max, or times real time, above 0"):
+    for text in ("0", "-1", "nan", "inf", "fast", "", "1001", "1e-15"):
+        with pytest.raises(Refusal, match="up: pace must be max, or times real time, at least"):
             parse_factor("up", text)
 
 
@@ -100,6 +100,14 @@ def test_real_time_has_the_pace_of_the_wall_clock() -> None:
     check_pace(EmulatorParameters(clock="lockstep", real_time_factor=3.0))
     with pytest.raises(Refusal, match="real_time_factor must be 0 or 1 with clock realtime"):
         check_pace(EmulatorParameters(clock="realtime", real_time_factor=3.0))
+
+
+def test_a_pace_at_which_a_tick_would_not_end_is_refused() -> None:
+    """A timer cannot wait for 2^63 ns, and nobody for days."""
+    check_pace(EmulatorParameters(real_time_factor=1e-6))
+    for factor in (9e-7, 1e-15, 5e-324):
+        with pytest.raises(Refusal, match="real_time_factor must be 0, or at least 1e-06"):
+            check_pace(EmulatorParameters(real_time_factor=factor))
 
 
 @pytest.mark.parametrize(("words", "reason"), [

@@ -315,7 +315,7 @@ def test_lockstep_node_ends_in_a_line_after_a_wrong_description(
 
 @pytest.mark.parametrize(
     ("wrong", "why"),
-    [("real_time_factor:=-1.0", "real_time_factor must be at least 0, got -1"),
+    [("real_time_factor:=-1.0", "real_time_factor must be 0, or at least 1e-06, got -1"),
      ("start:=later", "start must be known, got later; valid: running, paused")],
 )  # fmt: skip
 def test_lockstep_node_refuses_a_parameter_in_a_line(

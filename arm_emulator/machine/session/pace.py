@@ -17,11 +17,11 @@ ROUNDING = 1e-6  # of a grain or a period
 
 
 FASTEST = "max"
-LARGEST = 1000.0  # times real time
+SMALLEST, LARGEST = 1e-6, 1000.0  # times real time
 
 
 def parse_factor(where: str, text: str) -> float:
-    """Return the factor of a pace as people write it: a number above 0, or `FASTEST` (0).
+    """Return the factor of a pace as people write it: a number, or `FASTEST` (0).
 
     Raises:
         Refusal: something else.
@@ -30,8 +30,8 @@ def parse_factor(where: str, text: str) -> float:
         factor = 0.0 if text == FASTEST else float(text)
     except ValueError:
         factor = math.nan
-    if not (text == FASTEST or 0.0 < factor <= LARGEST):
-        rule = f"be {FASTEST}, or times real time, above 0 and at most {LARGEST:g}"
+    if not (text == FASTEST or SMALLEST <= factor <= LARGEST):
+        rule = f"be {FASTEST}, or times real time, at least {SMALLEST:g} and at most {LARGEST:g}"
         raise Refusal(where, "pace", rule, text)
     return factor
 

@@ -78,10 +78,10 @@ class ManagedNode(LifecycleNode):
         self._permanent: list[Any] = []  # entities of the constructor
         self._stopped: list[Any] = []  # timers that go on when it is active
         self._error: Exception | None = None  # of the newest transition
-        text = "whether the node configures and activates itself at its start"
         if not self.has_parameter("autostart"):
             self.declare_parameter("autostart", True)
-        descriptor = ParameterDescriptor(description=text, dynamic_typing=True)
+        text = "whether the node configures and activates itself at its start"
+        descriptor = ParameterDescriptor(description=text, dynamic_typing=True, read_only=True)
         self.set_descriptor("autostart", descriptor)
 
     # Work of a subclass

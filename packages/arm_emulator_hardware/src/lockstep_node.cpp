@@ -11,6 +11,7 @@
 #include <cstdio>
 #include <exception>
 #include <memory>
+#include <sstream>
 #include <thread>
 
 #include "lockstep.hpp"
@@ -23,8 +24,11 @@ using controller_manager::ControllerManager;
 
 // Why the parameters cannot be taken; empty: they can.
 std::string trouble(double factor, const std::string& start) {
-  if (!(factor >= 0.0 && std::isfinite(factor)))
-    return "real_time_factor must be at least 0, got " + std::to_string(factor);
+  if (!(factor == 0.0 || (factor >= 1e-6 && std::isfinite(factor)))) {
+    std::ostringstream got;
+    got << factor;
+    return "real_time_factor must be 0, or at least 1e-06, got " + got.str();
+  }
   if (start != "running" && start != "paused")
     return "start must be known, got " + start + "; valid: running, paused";
   return "";
