@@ -373,7 +373,7 @@ struct arm_machine {
     }
     if constexpr (Scene::inputs > 0)
       if (has(out, sizeof *out) && out->further) {
-        double of_drives[Scene::inputs * N];
+        double of_drives[Scene::inputs * N + 1];  // a scene may have no further inputs
         machine.applied_inputs(of_drives);
         for (int r = 0; r < Scene::inputs; ++r) to_joints(of_drives + r * N, out->further + r * J);
       }

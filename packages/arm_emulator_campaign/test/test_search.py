@@ -211,6 +211,9 @@ class Here:
         future.set_result(function(*arguments))
         return future
 
+    def check(self):
+        pass
+
     def end(self):
         pass
 
