@@ -289,11 +289,20 @@ class CausalReplay:
             if not reported:
                 report(f"waiting for a {self._name}")
                 reported = True
-        for publisher in needed:
-            others = node.count_publishers(publisher.topic_name) - 1
+        self._needed = [publisher.topic_name for publisher in needed]
+        self._refuse_other_publishers()
+
+    def _refuse_other_publishers(self) -> None:
+        """Refuse publishers beside the replay, which the network may find late.
+
+        Raises:
+            Refusal: there are some.
+        """
+        for topic in self._needed:
+            others = self._node.count_publishers(topic) - 1
             if others > 0:
                 rule = "be published by the replay alone"
-                raise Refusal("replay", publisher.topic_name, rule, f"{others} more publishers")
+                raise Refusal("replay", topic, rule, f"{others} more publishers")
 
     def _subscribe(self, topic: str, take: Callable[[Any], Any]) -> None:
         kind = get_message_class(TYPES[topic])
@@ -351,6 +360,7 @@ class CausalReplay:
     def _judge(self, request: _Message, answer: Any, expected: bytes | None) -> None:
         result, where = self._result, f"t = {request.stamp * 1e-9:g} s"
         if answer is None:
+            self._refuse_other_publishers()
             result.missing.append(where)
             return
         result.answered += 1
