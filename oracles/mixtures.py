@@ -29,6 +29,7 @@ import yaml
 
 from arm_emulator import Diverged, ExternalWrench, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.bearing import SECTION, Deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.gears.gear import Gear
@@ -109,6 +110,8 @@ def get_section_key(part: type[Part]) -> str:
 def place_of(joint: Numbers, part: type[Part]) -> Numbers | None:
     """Return the section of a joint in which a part stands, None if it is not there."""
     above = part.section.rpartition(".")[0]
+    if issubclass(part, Deflection):
+        joint.setdefault(SECTION, {})  # it needs nothing but its joint
     return joint.get(above) if above else joint
 
 
@@ -248,7 +251,10 @@ def push(plant: Plant, seed: int) -> None:
 
 
 def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
-    """Return positions after each row, and what is left of the energy, of what was exchanged."""
+    """Return positions after each row, and what is left of the energy, of what was exchanged.
+
+    Positions are those of all joints of the machine: deflections of bearings are among them.
+    """
     plant = Plant(scene)
     push(plant, seed)
     began, supplied, exchanged, q = plant.energy, 0.0, 1e-3, []
@@ -257,7 +263,7 @@ def run(scene: Scene, seed: int, rows: np.ndarray, steps: int) -> tuple[np.ndarr
         flow = plant.advance_metered(row, steps)
         supplied += float((flow.supplied - flow.dissipated).sum())
         exchanged += float(np.abs(flow.supplied).sum() + np.abs(flow.dissipated).sum())
-        q.append(plant.state.q)
+        q.append(plant.machine_motion[0])
     return np.array(q), abs(plant.energy - began - supplied) / exchanged
 
 

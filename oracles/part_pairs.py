@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache
@@ -30,10 +31,12 @@ import numpy as np
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.validation.section import Section
+from arm_emulator.machine.parts.bearing import Deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import (
     DECORATORS,
+    DEFLECTIONS,
     EXTRAS,
     GEAR_STAGES,
     GEARS,
@@ -129,7 +132,19 @@ def draw_random_joint(rng: Rng) -> RandomJoint:
     for kind in sometimes:
         if rng.random() < 0.5:
             joint.put(kind, rng)
+    if rng.random() < 0.5:
+        of_joint = str(rng.choice(list("xyz")))
+        for deflection in DEFLECTIONS:
+            if deflection.axis != of_joint:
+                joint.put(deflection, rng)
     return joint
+
+
+def choose_axis(joint: RandomJoint) -> str | None:
+    """Return an axis across all directions of a joint's bearing, None if it is rigid."""
+    taken = {kind.axis for kind in joint.kinds if issubclass(kind, Deflection)}
+    free = next(axis for axis in "xyz" if axis not in taken)
+    return " ".join("1" if axis == free else "0" for axis in "xyz") if taken else None
 
 
 def list_pairs(joints: tuple[RandomJoint, RandomJoint]) -> set[Pair]:
@@ -160,9 +175,19 @@ def draw_machines() -> Iterator[tuple[RandomJoint, RandomJoint]]:
 
 
 def write_machine(folder: Path, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Path:
-    """Write the scene of a machine, all of whose numbers may differ, and return its path."""
+    """Write the scene of a machine, all of whose numbers may differ, and return its path.
+
+    The axis of a joint is random, unless its bearing gives way: it must be across all directions.
+    """
     urdf = write_random_chain(np.random.default_rng([seed, 51]), 2)
-    sections = dict(zip(list_moving_joints(urdf), (joint.section for joint in joints), strict=True))
+    robot, sections = ET.fromstring(urdf), {}
+    for name, joint in zip(list_moving_joints(urdf), joints, strict=True):
+        sections[name] = joint.section
+        element, xyz = robot.find(f"joint[@name='{name}']/axis"), choose_axis(joint)
+        assert element is not None
+        if xyz is not None:
+            element.set("xyz", xyz)
+    urdf = ET.tostring(robot, encoding="unicode")
     return write_scene(folder, urdf, sections, varied=["joints.*"], energy_flow=False)
 
 
@@ -233,7 +258,7 @@ class PairVerdict:
 
 
 def simulate_sample(file: Path, sample: Draw, steps: int, scheme: str, events: str) -> np.ndarray:
-    """Return the positions after each command."""
+    """Return the positions after each command, deflections of bearings among them."""
     integrator = {"dt": PERIOD / steps, "scheme": scheme, "events": events}
     plant = Plant(
         load_scene(file, {f"integrator.{key}": value for key, value in integrator.items()})
@@ -244,7 +269,7 @@ def simulate_sample(file: Path, sample: Draw, steps: int, scheme: str, events: s
     for k, row in enumerate(sample.rows):
         plant.powered = bool(sample.powered[k])
         plant.exchange(row, came=False, **{name: of[k] for name, of in sample.further.items()})
-        q.append(plant.state.q)
+        q.append(plant.machine_motion[0])
     return np.array(q)
 
 

@@ -82,13 +82,25 @@ def make_link_urdf(mass: float = 2.0, com: float = 0.3, inertia: float = 0.05) -
     }</robot>"""  # fmt: skip
 
 
-def slides_urdf(names: Iterable[str], axes: Iterable[str] = ("1 0 0",)) -> str:
-    """Links of 2 kg on the base that do not feel each other, each along the next of the axes."""
+def slides_urdf(
+    names: Iterable[str],
+    axes: Iterable[str] = ("1 0 0",),
+    kinds: Iterable[str] = ("prismatic",),
+    com: str = "0 0 0",
+) -> str:
+    """Links of 2 kg on the base that do not feel each other, each along the next of the axes.
+
+    Args:
+        names: of the joints.
+        axes: of the joints, in turn.
+        kinds: of the joints, in turn.
+        com: centre of mass of each link, in its frame [m].
+    """
     text = '<robot name="slides"><link name="base"/>'
-    for name, axis in zip(names, cycle(axes), strict=False):
+    for name, axis, kind in zip(names, cycle(axes), cycle(kinds), strict=False):
         text += LINK.format(
-            name=name, kind="prismatic", xyz="0 0 0", rpy="0 0 0", parent="base", axis=axis,
-            com="0 0 0", com_rpy="0 0 0", mass=2.0, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
+            name=name, kind=kind, xyz="0 0 0", rpy="0 0 0", parent="base", axis=axis,
+            com=com, com_rpy="0 0 0", mass=2.0, ixx=0.1, iyy=0.1, izz=0.1, ixy=0, ixz=0, iyz=0,
         )  # fmt: skip
     return text + "</robot>"
 

@@ -11,7 +11,7 @@ from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import part_pairs
 
-DRAWS = 36 if FULL else 8  # of each machine: 1 000 with each scheme
+DRAWS = 40 if FULL else 8  # of each machine: 1 000 with each scheme
 SHARES = (1, 0, 2, 3, 4, 5)  # of the machines; the first has play opposite dry friction
 AT_STEPS = [scheme for scheme in SCHEMES if scheme not in LOCATING_SCHEMES]
 

@@ -51,6 +51,12 @@ PMSM = {
     "winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0},
 }  # fmt: skip
 
+SPRINGS = {f"shift_{axis}": {"stiffness": 1e5, "damping": 50.0} for axis in "xyz"} | {
+    f"tilt_{axis}": {"stiffness": 1e3, "damping": 0.5} for axis in "xyz"
+}
+# The direction in which each joint itself moves, so that its bearing does not give way.
+ALONG = {"turn": "tilt_z", "slide": "shift_z"}
+
 # A joint has one motor: outputs of other kinds stand where this machine has one, too.
 OTHERS = {output for kind in MOTORS if kind.kind != PMSM["kind"] for output in kind.outputs}
 HERE = {name: output for name, output in KNOWN.items() if output not in OTHERS}
@@ -75,7 +81,10 @@ def everything(folder: Path, **more: Any) -> Scene:
         **analog,
     }
     imus = {name: {"link": "slide_link"} for name in ("hand", "other")}
-    joints = {"turn": joint, "slide": joint}
+    joints = {
+        name: {**joint, "bearing": {key: value for key, value in SPRINGS.items() if key != along}}
+        for name, along in ALONG.items()
+    }
     file = write_scene(
         folder, text + "</robot>", joints, imus=imus, seed=3, gravity=GRAVITY, **more
     )
@@ -122,6 +131,8 @@ UNITS = {
     "link_position": ("rad", "m"),
     "link_speed": ("rad/s", "m/s"),
     "motor_temperature": ("degC", "degC"),
+    **{f"bearing_shift_{axis}": ("m", "m") for axis in "xyz"},
+    **{f"bearing_tilt_{axis}": ("rad", "rad") for axis in "xyz"},
     "specific_force": ("m/s2", "m/s2"),
     "angular_rate": ("rad/s", "rad/s"),
 }
@@ -197,7 +208,8 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
             if result == 0:
                 expected = rows[row].unit_at(scene.chain.joints[joint].kind)
                 assert (text(reading.name), text(reading.unit)) == (rows[row].name, expected)
-                assert reading.present == 1
+                is_rigid = rows[row].name == f"bearing_{(*ALONG.values(),)[joint]}"
+                assert reading.present == (not is_rigid)
 
 
 def test_units_of_all_tools_have_all_of_it(scene: Scene) -> None:

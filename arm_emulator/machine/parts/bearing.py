@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from arm_emulator.base.arrays import Array
 from arm_emulator.machine.parts.output import READINGS, Output
 from arm_emulator.machine.parts.part import Part, number
 from arm_emulator.machine.parts.registry import register_part
+from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 
 SECTION = "bearing"
 
@@ -29,6 +31,10 @@ class Deflection(Part):
     def name_direction(cls) -> str:
         """Return its key below the joint's bearing."""
         return cls.section.partition(".")[2]
+
+    def effort(self, motion: ShaftMotion) -> Array | None:
+        """None: the motion of its joint does not determine the deflection."""
+        return None
 
 
 class Tilt(Deflection):

@@ -128,3 +128,6 @@ def test_every_part_states_its_torque_or_is_refused(tmp_path: Path) -> None:
     ones = np.ones(3), np.ones(3)
     with pytest.raises(Refusal, match=r"joints\.x\.motor\.winding must be without parts"):
         TorqueModel(machine(tmp_path, drives), ones, 0.5)
+    drives[0] = {"motor": motor, "bearing": {"tilt_y": {"stiffness": 1e4}}}
+    with pytest.raises(Refusal, match=r"joints\.x\.bearing\.tilt_y must be without parts"):
+        TorqueModel(machine(tmp_path, drives), ones, 0.5)
