@@ -165,7 +165,7 @@ def test_modes_are_those_of_pinocchio_s_mass_matrix(arm: Scene) -> None:
     for found in (expected, actual):
         assert (found.imag > 1.0).sum() == 6, "each deflection swings"
     by_size = lambda z: np.sort_complex(z[z.imag > 1.0])  # noqa: E731
-    # Both are solved by LAPACK from matrices of condition 1e6; the core's slopes are exact.
+    # LAPACK solves both systems, of condition 1e6; the slopes of the core are exact.
     assert by_size(actual) == pytest.approx(by_size(expected), rel=1e-9)
     assert (linear.q, linear.v, linear.B.shape) == (slice(0, 2), slice(2, 4), (16, 2))
     assert linear.x0[linear.q] == pytest.approx(pose)
@@ -178,7 +178,7 @@ def test_motion_keeps_its_energy_and_dampers_take_it(arm: Scene) -> None:
     flow = plant.advance_metered(np.zeros(2), 20_000)
     assert flow.dissipated[0] > 0.01 * before, "the test is of something"
     lost = before - plant.energy
-    # Of second order in steps of 0.1 ms of modes below 300 Hz.
+    # The scheme is of second order, in steps of 0.1 ms; the modes are below 300 Hz.
     assert lost == pytest.approx(flow.dissipated.sum() - flow.supplied.sum(), rel=2e-3)
 
 

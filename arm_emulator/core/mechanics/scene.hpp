@@ -197,7 +197,7 @@ struct DriveRow {
     for (int j = 0; j < count_joints<S>(); ++j) of[drive_of<S>(j)] = row[j];
   }
 };
-// Of the rows of readings, how many are deflections.
+// The number of rows of readings that are deflections.
 template <class S>
 constexpr int count_deflections() {
   if constexpr (kDeflects<S>)
