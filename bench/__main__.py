@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal
+from bench.measure import choose_compiler
 from bench.report import bench
 
 
@@ -25,6 +26,7 @@ def main() -> int:
     parser.add_argument("--publish", type=Path, help="folder for a copy, docs/validation/report")
     arguments = parser.parse_args()
     try:
+        choose_compiler()
         return bench(arguments.quick, arguments.only, arguments.out, arguments.publish)
     except Refusal as refusal:
         print(refusal, file=sys.stderr)

@@ -9,6 +9,7 @@ import io
 import multiprocessing
 import os
 import platform
+import shlex
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -192,6 +193,15 @@ def map_on_all_cores(
             job.result()
             done()
     return [job.result() for job in jobs]
+
+
+def choose_compiler() -> None:
+    """Let measured code be that of this compiler: without $CXX, that of any compiler would do.
+
+    Raises:
+        Refusal: there is no compiler.
+    """
+    os.environ["CXX"] = shlex.join(find_compiler())
 
 
 def describe_machine() -> dict[str, Any]:

@@ -25,6 +25,7 @@ from pathlib import Path
 from rich.console import Console
 
 from arm_emulator.base.refusal import Refusal
+from bench.measure import choose_compiler
 from docs.hooks import page_files
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -124,6 +125,7 @@ def main() -> int:
             print(Refusal("pages", "name", "be known", name, ", ".join(names)), file=sys.stderr)
             return 2
         try:
+            choose_compiler()
             if name in PAINTERS:
                 with tempfile.TemporaryDirectory() as scratch:
                     shutil.copy(PAINTERS[name](Path(scratch)), PICTURES / name)
