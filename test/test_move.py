@@ -98,23 +98,27 @@ def test_malformed_targets_are_refused(
     assert code == 2 and not out and errors.count("\n") == 1 and reason in errors, errors
 
 
-def test_a_target_with_a_time_gives_the_bits_of_every_repeated_run(tmp_path: Path) -> None:
+def test_a_target_with_a_time_gives_the_bits_of_every_repeated_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The truth is a run in one process with the same target at the same time."""
     offline = load_offline_run("three_axis")
     x, y, z = offline.controller.kinematics.forward(offline.session.scene.start)[1].tolist()
     there = (x, y + 0.03, z)
     with network(tmp_path / "log", start="paused") as (user, _):
         user.await_start()
-        code, _, errors = run("move", "--by", "0", "0", "0.1", "--at", "0.2")
+        with monkeypatch.context() as brief:
+            brief.setattr(move, "PATIENCE", 10.0)  # all of it: a position never comes
+            code, _, errors = run("move", "--by", "0", "0", "0.1", "--at", "0.2")
         assert code == 2 and "position of an arm that stands must be known" in errors
         words = ["move", "--to", *map(str, there), "--quaternion", "0", "0", "0", "1"]
         with subprocess.Popen(
             [sys.executable, "-m", "arm_emulator", *words, "--at", "0.2"]
-        ) as move:
+        ) as sender:
             taken = "the target's acceptance"
             user.wait(taken, lambda: user.value("motion_controller", "tool targets") == "1")
             assert user.call("emulator/pause", False).success
-            assert move.wait(120.0) == 0
+            assert sender.wait(120.0) == 0
         user.wait("the motion", lambda: user.tick > 1500)
         code, _, errors = run("move", "--to", *map(str, there), "--at", "0.2")
         assert code == 2 and "--at must be later than logical time" in errors
