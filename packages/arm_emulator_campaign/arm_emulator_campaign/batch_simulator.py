@@ -7,9 +7,10 @@ changes at their ticks, and its whole way is C.
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +19,20 @@ from arm_emulator.extension.base import Array, Refusal
 from arm_emulator_campaign.case import Case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.scenario import Scenario
-from arm_emulator_campaign.evaluators import Evaluators
-from arm_emulator_campaign.program import BLOCK, Targets
+from arm_emulator_campaign.evaluators import Evaluators, count_most_samples
+from arm_emulator_campaign.program import BLOCK, Program, Targets
 from arm_emulator_campaign.results.outcome import Outcome, Outcomes
 from arm_emulator_campaign.signals import FleetSampler
 from arm_emulator_campaign.simulator import BoundCase, Simulator, bind_case
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
+if TYPE_CHECKING:
+    from arm_emulator_campaign.device_program import DeviceProgram
+
 WIDTH = 64  # runs at a time
-# On a device: as many as its samples have memory for, at most so many, which the processor judges.
+# On a device: as many as samples and judges have memory for, at most so many.
 LARGEST_WIDTH = 2**14
-MEMORY = 2**30  # bytes of samples
+MEMORY = 2**30  # bytes of both
 # Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power
 # of two would all begin in the same set of that cache.
 ROOM = 7 * BLOCK
@@ -63,19 +67,22 @@ class BatchSimulator:
         if device is not None and campaign.scene.threads > 1:
             rule = "be 1 on a device: its arms are its threads"
             raise Refusal(campaign.where, "threads", rule, campaign.scene.threads)
-        self.width = width = WIDTH if device is None else _choose_width(campaign)
-        self._evaluators = Evaluators(campaign, ROOM, width)  # first: its refusals need no compiler
+        # First, since its refusals need no compiler.
+        self.width, self._evaluators, program = _choose_judges(campaign, device)
+        width = self.width
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
         self._names = [number.name for number in campaign.variation.numbers]
         self._numbers = {number.name: (k, number.number) for k, number in enumerate(scene.varied)}
         self._seed = self._numbers["seed"][0] if scene.has_sensor_errors else None
         self._own = np.array([number.value for number in scene.varied], np.float64)
-        sampler, kernels = _choose_sampler(device)
+        make_sampler, kernels = _choose_sampler(device, program is not None)
         self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)
+        if program is not None:
+            program.move(self._fleet.core.device, width)
         self._servos = ServoFleet(self._fleet, servo)
         self._tuned = [servo] * width
-        self._sampler = sampler(self._fleet, self._evaluators.samples, ROOM)
+        self._sampler = make_sampler(self._fleet, self._evaluators.samples, ROOM)
         self._schedule = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
         self._aimed: list[Scenario] = []
@@ -192,20 +199,45 @@ class BatchSimulator:
         self._aimed = every
 
 
-def _choose_width(campaign: Campaign) -> int:
-    """Return how many runs a device simulates at a time."""
-    samples = len(Evaluators(campaign, ROOM).samples) + len(campaign.scene.joints)
-    width = min(LARGEST_WIDTH, MEMORY // (8 * ROOM * samples))
-    return width if campaign.search is not None else min(width, campaign.count)
+def _choose_judges(
+    campaign: Campaign, device: str | None
+) -> tuple[int, Evaluators, DeviceProgram | None]:
+    """Return how many runs go at a time, what judges them, and its program if it is on a device.
+
+    The processor judges functions of Python, positions of the tool, which it computes, and runs of
+    any length, of which nobody knows how much a requirement keeps.
+    """
+    if device is None:
+        return WIDTH, Evaluators(campaign, ROOM, WIDTH), None
+    one, program = Evaluators(campaign, ROOM), None
+    most = count_most_samples(campaign)
+    if not (one.needs_processor or most is None):
+        # Nothing of it is loaded for the processor's lanes.
+        from arm_emulator_campaign.device_program import DeviceProgram
+
+        def make_program(*of_program: Any) -> Program:
+            nonlocal program
+            program = DeviceProgram(most, *of_program)
+            return program
+
+        one = Evaluators(campaign, ROOM, make_program=make_program)
+    bytes_per_run = 8 * ROOM * (len(one.samples) + len(campaign.scene.joints))
+    if program is not None:
+        bytes_per_run += program.bytes_per_run
+    width = max(1, min(LARGEST_WIDTH, MEMORY // bytes_per_run))
+    if campaign.search is None:
+        width = min(width, campaign.count)
+    return width, one if program is not None else Evaluators(campaign, ROOM, width), program
 
 
-def _choose_sampler(device: str | None) -> tuple[type[FleetSampler], Sequence[Path]]:
+def _choose_sampler(
+    device: str | None, stays: bool
+) -> tuple[Callable[[Fleet, Sequence[str], int], FleetSampler], Sequence[Path]]:
     if device is None:
         return FleetSampler, ()
-    # Nothing of it is loaded for the processor's lanes.
     from arm_emulator_campaign.device_sampler import KERNELS, DeviceSampler
 
-    return DeviceSampler, KERNELS
+    return partial(DeviceSampler, stays=stays), KERNELS
 
 
 def _copy_out(row: Any) -> NDArray[Any]:

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Array
 from arm_emulator.extension.compiler import C_NULL, CData
 from arm_emulator_campaign.signals import HERE, SAMPLER, FleetSampler
 from arm_emulator_fleet import Fleet
@@ -20,16 +19,17 @@ KERNELS = (HERE / "sampler_kernels.hpp",)
 
 
 class DeviceSampler(FleetSampler):
-    """Samples of arms on a device: one piece at a time is copied to the processor.
+    """Samples of arms on a device, piece by piece.
 
     Args:
         fleet: of arms, with `KERNELS`.
         names: of signals, in the order of their rows.
         room: for samples of each.
+        stays: `take` returns their memory on the device, not a copy.
     """
 
-    def __init__(self, fleet: Fleet, names: Sequence[str], room: int) -> None:
-        self._device = fleet.core.device
+    def __init__(self, fleet: Fleet, names: Sequence[str], room: int, stays: bool) -> None:
+        self._device, self._stays = fleet.core.device, stays
         self._copied: list[Memory] = []
         super().__init__(fleet, names, room)
         self.look = "sampler_look"
@@ -61,10 +61,12 @@ class DeviceSampler(FleetSampler):
         super().forget()
         self._device.fill(self._of_taken, 0)
 
-    def take(self) -> tuple[Array, NDArray[np.int64]]:  # noqa: D102
+    def take(self) -> tuple[Any, NDArray[np.int64]]:  # noqa: D102
         counts = self._device.read(self._of_taken, np.int64, self._taken.shape)
-        self._samples = self._device.read(self._of_samples, np.float64, self._samples.shape)
         self._device.fill(self._of_taken, 0)
+        if self._stays:
+            return self._of_samples, counts
+        self._samples = self._device.read(self._of_samples, np.float64, self._samples.shape)
         self._taken[:] = counts
         return super().take()
 

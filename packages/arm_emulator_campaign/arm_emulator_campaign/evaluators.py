@@ -32,7 +32,7 @@ from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.scenario import count_ticks
 from arm_emulator_campaign.program import Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
-from arm_emulator_campaign.signals import list_signal_units
+from arm_emulator_campaign.signals import has_tool_signals, list_signal_units
 from arm_emulator_campaign.vibration_requirement import KEY, VibrationRequirement
 
 Signals = Mapping[str, Array]
@@ -158,19 +158,35 @@ def find_start_requirements(campaign: Campaign) -> Iterator[str]:
             yield f"{campaign.where}: requirements.{name}: {rule}; always (...) the whole run"
 
 
+def count_most_samples(campaign: Campaign) -> int | None:
+    """Return how many samples a run has at most; None: it may last as long as it was drawn."""
+    if any(number.name == "scenario.seconds" for number in campaign.variation.numbers):
+        return None
+    ticks = count_ticks(campaign.nominal[0].seconds, campaign.scene.servo_period)
+    return 1 + max(1, ticks)
+
+
 class Evaluators:
     """All judges of runs.
 
     Attributes:
         samples: signals that they need, in the order of their rows.
+        needs_processor: whether some judge, or a sample, is computed by the processor alone.
 
     Args:
         campaign: that states them.
         room: samples in a piece at most.
         runs: that are judged at the same time.
+        make_program: makes their `Program`.
     """
 
-    def __init__(self, campaign: Campaign, room: int, runs: int = 1) -> None:
+    def __init__(
+        self,
+        campaign: Campaign,
+        room: int,
+        runs: int = 1,
+        make_program: Callable[..., Program] = Program,
+    ) -> None:
         scene, where = campaign.scene, campaign.where
         signal_names = list(list_signal_units(scene))
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
@@ -197,9 +213,7 @@ class Evaluators:
         names = list(campaign.requirements)
         self._of_formulas = [names.index(name) for name in formulas]
         self._of_checked = [names.index(name) for name in self._checked]
-        longest = 1 + max(1, count_ticks(campaign.nominal[0].seconds, scene.servo_period))
-        if any(number.name == "scenario.seconds" for number in campaign.variation.numbers):
-            longest = 2**40
+        longest = count_most_samples(campaign)
         period = scene.servo_period
         requirements = [
             [
@@ -208,7 +222,7 @@ class Evaluators:
                     requirement,
                     rows.of_formula,
                     period,
-                    longest,
+                    2**40 if longest is None else longest,
                     where,
                     f"requirements.{name}",
                 )
@@ -222,9 +236,10 @@ class Evaluators:
         reduced = [
             (measure.kind, rows.of(each)) for measure in self._measures for each in measure.of
         ]
-        self._program = Program(rows, requirements, reduced, traced_rows, room)
+        self._program = make_program(rows, requirements, reduced, traced_rows, room)
         self._traces: list[list[Array]] = [[] for _ in range(runs)]  # of those that need all of it
         self.samples = rows.samples
+        self.needs_processor = bool(self._checked or has_tool_signals(self.samples))
 
     def begin(self) -> None:
         """Begin all runs."""
@@ -232,8 +247,8 @@ class Evaluators:
         for trace in self._traces:
             trace.clear()
 
-    def take(self, samples: Array, counts: NDArray[np.int64], targets: Targets) -> None:
-        """Go on with samples (runs, S, room), of which there are so many (runs,)."""
+    def take(self, samples: Any, counts: NDArray[np.int64], targets: Targets) -> None:
+        """Go on with samples (runs, S, room), of which there are so many (runs,), see `Program`."""
         self._program.take(samples, counts, targets)
         if self._checked:
             for trace, rows, count in zip(self._traces, self._program.kept, counts, strict=False):

@@ -133,6 +133,7 @@ class Program:
         room: int,
     ) -> None:
         self._requirements = requirements  # they own what the program uses
+        self._room = room
         self._calls, runs = judges(), len(requirements)
         own = JUDGES.rows("judges_measure", runs, max(1, len(measures)))
         for place, (kind, row) in enumerate(measures):

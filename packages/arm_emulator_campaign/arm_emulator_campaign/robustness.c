@@ -17,6 +17,8 @@ typedef struct segment {
 typedef struct stream {
   double* values;
   int64_t room, begin, count; /* values[begin .. begin + count) wait to be taken */
+  int64_t copied_room;        /* of this stream in a copy */
+  int fixed;                  /* not 0: there is no more room, nor for its node's block */
   int64_t total;              /* all so far */
   const double* fed;          /* not null: they wait there, where they were fed */
 } stream;
@@ -29,6 +31,8 @@ typedef struct node {
    * part of it that has not come yet holding what the block before makes up from there on. */
   segment* block;
   int64_t room; /* of the block so far: a window may be longer than any trace */
+  int64_t copied_room;
+  int64_t late; /* values that it may have at the end of a trace alone */
   int64_t width;
   int64_t taken;  /* samples of its children */
   segment newest; /* of the samples of the block that have come, or of all without an end */
@@ -44,6 +48,10 @@ struct robustness {
 static double min_of(double a, double b) { return a < b ? a : b; }
 static double max_of(double a, double b) { return a > b ? a : b; }
 
+static int has_two(const node* one) {
+  const int32_t kind = one->what.kind;
+  return kind == ROBUSTNESS_AND || kind == ROBUSTNESS_OR || kind == ROBUSTNESS_UNTIL;
+}
 static int is_window(const node* one) { return one->what.kind >= ROBUSTNESS_UNTIL; }
 static int has_end(const node* one) { return one->what.end != ROBUSTNESS_FOREVER; }
 /* Whether it is asked for at one time alone, so that a window without end is a running value. */
@@ -77,6 +85,7 @@ static int make_room(stream* one, int64_t more) {
     one->begin = 0;
   }
   if (one->count + more > one->room) {
+    if (one->fixed) return -1;
     const int64_t room = 2 * (one->count + more);
     double* values = realloc(one->values, (size_t)room * sizeof(double));
     if (!values) return -1;
@@ -154,11 +163,8 @@ robustness* robustness_new(const robustness_node* nodes, int32_t count) {
   for (int32_t k = 0; k < count; ++k) all->nodes[k].what = nodes[k];
   for (int32_t k = count - 1; k >= 0; --k) {
     node* one = &all->nodes[k];
-    const int32_t kind = one->what.kind;
-    if (kind != ROBUSTNESS_ATOM) ask(&all->nodes[one->what.left], one);
-    if (kind == ROBUSTNESS_AND || kind == ROBUSTNESS_OR || kind == ROBUSTNESS_UNTIL) {
-      ask(&all->nodes[one->what.right], one);
-    }
+    if (one->what.kind != ROBUSTNESS_ATOM) ask(&all->nodes[one->what.left], one);
+    if (has_two(one)) ask(&all->nodes[one->what.right], one);
     if (is_window(one) && has_end(one)) one->width = one->what.end - one->what.begin + 1;
   }
   restart(all);
@@ -172,6 +178,58 @@ void robustness_delete(robustness* all) {
     free(all->nodes[k].out.values);
   }
   free(all);
+}
+
+/* Bytes of a requirement without its streams and blocks. */
+static int64_t head_size(const robustness* one) {
+  return (int64_t)sizeof(robustness) + one->count * (int64_t)sizeof(node);
+}
+
+static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
+static int64_t most(int64_t a, int64_t b) { return a > b ? a : b; }
+
+/* A shorter trace has kept as much before its last block, whose samples may wait where those of a
+ * whole block were taken at once. At its end windows that have not seen all of their samples are
+ * complete, and nodes above them get so many values at once. */
+static void measure_node(robustness* all, node* one, int64_t longest) {
+  int64_t late = 0, more = FORMULA_BLOCK;
+  if (one->what.kind != ROBUSTNESS_ATOM) {
+    late = all->nodes[one->what.left].late;
+    if (has_two(one)) late = most(late, all->nodes[one->what.right].late);
+  }
+  if (is_window(one)) late = has_end(one) ? late + one->what.end + 1 : is_once(one) ? 1 : longest;
+  one->late = least(late, longest);
+  if (one->what.kind != ROBUSTNESS_ATOM) more = one->late;
+  one->out.copied_room = least(one->out.room + more, longest);
+  one->copied_room = is_window(one) && has_end(one) ? least(one->width, longest) : 0;
+}
+
+void robustness_measure(robustness* one, int64_t longest, int64_t* head, int64_t* whole) {
+  *head = *whole = head_size(one);
+  for (int32_t k = 0; k < one->count; ++k) {
+    measure_node(one, &one->nodes[k], longest);
+    *whole += one->nodes[k].out.copied_room * (int64_t)sizeof(double);
+    *whole += one->nodes[k].copied_room * (int64_t)sizeof(segment);
+  }
+}
+
+robustness* robustness_copy(const robustness* one, void* room) {
+  robustness* copy = (robustness*)room;
+  const int64_t head = head_size(one);
+  memcpy(copy, one, (size_t)head);
+  char* next = (char*)room + head;
+  for (int32_t k = 0; k < copy->count; ++k) {
+    node* own = &copy->nodes[k];
+    own->out.fixed = 1;
+    own->out.room = own->out.copied_room;
+    own->room = own->copied_room;
+    own->out.values = (double*)next;
+    next += own->out.room * (int64_t)sizeof(double);
+    own->block = (segment*)next;
+    next += own->room * (int64_t)sizeof(segment);
+  }
+  restart(copy);
+  return copy;
 }
 
 /* Take the samples first .. first + count of a row that are asked for. */
@@ -219,6 +277,7 @@ static int make_room_in_block(node* one, int64_t more) {
   int64_t room = one->taken + more;
   if (room > one->width) room = one->width;
   if (room <= one->room) return 0;
+  if (one->out.fixed) return -1;
   room = room < one->width / 2 ? 2 * room : one->width;
   segment* block = realloc(one->block, (size_t)room * sizeof(segment));
   if (!block) return -1;
@@ -347,8 +406,7 @@ static int go_on(robustness* all, const double* const* rows, int64_t samples, in
       }
     } else {
       stream* left = &all->nodes[one->what.left].out;
-      const int two = kind == ROBUSTNESS_AND || kind == ROBUSTNESS_OR || kind == ROBUSTNESS_UNTIL;
-      stream* right = two ? &all->nodes[one->what.right].out : NULL;
+      stream* right = has_two(one) ? &all->nodes[one->what.right].out : NULL;
       if (is_window(one)) {
         failed = feed_window(one, left, right);
         if (!failed && ends) failed = end_window(all, one, left, right);

@@ -61,6 +61,11 @@ def list_signal_units(scene: Scene) -> dict[str, str]:
     return columns | dict.fromkeys(list_tool_signals(scene), "m")
 
 
+def has_tool_signals(names: Sequence[str]) -> bool:
+    """Return whether positions of the tool are among signals: `Samples` computes them."""
+    return any(name in TOOL_SIGNALS_NAME for name in names)
+
+
 class Samples:
     """Numbers of machines at every tick.
 

@@ -1,0 +1,180 @@
+"""The judges of runs on a device, against those of the processor, which brute force judges."""
+
+import re
+import subprocess
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from draws import some
+from test_campaign import TABLE, written
+from test_campaign_lanes import TARGETS, VARIED, cases_of, rows_of
+from test_gpu_compiler import needs_clang
+from test_requirements import NAMES, PERIOD, draw_formula
+
+from arm_emulator.base.expression.formula import Signal, parse_formula
+from arm_emulator_campaign.batch_simulator import BatchSimulator, make_simulator
+from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
+from arm_emulator_campaign.device_program import DeviceProgram, build_judges_unit
+from arm_emulator_campaign.program import BLOCK, Program, Rows, Targets, judges
+from arm_emulator_campaign.requirement import Robustness
+from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_fleet.gpu_compiler import find_ptxas, has_ptxas, load_ptx
+from arm_emulator_fleet.processor_device import ProcessorDevice
+
+ROOM = 2 * BLOCK
+REDUCTIONS = ("max", "min", "mean", "rms", "last")
+
+
+def make_program(
+    texts: list[str], longest: int, runs: int, program: Any = Program
+) -> tuple[Program, list[str]]:
+    """Return the judges of formulas and measures, and the signals that they need in their order."""
+    rows = Rows(["arm"], PERIOD)
+    formulas = [parse_formula(text, "test", "formula") for text in texts]
+    requirements = [
+        [Robustness(judges(), formula, rows.of_formula, PERIOD, longest) for formula in formulas]
+        for _ in range(runs)
+    ]
+    measures = [(kind, rows.of(Signal("a"))) for kind in REDUCTIONS]
+    measures += [("max", rows.of(Signal("target.arm"))), ("last", rows.of(Signal("t")))]
+    return program(rows, requirements, measures, [], ROOM), rows.samples
+
+
+def judge(program: Program, samples: np.ndarray, counts: np.ndarray, targets: Targets) -> Any:
+    """Return robustness and measures of runs (runs, S, samples), fed in pieces."""
+    program.begin()
+    for first in range(0, samples.shape[2], ROOM):
+        piece = np.zeros((*samples.shape[:2], ROOM))
+        fresh = samples[:, :, first : first + ROOM]
+        piece[:, :, : fresh.shape[2]] = fresh
+        here: Any = piece
+        if isinstance(program, DeviceProgram):
+            device = program.device
+            here = device.allocate(piece.nbytes)
+            device.write(here, piece)
+        program.take(here, np.clip(counts - first, 0, ROOM), targets)
+    return program.end()
+
+
+def draw_targets(rng: np.random.Generator, runs: int, longest: int) -> Targets:
+    every = []
+    for _ in range(runs):
+        since = [0, *np.unique(rng.integers(1, longest + 1, 4)).tolist()]
+        every.append((since, rng.normal(size=(len(since), 1))))
+    return Targets.of(every)
+
+
+@pytest.mark.parametrize("seed", some(range(60), 12))
+def test_a_device_judges_runs_of_any_length_as_the_processor(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    longest = int(rng.integers(1, 4 * BLOCK))
+    horizon = int(rng.integers(1, 2 * BLOCK))  # windows end within a block, or blocks later
+    texts = [draw_formula(rng, int(rng.integers(0, 4)), horizon)[0] for _ in range(4)]
+    texts.append(f"target.arm > {rng.normal():.3f}")
+    expected, names = make_program(texts, longest, longest)
+    there, _ = make_program(texts, longest, 1, partial(DeviceProgram, longest))
+    assert isinstance(there, DeviceProgram) and set(names) <= set(NAMES)
+    there.move(ProcessorDevice(2), longest)
+    for _ in range(2):  # the next runs begin anew
+        counts = rng.permutation(np.arange(1, longest + 1))
+        samples = np.round(rng.normal(size=(longest, len(names), longest)) * 4.0) / 4.0
+        samples[rng.random(samples.shape) < 0.02] = np.nan
+        targets = draw_targets(rng, longest, longest)
+        for one, other in zip(
+            judge(there, samples, counts, targets),
+            judge(expected, samples, counts, targets),
+            strict=True,
+        ):
+            assert one.shape[0] == longest and np.array_equal(one, other, equal_nan=True), texts
+
+
+def test_a_run_that_is_longer_than_stated_is_an_error_and_no_wrong_number() -> None:
+    text = ["always eventually[0, 3] a > 0"]
+    program, _ = make_program(text, BLOCK, 1, partial(DeviceProgram, BLOCK))
+    assert isinstance(program, DeviceProgram)
+    program.move(ProcessorDevice(1), 2)
+    samples, targets = np.ones((2, 1, 8 * BLOCK)), draw_targets(np.random.default_rng(1), 2, 9)
+    with pytest.raises(MemoryError):
+        judge(program, samples, np.full(2, 8 * BLOCK), targets)
+    robustness, _ = judge(program, samples[:, :, :BLOCK], np.full(2, BLOCK), targets)
+    assert np.all(robustness == 1.0), "the next runs are judged again"
+
+
+REQUIREMENTS = {
+    "requirements": {
+        "near": "always abs(error.*) < 0.3",
+        "returns": "eventually[0.05, 0.15] always[0, 0.01] abs(v.elbow) < 0.05",
+        "slow": "(abs(v.waist) < 3) until[0.02, 0.1] (abs(q.elbow - target.elbow) < 0.2)",
+        "never": "always (t > 0.1 -> eventually[0, 0.03] v.shoulder > 0)",
+    },
+    "measures": {
+        "error": "max(abs(error.elbow))",
+        "gear": "rms(gear_torque.*)",
+        "current": "mean(measured.current.elbow)",
+        "energy": "min(energy)",
+        "target": "last(target.elbow)",
+    },
+}
+# A length that varies: how much a requirement keeps of a run is not known.
+HERE = [name for name in VARIED if name != "a run's length and its start"]
+
+
+def load(folder: Path, name: str) -> Campaign:
+    (folder / "targets.csv").write_text(TARGETS)
+    return load_campaign(written(folder, TABLE | REQUIREMENTS | VARIED[name]))
+
+
+@pytest.mark.parametrize("name", some(HERE, 2))
+def test_runs_judged_on_a_device_equal_those_in_lanes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    campaign, count = load(tmp_path, name), 23
+    expected = rows_of(
+        Outcomes.join(list(BatchSimulator(campaign).runs(cases_of(campaign, range(count)))))
+    )
+    assert len(np.unique(expected, axis=0)) == count
+    pieces = []
+    take = DeviceProgram.take
+    monkeypatch.setattr(
+        DeviceProgram, "take", lambda self, *piece: pieces.append(piece) or take(self, *piece)
+    )
+    there = make_simulator(campaign, "processor")
+    rows = rows_of(Outcomes.join(list(there.runs(cases_of(campaign, range(count))))))
+    assert np.array_equal(rows, expected, equal_nan=True)
+    assert pieces, "judged there, not from copies of samples"
+
+
+def test_requirements_for_the_processor_alone_are_judged_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(DeviceProgram, "take", None)
+    changes: list[dict[str, Any]] = [
+        {"measures": {"tool": "max(tool.z)"}},
+        {"vary": {"scenario.seconds": "uniform(0.05, 0.3)"}},
+    ]
+    for change in changes:
+        campaign = load_campaign(written(tmp_path, TABLE | REQUIREMENTS | change))
+        lanes, there = (make_simulator(campaign, device) for device in (None, "processor"))
+        rows, expected = (
+            rows_of(Outcomes.join(list(each.runs(cases_of(campaign, range(9))))))
+            for each in (there, lanes)
+        )
+        assert np.array_equal(rows, expected, equal_nan=True)
+
+
+@needs_clang
+def test_judges_call_nothing_that_a_card_has_not(tmp_path: Path) -> None:
+    ptx = load_ptx(build_judges_unit(), "sm_90")
+    text = ptx.decode()
+    kernels = re.findall(r"\.visible \.entry (\w+)\(", text)
+    assert sorted(kernels) == ["judge_begin", "judge_build", "judge_end", "judge_take"]
+    assert not re.findall(r"^\s*\.extern .*", text, re.M)
+    if has_ptxas():
+        source = tmp_path / "judges.ptx"
+        source.write_bytes(ptx)
+        words = [*find_ptxas(), "--fmad=false", "-arch=sm_90", source, "-o", "/dev/null"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
