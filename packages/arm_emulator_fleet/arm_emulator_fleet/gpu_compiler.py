@@ -42,6 +42,7 @@ FLAGS = (
     *"-Xclang -fcuda-allow-variadic-functions".split(),
 )
 OF_LIBRARIES = (*SHARED_FLAGS, "-fvisibility=hidden", "-pthread")
+PARALLEL = "--split-compile"  # of ptxas
 WAIT = 30.0  # s, for a line about a compiler
 
 
@@ -171,6 +172,8 @@ def _build_cubin(command: list[str], unit: Unit, architecture: str, scratch: Pat
     source, result = scratch / "unit.ptx", scratch / "unit.cubin"
     source.write_bytes(load_file(unit, architecture, CLANG))
     words = [*command, "--fmad=false", f"-arch={architecture}", str(source), "-o", str(result)]
+    if PARALLEL in _ask(command, unit.where, "--help"):  # since CUDA 12
+        words.insert(-3, f"{PARALLEL}=0")  # a thread on each core
     run_compiler(words, scratch, unit.where, unit.part)
     return _read_result(result, command[0], unit, b"\x7fELF", "a cubin")
 

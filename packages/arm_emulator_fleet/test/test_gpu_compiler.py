@@ -247,15 +247,20 @@ def test_no_ptxas(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert not gpu_compiler.has_ptxas()
 
 
-def test_ptxas_gets_the_ptx_of_the_kernels(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("about", ["--split-compile <N>", "nothing"])
+def test_ptxas_gets_the_ptx_of_the_kernels(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, about: str
+) -> None:
     """And adds to no product: without --fmad=false it might contract PTX of others."""
     name_clang(monkeypatch, tmp_path / "bin", 'echo ".version 7.8" > "$out"', "clang version 19.1")
     does = r'printf "\177ELF%s " "$*" > "$out"; for w; do case "$w" in *.ptx) cat "$w" >> "$out";; esac; done'  # noqa: E501
+    does = f'case "$*" in --help) echo "{about}"; exit;; esac; {does}'
     ptxas = fake_compiler(tmp_path / "bin", does)
     monkeypatch.setattr(gpu_compiler, "find_ptxas", lambda: [ptxas])
     monkeypatch.setattr(gpu_compiler, "PTXAS", replace(gpu_compiler.PTXAS, find=lambda: [ptxas]))
     cubin = load_cubin(make_unit(), "sm_120")
-    assert cubin.startswith(b"\x7fELF--fmad=false -arch=sm_120 ") and b".version 7.8\n" in cubin
+    words = b"--fmad=false -arch=sm_120 " + b"--split-compile=0 " * (about != "nothing")
+    assert cubin.startswith(b"\x7fELF" + words + b"/") and b".version 7.8\n" in cubin
     kinds = [file.suffix for file in compile_for_card(make_unit(), "sm_120")]
     assert kinds == [".ptx", ".cubin"]
 
