@@ -157,7 +157,7 @@ def judge_numbers(scene: Scene, seed: int) -> np.ndarray:
 FRICTIONS: dict[str, dict[str, float]] = {  # friction of rotors beside viscous and Coulomb's
     "none": {},
     "load": {"load": 0.05},
-    "directed": {"load": 0.05, "back_load": 0.05, "motor_load": 0.05},
+    "directed": {"load": 0.05, "back_load": 0.05},  # of rigid gears: motors carry the same load
 }
 WIDE_PRIOR = 0.2  # width of their priors
 
@@ -237,6 +237,5 @@ def report(figures: dict[str, Any]) -> str:
         f"{100 * loops['within']:.1f} % do.\n\n"
         "Of the torques of a KUKA KR300's second measured run (MIT licence), the numbers of its "
         f"first explain {first['none']:.1f} % (mean of six axes) without load friction, "
-        f"{first['load']:.1f} % with `load`, {first['directed']:.1f} % with `back_load` and "
-        "`motor_load`, too.\n"
+        f"{first['load']:.1f} % with `load`, {first['directed']:.1f} % with `back_load`, too.\n"
     )
