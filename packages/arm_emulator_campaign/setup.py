@@ -31,6 +31,9 @@ setup(
             "campaign = arm_emulator_campaign.commands.campaign",
             "faults = arm_emulator_campaign.commands.faults",
         ],
+        "arm_emulator.card_compilers": [
+            "campaign = arm_emulator_campaign.card_kernels:compile_campaign_for_card",
+        ],
         "arm_emulator.units": [
             "judges = arm_emulator_campaign.program:judges_unit",
             "sampler = arm_emulator_campaign.signals:sampler_unit",

@@ -45,16 +45,19 @@ def compile_scene(
             a compiler.
         into: folder of the libraries (default: the cache).
         fleet: compile the library of a fleet, too.
-        packages: compile the libraries of packages beside the core, too, such as field buses.
+        packages: compile the libraries of packages beside the core, too, such as field buses; for
+            cards, those of campaigns.
         servo: compile our servo with the scene's gains, too.
         device: compile the kernels of a fleet for cards of NVIDIA, too, for example sm_90: to PTX,
             and where ptxas is installed, to code of the card.
     """
     machine = load_scene(scene)
     of_fleet = [find_entry("fleet", SCENE_UNITS, "fleet").load()(machine)] if fleet else []
-    of_card = []
+    of_card: list[Path] = []
     if device is not None:
-        of_card = find_entry("fleet", CARDS, "fleet").load()(machine, device, into)
+        of_fleets = find_entry("fleet", CARDS, "fleet").load()
+        for compile_for_card in load_all(CARDS) if packages else [of_fleets]:
+            of_card += compile_for_card(machine, device, into)
     of_scene = compile_ahead(machine, target, into)
     code = [
         *of_fleet,

@@ -11,18 +11,24 @@ import pytest
 from draws import some
 from test_campaign import TABLE, written
 from test_campaign_lanes import TARGETS, VARIED, cases_of, rows_of
-from test_gpu_compiler import needs_clang
+from test_gpu_compiler import name_clang, needs_clang
 from test_requirements import NAMES, PERIOD, draw_formula
 
+from arm_emulator import load_scene
 from arm_emulator.base.expression.formula import Signal, parse_formula
+from arm_emulator.toolchain.library_cache import CACHE_VARIABLE
 from arm_emulator_campaign.batch_simulator import BatchSimulator, make_simulator
+from arm_emulator_campaign.card_kernels import compile_campaign_for_card
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.device_program import DeviceProgram, build_judges_unit
+from arm_emulator_campaign.device_sampler import KERNELS
 from arm_emulator_campaign.program import BLOCK, Program, Rows, Targets, judges
 from arm_emulator_campaign.requirement import Robustness
 from arm_emulator_campaign.results.outcome import Outcomes
+from arm_emulator_fleet import gpu_compiler
 from arm_emulator_fleet.gpu_compiler import find_ptxas, has_ptxas, load_ptx
 from arm_emulator_fleet.processor_device import ProcessorDevice
+from arm_emulator_fleet.unit import build_kernels_unit
 
 ROOM = 2 * BLOCK
 REDUCTIONS = ("max", "min", "mean", "rms", "last")
@@ -163,6 +169,23 @@ def test_requirements_for_the_processor_alone_are_judged_there(
             for each in (there, lanes)
         )
         assert np.array_equal(rows, expected, equal_nan=True)
+
+
+def test_kernels_of_campaigns_are_compiled_ahead(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    does = 'for w; do case "$w" in *.cu) (echo ".version"; cat "$w") > "$out";; esac; done'
+    name_clang(monkeypatch, tmp_path / "bin", does, "clang version 19.1")
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    monkeypatch.setattr(gpu_compiler, "has_ptxas", lambda: False)
+    scene = load_scene("three_axis")
+    files = compile_campaign_for_card(scene, "sm_90", tmp_path / "into")
+    arms, judging = (file.read_text(errors="replace") for file in files)
+    assert "fleet_kernels.hpp" in arms and "sampler_kernels.hpp" in arms
+    assert "judges_kernels.hpp" in judging
+    # Those that a campaign loads.
+    assert load_ptx(build_kernels_unit(scene, KERNELS), "sm_90") in files[0].read_bytes()
+    assert load_ptx(build_judges_unit(), "sm_90") in files[1].read_bytes()
 
 
 @needs_clang

@@ -172,7 +172,7 @@ def _build_cubin(command: list[str], unit: Unit, architecture: str, scratch: Pat
     source, result = scratch / "unit.ptx", scratch / "unit.cubin"
     source.write_bytes(load_file(unit, architecture, CLANG))
     words = [*command, "--fmad=false", f"-arch={architecture}", str(source), "-o", str(result)]
-    if PARALLEL in _ask(command, unit.where, "--help"):  # since CUDA 12
+    if PARALLEL in _ask(tuple(command), unit.where, "--help"):  # since CUDA 12
         words.insert(-3, f"{PARALLEL}=0")  # a thread on each core
     run_compiler(words, scratch, unit.where, unit.part)
     return _read_result(result, command[0], unit, b"\x7fELF", "a cubin")

@@ -220,8 +220,12 @@ def test_the_kernels_of_a_scene_are_compiled_ahead(
     does = 'for w; do case "$w" in *.cu) (echo ".version $*"; cat "$w") > "$out";; esac; done'
     name_clang(monkeypatch, tmp_path / "bin", does, "clang version 19.1")
     monkeypatch.setattr(gpu_compiler, "has_ptxas", lambda: False)
-    point = SimpleNamespace(load=lambda: compile_scene_for_card)
-    monkeypatch.setattr("arm_emulator.base.packages.find_entries", lambda group: {"fleet": point})
+    more = tmp_path / "more.ptx"
+    points = {
+        "campaign": SimpleNamespace(load=lambda: lambda *arguments: [more]),
+        "fleet": SimpleNamespace(load=lambda: compile_scene_for_card),
+    }
+    monkeypatch.setattr("arm_emulator.base.packages.find_entries", lambda group: points)
     for ahead in ("compile_ahead", "compile_units"):  # what is for the processor
         monkeypatch.setattr(f"arm_emulator.cli.commands.compile.{ahead}", lambda *arguments: [])
     folder = tmp_path / "into"
@@ -230,6 +234,13 @@ def test_the_kernels_of_a_scene_are_compiled_ahead(
     assert capsys.readouterr().out == f"{file}\n" and file.suffix == ".ptx"
     text = file.read_bytes()
     assert b"--cuda-gpu-arch=sm_90" in text and b'#include "fleet_kernels.hpp"' in text
+    monkeypatch.setattr("arm_emulator.cli.commands.compile.UNITS", "none")
+    monkeypatch.setattr(
+        "arm_emulator.cli.commands.compile.load_all",
+        lambda group: [] if group == "none" else [point.load() for point in points.values()],
+    )
+    assert compile_scene("three_axis", device="sm_90", into=folder, packages=True) == 0
+    assert capsys.readouterr().out == f"{more}\n{file}\n"
     with pytest.raises(Refusal, match="compile: device must be an architecture of cards, got sm_9"):
         compile_scene("three_axis", device="sm_9")
     two = {"threads": 2, "integrator.scheme": "paper"}
