@@ -40,16 +40,21 @@ pytest.register_assert_rewrite(
 # Files that take more than 5 s, the longest first: one that comes late would leave the other half
 # of the machine idle.
 LONGEST = """
-fleet_on_device campaign snippets joint_laws directed_load_friction up advice full_disks recording
-portable_bits stream schemes search part_contract recorder mode_loops lockstep motor_faults new
-library_examples by_hand_bags varied_places motor_kinds sole_publisher faults json threads
-kept_modes doubtful_records launch cia402_profile identification sensitivities fleet collisions
-random_inputs compiler duplicate_nodes gear_temperature linearised random_scenes spoiled_files
-motion_orders arm_loops ways command_line validation bags sensors campaign_device couplings jog
-working_folder demo formula_users fleet_follow accuracy hard_cases varied_axes faults_at_doors
-load_friction campaign_intervals move causal_replay splitting repair network stability bound
-real_time_messages learned_load new_drives device_examples stopping_on_the_way examples
-candidate_paths located at_rest device_array negative_ratio bode driven_machine input_shaper lanes
+joint_laws campaign fleet_on_device snippets move full_disks recording lockstep library_examples
+spoiled_files json collisions advice ways bags up search duplicate_nodes schemes identification
+stream faults directed_load_friction recorder formula_users bearing sole_publisher motor_faults
+demo by_hand_bags motor_kinds random_scenes portable_bits network doubtful_records new mode_loops
+compiler causal_replay examples varied_places launch doctor part_contract sensitivities
+managed_nodes network_fixture random_inputs faults_at_doors campaign_device kept_modes linearised
+fleet topic_based fleet_follow varied_axes accuracy arm_loops child_kills motion_orders by_hand
+load_friction extreme_numbers rerun_stream sensors threads repair gear_temperature device
+cia402_profile latency inputs command_line working_folder bound faults_at_nodes hard_cases
+firmware couplings candidate_paths brake jog inertia_check driven_machine run_time_parameters
+device_examples stability located splitting progressive_gear hysteresis stopping_on_the_way
+rotor_friction ideal_motors feedforward new_drives residual tune first_difference part_pairs
+mounting negative_ratio at_rest learned_load bode coupled_moves validation standstill rated_tool
+network_fork limits firmware_faults lanes backlash hot_path calibration external_wrench
+published_joints fork_command
 """.split()
 
 
