@@ -203,12 +203,9 @@ PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 3 --dist loadfile --no-loadscope-re
 PACKAGES ?=
 TESTS = $(foreach name,$(PACKAGES),$(if $(filter core,$(name)),test,packages/arm_emulator_$(name)/test))
 
-# By quick_cxx, which takes half of the time and gives the same bits; test-in-full tests -O3. Its slow
-# machines have a cache of their own, since programs without $CXX run what any compiler has made.
+# By quick_cxx, which takes half of the time and gives the same bits; test-in-full tests -O3.
 test: setup .venv/.robots
-	@$(RUN) && if [ -z "$$CXX" ]; then export CXX='$(CURDIR)/test/quick_cxx'; export \
-	    ARM_EMULATOR_CACHE="$${ARM_EMULATOR_CACHE:-$${XDG_CACHE_HOME:-$$HOME/.cache}/arm_emulator_tests}"; fi && \
-	  $(PYTEST) -m 'not slow' $(TESTS) $(ARGS)
+	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) -m 'not slow' $(TESTS) $(ARGS)
 
 test-slow: setup .venv/.robots
 	@$(RUN) && $(PYTEST) -m slow $(TESTS) $(ARGS)

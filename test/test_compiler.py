@@ -3,6 +3,7 @@
 import contextlib
 import ctypes.util
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -88,7 +89,7 @@ def test_compilers_are_reported_apart(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """By the name that theirs stands for, and by options; unnamed, a library of any serves."""
+    """By the name that theirs stands for, and by options; unnamed, a library of others serves."""
     scene = load_scene("three_axis")
     compiler = os.environ["CXX"]
     second, link = tmp_path / "clang++-99", tmp_path / "c++"
@@ -113,6 +114,46 @@ def test_compilers_are_reported_apart(
     monkeypatch.delenv("CXX")
     load_machine(scene)
     assert capsys.readouterr().err == "", "an unnamed compiler"
+
+
+@pytest.mark.parametrize(
+    ("command", "serves"),
+    [
+        ("clang++-99", True),
+        ("g++", True),
+        ("x86_64-linux-gnu-g++-12", True),
+        ("g++ -O0 -g", False),
+        ("quick_cxx", False),
+        ("ccache", False),
+    ],
+)
+def test_a_library_of_options_or_of_a_wrapper_serves_who_names_it(
+    command: str,
+    serves: bool,
+    quick_compiler: None,
+    cache: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """It may be slow. Without a compiler it is better than none."""
+    scene, actual = load_scene("three_axis"), os.environ["CXX"]
+    name, *options = command.split()
+    (tmp_path / "bin").mkdir()
+    for program in (name, "c++"):
+        (tmp_path / "bin" / program).write_text(f'#!/bin/sh\nexec {actual} "$@"\n')
+        (tmp_path / "bin" / program).chmod(0o755)
+    monkeypatch.setenv("CXX", shlex.join([str(tmp_path / "bin" / name), *options]))
+    load_machine(scene)
+    (first,) = cache.glob("*.so")
+    assert load_machine(scene).file == str(first), "who names it"
+    no_compiler(monkeypatch, tmp_path)
+    assert load_machine(scene).file == str(first), "who has no compiler"
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
+    capsys.readouterr()
+    found = load_machine(scene).file
+    assert (found == str(first)) == serves
+    assert capsys.readouterr().err.startswith("compiling scene three_axis") == (not serves)
 
 
 def test_the_step_is_no_part_of_the_library_but_physics_is(

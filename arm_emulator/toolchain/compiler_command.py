@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 
 from arm_emulator.base.refusal import Refusal
+
+# Of a compiler, also one for another system: x86_64-linux-gnu-g++-12.
+_NAME = re.compile(r"([\w.]+-)*(c\+\+|g\+\+|clang(\+\+)?|ptxas)(-[\d.]+)?")
 
 
 def find_compiler() -> list[str]:
@@ -37,16 +41,26 @@ def is_compiler_named() -> bool:
     return bool(read_command("CXX"))
 
 
+def is_compiler_alone(command: list[str]) -> bool:
+    """Whether a command is a compiler alone: without options, and no program that calls one."""
+    return len(command) == 1 and bool(_NAME.fullmatch(os.path.basename(_find_program(command[0]))))
+
+
 def identify_compiler(command: list[str]) -> str:
     """Return a compiler's command with its actual program, as g++-12 for c++."""
-    file = shutil.which(command[0]) or command[0]
+    return shlex.join([_find_program(command[0]), *command[1:]])
+
+
+def _find_program(name: str) -> str:
+    """Return the file behind a name, through links whose targets are named as compilers."""
+    file = shutil.which(name) or name
     while os.path.islink(file):
         target = os.path.normpath(os.path.join(os.path.dirname(file), os.readlink(file)))
-        name = os.path.basename(target)
-        if "++" not in name and "clang" not in name:
+        base = os.path.basename(target)
+        if "++" not in base and "clang" not in base:
             break  # a program that goes by the name of many compilers, as ccache
         file = target
-    return shlex.join([file, *command[1:]])
+    return file
 
 
 def read_command(variable: str) -> list[str]:

@@ -19,6 +19,7 @@ from arm_emulator.toolchain.c_header import Header, Library
 from arm_emulator.toolchain.compiler_command import (
     find_compiler,
     identify_compiler,
+    is_compiler_alone,
     is_compiler_named,
 )
 from arm_emulator.toolchain.elf import explain_no_library
@@ -362,7 +363,8 @@ def _list_candidates(
     """Yield possible paths of a unit's library in a folder, the preferred one first.
 
     First that of the compiler in use; then, unless the user has named it, those of other compilers,
-    made here or elsewhere.
+    made here or elsewhere. Of a compiler with options, or a program that calls one, a library may
+    be slow or have checks: it serves who names that, or has no compiler.
     """
     own = None
     with contextlib.suppress(Refusal):  # no compiler, or no command in $CXX
@@ -370,9 +372,10 @@ def _list_candidates(
         yield own
         if compiler.is_named():
             return
-    any_compiler = "[0-9a-f]" * OF_COMPILER
-    others = sorted(folder.glob(f"{_name_stem(unit, target)}{any_compiler}.{compiler.suffix}"))
-    yield from (file for file in others if file != own)
+    for first in ("[0-7]",) if own else ("[0-7]", "[89a-f]"):
+        digits = first + "[0-9a-f]" * (OF_COMPILER - 1)
+        others = sorted(folder.glob(f"{_name_stem(unit, target)}{digits}.{compiler.suffix}"))
+        yield from (file for file in others if file != own)
 
 
 def _report_damaged(file: Path, error: Exception) -> None:
@@ -380,8 +383,11 @@ def _report_damaged(file: Path, error: Exception) -> None:
 
 
 def _name_library(unit: Unit, target: str, compiler: UnitCompiler) -> str:
-    digest = hashlib.sha256(identify_compiler(compiler.find()).encode()).hexdigest()
-    return f"{_name_stem(unit, target)}{digest[:OF_COMPILER]}.{compiler.suffix}"
+    command = compiler.find()
+    digits = hashlib.sha256(identify_compiler(command).encode()).hexdigest()[:OF_COMPILER]
+    # The first digit states whether it is a compiler alone.
+    first = f"{int(digits[0], 16) % 8 + (0 if is_compiler_alone(command) else 8):x}"
+    return f"{_name_stem(unit, target)}{first}{digits[1:]}.{compiler.suffix}"
 
 
 def name_stem(name: str) -> str:
