@@ -25,6 +25,7 @@ from arm_emulator.extension.machine import (
     Output,
     Scene,
     Session,
+    find_input,
     list_further_inputs,
     list_outputs,
     list_units,
@@ -198,6 +199,10 @@ class RegisterConverter:
         self._full_scale = np.array([find_full_scale(scene, joint) for joint in scene.joints])
         self._per_word = self._full_scale / FULL_SCALE
         self._N = N
+        # Whether a word of the commands is taken: a motor without a further input has 0 there.
+        self._is_taken = [True] * N + [
+            find_input(joint, name) is not None for name in self._inputs for joint in scene.joints
+        ]
         self._fixed = {
             MACHINE: [MAP_VERSION, N, *_pack_words(">I", session.period_ns)],
             JOINTS: [word for joint in range(N) for word in self._describe_joint(joint)],
@@ -308,13 +313,16 @@ class RegisterConverter:
         if control is not None and control & ~(POWER | ACKNOWLEDGE | RESET):
             raise ModbusException(Code.VALUE)
         values = words[1:] if at == 0 else words
+        first = max(at - 1, 0)
+        taken = self._is_taken[first:]
+        if any(word and not is_taken for word, is_taken in zip(values, taken, strict=False)):
+            raise ModbusException(Code.VALUE)
         resets = control is not None and control & RESET
         if values and self.session.fault is not None and not resets:
             raise ModbusException(Code.FAILURE)
         if control is not None:
             self._take_control(control)
         if values:
-            first = max(at - 1, 0)
             signed = [word - ((word & 0x8000) << 1) for word in values]
             self._command[first : first + len(signed)] = signed
             self.target = np.reshape(self._command, self.target.shape) * self._per_word

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from draws import FULL
-from machines import make_link_urdf, write_scene
+from machines import PMSM, make_link_urdf, write_scene
 from modbus_line import Master, line_of, long_of, read_write, sound
 
 from arm_emulator import Refusal, Scene, Session, load_scene
@@ -111,6 +111,24 @@ def test_exceptions_leave_the_state_as_it_was(scene: Scene, body: str, code: Cod
     request = bytes.fromhex(body)
     assert master.ask(request) == bytes((request[0] | 0x80, code))
     assert state_of(line, converter) == before
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "line", "realtime"])
+def test_an_input_that_a_motor_has_not_takes_0_alone(clock: str) -> None:
+    """The station goes on behind a master that commands it, at each of its clocks."""
+    line, converter = line_of(load_scene("three_axis", {"joints.elbow.motor": PMSM}), clock)
+    master = Master(line)
+    words = 1, 0, 0, 7, 0, 0, 8  # power, commands, command_d
+    master.write(2000, *words)
+    before = state_of(line, converter)
+    for address, body in ((2004, (9,)), (2000, (4, 1, 2, 3, 0, 5, 6)), (2003, (3, 5, 0, 6))):
+        count = len(body)
+        request = struct.pack(f">BHHB{count}H", 16, address, count, 2 * count, *body)
+        assert master.ask(request) == bytes((0x90, Code.VALUE)), address
+        if clock == "lockstep":  # else time passes on the line
+            assert state_of(line, converter) == before
+    for _ in range(5):
+        assert master.read(2000, len(words)) == list(words)
 
 
 def state_of(line: ModbusLine, converter: RegisterConverter) -> tuple[object, ...]:
