@@ -64,7 +64,7 @@ class SimulationEntities:
         """
         try:
             expression = re.compile(filters.filter)
-        except re.error as error:
+        except (re.error, OverflowError, RecursionError) as error:
             rule = "be a regular expression"
             raise Refusal("filters", "filter", rule, f"{filters.filter!r}: {error}") from None
         categories = {category.category for category in filters.categories}
