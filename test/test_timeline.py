@@ -1,7 +1,8 @@
 """A run's past visited again, and runs that fork from it, equal straight runs to the last bit."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -187,6 +188,46 @@ def test_a_change_that_is_refused_leaves_no_trace() -> None:
     second_run = load_offline_run("three_axis")
     with pytest.raises(Refusal, match=r"what `save` of the same run returned"):
         second_run.restore(line.run.save())
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_a_run_that_ctrl_c_broke_off_goes_on_as_the_straight_run(
+    monkeypatch: pytest.MonkeyPatch, answered: bool
+) -> None:
+    """Before and after the motion controller's answer, driven to a new tick and to a past one."""
+    act = move(0.02, 0.03, -0.03)
+    states = straight("three_axis", [(90, "target", act)], 300)
+    line = Timeline(load_offline_run("three_axis"), every=64)
+    line.advance(90)
+    line.change("target", act)
+
+    @contextmanager
+    def break_off_at(tick: int) -> Iterator[None]:
+        instruct = line.run._instruct
+
+        def interrupted() -> None:
+            if answered or line.run.tick != tick:
+                instruct()
+            if line.run.tick == tick:
+                raise KeyboardInterrupt
+
+        with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+            patched.setattr(line.run, "_instruct", interrupted)
+            yield
+
+    with break_off_at(250):
+        line.advance(300)
+    assert line.tick == line.newest == 250
+    line.advance(140)
+    line.go_to(20)
+    with break_off_at(200):
+        line.go_to(210)
+    assert line.newest == 390
+    line.go_to(line.tick)
+    line.advance(1)
+    for tick in (390, 210, 385, 371, 90):
+        line.go_to(tick)
+        assert save_all(line.run) == states[tick], f"tick {tick}"
 
 
 def test_checkpoints_cost_no_more_than_their_number() -> None:

@@ -130,7 +130,7 @@ class OfflineRun(NonCopyable):
 
     def save(self) -> Saved:
         """Return machine, servo and motion controller as they are now, for `restore`."""
-        parts = self.session.save(), self.drives.save(), self.controller, self.instructor
+        parts = self.session.save(), self._step.save(), self.controller, self.instructor
         return self._saved.save((*parts, self.aimed, self._motion))
 
     def restore(self, saved: Saved) -> None:
@@ -141,9 +141,9 @@ class OfflineRun(NonCopyable):
         Raises:
             Refusal: something else; nothing has changed.
         """
-        session, drives, *others = self._saved.restore(saved, "OfflineRun.restore")
+        session, step, *others = self._saved.restore(saved, "OfflineRun.restore")
         self.session.return_to(session)
-        self.drives.restore(drives)
+        self._step.restore(step)
         self.controller, self.instructor, self.aimed, self._motion = others
 
     @property

@@ -48,9 +48,9 @@ class _Checkpoint(NamedTuple):
 
 
 class _Place:
-    """The timeline at whose tick a run is now."""
+    """The timeline at whose tick a run is now; None: at that of none, since it was broken off."""
 
-    def __init__(self, visitor: Timeline[Any]) -> None:
+    def __init__(self, visitor: Timeline[Any] | None) -> None:
         self.visitor = visitor
 
 
@@ -116,10 +116,7 @@ class Timeline(NonCopyable, Generic[R]):
         end = self.tick + ticks
         self.go_to(min(end, self.newest))
         while self.tick < end:
-            try:
-                self.run.advance(min(end - self.tick, self.every - self.tick % self.every))
-            finally:
-                self.tick = self.newest = self.run.tick
+            self._drive(min(end - self.tick, self.every - self.tick % self.every))
             if self.tick % self.every == 0:
                 self._add_checkpoint()
 
@@ -136,11 +133,9 @@ class Timeline(NonCopyable, Generic[R]):
         after = bisect.bisect_right(self._checkpoints, tick, key=lambda checkpoint: checkpoint.tick)
         nearest = self._checkpoints[after - 1]
         if not here or not nearest.tick <= self.tick < tick:
-            self.run.restore(nearest.saved)
-            self._place.visitor = self
+            self._restore(nearest.saved)
         if tick > self.run.tick:
-            self.run.advance(tick - self.run.tick)
-        self.tick = tick
+            self._drive(tick - self.run.tick)
 
     def find(self, holds: Callable[[R], bool], last: int) -> int | None:
         """Go on tick by tick until something holds, and return that tick; None: it does not.
@@ -181,15 +176,17 @@ class Timeline(NonCopyable, Generic[R]):
             raise Refusal("Timeline.change", "change", "be a function of the run", change)
         self._enter()
         before = self.run.save()
+        self._place.visitor = None
         try:
             change(self.run)
+            after = _Checkpoint(self.tick, self.run.save())
         except BaseException:
-            self.run.restore(before)
+            self._restore(before)
             raise
+        kept = len(self._checkpoints) - (self._checkpoints[-1].tick == self.tick)
+        self._checkpoints[kept:] = [after]
         self.changes.append(TimelineChange(self.tick, name, change))
-        if self._checkpoints[-1].tick == self.tick:
-            self._checkpoints.pop()
-        self._add_checkpoint()
+        self._place.visitor = self
 
     def fork(self) -> Timeline[R]:
         """Return a timeline with the same past up to this tick, to go on in another way."""
@@ -208,6 +205,22 @@ class Timeline(NonCopyable, Generic[R]):
         """Bring the run to this timeline's tick."""
         if self._place.visitor is not self:
             self.go_to(self.tick)
+
+    def _drive(self, ticks: int) -> None:
+        """Advance the run; broken off, as by Ctrl-C, it may stand within a servo period."""
+        self._place.visitor = None
+        try:
+            self.run.advance(ticks)
+        finally:
+            self.tick = self.run.tick
+            self.newest = max(self.newest, self.tick)
+        self._place.visitor = self
+
+    def _restore(self, saved: Any) -> None:
+        self._place.visitor = None
+        self.run.restore(saved)
+        self.tick = self.run.tick
+        self._place.visitor = self
 
     def _add_checkpoint(self) -> None:
         self._checkpoints.append(_Checkpoint(self.tick, self.run.save()))
