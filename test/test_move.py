@@ -3,17 +3,26 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from geometry_msgs.msg import PoseStamped
 from network import PATIENCE, assert_same_bits, network, offline_states
 from node_parameters import Parameters
+from rclpy.context import Context
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
 from test_command_line import run
 
 from arm_emulator.cli.commands import move, status
 from arm_emulator.motion.model.pose import Pose
+from arm_emulator.ros.node.network_client import NetworkClient
+from arm_emulator.ros.node.node_shell import COMMAND_QOS, EVENT_QOS
 from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.ros.recording import recorded_publisher
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator_msgs.msg import EmulatorStatus, MotionStatus, RecorderReport
 
 
 @pytest.fixture(autouse=True)
@@ -79,6 +88,48 @@ def test_without_a_network_a_line_names_the_remedy() -> None:
             assert errors.count("\n") == (words[0] == "move"), errors
 
 
+@pytest.mark.parametrize("late", ["recorder", "emulator"])
+def test_a_target_is_sent_when_all_that_record_it_listen(
+    late: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They begin to listen long after the motion controller; `move` would have sent it by then."""
+    monkeypatch.setattr(recorded_publisher, "PATIENCE", PATIENCE)
+    heard: list[PoseStamped] = []
+    with own_domain():
+        context = Context()
+        context.init()
+        try:
+            sender = NetworkClient("move", "", context)
+            nodes = {
+                name: Node(name, context=context)
+                for name in ("emulator", "recorder", "motion_controller")
+            }
+            for node in nodes.values():
+                sender.executor.add_node(node)
+            nodes["emulator"].declare_parameter("record", "bag" if late == "emulator" else "")
+            nodes["emulator"].create_publisher(EmulatorStatus, "emulator/status", 1)
+            nodes["recorder"].create_publisher(RecorderReport, "emulator/recorders", 1)
+            nodes["motion_controller"].create_publisher(MotionStatus, "motion/status", EVENT_QOS)
+
+            def listen(node: Node, hear: Callable[[PoseStamped], object]) -> None:
+                node.create_subscription(PoseStamped, "tool_target", hear, COMMAND_QOS)
+
+            def listen_late() -> None:
+                timer.cancel()
+                listen(nodes[late], heard.append)
+
+            for name in nodes.keys() - {late}:
+                listen(nodes[name], lambda _: None)
+            timer = nodes[late].create_timer(1.0, listen_late)
+            publisher = sender.create_publisher(PoseStamped, "tool_target", COMMAND_QOS)
+            sender.newest["clock"] = Clock()
+            kind = MotionStatus.KIND_TOOL_TARGET
+            move._watch(sender, publisher, PoseStamped(), kind, None, timeout=0.1)
+            assert sender.spin_until(lambda: bool(heard), 5.0)
+        finally:
+            context.try_shutdown()
+
+
 @pytest.mark.parametrize(
     ("words", "reason"),
     [
@@ -89,6 +140,8 @@ def test_without_a_network_a_line_names_the_remedy() -> None:
         (("move", "--joints", "a=1", "--seconds", "0"), "--seconds must be > 0"),
         (("move", "--by", "0", "0", "0", "--at", "0"), "--at must be > 0 s"),
         (("move", "--by", "0", "0", "0", "--namespace", "a b"), "--namespace must be a name"),
+        (("move", "--by", "0", "0", "0", "--timeout", "nan"), "--timeout must be >= 0 s, got nan"),
+        (("status", "--timeout", "nan"), "--timeout must be >= 0 s, got nan"),
     ],
 )
 def test_malformed_targets_are_refused(

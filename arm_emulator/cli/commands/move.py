@@ -26,13 +26,14 @@ from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pose import Pose
 from arm_emulator.ros.messages.event_words import STATES
 from arm_emulator.ros.messages.time_stamp import NANOSECONDS, to_nanoseconds, to_stamp
-from arm_emulator.ros.node.network_client import NetworkClient, join_network
+from arm_emulator.ros.node.network_client import NetworkClient, check_timeout, join_network
 from arm_emulator.ros.node.node_shell import (
     COMMAND_QOS,
     DESCRIPTION_QOS,
     EVENT_QOS,
     STATE_SUB_QOS,
 )
+from arm_emulator.ros.recording.recorded_publisher import await_recorders
 from arm_emulator_msgs.msg import MotionStatus
 
 PATIENCE = 5.0  # s, wall, to discover a running network
@@ -81,6 +82,7 @@ def move(
         raise Refusal("move", "--seconds", "be > 0 and finite", seconds)
     if at is not None and not 0.0 < at < LATEST:
         raise Refusal("move", "--at", f"be > 0 s and below {LATEST:g} s", at)
+    check_timeout("move", timeout)
     angles = _parse_angles(joints or ())
     with join_network("move", namespace) as node:
         node.listen("joint_states", JointState, STATE_SUB_QOS)
@@ -117,6 +119,7 @@ def _watch(
     node.create_subscription(MotionStatus, "motion/status", heard.append, EVENT_QOS)
     if not node.spin_until(lambda: node.is_heard(publisher, "motion/status"), PATIENCE):
         raise _refuse_no_network(f"a motion controller take {publisher.topic_name}")
+    await_recorders(node, publisher)
     now = _find_logical_time(node)
     if at_ns is not None and at_ns <= now:
         rule, actual = f"be later than logical time, {now / NANOSECONDS:g} s", at_ns / NANOSECONDS

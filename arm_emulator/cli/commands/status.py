@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from arm_emulator.cli.command import command
 from arm_emulator.cli.output import output
 from arm_emulator.ros.messages.event_words import STATES
-from arm_emulator.ros.node.network_client import NetworkClient, join_network
+from arm_emulator.ros.node.network_client import NetworkClient, check_timeout, join_network
 from arm_emulator.ros.node.node_shell import DIAGNOSTICS_QOS, EVENT_QOS, STATE_SUB_QOS
 from arm_emulator.ros.node.sole_publisher import get_full_name, has_name
 from arm_emulator_msgs.msg import EmulatorStatus, MachineEvent, MotionStatus
@@ -48,6 +48,7 @@ def status(
         timeout: wall time to wait for missing nodes.
         namespace: of the network, such as /cell1.
     """
+    check_timeout("status", timeout)
     health: dict[str, DiagnosticStatus] = {}
     prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
 

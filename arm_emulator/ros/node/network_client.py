@@ -93,6 +93,12 @@ class NetworkClient(Node):
         return bool(acting) and acting <= there and matched >= len(readers)
 
 
+def check_timeout(where: str, timeout: float) -> None:
+    """Refuse a time to wait that has no end, since it is no number, or none before now."""
+    if not timeout >= 0.0:
+        raise Refusal(where, "--timeout", "be >= 0 s", timeout)
+
+
 @contextlib.contextmanager
 def join_network(name: str, namespace: str) -> Iterator[NetworkClient]:
     """Join the network for a block; Ctrl-C breaks it off.
