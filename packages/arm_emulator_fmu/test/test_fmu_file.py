@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from draws import FULL
-from fmu_client import Fmu, rich_machine
+from fmu_client import Fmu, Instance, rich_machine
 from fuzz.cores import random_machine
+from machines import slides_urdf, write_scene
 from own_fmu import fmu, scene
 from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
@@ -111,3 +112,19 @@ def test_unknown_arguments_are_refused(change: dict[str, Any], words: str, tmp_p
     with pytest.raises(Refusal, match=words):
         write_fmu(arguments.pop("scene"), **arguments)
     assert not (tmp_path / "arm.fmu").exists(), "nothing is written"
+
+
+def test_equal_start_values_before_zeros_are_those_of_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GCC 12.1 and 12.2 copied such constant arrays wrongly for processors with AVX-512."""
+    monkeypatch.delenv("CXX", raising=False)  # at full optimisation
+    names, friction = ("a", "b"), {"viscous": 0.1, "coulomb": 0.2}
+    joints = {name: {"friction": friction, "drag": {"coefficient": 1.0}} for name in names}
+    varied = {"varied": ["joints.*.friction.viscous"], "faults": ["*"], "integrator": {"dt": 5e-4}}
+    scene = load_scene(write_scene(tmp_path, slides_urdf(names), joints, **varied))
+    export(scene, tmp_path / "slides.fmu", "native")
+    instance = Instance(Fmu(tmp_path / "slides.fmu", tmp_path / "unpacked"))
+    shown = {number.name: float(instance.get(number.name)[0]) for number in scene.varied}
+    assert shown == {number.name: number.value for number in scene.varied}
+    assert [*shown.values()][:2] == [0.1, 0.1] and len(shown) > 8
