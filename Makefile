@@ -191,8 +191,16 @@ page: setup .venv/.page
 
 robots: .venv/.robots
 
+DEMO := $(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
+ifeq ($(wildcard install/.core),)
+# The first time, the scene is compiled while the messages are made.
+demo: .venv/.requirements $(ROBOTS)
+	@{ $(ACTIVATE) && python -m arm_emulator compile $(SCENE) > /dev/null 2>&1; } & \
+	  $(MAKE) -s core && wait && $(DEMO)
+else
 demo: core $(ROBOTS)
-	@$(RUN) && python -m arm_emulator demo $(SCENE) $(ARGS)
+	@$(DEMO)
+endif
 
 # Three files at a time on two cores, since many tests wait for processes; in the order of
 # conftest.py. A worker that dies ends the run: xdist may wait for ever for the one in its place.
