@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,17 +10,23 @@ from typing import Any
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from network import User, assert_same_bits, network, offline_states
 from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from test_network import go, pause_at
 
+from arm_emulator.ros.node.duplicate_nodes import DuplicateNodes
 from arm_emulator.ros.node.managed_node import ManagedNode
+from arm_emulator.ros.node.node_shell import Diagnostics, create_wall_timer
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ros_domain import is_occupied, own_domain
 from arm_emulator.runs.offline import load_offline_run
+from arm_emulator_msgs.msg import EmulatorStatus
 
 NODES = ("motion_controller", "servo", "emulator")
 LEADS_FROM = {
@@ -181,6 +188,54 @@ def test_a_second_scene_by_parameter_and_a_refused_scene(tmp_path: Path) -> None
         assert emulator.change("activate")
         user.wait("tick 0", lambda: user.tick == 0)
         assert len(user.motor_states()) == 1 and "panda" in user.description
+
+
+class Duplicate(ManagedNode):
+    """An emulator that is to be alone, with a timer, as far as duplicates matter."""
+
+    def __init__(self) -> None:
+        super().__init__("duplicate")
+        self.fired = 0
+        self.health = Diagnostics(self, "nothing")
+        self.duplicates = DuplicateNodes(self, self.health, "emulator", "motor_states", "refused")
+
+    def configure(self) -> None:
+        self.create_publisher(EmulatorStatus, "emulator/status", 1)
+        create_wall_timer(self, 0.01, self._fire)
+
+    def activate(self) -> None:
+        self.duplicates.begin()
+        self.duplicates.wait_until_first("emulator/status", alone=True)
+
+    def _fire(self) -> None:
+        self.fired += 1
+
+
+def test_a_node_that_was_refused_beside_another_one_works_after_it() -> None:
+    """Its timers go on; meanwhile it does not call itself an emulator, which others would count."""
+    values = {"kind": "emulator", "topic": "/motor_states", "started [ns]": "1"}
+    earlier = [KeyValue(key=key, value=value) for key, value in values.items()]
+    health = DiagnosticArray(status=[DiagnosticStatus(name="earlier", values=earlier)])
+    with own_domain():
+        rclpy.init()
+        node = Duplicate()
+        executor = SingleThreadedExecutor()
+        try:
+            node.trigger_configure()
+            node.duplicates._take_diagnostics(health)
+            assert node.trigger_activate() is TransitionCallbackReturn.FAILURE
+            assert node.state == "inactive" and "kind" not in node.health.values
+            node.duplicates._duplicates.clear()
+            assert node.trigger_activate() is TransitionCallbackReturn.SUCCESS
+            assert node.state == "active" and node.health.values["kind"] == "emulator"
+            executor.add_node(node)
+            fired, end = node.fired, time.monotonic() + 5.0
+            while node.fired <= fired and time.monotonic() < end:
+                executor.spin_once(timeout_sec=0.1)
+            assert node.fired > fired
+        finally:
+            node.destroy_node()
+            rclpy.shutdown()
 
 
 @pytest.mark.parametrize("name", ["servo", "motion_controller"])

@@ -165,6 +165,7 @@ class DuplicateNodes:
             first = self._find_first()
             if first and alone:
                 executor.remove_node(self._node)
+                self.end()
                 rule = f"be the only one on {self._topic}"
                 actual = f"another one that was started before, {first.words}"
                 valid = "--allow-second, or allow_second:=true in the launch file"

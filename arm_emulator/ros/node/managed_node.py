@@ -210,6 +210,7 @@ class ManagedNode(LifecycleNode):
         self.active = True
         for timer in self._stopped:
             timer.reset()
+        self._stopped = []
 
     def _deactivate(self) -> None:
         self.deactivate()
@@ -218,13 +219,15 @@ class ManagedNode(LifecycleNode):
     def _stop_timers(self) -> None:
         self.active = False
         own = [timer for timer in self.timers if timer not in self._permanent]
-        self._stopped = [timer for timer in own if not timer.is_canceled()]
-        for timer in self._stopped:
+        # Those that stand already go on, too, when an activation was refused between.
+        running = [timer for timer in own if not timer.is_canceled()]
+        self._stopped += [timer for timer in running if timer not in self._stopped]
+        for timer in running:
             timer.cancel()
 
     def _release_entities(self) -> None:
         self.active = self.configured = False
-        self.hot = None
+        self.hot, self._stopped = None, []
         try:
             self.cleanup.close()
         finally:
