@@ -1,5 +1,6 @@
 """Reasons of the workarounds: a test that fails shows that one can go, or needs another look."""
 
+import ctypes
 import inspect
 import re
 import signal
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import cffi
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from lifecycle_msgs.msg import Transition
@@ -21,6 +23,10 @@ from rosgraph_msgs.msg import Clock
 
 import arm_emulator.workarounds
 from arm_emulator.ros.process.ros_domain import own_domain
+from arm_emulator.toolchain.compiler_command import find_compiler
+from arm_emulator.toolchain.flags import C_FLAGS
+from arm_emulator.toolchain.unit import Unit, compile_bytes
+from arm_emulator.workarounds import gcc_constant_copies
 
 FOLDER = Path(arm_emulator.workarounds.__file__).parent
 
@@ -83,6 +89,71 @@ def test_python_takes_ctrl_c_before_it_runs_a_program() -> None:
     for folder in map(Path, site.getsitepackages()):
         if (there := folder / "a0_arm_emulator.pth").is_file():
             assert there.read_text().splitlines()[-1] == ours
+
+
+COPIES = """
+static const double given[11] = {0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+void copy(double *to) { __builtin_memcpy(to, given, sizeof given); }
+"""
+
+
+def compile_copies(folder: Path, *flags: str) -> list[float]:
+    """Return the numbers that a copy of the constants has."""
+    source, library = folder / "copies.c", folder / f"copies{len(flags)}.so"
+    source.write_text(COPIES)
+    words = [*find_compiler(), "-x", "c", "-O2", "-march=native", "-shared", "-fPIC", *flags]
+    subprocess.run([*words, str(source), "-o", str(library)], check=True)
+    numbers = (ctypes.c_double * 11)()
+    ctypes.CDLL(str(library)).copy(numbers)
+    return list(numbers)
+
+
+def test_gcc_copies_constants_wrongly_for_wide_stores(tmp_path: Path) -> None:
+    given = [0.1] * 2 + [0.0] * 9
+    words = [*find_compiler(), "-march=native", "-dM", "-E", "-x", "c", "/dev/null"]
+    macros = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    flags = gcc_constant_copies.list_flags(macros)
+    assert compile_copies(tmp_path, *flags) == given
+    if flags:
+        assert compile_copies(tmp_path) != given, "this version needs no flag"
+
+
+@pytest.mark.parametrize(
+    ("version", "wants"),
+    [
+        ({"GNUC": 12, "GNUC_MINOR": 2, "AVX512F": 1}, True),
+        ({"GNUC": 12, "GNUC_MINOR": 1, "AVX512F": 1}, True),
+        ({"GNUC": 12, "GNUC_MINOR": 3, "AVX512F": 1}, False),
+        ({"GNUC": 11, "GNUC_MINOR": 2, "AVX512F": 1}, False),
+        ({"GNUC": 12, "GNUC_MINOR": 2, "AVX2": 1}, False),
+        ({"GNUC": 12, "GNUC_MINOR": 2, "AVX512F": 1, "clang": 1}, False),
+        ({}, False),
+    ],
+)
+def test_the_flag_against_wide_stores_is_that_of_some_versions(
+    version: dict[str, int], wants: bool
+) -> None:
+    macros = "".join(f"#define __{name}__ {value}\n" for name, value in version.items())
+    assert gcc_constant_copies.list_flags(macros) == [gcc_constant_copies.FLAG] * wants
+
+
+@pytest.mark.parametrize("size", range(4, 18))
+def test_a_library_has_the_constants_of_its_source(size: int, tmp_path: Path) -> None:
+    """Compiled scenes hold their numbers in constant arrays."""
+    rng = np.random.default_rng(size)
+    rows = rng.choice([0.0, 0.0, 0.1, 0.1, 2.5], (12, size))
+    text = "#include <string.h>\n"
+    for place, row in enumerate(rows):
+        text += f"static const double row{place}[] = {{{', '.join(map(repr, row.tolist()))}}};\n"
+    text += "void copy_rows(double *to) {\n"
+    for place in range(len(rows)):
+        text += f"  memcpy(to + {place * size}, row{place}, sizeof row{place});\n"
+    found = np.full(rows.shape, np.nan)
+    flags, more = C_FLAGS, ("copy_rows",)
+    unit = Unit("copies", text + "}\n", flags, (), (), "test", "copies", "copies", more=more)
+    (tmp_path / "copies.so").write_bytes(compile_bytes(unit, "native"))
+    ctypes.CDLL(str(tmp_path / "copies.so")).copy_rows(found.ctypes.data_as(ctypes.c_void_p))
+    np.testing.assert_array_equal(found, rows)
 
 
 def test_each_workaround_names_versions_reason_and_an_existing_test() -> None:

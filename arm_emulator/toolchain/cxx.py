@@ -16,8 +16,8 @@ LONGEST_RUN = 900.0  # s; the largest scenes take a minute, more on a busy machi
 MAX_OUTPUT = 65536  # bytes of a compiler's output that are read
 
 
-def run_compiler(command: list[str], folder: Path, where: str, part: str) -> None:
-    """Run a compiler to its end.
+def run_compiler(command: list[str], folder: Path, where: str, part: str) -> str:
+    """Run a compiler to its end, and return the first part of what it prints.
 
     Args:
         command: its words.
@@ -53,7 +53,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> Non
         words.seek(0)
         text = words.read(MAX_OUTPUT).decode(errors="replace")
     if process.returncode == 0:
-        return
+        return text
     if process.returncode < 0:
         end = f"ended by signal {-process.returncode}"
         with contextlib.suppress(ValueError):

@@ -24,6 +24,7 @@ from arm_emulator.toolchain.compiler_command import (
 )
 from arm_emulator.toolchain.elf import explain_no_library
 from arm_emulator.toolchain.trusted import Untrusted, check_folder, read_file
+from arm_emulator.workarounds import gcc_constant_copies
 
 # Targets that code can be compiled for, best first; "native" is this machine's.
 PORTABLE_TARGETS = ("x86-64-v4", "x86-64-v3", "x86-64-v2", "x86-64")
@@ -322,7 +323,13 @@ def _build_library(command: list[str], unit: Unit, target: str, scratch: Path) -
 
     source, built = scratch / "unit.cpp", scratch / "unit.so"
     source.write_text(unit.source, encoding="utf-8")
-    words = [*command, *unit.flags, f"-march={target}", *list_definitions(unit)]
+    march = f"-march={target}"
+    macros = ""
+    with contextlib.suppress(Refusal):  # the compilation states a compiler's defects
+        words = [*command, march, "-dM", "-E", "-x", "c", "-"]
+        macros = run_compiler(words, scratch, unit.where, unit.part)
+    words = [*command, *unit.flags, march, *gcc_constant_copies.list_flags(macros)]
+    words += list_definitions(unit)
     if unit.beside:
         beside = scratch / "beside.cpp"
         beside.write_text(unit.beside, encoding="utf-8")
@@ -404,7 +411,9 @@ def _name_stem(unit: Unit, target: str) -> str:
 
 def _compute_digest(unit: Unit, target: str) -> str:
     processor = _describe_processor() if target == "native" else ""
-    return _digest_parts(unit, (" ".join(unit.flags), target, processor))
+    # Libraries from before that flag may have wrong constants.
+    flags = " ".join((*unit.flags, gcc_constant_copies.FLAG))
+    return _digest_parts(unit, (flags, target, processor))
 
 
 def _digest_parts(unit: Unit, more: Iterable[str]) -> str:

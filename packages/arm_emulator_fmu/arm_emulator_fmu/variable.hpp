@@ -2,12 +2,6 @@
 // (variables.py) from the same list as modelDescription.xml.
 #pragma once
 
-// Of a constant array that begins with two equal numbers and zeros, as start values may, its copies
-// would have four equal numbers.
-#if defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12 && __GNUC_MINOR__ < 3
-#pragma GCC optimize("no-tree-loop-distribute-patterns")
-#endif
-
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
