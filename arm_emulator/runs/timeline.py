@@ -127,7 +127,8 @@ class Timeline(NonCopyable, Generic[R]):
             Refusal: a tick before the first checkpoint, or after the newest one.
         """
         check_count("Timeline.go_to", "tick", tick, self.first, self.newest)
-        here = self._place.visitor is self
+        # A run that was advanced by itself is at the tick of no timeline.
+        here = self._place.visitor is self and self.run.tick == self.tick
         if here and self.tick == tick:
             return
         after = bisect.bisect_right(self._checkpoints, tick, key=lambda checkpoint: checkpoint.tick)
@@ -203,8 +204,7 @@ class Timeline(NonCopyable, Generic[R]):
 
     def _enter(self) -> None:
         """Bring the run to this timeline's tick."""
-        if self._place.visitor is not self:
-            self.go_to(self.tick)
+        self.go_to(self.tick)
 
     def _drive(self, ticks: int) -> None:
         """Advance the run; broken off, as by Ctrl-C, it may stand within a servo period."""
