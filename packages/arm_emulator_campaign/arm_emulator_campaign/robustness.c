@@ -217,16 +217,16 @@ robustness* robustness_copy(const robustness* one, void* room) {
   robustness* copy = (robustness*)room;
   const int64_t head = head_size(one);
   memcpy(copy, one, (size_t)head);
-  char* next = (char*)room + head;
+  double* next = (double*)room + head / (int64_t)sizeof(double); /* all here is of whole doubles */
   for (int32_t k = 0; k < copy->count; ++k) {
     node* own = &copy->nodes[k];
     own->out.fixed = 1;
     own->out.room = own->out.copied_room;
     own->room = own->copied_room;
-    own->out.values = (double*)next;
-    next += own->out.room * (int64_t)sizeof(double);
-    own->block = (segment*)next;
-    next += own->room * (int64_t)sizeof(segment);
+    own->out.values = next;
+    next += own->out.room;
+    own->block = (segment*)(void*)next;
+    next += own->room * (int64_t)(sizeof(segment) / sizeof(double));
   }
   restart(copy);
   return copy;
