@@ -183,6 +183,12 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
     plant = Plant(scene)
     loop = RealTimeLoop(plant, round(period * 1e9), scene.cores[0])
     late, spent = list[int](), list[int]()
+
+    def take() -> None:
+        while (reached := loop.take()) is not None:
+            late.append(reached.lateness)
+            spent.append(reached.spent)
+
     loop.start(0)
     begun = time.monotonic()
     try:
@@ -194,11 +200,10 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
                 )
                 raise Refusal("latency", thread_name, rule, "no wake-up")
             loop.wait(0.1)
-            while (reached := loop.take()) is not None:
-                late.append(reached.lateness)
-                spent.append(reached.spent)
+            take()
     finally:
         loop.stop()
+    take()  # wake-ups between the last look and the stop, which have lost periods, too
     figures = loop.figures
     late_s, spent_s = (np.array(times, np.float64) * 1e-9 for times in (late, spent))
     return WakeUps(period, late_s, spent_s, figures.lost_periods, bool(figures.fifo))
