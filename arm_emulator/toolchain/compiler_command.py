@@ -9,7 +9,7 @@ import shutil
 
 from arm_emulator.base.refusal import Refusal
 
-# Of a compiler, also one for another system: x86_64-linux-gnu-g++-12.
+# The name of a compiler may begin with the system it compiles for: x86_64-linux-gnu-g++-12.
 _NAME = re.compile(r"([\w.]+-)*(c\+\+|g\+\+|clang(\+\+)?|ptxas)(-[\d.]+)?")
 
 

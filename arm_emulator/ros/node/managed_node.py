@@ -219,7 +219,7 @@ class ManagedNode(LifecycleNode):
     def _stop_timers(self) -> None:
         self.active = False
         own = [timer for timer in self.timers if timer not in self._permanent]
-        # Those that stand already go on, too, when an activation was refused between.
+        # A timer that an earlier call has stopped goes on, too, after a refused activation.
         running = [timer for timer in own if not timer.is_canceled()]
         self._stopped += [timer for timer in running if timer not in self._stopped]
         for timer in running:

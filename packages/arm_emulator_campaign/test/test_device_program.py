@@ -183,7 +183,7 @@ def test_kernels_of_campaigns_are_compiled_ahead(
     arms, judging = (file.read_text(errors="replace") for file in files)
     assert "fleet_kernels.hpp" in arms and "sampler_kernels.hpp" in arms
     assert "judges_kernels.hpp" in judging
-    # Those that a campaign loads.
+    # A campaign loads the same kernels.
     assert load_ptx(build_kernels_unit(scene, KERNELS), "sm_90") in files[0].read_bytes()
     assert load_ptx(build_judges_unit(), "sm_90") in files[1].read_bytes()
 

@@ -171,9 +171,10 @@ def _build_ptx(command: list[str], unit: Unit, architecture: str, scratch: Path)
 def _build_cubin(command: list[str], unit: Unit, architecture: str, scratch: Path) -> bytes:
     source, result = scratch / "unit.ptx", scratch / "unit.cubin"
     source.write_bytes(load_file(unit, architecture, CLANG))
-    words = [*command, "--fmad=false", f"-arch={architecture}", str(source), "-o", str(result)]
+    words = [*command, "--fmad=false", f"-arch={architecture}"]
     if PARALLEL in _ask(tuple(command), unit.where, "--help"):  # since CUDA 12
-        words.insert(-3, f"{PARALLEL}=0")  # a thread on each core
+        words.append(f"{PARALLEL}=0")  # a thread on each core
+    words += [str(source), "-o", str(result)]
     run_compiler(words, scratch, unit.where, unit.part)
     return _read_result(result, command[0], unit, b"\x7fELF", "a cubin")
 

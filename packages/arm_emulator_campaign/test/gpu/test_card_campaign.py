@@ -17,7 +17,7 @@ pytest_plugins = ["cards"]
 pytestmark = pytest.mark.usefixtures("card")
 
 COUNT = 300
-# Of one machine, whose kernels are compiled once.
+# These campaigns have one machine, so that its kernels are compiled once.
 NAMES = "all that varies", "faults over each other", "a table of targets"
 
 
