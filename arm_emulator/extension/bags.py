@@ -15,20 +15,3 @@ from arm_emulator.bags.stop_in_record import measure_stop
 from arm_emulator.bags.timeline_bag import write_timeline
 from arm_emulator.ros.recording.bag import Bag
 from arm_emulator.ros.recording.bag_metadata import SCENE as BAG_SCENE_FILE
-
-__all__ = [
-    "BAG_SCENE_FILE",
-    "CHANGE_KINDS",
-    "EVENT_KINDS",
-    "Bag",
-    "Explanation",
-    "RecordedChange",
-    "RecordedMachine",
-    "RecordedTick",
-    "RecordedTopics",
-    "RunBag",
-    "explain_moment",
-    "find_first_difference_of_bits",
-    "measure_stop",
-    "write_timeline",
-]

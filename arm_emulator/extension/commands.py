@@ -19,26 +19,3 @@ from arm_emulator.cli.run_report import report as report_run
 from arm_emulator.cli.served import served_session
 from arm_emulator.page.control_server import watched
 from arm_emulator.page.page_process import PageProcess, stay
-
-__all__ = [
-    "Clock",
-    "Keep",
-    "PageAt",
-    "PageProcess",
-    "RunNumber",
-    "SceneName",
-    "Seconds",
-    "TargetFile",
-    "When",
-    "check_new_bag",
-    "command",
-    "ctrl_c_ends_at_once",
-    "output",
-    "plain",
-    "report_run",
-    "served_session",
-    "servo_data_unit",
-    "stay",
-    "ticks_of",
-    "watched",
-]

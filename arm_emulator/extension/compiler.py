@@ -25,32 +25,3 @@ from arm_emulator.toolchain.unit import (
     name_stem,
 )
 from arm_emulator.toolchain.unit import load_library as compiled_library
-
-__all__ = [
-    "ARITHMETIC",
-    "BOUNDARY_FOLDER",
-    "CORE_FOLDER",
-    "C_FLAGS",
-    "C_NULL",
-    "SERVO_FOLDER",
-    "SHARED_FLAGS",
-    "TICK_FOLDERS",
-    "CData",
-    "Header",
-    "Library",
-    "Unit",
-    "UnitCompiler",
-    "c_pointer",
-    "c_text",
-    "compile_bytes",
-    "compile_file",
-    "compile_once",
-    "compile_units",
-    "compiled_library",
-    "compute_fingerprint",
-    "list_definitions",
-    "load_file",
-    "name_stem",
-    "read_command",
-    "run_compiler",
-]

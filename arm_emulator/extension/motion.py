@@ -4,10 +4,3 @@ from arm_emulator.motion.collision.link_pairs import SAMPLES as DRAWN_CONFIGURAT
 from arm_emulator.motion.collision.link_pairs import find_link_pairs
 from arm_emulator.motion.model.kinematics import Kinematics
 from arm_emulator.motion.model.pinocchio_model import read_rate_limits
-
-__all__ = [
-    "DRAWN_CONFIGURATIONS",
-    "Kinematics",
-    "find_link_pairs",
-    "read_rate_limits",
-]

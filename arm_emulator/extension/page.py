@@ -18,26 +18,3 @@ from arm_emulator.runs.order import (
 from arm_emulator.runs.row_end import RowEnd
 from arm_emulator.runs.timeline import Timeline
 from arm_emulator.workarounds.websocket_requests import answer_requests
-
-__all__ = [
-    "NO_VECTOR",
-    "Condition",
-    "Controls",
-    "MoveTool",
-    "Order",
-    "PageAddress",
-    "Push",
-    "RowEnd",
-    "ScaleGains",
-    "SetVaried",
-    "SharedRing",
-    "SwitchPower",
-    "TermsNow",
-    "Timeline",
-    "TorqueTerms",
-    "Vector",
-    "answer_requests",
-    "list_package_folders",
-    "page_token",
-    "scale_to_metres",
-]

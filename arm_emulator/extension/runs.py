@@ -22,35 +22,3 @@ from arm_emulator.servo.servo_config import (
 from arm_emulator.servo.servo_law import Rows as ServoRows
 from arm_emulator.servo.servo_numbers import servo_numbers
 from arm_emulator.servo.watchdog import count_nanoseconds
-
-__all__ = [
-    "NANOSECONDS",
-    "Breakpoint",
-    "DemoPlan",
-    "Gains",
-    "MotionConfig",
-    "MotionState",
-    "OfflineRun",
-    "Pose",
-    "Recorder",
-    "ServoConfig",
-    "ServoDrives",
-    "ServoRows",
-    "ServoStep",
-    "TableRun",
-    "TargetTable",
-    "check_fit",
-    "check_joints",
-    "check_rates",
-    "check_servo",
-    "check_targets",
-    "compute_tool_error",
-    "count_nanoseconds",
-    "find_last_target",
-    "find_missed_target",
-    "load_gains",
-    "load_motion_config",
-    "load_servo_config",
-    "load_target_table",
-    "servo_numbers",
-]
