@@ -4,8 +4,6 @@ Rooms and floors follow from the contract of layers in pyproject.toml, imports f
 The stations of a tick are a table here; each one's function must be defined in its file.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

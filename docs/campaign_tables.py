@@ -1,7 +1,5 @@
 """Keys of a campaign's file, as tables for its page."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import fields

@@ -11,8 +11,6 @@ be read there, and so are the pictures of docs/architecture.py. `make tables` wr
 lint` refuses what has fallen behind.
 """
 
-from __future__ import annotations
-
 import json
 import posixpath
 import re

@@ -5,8 +5,6 @@ outside of docs/ leads to a page of the site that shows that file. mkdocs calls 
 (mkdocs.yml, `hooks`).
 """
 
-from __future__ import annotations
-
 import fnmatch
 import posixpath
 import re

@@ -1,7 +1,5 @@
 """Tables of the parameters of the nodes, as they are declared."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any

@@ -3,8 +3,6 @@
 What reads them is `scene.py`; `test_documents.py` compares the names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from arm_emulator.base.calibration.deviation import Deviation

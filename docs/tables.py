@@ -1,7 +1,5 @@
 """Tables of the site that follow from what parts declare: their pages, inputs and outputs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import replace

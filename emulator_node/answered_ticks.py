@@ -1,7 +1,5 @@
 """Lock-step in C (c/answered_ticks.h): Python gets a tick when something else is due."""
 
-from __future__ import annotations
-
 import time
 
 from rclpy.subscription import Subscription

@@ -1,7 +1,5 @@
 """Changes of the machine by hand, between two ticks, published so that a run can be repeated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 

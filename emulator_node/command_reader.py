@@ -1,7 +1,5 @@
 """Motor commands that C takes (c/motor_commands.h)."""
 
-from __future__ import annotations
-
 from array import array
 
 import numpy as np

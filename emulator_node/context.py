@@ -1,7 +1,5 @@
 """Context shared by the objects of the emulator's node."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Health of the emulator: diagnostics as text, and emulator/status."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """ROS node `emulator`: wires a `Session` to topics, services and a clock."""
 
-from __future__ import annotations
-
 if __name__ == "__main__":  # before slow imports
     import os
     import sys

@@ -1,7 +1,5 @@
 """The sequence of ticks: answers in lock-step, repeated states, a loop in real time."""
 
-from __future__ import annotations
-
 import threading
 import time
 

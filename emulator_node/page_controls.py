@@ -1,7 +1,5 @@
 """Actions of a page on the network, by the services and topics that anybody has."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Messages in real time in C (c/real_time_ticks.h): states are published, commands are held."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 
 import numpy as np

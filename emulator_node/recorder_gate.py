@@ -6,8 +6,6 @@ The emulator therefore leaves tick 0 when every recorder has written it, and lat
 reports it.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Messages that the emulator publishes: states, truth, time, events."""
 
-from __future__ import annotations
-
 import time
 from array import array
 

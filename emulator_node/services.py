@@ -1,7 +1,5 @@
 """Services of the emulator: pause, step, reset, power, and its machine saved, restored and set."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable
 from functools import partial

@@ -1,7 +1,5 @@
 """The services and the action of simulation_interfaces, where that package is installed."""
 
-from __future__ import annotations
-
 import os
 import signal
 from functools import partial

@@ -1,7 +1,5 @@
 """Messages that the emulator takes from topics: motor commands, wrenches, reports of recorders."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Pause, steps, reset and power of the machine, for all services that ask for them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The arm in Rerun: ticks and targets as they arrive."""
 
-from __future__ import annotations
-
 from geometry_msgs.msg import PoseStamped
 
 from arm_emulator.machine.session.session import Session

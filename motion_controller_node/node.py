@@ -1,7 +1,5 @@
 """ROS node `motion_controller`: targets and joint states in, joint targets out."""
 
-from __future__ import annotations
-
 if __name__ == "__main__":  # before slow imports
     import os
     import sys

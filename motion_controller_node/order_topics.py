@@ -5,8 +5,6 @@ Jogs have the names and types of MoveIt Servo: `~/delta_twist_cmds` moves the to
 limit of the motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The servo's messages in C (c/answered_states.h): what it works on."""
 
-from __future__ import annotations
-
 import numpy as np
 from sensor_msgs.msg import JointState
 

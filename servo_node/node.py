@@ -1,7 +1,5 @@
 """ROS node `servo`: joint targets and motor states in, motor commands and joint states out."""
 
-from __future__ import annotations
-
 if __name__ == "__main__":  # before slow imports
     import os
     import sys

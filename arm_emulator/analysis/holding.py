@@ -1,7 +1,5 @@
 """Check that an arm's motors hold it, with its payload, over the range of its joints."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The servo law without its limits: one joint as a linear system, for the analysis of loops."""
 
-from __future__ import annotations
-
 import enum
 import math
 

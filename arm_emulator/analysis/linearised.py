@@ -1,7 +1,5 @@
 """The whole machine as a linear system about a state, or about rest in a pose."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass

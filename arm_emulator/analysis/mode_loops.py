@@ -13,8 +13,6 @@ growth up to that of the arm's fall with motors without torque, or a tenth of it
 its weight and not counted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator

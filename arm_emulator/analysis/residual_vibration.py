@@ -1,7 +1,5 @@
 """Motion of a tool that remains after its reference has ended."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A machine and its servos as one sampled linear system: stability and margins."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The machine's own source runs over dual numbers (core/numerics/dual.hpp). Where 
 events, the instant of each has derivatives, too: a stop, a breakaway, a limit that is met.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ sample to the next; z are the states of the drives. Its spectral radius is the f
 small motion grows per step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

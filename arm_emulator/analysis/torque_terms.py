@@ -3,8 +3,6 @@
 The terms sum up to 0, inertia included: they are the equations of motion that were solved.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

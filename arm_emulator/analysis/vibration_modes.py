@@ -4,8 +4,6 @@ The machine is linearised about rest in a pose, gears wound up by the weight (`l
 exactly, and closed by the servo law that runs (`LinearServo`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A bag compared with the machine that is driven again under its commands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

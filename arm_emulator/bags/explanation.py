@@ -1,7 +1,5 @@
 """One moment of a recorded run: commands, limits, energy flow, and torques term by term."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The record of each tick of a run, as arrays in one order of joints."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
 

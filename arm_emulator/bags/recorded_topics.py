@@ -1,7 +1,5 @@
 """The topics of our network in a bag, which may stand in a namespace."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

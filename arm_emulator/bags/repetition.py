@@ -7,8 +7,6 @@ of the power is computed, and a machine that was set or restored takes the state
 A run lies between two resets; it is checked if the bag contains it from tick 0 on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

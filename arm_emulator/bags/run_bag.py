@@ -1,7 +1,5 @@
 """A bag of a run without a network, with the messages that the emulator sends."""
 
-from __future__ import annotations
-
 import time
 from array import array
 from collections.abc import Mapping

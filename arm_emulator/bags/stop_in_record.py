@@ -1,7 +1,5 @@
 """Vibration after the last stop of a recorded run."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.analysis.residual_vibration import (

@@ -1,7 +1,5 @@
 """Counts of the messages of a bag that were compared, and of those that were not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

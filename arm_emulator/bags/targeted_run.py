@@ -1,7 +1,5 @@
 """A run of a network made again from its joint targets: machine and servo."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """A timeline written as a bag, which names the bag that it forked from, and made again from it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

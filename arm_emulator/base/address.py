@@ -1,7 +1,5 @@
 """Addresses of sockets, as people give them."""
 
-from __future__ import annotations
-
 import re
 
 from arm_emulator.base.refusal import Refusal

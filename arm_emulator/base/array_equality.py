@@ -1,7 +1,5 @@
 """Equality of records whose values may be arrays."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The type of arrays of doubles."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

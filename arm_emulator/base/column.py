@@ -1,7 +1,5 @@
 """Numbers of rows of structs as named columns with units."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Processes that keep processors busy while something is measured or tested."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

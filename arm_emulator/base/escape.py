@@ -4,8 +4,6 @@ A name, a path or a refusal that enters HTML, XML, Markdown or C passes through 
 format, so that no reader of the format takes a part of it for markup or code.
 """
 
-from __future__ import annotations
-
 import html
 import re
 

@@ -1,7 +1,5 @@
 """Try to import modules that are named as arguments; print a line of JSON with those that fail."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Detection of errors that mean out of memory, which libraries report in various ways."""
 
-from __future__ import annotations
-
 import errno
 
 _WORDS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")

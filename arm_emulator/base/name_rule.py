@@ -1,7 +1,5 @@
 """The rule for names of scenes and joints, which files, comments and commands are made of."""
 
-from __future__ import annotations
-
 import unicodedata
 
 from arm_emulator.base.refusal import Refusal

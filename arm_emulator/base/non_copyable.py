@@ -1,7 +1,5 @@
 """Objects that refuse to be copied."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, NoReturn
 
 from arm_emulator.base.refusal import Refusal

@@ -1,7 +1,5 @@
 """Processes of this machine, as the system lists them."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 from collections.abc import Iterator

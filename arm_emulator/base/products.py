@@ -4,8 +4,6 @@ BLAS, behind the operator of NumPy, sums in an order of its own and with fused p
 kind of processor otherwise.
 """
 
-from __future__ import annotations
-
 from functools import reduce
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Registries of classes by the names that they own; a class that inherits alone is in none."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Callable

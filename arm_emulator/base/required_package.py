@@ -1,7 +1,5 @@
 """Python packages: if one is missing, one line names it."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

@@ -1,7 +1,5 @@
 """Outputs of a run without a network, as requested by the user."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The standard files of a command: none of their numbers is free for a file of another use."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """Warnings: one line each on stderr, and a list for programs that read JSON."""
 
-from __future__ import annotations
-
 import sys
 
 issued: list[str] = []  # by this process

@@ -1,7 +1,5 @@
 """Parsing, help and completion of a command's arguments by cyclopts."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import inspect

@@ -3,8 +3,6 @@
 Those of the core stand in `commands`; packages beside it register theirs as entry points.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command line: choice of the command, its end, messages if it cannot run."""
 
-from __future__ import annotations
-
 import difflib
 import errno
 import select

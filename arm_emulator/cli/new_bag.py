@@ -1,7 +1,5 @@
 """A bag that a command will write after its run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal

@@ -1,7 +1,5 @@
 """Entry points of `ros2 run arm_emulator ..._node`: Ctrl-C ends them while they import, too."""
 
-from __future__ import annotations
-
 import importlib
 
 from arm_emulator.ros.process.ctrl_c import end_at_once

@@ -1,7 +1,5 @@
 """Common to commands that run a machine: duration, Ctrl-C, the outcome."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import signal

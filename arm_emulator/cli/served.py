@@ -1,7 +1,5 @@
 """A machine that a command serves to clients: its clock, what is kept of it, its page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any

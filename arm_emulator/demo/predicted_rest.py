@@ -3,8 +3,6 @@
 Arithmetic is portable, so that a network in lock-step ends there to the last bit.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

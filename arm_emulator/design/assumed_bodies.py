@@ -5,8 +5,6 @@ from arm to arm: of 44 industrial arms with meshes and masses half lie between 9
 the median is 1 200 (`DENSITY`). A link without a shape is a rod to the next joint.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping

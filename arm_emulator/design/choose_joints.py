@@ -1,7 +1,5 @@
 """Choice of the arm's joints, its tool link and the held joints in a robot description."""
 
-from __future__ import annotations
-
 import math
 import re
 import xml.etree.ElementTree as ET

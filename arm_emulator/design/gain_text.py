@@ -1,7 +1,5 @@
 """Gains written into a servo's parameter file, its comments kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import yaml

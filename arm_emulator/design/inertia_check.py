@@ -8,8 +8,6 @@ larger than the arm or lighter than air. Parameters that are identified or regro
 those of a body: scenes list such links under `trusted_inertias`.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ A file has the section of a joint as scenes have it, under `joints.NAME`, and th
 its figures hold. The comments beside the figures name their sources, and go into new scenes.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

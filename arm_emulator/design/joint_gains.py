@@ -24,8 +24,6 @@ the heaviest link, without dead time and with one more period of it,
   where a count asks for more than the limit, the joint never comes to rest.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -1,7 +1,5 @@
 """Meshes of a robot description, and packages of ROS around it: where their files are."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

@@ -1,7 +1,5 @@
 """A new scene with servo, motion control and a demo, from a robot description."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 import xml.etree.ElementTree as ET

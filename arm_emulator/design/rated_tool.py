@@ -10,8 +10,6 @@ v [rad/s]: 0.9 M^0.86 / v^0.5 kg. This is the fit of 101 arms of 8 makers (0.5 t
 94 have a payload within a factor of 2.3 of it; the reach adds nothing to these two.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Robot descriptions as people have them: a URDF, or a xacro source that is expanded first."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

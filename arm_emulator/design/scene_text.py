@@ -1,7 +1,5 @@
 """A scene and what lies beside it, written as files that people read and change."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -4,8 +4,6 @@ They give a machine of the right kind and size to begin with, not the machine th
 Each rule has its reason; replace what you know.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A look at an arm over its poses: what the links ask of each joint, and where to start."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

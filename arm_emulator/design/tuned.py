@@ -1,7 +1,5 @@
 """A set of gains, and what it does: linear, over the poses of an arm, and on the machine itself."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 For control software in languages and tools that have sockets and JSON, and no structs of bytes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -5,8 +5,6 @@ little-endian and 8 bytes long, in an order that a scene determines (`Datagrams`
 returns them as structs of C.
 """
 
-from __future__ import annotations
-
 import select
 import socket
 import threading

@@ -8,7 +8,7 @@ from arm_emulator.analysis.residual_vibration import find_reference_end, measure
 from arm_emulator.analysis.servo_loop import draw_poses
 from arm_emulator.analysis.stability import SmallMotions
 from arm_emulator.analysis.stability import explain as explain_divergence
-from arm_emulator.analysis.vibration_modes import VibrationMode, find_vibration_modes
+from arm_emulator.analysis.vibration_modes import find_vibration_modes
 from arm_emulator.base.calibration.deviation import Deviation
 from arm_emulator.base.calibration.joint_path import JointPath
 from arm_emulator.base.calibration.joint_path import find_path as find_joint_path

@@ -1,7 +1,5 @@
 """Numbers as C++ writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from arm_emulator.base.arrays import Array

@@ -1,7 +1,5 @@
 """Numbers of a scene that are data of each machine, not constants of the compiled core."""
 
-from __future__ import annotations
-
 import difflib
 import fnmatch
 from collections.abc import Mapping, Sequence

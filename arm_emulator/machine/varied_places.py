@@ -1,7 +1,5 @@
 """Places of a scene's joints that are data of each machine: varied numbers of its calibration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Actions of a page on a running machine; each door has its own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Breakpoints on physics: a condition that is looked at at the end of each exchange, in C."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from arm_emulator.base.validation.coerce import coerce_kind

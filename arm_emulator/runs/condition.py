@@ -4,8 +4,6 @@ The language is that of requirements (`arm_emulator.base.expression.formula`), w
 over time.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.column import Column

@@ -1,7 +1,5 @@
 """The servo's and the motion controller's parameters of a scene, and whether they fit it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whether a run has reached its goal: the joints' last target, or the motion controller's order."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

@@ -4,8 +4,6 @@ The library shares its process with Python. If it exits or crashes, it ends that
 exit code. So the run continues in a child, and this process waits for its end.
 """
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import os

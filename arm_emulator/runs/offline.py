@@ -4,8 +4,6 @@ The three do in every tick what their nodes do in lock-step, in the same order a
 numbers, so that the motor states are the same to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 from pathlib import Path

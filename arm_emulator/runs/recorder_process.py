@@ -3,8 +3,6 @@
 It ends when its input does: the run is over, however it ended.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from typing import Any

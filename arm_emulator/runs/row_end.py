@@ -1,7 +1,5 @@
 """The end of a `RowProcess` in its own process: its task, its answers, and when it has to end."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Our servo as control code in a loop with a machine: servo_step.c."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

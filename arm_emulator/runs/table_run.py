@@ -1,7 +1,5 @@
 """`arm_emulator run` with joint targets from a table, and no Python in the loop."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Joint targets from a CSV file with columns `t` and the joints, and limits that they exceed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

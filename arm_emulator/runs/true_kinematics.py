@@ -1,7 +1,5 @@
 """Kinematics of a scene's machine, which may differ from what its controllers know."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.motion.model.kinematics import Kinematics
 

@@ -1,7 +1,5 @@
 """Data of a scene for showing its machine in Rerun."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from arm_emulator.machine.plant.outputs import list_reported_by_parts

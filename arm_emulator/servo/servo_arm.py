@@ -1,7 +1,5 @@
 """The servo under its watchdog, with and without joint targets: servo.c does it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The servo law of servo.c, compiled; its declarations are read from servo.h."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy.typing as npt

@@ -1,7 +1,5 @@
 """Numbers of the servo law, from data sheets and gains: the numbers of `servo_joint`."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from itertools import chain

@@ -1,7 +1,5 @@
 """Notices when joint targets or motor states stop coming, and decides what a drive does then."""
 
-from __future__ import annotations
-
 import enum
 from dataclasses import replace
 

@@ -9,8 +9,6 @@ depend on two ratios only, T to the motor's time constant R Mm / (Kt Kb) and tha
 L / R to T, and hold for every value of both: a motor may be much faster than the period.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

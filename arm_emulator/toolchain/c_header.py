@@ -4,8 +4,6 @@ Reading a header takes about 30 ms. The result is cached beside the libraries, i
 ``_cffi_backend``, which loads in less than 1 ms.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import marshal

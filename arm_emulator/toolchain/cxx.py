@@ -1,7 +1,5 @@
 """Runs of a compiler, with bounds on time and output."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

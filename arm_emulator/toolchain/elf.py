@@ -1,7 +1,5 @@
 """Detection of shared libraries in ELF without loading them."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterable, Iterator
 from functools import cache

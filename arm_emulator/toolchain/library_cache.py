@@ -8,8 +8,6 @@ Most processes find what they look for in the first folder and write nothing: wh
 (`tempfile`, `shutil`) is imported there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import hashlib

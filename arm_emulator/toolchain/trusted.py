@@ -1,7 +1,5 @@
 """Checks that only this user and root can have changed a folder or file."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

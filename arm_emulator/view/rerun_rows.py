@@ -1,7 +1,5 @@
 """Rows of a run shown in Rerun."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ module of Python alone, which the cache of libraries can neither check nor repla
 Test: test/test_workarounds.py, `test_cffi_offers_declarations_as_a_module_alone`.
 """
 
-from __future__ import annotations
-
 import ast
 from io import StringIO
 from typing import Any

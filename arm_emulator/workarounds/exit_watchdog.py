@@ -11,8 +11,6 @@ so, too, and after a second it unmaps the port, in which the removal still looks
 Versions: Fast DDS 2.14. Test: test/test_workarounds.py, `test_fast_dds_is_that_of_the_workarounds`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import signal

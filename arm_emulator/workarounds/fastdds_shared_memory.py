@@ -13,8 +13,6 @@ Versions: Fast DDS 2.14. Tests: test/test_workarounds.py,
 `test_fast_dds_is_that_of_the_workarounds`, and test/test_fastdds_shared_memory.py.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import mmap

@@ -6,8 +6,6 @@ repeats its lower half. Narrower stores avoid that, at some 3 % of a step's time
 Test: test/test_workarounds.py, `test_gcc_copies_constants_wrongly_for_wide_stores`.
 """
 
-from __future__ import annotations
-
 import re
 
 FLAG = "-mstore-max=128"

@@ -6,8 +6,6 @@ does not have and at a clock message with a malformed time.
 Test: test/test_workarounds.py, `test_rclpy_fails_at_bad_transitions_and_times`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any

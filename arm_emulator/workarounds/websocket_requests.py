@@ -8,8 +8,6 @@ as that of a port scan, is logged with a traceback until viser has answered a re
 Test: test/test_workarounds.py, `test_viser_has_no_hook_for_requests`.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import importlib

@@ -1,7 +1,5 @@
 """The calibration of one machine: deviations of its joints, put into its description."""
 
-from __future__ import annotations
-
 import copy
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping

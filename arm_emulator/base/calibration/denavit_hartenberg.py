@@ -10,8 +10,6 @@ Robots; at the last it leads to the flange's origin. Of both directions of a com
 the one within a quarter turn of the x before; the first x is the base's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

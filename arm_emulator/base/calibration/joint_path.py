@@ -1,7 +1,5 @@
 """The joints of a description from its base to its flange, with what is fixed between them."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ how much its encoders report another position. Files of Absolute Accuracy (`.pid
 that KUKA does not publish.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

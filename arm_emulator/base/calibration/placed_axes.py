@@ -6,8 +6,6 @@ hundreds of metres away where axes are almost parallel. Here each link's frame s
 description's as its axis lets it, so that bodies and shapes remain where they are.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -6,8 +6,6 @@ being the flange (`tool0`). The controller's `calibration.conf` has numbers that
 of Denavit and Hartenberg (denavit_hartenberg.py).
 """
 
-from __future__ import annotations
-
 import configparser
 import re
 from collections.abc import Mapping

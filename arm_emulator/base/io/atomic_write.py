@@ -1,7 +1,5 @@
 """Files that others find whole or not at all, whenever their writer is killed."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path

@@ -5,8 +5,6 @@ sound, and `recover_mcap` makes a whole file of them. Any other deviation is dam
 Format: https://mcap.dev/spec
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import struct

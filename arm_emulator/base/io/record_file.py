@@ -4,8 +4,6 @@ Rows are written as they arrive. If the disk is full, files of kinds that grow r
 rows written so far; files of other kinds get their name when they are complete.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

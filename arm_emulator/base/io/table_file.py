@@ -1,7 +1,5 @@
 """Tables from outside: a CSV file with a heading and rows of numbers."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -4,8 +4,6 @@ Every file that a user names is opened here. The module of its kind reads it: `y
 `urdf_text`, `table_file`, `array_file`.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path

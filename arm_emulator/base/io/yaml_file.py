@@ -4,8 +4,6 @@ A document is checked as a stream of events before it is built, so that the resu
 size and depth for any file.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

@@ -5,8 +5,6 @@ there may be several, adds a share of a shaft. The angles of all joints are q = 
 those of the shafts, each called after a joint.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence

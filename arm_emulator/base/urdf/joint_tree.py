@@ -3,8 +3,6 @@
 Numbers are collected first, then turned into frames all at once.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Coupling of an arm's joints to its shafts, and the limits of shafts from those of joints."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """URDF texts from outside: read and parsed within bounds, joints without limits made unlimited."""
 
-from __future__ import annotations
-
 import codecs
 import math
 import re

@@ -5,8 +5,6 @@ therefore compared with a bound once, at its input. The bounds are far beyond ev
 all results computed within them are finite.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

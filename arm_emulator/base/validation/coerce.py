@@ -3,8 +3,6 @@
 ``True`` is not a number and 1 is not a flag, anywhere.
 """
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Counts that come from outside: whole numbers that fit."""
 
-from __future__ import annotations
-
 import operator
 
 import numpy as np

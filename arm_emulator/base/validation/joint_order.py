@@ -1,7 +1,5 @@
 """Joints are matched by name, never by their place in a message."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

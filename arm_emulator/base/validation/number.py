@@ -8,8 +8,6 @@ the pages follow from the declaration. It stands in a dataclass that has the num
 or by itself: ``POSITION = Number.within("position", "rad", 1e6)``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import numbers

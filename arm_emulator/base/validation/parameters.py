@@ -1,7 +1,5 @@
 """Parameters declared once, as frozen dataclasses: for ROS nodes and for runs without ROS."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 from collections.abc import Iterable, Mapping

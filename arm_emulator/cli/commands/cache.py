@@ -1,7 +1,5 @@
 """List the compiled scenes that are kept."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 

@@ -1,7 +1,5 @@
 """Drive the machine again with recorded commands and compare every bit."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

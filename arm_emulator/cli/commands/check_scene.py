@@ -1,7 +1,5 @@
 """Check scene files, and that servo and motion control fit them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compile a scene ahead of its first use."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Print a script that completes commands and options in a shell."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from arm_emulator.cli.arguments import completion_script

@@ -1,7 +1,5 @@
 """Run the paper's experiment with three nodes, and draw it."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

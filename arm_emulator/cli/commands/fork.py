@@ -1,7 +1,5 @@
 """Lead a recorded run on in another way from one of its moments, into a new bag."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Send a target for the tool or the joints to a running network, and report its progress."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Sequence

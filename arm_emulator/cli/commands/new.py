@@ -1,7 +1,5 @@
 """Make a scene, with servo and motion control, from a robot description."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Record the network into a rosbag2 bag."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arm_emulator.cli.command import command

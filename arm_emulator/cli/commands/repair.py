@@ -1,7 +1,5 @@
 """Repair the bag of a killed recorder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arm_emulator.base.refusal import Refusal

@@ -1,7 +1,5 @@
 """Publish the messages of a bag at the recorded times."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,7 +1,5 @@
 """Run machine, servo and motion controller without a network, as fast as possible."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

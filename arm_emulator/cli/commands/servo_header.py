@@ -1,7 +1,5 @@
 """Write the data of a scene's joints as a C header for our servo."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated

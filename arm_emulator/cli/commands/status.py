@@ -1,7 +1,5 @@
 """Print the state of a running network: its clock, its nodes' health, its newest target."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, cast
 
 from cyclopts import Parameter

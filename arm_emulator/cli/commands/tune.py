@@ -1,7 +1,5 @@
 """Compute a servo's gains; margins, steps, encoders."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path

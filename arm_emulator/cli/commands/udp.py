@@ -1,7 +1,5 @@
 """Serve control software in any language by datagrams."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from cyclopts import Parameter

@@ -1,7 +1,5 @@
 """Serve control software of this machine by lines of JSON."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Start the three nodes, end all when one ends."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

@@ -1,7 +1,5 @@
 """The kinds of faults: those of parts, and those in the files of this package."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Faults of the payload."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.fault import (
     Fault,
     bound_rise,

@@ -1,7 +1,5 @@
 """Faults of motors and of their drives."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.fault import (
     Fault,
     bound_rise,

@@ -1,7 +1,5 @@
 """The faults that a scene can have, and those that it lists: numbers of each machine."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Faults of what is around the arm: its supply and its base."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.fault import (
     Fault,
     bound_rise,

@@ -1,7 +1,5 @@
 """Bearings of joints that give way: a spring and a damper in each direction."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from arm_emulator.base.arrays import Array

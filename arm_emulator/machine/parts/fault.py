@@ -1,7 +1,5 @@
 """A kind of fault: the numbers of a machine that it changes, and their new values."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 

@@ -3,8 +3,6 @@
 Commands of plants and fleets, messages, FMU variables and registers follow from these lists.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Keys of a part's section that are no numbers of the part, for the pages."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 
 

@@ -1,7 +1,5 @@
 """The parts that a scene may have, from their registry."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import TypeVar
 

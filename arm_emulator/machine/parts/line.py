@@ -1,7 +1,5 @@
 """The line between a controller and a joint's drive, in C++ as core/parts/line.hpp has it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 
 from arm_emulator.base.validation.number import Number

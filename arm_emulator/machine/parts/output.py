@@ -4,8 +4,6 @@ Measurement, messages, FMU variables, registers, the comparison of recorded runs
 follow from these lists.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

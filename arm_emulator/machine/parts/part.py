@@ -9,8 +9,6 @@ Reading them with refusals, the C++ of the part, and what a scene may list as va
 that.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The registry of parts: each is registered in its file, and owns its section of the scene."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 from arm_emulator.base.registry import Registry

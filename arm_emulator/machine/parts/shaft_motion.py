@@ -1,7 +1,5 @@
 """A measured motion of one shaft, for the torques of parts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from arm_emulator.base.arrays import Array

@@ -1,7 +1,5 @@
 """Waves over the angle of a shaft, as a scene lists them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

@@ -1,7 +1,5 @@
 """Facts of the build of a machine's code, in words: compiler, flags, and digest of the source."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

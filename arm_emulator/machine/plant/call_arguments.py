@@ -1,7 +1,5 @@
 """Arguments of calls of a compiled core, and the reasons of its refusals."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

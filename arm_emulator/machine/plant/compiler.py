@@ -1,7 +1,5 @@
 """From scenes to shared libraries, cached by content: machines, equations, real time."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

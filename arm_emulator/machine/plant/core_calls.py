@@ -1,7 +1,5 @@
 """The C interfaces of core/boundary, read from their headers."""
 
-from __future__ import annotations
-
 from arm_emulator.core import BOUNDARY
 from arm_emulator.toolchain.c_header import Header
 

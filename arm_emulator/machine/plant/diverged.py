@@ -1,7 +1,5 @@
 """The end of a motion that can no longer be integrated."""
 
-from __future__ import annotations
-
 import copyreg
 from typing import Any
 

@@ -1,7 +1,5 @@
 """External wrenches on links: forces and moments (core/mechanics/links/external_wrench.hpp)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A formula as rows of core/boundary/formula.h, and the library that computes them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any

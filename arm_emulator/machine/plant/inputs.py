@@ -1,7 +1,5 @@
 """Inputs of a machine, as declared by its motors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np

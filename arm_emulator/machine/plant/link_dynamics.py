@@ -1,7 +1,5 @@
 """The links of a machine alone, by the compiled core: M(q) a + nle(q, v) = tau."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

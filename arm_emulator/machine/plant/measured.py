@@ -1,7 +1,5 @@
 """Measurement of the drive electronics at one tick."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 A message has fields of its own for some outputs, and readings by name for all others.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Outputs of a machine, as its parts declare them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import ClassVar, Protocol
 

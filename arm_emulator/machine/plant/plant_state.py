@@ -1,7 +1,5 @@
 """The true state of a machine, and its bounds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A scene as C++: the constants that the core is compiled over, as a data sheet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -3,8 +3,6 @@
 Nobody but the machine knows them: controllers have the description without.
 """
 
-from __future__ import annotations
-
 import copy
 import xml.etree.ElementTree as ET
 

@@ -1,7 +1,5 @@
 """Reports of encoders whose joints are at 0, from the calibration of a machine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import TypeVar
 

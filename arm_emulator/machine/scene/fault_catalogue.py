@@ -1,7 +1,5 @@
 """Numbers of a scene that may be varied, and faults that it may have."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from arm_emulator.machine.chain import Chain

@@ -1,7 +1,5 @@
 """Values put in place of those of a scene file, by dotted path."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

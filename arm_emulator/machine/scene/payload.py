@@ -1,7 +1,5 @@
 """The payload of a scene, and what a varied mass of it adds to the link that carries it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The machine has no part that the file does not mention. Every refusal states whe
 quantity, which rule, which value.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import xml.etree.ElementTree as ET

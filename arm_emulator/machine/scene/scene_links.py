@@ -1,7 +1,5 @@
 """The links of a scene: its robot description, with couplings, locked joints and the payload."""
 
-from __future__ import annotations
-
 import copy
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -3,8 +3,6 @@
 Numbers are collected first, then turned into bodies all at once.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The file of a robot description that a scene names."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Rosenbrock method ROS2, its second stage with the links' change over the step before."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Implicit Euler of drives and links."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

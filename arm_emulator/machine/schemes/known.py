@@ -1,7 +1,5 @@
 """The schemes, from their registry."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.schemes.registry import SCHEME_KINDS
 from arm_emulator.machine.schemes.scheme import Scheme
 

@@ -1,7 +1,5 @@
 """The paper's scheme: backward Euler of the motors, then forward Euler of the links."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

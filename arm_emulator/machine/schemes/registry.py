@@ -1,7 +1,5 @@
 """The registry of schemes: each is registered in its file, by its name."""
 
-from __future__ import annotations
-
 from arm_emulator.base.registry import Registry
 from arm_emulator.machine.schemes.scheme import Scheme
 

@@ -1,7 +1,5 @@
 """The Rosenbrock method ROS2, a W-method."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ A scheme is a class in a file of this package, called as the scheme, and registe
 (`register_scheme`). A header in `core/schemes/` has the C++ struct of that name.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from arm_emulator.base.arrays import Array

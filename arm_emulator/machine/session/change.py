@@ -1,7 +1,5 @@
 """Changes of a machine between two ticks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from arm_emulator.machine.plant.external_wrench import ExternalWrench

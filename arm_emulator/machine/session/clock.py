@@ -1,7 +1,5 @@
 """The clock of a session: advanced by its owner, or by a loop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from arm_emulator.base.arrays import Array

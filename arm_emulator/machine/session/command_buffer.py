@@ -1,7 +1,5 @@
 """Motor commands that answer ticks: which are taken, which refused. Knows nothing of ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Control code in C as a controller of `arm_emulator.machine.session.firmware_loop`."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Any
 

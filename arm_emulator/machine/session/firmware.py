@@ -1,7 +1,5 @@
 """A user's shared library with control code, checked against firmware.h."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import enum

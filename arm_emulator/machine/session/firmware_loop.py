@@ -1,7 +1,5 @@
 """A machine and control code in C, servo period by servo period, without Python in between."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

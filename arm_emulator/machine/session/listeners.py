@@ -1,7 +1,5 @@
 """Listeners of a machine: code in C that is called at the end of each exchange."""
 
-from __future__ import annotations
-
 import weakref
 from typing import Any
 

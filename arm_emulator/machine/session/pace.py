@@ -1,7 +1,5 @@
 """A limit of how fast logical time passes, beside the wall clock."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Phases of a session."""
 
-from __future__ import annotations
-
 import enum
 
 

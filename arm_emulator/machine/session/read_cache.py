@@ -1,7 +1,5 @@
 """Values of a machine at a tick, read once; those of a loop while it stands still."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.plant.measured import Measured
 from arm_emulator.machine.plant.plant import Plant
 from arm_emulator.machine.plant.plant_state import PlantState

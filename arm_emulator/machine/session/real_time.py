@@ -1,7 +1,5 @@
 """The thread that owns time in real time: tick/c/real_time.h, called from Python."""
 
-from __future__ import annotations
-
 import os
 import select
 from dataclasses import fields

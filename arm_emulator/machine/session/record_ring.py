@@ -1,7 +1,5 @@
 """Rows of a machine for a reader in another process: tick/c/record_ring.h."""
 
-from __future__ import annotations
-
 import mmap
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A machine at a tick as one row: true and measured values, with units."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

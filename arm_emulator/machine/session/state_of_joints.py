@@ -1,7 +1,5 @@
 """Quantities of some joints that are set by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The command of a client without ROS, taken by a session."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from arm_emulator.machine.session.session import Session

@@ -1,7 +1,5 @@
 """The tool's position in the world, in C, for many joint positions in one call."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pairs of links that need no test for contact, with the reason, as MoveIt's SRDF lists them."""
 
-from __future__ import annotations
-
 import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence

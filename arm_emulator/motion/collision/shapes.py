@@ -4,8 +4,6 @@ The shapes are those for collisions in the robot description. Every mesh has its
 hull, whose contacts are found faster and include those of the mesh.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The control laws of one arm, of which one leads."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.motion.executor.feedforward import Feedforward

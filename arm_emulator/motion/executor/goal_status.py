@@ -1,7 +1,5 @@
 """Result of a tool target, a joint trajectory or a tool path: one report per change."""
 
-from __future__ import annotations
-
 import enum
 import math
 from collections import Counter, deque

@@ -1,7 +1,5 @@
 """Orders of an arm during execution: hold its tool, follow its joints, or a path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 Names, units and codes are those of MoveIt Servo. `ToolDirections` makes joint speeds of a twist.
 """
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Instructions to the servo, one per motion period: the current order, results of the others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

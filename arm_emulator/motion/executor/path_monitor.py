@@ -1,7 +1,5 @@
 """Check that the measured tool keeps to its path, and passes all of its poses."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ All joints are shaped alike, so a straight line of the joints remains one, and e
 of earlier ones with positive shares: limits of position, speed, acceleration and jerk hold on.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property

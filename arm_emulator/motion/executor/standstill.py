@@ -1,7 +1,5 @@
 """Joints while some of them cannot move, by power or brakes, and motions that slow down."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

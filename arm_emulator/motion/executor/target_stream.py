@@ -5,8 +5,6 @@ motion is known where it is now, and where it will be when the next period ends.
 past would lag every curve by the time over which it is a mean.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -9,8 +9,6 @@ What leads towards a singular pose by its own lost direction is slowed down from
 ends at s_1 / stop; what leads away from it, or past it in other directions, goes on.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

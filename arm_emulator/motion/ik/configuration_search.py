@@ -1,7 +1,5 @@
 """Search for another configuration of the arm that reaches a target."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

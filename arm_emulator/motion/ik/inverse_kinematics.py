@@ -1,7 +1,5 @@
 """Joint angles that bring the tool to its target, or as near as possible."""
 
-from __future__ import annotations
-
 import math
 
 import daqp

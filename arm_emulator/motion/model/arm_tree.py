@@ -1,7 +1,5 @@
 """An arm as arrays, for computations over many configurations together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Numbers of an arm's drives for feed-forward: gears and friction by joint."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

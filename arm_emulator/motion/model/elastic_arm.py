@@ -14,8 +14,6 @@ The damper makes w lag T by D / K, some 0.1 to 1 ms: taken in first order, what 
 the size (D / K)^2 w''.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

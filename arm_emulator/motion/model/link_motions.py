@@ -1,7 +1,5 @@
 """Poses and speeds of an arm's links in the world, by Pinocchio."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The torques that an arm's links need, by its robot description."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

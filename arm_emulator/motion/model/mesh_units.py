@@ -1,7 +1,5 @@
 """Units of meshes, of which COLLADA files name theirs, and the folders of packages with meshes."""
 
-from __future__ import annotations
-
 import os
 import re
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Obstacles of an arm: a floor, boxes. The section `obstacles` of the parameter file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

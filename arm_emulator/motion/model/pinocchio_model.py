@@ -5,8 +5,6 @@ nothing, however many they are. Limits of speed, acceleration and effort are rea
 readers of a URDF drop them with a joint that has no limits of position.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ joints carry: it is taken to be as wrong as they are. A factor within 0.5 to 2 c
 against an obstacle indefinitely.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The tool's line; the same, turning the other way round or as the joints do; an a
 where the tool would go past its end on their line; their line.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

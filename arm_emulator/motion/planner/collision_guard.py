@@ -1,7 +1,5 @@
 """Guard against collisions: the joints can always stop before two parts touch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@
 refreshed in every motion period.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 A trajectory whose speeds step, as those of points without speeds do, comes to rest where they step.
 """
 
-from __future__ import annotations
-
 import itertools
 from typing import Protocol
 

@@ -12,8 +12,6 @@ measurement later, so that the limits hold by construction, whatever the servo d
 noise does not come back as motion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

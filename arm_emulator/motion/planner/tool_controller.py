@@ -1,7 +1,5 @@
 """Interface of all methods of motion control, and their choice by a configuration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol

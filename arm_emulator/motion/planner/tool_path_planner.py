@@ -1,7 +1,5 @@
 """The joints along a whole tool path, planned before it begins, or why there is no such way."""
 
-from __future__ import annotations
-
 import bisect
 import math
 from collections.abc import Sequence

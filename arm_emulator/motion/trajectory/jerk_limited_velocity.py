@@ -1,7 +1,5 @@
 """Joints that take up speeds with limited accelerations and jerks, and stop before their limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -8,8 +8,6 @@ stamp, from where the joints are commanded to be then and at the speed that they
 that nothing jumps. Points that are past are left out. Joints that it does not name come to rest.
 """
 
-from __future__ import annotations
-
 import bisect
 import math
 from collections.abc import Sequence

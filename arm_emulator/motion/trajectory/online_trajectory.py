@@ -4,8 +4,6 @@ Where a new target comes while the arm moves no line of the tool leads on from t
 on as they move, and each comes to rest at its angle, all at the same time.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import ruckig
 

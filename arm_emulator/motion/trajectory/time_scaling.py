@@ -1,7 +1,5 @@
 """A motion at another pace, and one that continues after a standstill."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.motion.model.joint_reference import Reference, ReferenceMotion

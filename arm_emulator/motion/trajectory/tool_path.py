@@ -8,8 +8,6 @@ Flat corners are rounded, so that the tool passes them no farther than `ROUNDED`
 direction still steps the tool stops: no joint can change its speed at once.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

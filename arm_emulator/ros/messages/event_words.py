@@ -1,7 +1,5 @@
 """Events and states of motions in words."""
 
-from __future__ import annotations
-
 from arm_emulator_msgs.msg import MachineEvent, MotionStatus
 
 

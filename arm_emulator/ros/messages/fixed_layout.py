@@ -5,8 +5,6 @@ messages of a servo period this takes longer than the middleware does. Here the 
 once; then numbers are read and written in place.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Iterator

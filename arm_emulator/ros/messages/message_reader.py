@@ -1,7 +1,5 @@
 """Messages of joints, decoded and checked in C (c/message_reader.h)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Message types by name: their classes, and their definitions in the form of bags."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """Topics of the three nodes: what bags hold of them, and replays give to them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from arm_emulator_msgs.msg import MotionStatus

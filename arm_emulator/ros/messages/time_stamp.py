@@ -1,7 +1,5 @@
 """Time stamps of messages, as logical times."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from builtin_interfaces.msg import Time

@@ -4,8 +4,6 @@ A callback may fail in ways that its author did not think of. Its caller then ge
 node's diagnostics have it, and the log has the traceback, since it is a defect.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Awaitable, Callable
 from functools import wraps

@@ -4,8 +4,6 @@ Every node publishes in its diagnostics its kind, its topic, its host and its st
 that was started first serves, and all nodes know which one that is.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import time

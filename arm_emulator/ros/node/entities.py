@@ -1,7 +1,5 @@
 """Subscriptions, timers and services of a node, waited for together."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Collection
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """A node with the states of ROS 2's managed nodes, which brings itself up unless asked not to."""
 
-from __future__ import annotations
-
 import inspect
 import time
 import traceback

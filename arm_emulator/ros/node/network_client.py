@@ -1,7 +1,5 @@
 """A node of a command or a test that joins a running network for a moment."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Iterator

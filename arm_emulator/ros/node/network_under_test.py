@@ -1,7 +1,5 @@
 """A network in lock-step under test: targets that are acknowledged, waits by logical time."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence

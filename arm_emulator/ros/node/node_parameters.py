@@ -3,8 +3,6 @@
 Those that are read once, when the node is configured, may be set while it is unconfigured.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Common parts of the three nodes: QoS, time, diagnostics, and `main`."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import sys

@@ -4,8 +4,6 @@ rclpy passes nothing about its publisher on with a message, rcl does: its identi
 graph has its node. So these messages are taken through c/middleware.h.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -4,8 +4,6 @@
 cannot end its nodes. So it passes its process id to them, and they ask the system for a signal.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -3,8 +3,6 @@
 `get_forks` starts that process, which forks nodes for as long as the process that uses them lives.
 """
 
-from __future__ import annotations
-
 import gc
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Precedence of a node's threads before other processes, in real time."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 

@@ -1,7 +1,5 @@
 """An unused ROS domain on this computer."""
 
-from __future__ import annotations
-
 import os
 import random
 import socket

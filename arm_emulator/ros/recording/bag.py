@@ -4,8 +4,6 @@ The files are those of rosbag2 in Jazzy (metadata version 9, MCAP profile `ros2`
 reads them, and bags of `ros2 bag record` are read here.
 """
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import re

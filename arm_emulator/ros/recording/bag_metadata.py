@@ -1,7 +1,5 @@
 """Metadata of a rosbag2 bag: topics, their quality of service, counts and times."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """A publisher that soon leaves again: what it publishes is to be in the bags of the run."""
 
-from __future__ import annotations
-
 from rcl_interfaces.srv import GetParameters
 from rclpy.publisher import Publisher
 

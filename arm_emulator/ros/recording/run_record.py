@@ -4,8 +4,6 @@ In lock-step the machine waits for a slow disk; in real time it does not wait, a
 not fit into the queue are counted.
 """
 
-from __future__ import annotations
-
 import atexit
 import threading
 import time

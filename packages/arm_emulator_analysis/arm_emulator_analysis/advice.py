@@ -5,8 +5,6 @@ that truth is added: the largest error is a bound for these motions. For other m
 kinds it is an estimate from the spread of the errors.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The first tick, quantity and bit in which two recorded runs differ."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math

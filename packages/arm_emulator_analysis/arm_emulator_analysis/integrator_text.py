@@ -1,7 +1,5 @@
 """Scheme, events and step written into a scene file, the rest of it as it was."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -5,8 +5,6 @@ controller on a finely integrated machine generates the commands, which are reco
 in open loop, they show the errors of the integration alone, without the effect of a controller.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass

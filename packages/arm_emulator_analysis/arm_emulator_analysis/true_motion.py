@@ -8,8 +8,6 @@ for a mode that began and ended within a step. Then the same scheme with events 
 steps, which uses other code to decide them, must approach the same motion.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time

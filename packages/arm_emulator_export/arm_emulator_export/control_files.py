@@ -1,7 +1,5 @@
 """A scene as ros2_control takes it: a robot description with our hardware, and controllers."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import yaml

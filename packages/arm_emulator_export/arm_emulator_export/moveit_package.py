@@ -1,7 +1,5 @@
 """A ROS package with all that MoveIt wants of a scene, as MoveIt's own assistant lays it out."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ The drive's dictionary, state machine and SDO server are those of core/drives.h;
 PDOs, SYNC, EMCY and heartbeat.
 """
 
-from __future__ import annotations
-
 import enum
 import struct
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """All drives of a machine as nodes on one CAN bus: frames in, frames out, and servo periods."""
 
-from __future__ import annotations
-
 from arm_emulator.extension.base import Refusal
 from arm_emulator.extension.machine import Diverged
 from arm_emulator_fieldbus.canopen_node import LARGEST_NODE, CanFrame, Node

@@ -4,8 +4,6 @@ docs/how_to/modbus.md has the table. It stands between a bus of 16-bit words and
 Modbus it uses only the codes of refusals.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import struct

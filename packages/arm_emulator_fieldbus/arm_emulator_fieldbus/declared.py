@@ -1,7 +1,5 @@
 """Inputs and outputs that parts declare, as objects of CiA 402 drives; see core/declared.hpp."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The library of the drives behind field buses, core/drives.h."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arm_emulator.extension.compiler import (

@@ -1,7 +1,5 @@
 """The electronic data sheet of a node, by CiA 306, for the tools of CANopen masters."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 

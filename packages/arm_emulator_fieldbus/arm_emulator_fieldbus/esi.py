@@ -1,7 +1,5 @@
 """EtherCAT slave information (ESI, ETG.2000): the file by which engineering tools know a drive."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """A segment of EtherCAT slaves, a CiA 402 drive per joint of a scene: core/ethercat/ethercat.h."""
 
-from __future__ import annotations
-
 import errno
 import os
 

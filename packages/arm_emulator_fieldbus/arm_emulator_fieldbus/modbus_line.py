@@ -1,7 +1,5 @@
 """A converter on a serial line. Knows nothing of ptys and of the wall clock."""
 
-from __future__ import annotations
-
 from arm_emulator_fieldbus.converter import RegisterConverter
 from arm_emulator_fieldbus.modbus_rtu import FrameReceiver, ModbusStation
 from arm_emulator_fieldbus.serial_line import BITS_PER_BYTE, LineErrors, compute_silence

@@ -1,7 +1,5 @@
 """The line's end as a pseudo terminal, which masters open like a serial port."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

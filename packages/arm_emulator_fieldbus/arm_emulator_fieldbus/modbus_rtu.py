@@ -4,8 +4,6 @@ After "Modbus application protocol specification V1.1b3" and "Modbus over serial
 (modbus.org). Input and holding registers of a station are one and the same table.
 """
 
-from __future__ import annotations
-
 import enum
 import struct
 from collections.abc import Callable, Sequence

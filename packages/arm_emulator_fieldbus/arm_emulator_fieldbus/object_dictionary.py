@@ -1,7 +1,5 @@
 """The object dictionary of a drive and its modes, as the library of the drives lists them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """A serial line such as RS485: times of transmission, and damage."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -3,8 +3,6 @@
 docs/how_to/microcontroller.md has their keys. It is read into the structs of core/runner.h.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Firmware in an ELF file: contents of memory, and addresses of functions."""
 
-from __future__ import annotations
-
 import bisect
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A microcontroller with firmware as control code of a `FirmwareLoop`: core/runner.h."""
 
-from __future__ import annotations
-
 import socket
 import zlib
 from functools import cache

@@ -1,7 +1,5 @@
 """Unicorn, the processor's emulator: headers and shared library of its Python package."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 from functools import cache

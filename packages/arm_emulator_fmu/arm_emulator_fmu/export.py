@@ -1,7 +1,5 @@
 """From a scene to a functional mock-up unit: a file that simulators load."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -4,8 +4,6 @@ That of FMI 2.0 does not list the sources: importers take those for C, or for C+
 They are there for people.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ The standard's structured names (``joints.'joint 1'.gear.stiffness``) are trees 
 take printable ASCII only. Where a scene has another name in it, all names are flat.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """documentation/index.html of a unit: its variables, and how it is used."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from arm_emulator.extension.base import escape_html

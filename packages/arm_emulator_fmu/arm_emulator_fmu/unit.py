@@ -1,7 +1,5 @@
 """The C++ of a unit: a scene's machine, the table of its variables, and the functions of FMI."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Sequence
 from dataclasses import replace

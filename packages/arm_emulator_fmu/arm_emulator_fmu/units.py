@@ -1,7 +1,5 @@
 """Units as FMI defines them: powers of the base units of SI."""
 
-from __future__ import annotations
-
 import math
 import re
 

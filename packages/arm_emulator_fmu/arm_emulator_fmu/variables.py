@@ -1,7 +1,5 @@
 """Variables of a unit: one list, from which its XML and its C++ are generated."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The binary of a unit for Windows, made by a cross compiler."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from pathlib import Path

@@ -5,8 +5,6 @@ scene's, and friction that would drive. Each slip is undone in the filtered reco
 its size, and the costs are compared.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations

@@ -4,8 +4,6 @@ It filters forward and backward, without a lag; or causally, with the same lag i
 no influence of later samples.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

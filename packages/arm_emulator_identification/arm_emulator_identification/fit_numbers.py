@@ -4,8 +4,6 @@ The emulator itself follows the record: its commands drive an arm per unknown si
 Gauss-Newton brings its signals to the measured ones.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Mapping

@@ -3,8 +3,6 @@
 Nothing corrects them: every difference between the machine and the real one accumulates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

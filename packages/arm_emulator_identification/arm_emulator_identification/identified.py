@@ -1,7 +1,5 @@
 """From a record to numbers: looked over, and fitted by torques."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

@@ -5,8 +5,6 @@ logarithms and lengths may be any numbers (C. Rucker and P. M. Wensing, IEEE Rob
 Letters 7, 2022: log-Cholesky parameters). Pinocchio has the map and its derivative.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -1,7 +1,5 @@
 """Torques of the links as a linear map of their inertias, by Pinocchio."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 

@@ -10,8 +10,6 @@ maxima, since elements slip one after the other: a grid of it carries the whole 
 each of its points that of the other numbers is normal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

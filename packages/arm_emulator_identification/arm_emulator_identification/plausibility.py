@@ -4,8 +4,6 @@ Each known slip is tried (data_mistakes.py). If the record fits the machine much
 undone, that slip is reported; those that fit nearly as well are named beside it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Records of motion in files: NumPy archives and tables."""
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings

@@ -6,8 +6,6 @@ likelihood with the number of independent samples, is added; then the next. The 
 the numbers fitted with and without these columns is their uncertainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The stage of a long command, on a terminal."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 

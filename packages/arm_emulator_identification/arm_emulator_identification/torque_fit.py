@@ -6,8 +6,6 @@ keeps the scene's value, and its confidence shows it. Outlying rows count little
 is searched for effects that the model lacks, and the confidence includes them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

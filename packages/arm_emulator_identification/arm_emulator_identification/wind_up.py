@@ -6,8 +6,6 @@ Zero and ripple are those of the encoder at the link, in this record. The ripple
 angle, with some hundred periods per turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The arm in the browser: its meshes, and the way of its tool."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a running machine: the arm now and before, its signals, and actions on it."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """Controls of the machine as a whole: power, reset, varied numbers, saved machines, gains."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from arm_emulator.extension.base import Refusal, escape_markdown

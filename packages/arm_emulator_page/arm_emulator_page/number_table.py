@@ -1,7 +1,5 @@
 """Numbers of joints as tables of Markdown, and events as a list."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The server of a page: guarded, and in our looks."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import gzip

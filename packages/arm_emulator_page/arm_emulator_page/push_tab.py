@@ -1,7 +1,5 @@
 """A force and a moment on a link: by their numbers, or by a handle that is dragged away."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

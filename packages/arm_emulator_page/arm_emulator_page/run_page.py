@@ -1,7 +1,5 @@
 """The page of a recorded run: play it, go to any moment, and look at every number there."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any

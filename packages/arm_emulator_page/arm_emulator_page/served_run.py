@@ -1,7 +1,5 @@
 """The page of a finished run, until Ctrl-C."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 

@@ -1,7 +1,5 @@
 """A plot of one quantity of a machine, all joints together."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Collection, Sequence
 from typing import Any

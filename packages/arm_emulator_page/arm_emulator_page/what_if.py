@@ -1,7 +1,5 @@
 """Changes of a run from its page: another future from any moment on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The current loop of a motor's drive."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar, Self
 

@@ -1,7 +1,5 @@
 """The current loops of a synchronous motor's drive."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.parts.input import CURRENT, Input
 from arm_emulator.machine.parts.registry import register_part

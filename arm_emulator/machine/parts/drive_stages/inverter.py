@@ -1,7 +1,5 @@
 """Voltage that the inverter of a drive loses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

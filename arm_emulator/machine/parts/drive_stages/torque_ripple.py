@@ -1,7 +1,5 @@
 """Torque ripple of motors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from arm_emulator.base.arrays import Array

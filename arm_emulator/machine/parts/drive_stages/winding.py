@@ -1,7 +1,5 @@
 """The temperature of a motor's winding."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Brakes on the shafts of motors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

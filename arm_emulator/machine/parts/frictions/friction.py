@@ -1,7 +1,5 @@
 """Friction of links and of rotors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 

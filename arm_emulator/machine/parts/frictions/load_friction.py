@@ -1,7 +1,5 @@
 """Friction that grows with the torque of the gear, and with that of the motor."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

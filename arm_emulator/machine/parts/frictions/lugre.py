@@ -1,7 +1,5 @@
 """Friction by bristles that bend before they slip."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

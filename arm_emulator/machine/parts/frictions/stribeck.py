@@ -1,7 +1,5 @@
 """Friction that falls as a shaft begins to slide."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

@@ -1,7 +1,5 @@
 """Gears with play."""
 
-from __future__ import annotations
-
 import math
 
 from arm_emulator.machine.parts.fault import Fault, bound_rise, declare_rise

@@ -1,7 +1,5 @@
 """Gears with a linear spring and a damper."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from arm_emulator.machine.parts.gears.gear import Gear

@@ -1,7 +1,5 @@
 """Gears between motor and link, eq. (2): their base, and the rigid gear."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parts that act within a gear, beside its spring."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from arm_emulator.base.validation.section import Section

@@ -1,7 +1,5 @@
 """Hysteresis of elastic gears."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

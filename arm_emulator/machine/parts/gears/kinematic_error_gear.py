@@ -1,7 +1,5 @@
 """Gears with errors of their teeth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Gears that stiffen as they wind up."""
 
-from __future__ import annotations
-
 import math
 
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear

@@ -1,7 +1,5 @@
 """Cogging of motors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Springs that balance the weight of an arm."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

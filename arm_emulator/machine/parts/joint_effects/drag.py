@@ -1,7 +1,5 @@
 """Drag of links in water or air."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

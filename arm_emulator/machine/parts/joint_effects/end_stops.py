@@ -1,7 +1,5 @@
 """Stops at the ends of a joint's way."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.base.arrays import Array

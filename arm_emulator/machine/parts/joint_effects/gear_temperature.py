@@ -1,7 +1,5 @@
 """The temperature of gears and their grease."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from arm_emulator.base.arrays import Array

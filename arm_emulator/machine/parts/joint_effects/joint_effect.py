@@ -1,7 +1,5 @@
 """Parts of a joint in sections of their own."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import ClassVar

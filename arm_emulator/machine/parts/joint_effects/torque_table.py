@@ -1,7 +1,5 @@
 """Torques on a link as a table over its angle."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Sensors with an amplifier and a converter: base of those of any quantity."""
 
-from __future__ import annotations
-
 import dataclasses
 import zlib
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Sensors of motor currents."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.measuring.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.registry import register_part
 

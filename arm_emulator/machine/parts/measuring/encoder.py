@@ -1,7 +1,5 @@
 """Encoders, at the motor and at the link."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Tachometers on the shafts of motors."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.measuring.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import READINGS, Output
 from arm_emulator.machine.parts.registry import register_part

@@ -1,7 +1,5 @@
 """Torque sensors at the output of gears."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.measuring.analog_sensor import AnalogSensor
 from arm_emulator.machine.parts.output import Output
 from arm_emulator.machine.parts.registry import register_part

@@ -1,7 +1,5 @@
 """Motors with ideal current control."""
 
-from __future__ import annotations
-
 from typing import Self
 
 from arm_emulator.machine.parts.input import CURRENT

@@ -1,7 +1,5 @@
 """Direct-current motors."""
 
-from __future__ import annotations
-
 from typing import Self
 
 from arm_emulator.machine.parts.motors.motor import (

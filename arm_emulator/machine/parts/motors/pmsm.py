@@ -1,7 +1,5 @@
 """Permanent-magnet synchronous motors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Self

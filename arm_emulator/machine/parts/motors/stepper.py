@@ -1,7 +1,5 @@
 """Hybrid stepper motors."""
 
-from __future__ import annotations
-
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.motors.motor import Motor, declare_rotor_inertia
 from arm_emulator.machine.parts.output import FURTHER, Output

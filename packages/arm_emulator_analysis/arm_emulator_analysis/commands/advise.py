@@ -1,7 +1,5 @@
 """Find the cheapest scheme and step for an error."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Explain one moment of a recorded run, or the first difference of two."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

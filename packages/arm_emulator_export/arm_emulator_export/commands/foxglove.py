@@ -1,7 +1,5 @@
 """Write a layout of Foxglove and Lichtblick for a scene."""
 
-from __future__ import annotations
-
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Write a ROS package with which MoveIt moves a scene's arm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

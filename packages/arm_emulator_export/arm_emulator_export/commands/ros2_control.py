@@ -1,7 +1,5 @@
 """Write what a controller manager of ros2_control needs to drive a scene's machine."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated

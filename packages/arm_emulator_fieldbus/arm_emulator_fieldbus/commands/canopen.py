@@ -1,7 +1,5 @@
 """Serve a CANopen master with a CiA 402 drive per joint."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Serve an EtherCAT master with a CiA 402 drive per joint."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

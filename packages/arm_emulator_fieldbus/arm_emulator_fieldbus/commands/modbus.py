@@ -1,7 +1,5 @@
 """Serve a Modbus RTU master as the paper's data converter on a serial port."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Run unmodified firmware of a Cortex-M4F in the loop with a machine."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

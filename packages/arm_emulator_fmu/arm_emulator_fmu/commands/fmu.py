@@ -1,7 +1,5 @@
 """Write the machine as a unit for simulators (FMI)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

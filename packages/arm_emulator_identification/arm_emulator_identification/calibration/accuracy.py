@@ -1,7 +1,5 @@
 """Accuracy of an arm by ISO 9283, and what a calibration from measured poses makes of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Deviations of the size that arms have, drawn at random."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arm_emulator.extension.machine import Deviation, UrdfJoint

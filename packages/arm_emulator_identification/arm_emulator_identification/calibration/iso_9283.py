@@ -4,8 +4,6 @@ In a cube of the workspace five poses lie on a diagonal plane: its centre, and f
 diagonals, a tenth of their length before their ends. The arm visits them in turn, 30 times.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """An arm led from pose to pose by its motion controller, and what is measured where it rests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

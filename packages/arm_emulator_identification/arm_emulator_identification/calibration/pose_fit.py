@@ -13,8 +13,6 @@ and 6 act). Which these are follows from singular values and from pivots of QR; 
 what cannot be distinguished.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

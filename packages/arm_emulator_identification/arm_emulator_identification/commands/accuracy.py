@@ -1,7 +1,5 @@
 """Measure an arm's accuracy and repeatability by ISO 9283, before and after a calibration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Identify a scene's numbers from measured motion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal

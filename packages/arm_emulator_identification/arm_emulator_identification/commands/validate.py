@@ -1,7 +1,5 @@
 """Compare a real machine with measurements or with independent solutions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

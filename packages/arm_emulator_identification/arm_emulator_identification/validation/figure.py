@@ -3,8 +3,6 @@
 Table and exit code come from the same list of these, so that every figure shown counts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The Manutec r3 with its published controllers, against an independent solution."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Look at a recorded run in the browser, or at two, one over the other."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from typing import Annotated
