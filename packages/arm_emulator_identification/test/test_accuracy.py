@@ -120,7 +120,7 @@ def test_true_kinematics_follows_from_exact_poses(seed: int) -> None:
 
 
 @pytest.mark.parametrize("oriented", [True, False])
-@pytest.mark.parametrize("seed", with_slow([0, 3, 4], 1))
+@pytest.mark.parametrize("seed", with_slow([21, 0, 3, 4], 1))
 def test_noisy_poses_are_fitted_as_by_scipy(seed: int, oriented: bool) -> None:
     """The same sum of squares, written by the test on Pinocchio, has its minimum there."""
     urdf, names, tool = random_arm(seed)
