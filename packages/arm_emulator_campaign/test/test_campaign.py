@@ -311,9 +311,10 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
 
 
 def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, capsys):
-    data = changed(changed(TABLE, "count", 70), "scenario/seconds", 0.002)
-    data = changed(data, "faults", None)
-    del data["vary"]["faults.push.force.2"]
+    data = changed(changed(TABLE, "count", 70), "scenario/seconds", 0.004)
+    for k, fault in enumerate(data["faults"].values()):  # of the machine of all other tests
+        fault |= {"at": 0.001 * k, "lasting": 0.001}
+    del data["faults"]["drop"]["lasting"]
     file, rng = written(tmp_path, data), np.random.default_rng(1)
     digest, _ = digest_alone(file)
     definition = load_campaign(file)
@@ -422,6 +423,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
     assert facts["measures"]["error"] == pytest.approx(error, abs=1e-12) and len(q) == 201
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", some(("ctrl-c", "worker", "client"), 1))
 def test_kills_at_random_moments_lose_nothing(tmp_path, victim):
     """Written runs stay, no process does; `bench.campaign_kills` tries more moments."""
