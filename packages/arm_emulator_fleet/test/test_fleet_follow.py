@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from draws import some
 from hard_cases import EARTH, Rod, chain
+from machines import SENSED
 from test_fleet_step import COUNT, LOCATED
 
 from arm_emulator.base.refusal import Refusal
@@ -161,6 +162,7 @@ def test_an_arm_moves_as_with_changed_neighbours_and_pieces(scene: Scene) -> Non
     assert np.array_equal(frame.q[some_arms], full[some_arms])
 
 
+@pytest.mark.slow
 def test_neighbours_whose_joints_stick_change_no_bit(tmp_path: Path) -> None:
     """Four joints: with three, code for lanes with a locked joint and for others rounded alike."""
     motor = {"torque_constant": 0.15, "back_emf_constant": 0.15, "resistance": 0.8}
@@ -266,14 +268,13 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
     assert fleets[0].state.t[0] == pytest.approx(0.095)
 
 
-def test_code_of_users_moves_arms_on_a_device_as_in_lanes(
-    tmp_path: Path, three_axis: Scene
-) -> None:
+def test_code_of_users_moves_arms_on_a_device_as_in_lanes(tmp_path: Path) -> None:
     """The kernels contain the same file; its arms glide, are cut, and have brakes."""
+    scene = load_scene("three_axis", SENSED)
     law, file = compiled(tmp_path, ROWS), tmp_path / "mine.c"
-    keeps = np.array([len(three_axis.joints), -1, *[0] * 16], np.int32)
-    fleet = Fleet(three_axis, COUNT)
-    expected = np.zeros((60, COUNT, len(three_axis.joints)))
+    keeps = np.array([len(scene.joints), -1, *[0] * 16], np.int32)
+    fleet = Fleet(scene, COUNT)
+    expected = np.zeros((60, COUNT, len(scene.joints)))
     off = np.arange(COUNT) % 4 == 1
 
     def follow(arms: Fleet, control: FleetControl, links: np.ndarray) -> None:
@@ -284,7 +285,7 @@ def test_code_of_users_moves_arms_on_a_device_as_in_lanes(
         arms.powered = True
 
     follow(fleet, FleetControl(address(law.by_arm), keeps.ctypes.data), expected)
-    arms = Fleet(three_axis, COUNT, device="processor", kernels=[file])
+    arms = Fleet(scene, COUNT, device="processor", kernels=[file])
     data = arms.to_device(keeps)
     for control in (
         FleetControl("law_by_rows", data, in_lanes=True),

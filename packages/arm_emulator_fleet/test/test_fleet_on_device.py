@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from devices import Stub
-from draws import some
-from machines import GANTRY, SENSED, gantry_urdf, write_scene
+from draws import some, with_slow
+from machines import DC, GANTRY, PMSM, SENSED, gantry_urdf, write_scene
 from test_fleet import BACKLASH
 from test_fleet_step import BRAKED, LOCATED
-from test_lanes import JOINTS
+from test_lanes import ELASTIC, JOINTS, WINDING
 
 from arm_emulator import Diverged, ExternalWrench, Refusal, Scene, load_scene
 from arm_emulator.extension.machine import (
@@ -70,9 +70,25 @@ def coupled(folder: Path) -> Scene:
     return machine(folder, *ARMS["palletizer"], varied=["joints.*.friction.viscous"])
 
 
+def one_arm_after_the_other(folder: Path) -> Scene:
+    """Return a scene without lanes: a gear has play; two motors have temperatures."""
+    motors = {**DC, "winding": WINDING}, {**PMSM, "winding": WINDING}, DC
+    joints = {
+        name: {"motor": motor, "gear": ELASTIC} for name, motor in zip(GANTRY, motors, strict=True)
+    }
+    joints["z"]["gear"] = {**ELASTIC, "backlash": 1e-3}
+    varied = ["joints.*.gear.stiffness", "joints.y.motor.winding.thermal_resistance"]
+    file = write_scene(
+        folder, gantry_urdf(), joints, varied=varied, gravity=[0.5, -0.5, 1.0],
+        servo_period=2e-3, integrator={"scheme": "rosenbrock", "dt": 2e-4},
+    )  # fmt: skip
+    return load_scene(file)
+
+
 SCENES: dict[str, Callable[[Path], Scene]] = {
     "located events, brake, wrench": three_axis(LOCATED),
     "noise, seeds": three_axis(SENSED),
+    "further inputs, temperatures, no lanes": one_arm_after_the_other,
     "further inputs, temperatures": gantry("gears that are not linear"),
     "no lanes": three_axis(BACKLASH),
     "ur5": lambda folder: load_scene("ur5"),
@@ -88,7 +104,7 @@ SCENES: dict[str, Callable[[Path], Scene]] = {
 }
 
 
-@pytest.fixture(scope="module", params=some(SCENES, 4))
+@pytest.fixture(scope="module", params=with_slow(some(SCENES, 5), 3))
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return SCENES[request.param](tmp_path_factory.mktemp("scene"))
 
