@@ -132,6 +132,7 @@ def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
 
 
 # Every fifth scene is of the same class (bench/advice.py): these are one each.
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(len(CLASSES)), 1))
 def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(
     seed: int, monkeypatch: pytest.MonkeyPatch

@@ -114,6 +114,7 @@ def test_unknown_arguments_are_refused(change: dict[str, Any], words: str, tmp_p
     assert not (tmp_path / "arm.fmu").exists(), "nothing is written"
 
 
+@pytest.mark.slow
 def test_equal_start_values_before_zeros_are_those_of_the_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
