@@ -53,57 +53,26 @@ class Shift(Deflection):
     damping: float = _declare("D", "N s/m", at_least=0.0, default=0.0)
 
 
-def _report(direction: str, about: str, unit: str) -> tuple[Output, ...]:
+def _declare_direction(base: type[Deflection], axis: str) -> type[Deflection]:
+    """Return the registered part of a direction."""
+    place, about, unit = (
+        (f"shift_{axis}", f"along {axis}", "m")
+        if base.slides
+        else (f"tilt_{axis}", f"about {axis}", "rad")
+    )
     text = f"true deflection of each joint's bearing {about}"
-    return (Output(f"bearing_{direction}", text, READINGS, unit),)
+    members = {
+        "__module__": __name__,
+        "__doc__": f"Deflection of the bearing {about}.",
+        "section": f"{SECTION}.{place}",
+        "axis": axis,
+        "outputs": (Output(f"bearing_{place}", text, READINGS, unit),),
+    }
+    return register_part(type(f"{base.__name__}{axis.upper()}", (base,), members))
 
 
-@register_part
-class ShiftX(Shift):
-    """A displacement of the bearing along x."""
-
-    section, axis = "bearing.shift_x", "x"
-    outputs = _report("shift_x", "along x", "m")
-
-
-@register_part
-class ShiftY(Shift):
-    """A displacement of the bearing along y."""
-
-    section, axis = "bearing.shift_y", "y"
-    outputs = _report("shift_y", "along y", "m")
-
-
-@register_part
-class ShiftZ(Shift):
-    """A displacement of the bearing along z."""
-
-    section, axis = "bearing.shift_z", "z"
-    outputs = _report("shift_z", "along z", "m")
-
-
-@register_part
-class TiltX(Tilt):
-    """A tilt of the bearing about x."""
-
-    section, axis = "bearing.tilt_x", "x"
-    outputs = _report("tilt_x", "about x", "rad")
-
-
-@register_part
-class TiltY(Tilt):
-    """A tilt of the bearing about y."""
-
-    section, axis = "bearing.tilt_y", "y"
-    outputs = _report("tilt_y", "about y", "rad")
-
-
-@register_part
-class TiltZ(Tilt):
-    """A tilt of the bearing about z."""
-
-    section, axis = "bearing.tilt_z", "z"
-    outputs = _report("tilt_z", "about z", "rad")
+ShiftX, ShiftY, ShiftZ = (_declare_direction(Shift, axis) for axis in "xyz")
+TiltX, TiltY, TiltZ = (_declare_direction(Tilt, axis) for axis in "xyz")
 
 
 def name_deflection(joint: str, kind: type[Deflection]) -> str:
