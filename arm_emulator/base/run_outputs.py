@@ -41,10 +41,6 @@ NOTHING = RunOutputs()
 
 
 def check_suffix(where: str, quantity: str, file: Path) -> None:
-    """Refuse files of a kind that cannot hold rows.
-
-    Raises:
-        Refusal: see above.
-    """
+    """Refuse files of a kind that cannot hold rows."""
     if file.suffix not in SUFFIXES:
         raise Refusal(where, quantity, "end in a known kind", file.name, ", ".join(SUFFIXES))

@@ -10,11 +10,7 @@ from arm_emulator.base.validation.number import Number
 
 
 def check_joints_exist(where: str, names: Iterable[object], joints: Sequence[str]) -> None:
-    """Refuse a name that no joint has.
-
-    Raises:
-        Refusal: see above.
-    """
+    """Refuse a name that no joint has."""
     for name in names:
         if name not in joints:
             raise Refusal(where, "joint", "be one of the arm", name, ", ".join(joints))

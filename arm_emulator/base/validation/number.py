@@ -128,9 +128,6 @@ class Number:
             where: name of the refusal.
             values: the numbers.
             joints: names of the joints that they belong to; then a refusal names the joint.
-
-        Raises:
-            Refusal: see above.
         """
         # Each is smaller than the root of the sum of their squares; False of a NaN. Of few numbers
         # Python finds it sooner.

@@ -36,11 +36,7 @@ def list_modes(scene: Scene) -> list[int]:
 
 
 def check_inputs(where: str, scene: Scene, names: Iterable[str]) -> None:
-    """Refuse names of further inputs that no motor of a scene has.
-
-    Raises:
-        Refusal: see above.
-    """
+    """Refuse names of further inputs that no motor of a scene has."""
     inputs = list_further_inputs(scene)
     for name in names:
         if name not in inputs:

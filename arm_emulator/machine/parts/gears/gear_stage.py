@@ -16,11 +16,7 @@ class GearStage(Part):
     shaft: ClassVar[str] = "rotor"
 
     def check_gear(self, gear: Gear, joint: Section) -> None:
-        """Refuse a gear that has no place for it.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse a gear that has no place for it."""
 
     def wrap_gear(self, kind: str, gear: str, own: str) -> tuple[str, str]:
         """Return type and initialiser of a gear with it, in C++.

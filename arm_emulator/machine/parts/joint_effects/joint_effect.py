@@ -28,11 +28,7 @@ class JointEffect(Part):
         """
 
     def check_parts(self, parts: Sequence[Part], joint: Section) -> None:
-        """Refuse a joint whose other parts do not go with it.
-
-        Raises:
-            Refusal: see above.
-        """
+        """Refuse a joint whose other parts do not go with it."""
 
     @property
     def stops(self) -> tuple[float, float] | None:
