@@ -55,18 +55,18 @@ class Shift(Deflection):
 
 def _declare_direction(base: type[Deflection], axis: str) -> type[Deflection]:
     """Return the registered part of a direction."""
-    place, about, unit = (
-        (f"shift_{axis}", f"along {axis}", "m")
+    key, motion, about, unit = (
+        (f"shift_{axis}", "displacement", f"along {axis}", "m")
         if base.slides
-        else (f"tilt_{axis}", f"about {axis}", "rad")
+        else (f"tilt_{axis}", "tilt", f"about {axis}", "rad")
     )
     text = f"true deflection of each joint's bearing {about}"
     members = {
         "__module__": __name__,
-        "__doc__": f"Deflection of the bearing {about}.",
-        "section": f"{SECTION}.{place}",
+        "__doc__": f"A {motion} of the bearing {about}.",
+        "section": f"{SECTION}.{key}",
         "axis": axis,
-        "outputs": (Output(f"bearing_{place}", text, READINGS, unit),),
+        "outputs": (Output(f"bearing_{key}", text, READINGS, unit),),
     }
     return register_part(type(f"{base.__name__}{axis.upper()}", (base,), members))
 
