@@ -1,10 +1,8 @@
 """The machine of a recorded run, driven again tick by tick."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +58,7 @@ class RecordedMachine:
         self._apply_changes()
 
     @classmethod
-    def of(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> RecordedMachine:
+    def of(cls, path: Path, scene: Scene | str | None = None, run: int = -1) -> Self:
         """Return the machine of a run of a bag; the scene is that which the bag names if None."""
         topics = RecordedTopics(Bag(path))
         loaded = scene if isinstance(scene, Scene) else load_scene(scene or topics.scene)

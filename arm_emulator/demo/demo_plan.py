@@ -1,9 +1,8 @@
 """The demo's motions of a scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +35,7 @@ class DemoPlan:
     motion: NDArray[np.float64] | None = None  # m (3,), of the tool in the world
 
     @classmethod
-    def load(cls, scene: Path, period_ns: int) -> DemoPlan:
+    def load(cls, scene: Path, period_ns: int) -> Self:
         """Read the plan that belongs to a scene file, for a motion period.
 
         Raises:

@@ -4,11 +4,10 @@ An arm is known by the name of its description and the number of its joints. Eve
 source; torques are those that the maker states as the largest of a joint.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
+from typing import Self
 
 from arm_emulator.design.joint_data import JointData
 
@@ -68,7 +67,7 @@ class JointSheet:
     data: JointData | None = None  # its parts, where they are known, too
 
     @classmethod
-    def of(cls, data: JointData) -> JointSheet:
+    def of(cls, data: JointData) -> Self:
         """Return the figures of a joint with a data file."""
         return cls(data.torque, data.speed, f"config/joints/{data.name}.yaml", data=data)
 

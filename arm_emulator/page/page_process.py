@@ -1,10 +1,9 @@
 """A running machine with a page: its rows go to a process of its own, so that no tick is late."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Callable
+from typing import Self
 
 from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
@@ -64,7 +63,7 @@ class PageProcess:
         )
         self.url = str(self._process.ready)
 
-    def __enter__(self) -> PageProcess:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:

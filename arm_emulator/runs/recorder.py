@@ -4,8 +4,6 @@ The rows go through shared memory to a process of its own. So a run that is kill
 that crashes, leaves a whole file, and files cost the run no time of Python.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shlex
@@ -13,6 +11,7 @@ import shutil
 import sys
 import threading
 from pathlib import Path
+from typing import Self
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs
@@ -47,7 +46,7 @@ class Recorder:
                 plant, PROCESS, task, "record", waits=waits, patience=PATIENCE
             )
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:

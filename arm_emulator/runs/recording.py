@@ -1,10 +1,8 @@
 """A run kept as a table: what was true and what was measured, row by row."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -79,7 +77,7 @@ class Recording(NonCopyable):
         rows, names = sum(map(len, self._taken)), ", ".join(self._names)
         return f"<Recording of {self._plant.scene.name}: {rows} rows of {names}>"
 
-    def __enter__(self) -> Recording:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,10 +1,8 @@
 """The servo of an arm: what comes from outside is checked, then servo.c does the rest."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -108,7 +106,7 @@ class Servo(Synchronized):
         SERVO.fill(self.arm, **of["scalars"])
         SERVO.ffi.buffer(SERVO.ffi.addressof(self.arm, "watchdog"))[:] = of["watchdog"]
 
-    def __copy__(self) -> Servo:
+    def __copy__(self) -> Self:
         return copy.deepcopy(self)
 
     @staticmethod

@@ -1,9 +1,8 @@
 """By how much a joint of one machine stands otherwise than its description has it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import partial
+from typing import Self
 
 from arm_emulator.base.urdf.frames import Frame, frame_of, rpy_of
 from arm_emulator.base.validation.number import number
@@ -39,7 +38,7 @@ class Deviation:
     )
 
     @classmethod
-    def of_frame(cls, frame: Frame) -> Deviation:
+    def of_frame(cls, frame: Frame) -> Self:
         """Return the deviation that displaces a joint's frame to `frame`, seen from it."""
         x, y, z = map(float, frame.p)
         roll, pitch, yaw = map(float, rpy_of(frame.R))

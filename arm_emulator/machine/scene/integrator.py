@@ -1,10 +1,9 @@
 """The integrator of a scene: scheme, step, exchange between threads, location of events."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass
+from typing import Self
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import number
@@ -44,7 +43,7 @@ class Integrator:
         return KNOWN[self.scheme]
 
     @classmethod
-    def read(cls, section: Section) -> Integrator:
+    def read(cls, section: Section) -> Self:
         """Read the section."""
         return cls(
             scheme=section.choice("scheme", SCHEMES, default=SCHEMES[0]),

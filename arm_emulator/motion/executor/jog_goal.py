@@ -1,8 +1,7 @@
 """Motion by jog commands, until no more arrive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
@@ -35,7 +34,7 @@ class JogGoal(Goal):
         self.status, self.words = JogStatus.NO_WARNING, ""
 
     @classmethod
-    def stop(cls, now_ns: int, joints: int) -> JogGoal:
+    def stop(cls, now_ns: int, joints: int) -> Self:
         """Return the order to come to rest from now on."""
         return cls(JogCommand(now_ns, None, "", np.zeros(joints)))
 

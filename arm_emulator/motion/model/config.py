@@ -1,11 +1,9 @@
 """Parameters of the motion controller."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.validation.parameters import load_parameters, parameter
@@ -271,7 +269,7 @@ class MotionConfig(SharedObject):
         check_shaper(self.shaper, self.modes, self.method, self.where)
         return InputShaper.design(self.shaper, self.modes)
 
-    def add_sections(self, sections: Mapping[str, Any], where: str) -> MotionConfig:
+    def add_sections(self, sections: Mapping[str, Any], where: str) -> Self:
         """Return the parameters with those of the sections."""
         drives = read_drives(sections.get(SECTION, {}), where)
         obstacles = read_obstacles(sections.get(OBSTACLES, {}), where)

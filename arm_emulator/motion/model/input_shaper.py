@@ -11,11 +11,10 @@ Singer and W. P. Seering, Preshaping Command Inputs to Reduce System Vibration, 
 Meas. Control 112, 1990.) Shapers of several modes are convolved.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -72,7 +71,7 @@ class InputShaper(ArrayEquality):
         return float(self.times[-1])
 
     @classmethod
-    def design(cls, kind: str, modes: Sequence[ShapedMode]) -> InputShaper:
+    def design(cls, kind: str, modes: Sequence[ShapedMode]) -> Self:
         """Return the shaper of a kind for some modes; without any it changes nothing."""
         times, shares = np.zeros(1), np.ones(1)
         for mode in modes if kind != "none" else ():

@@ -1,9 +1,8 @@
 """Pose of a tool."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +49,7 @@ class Pose(ArrayEquality):
         _keep(self, p, R)
 
     @classmethod
-    def computed(cls, p_WT: Array, R_WT: Array) -> Pose:
+    def computed(cls, p_WT: Array, R_WT: Array) -> Self:
         """Take both over as they are: results of a computation from poses."""
         pose = cls.__new__(cls)
         _keep(pose, p_WT, R_WT)
@@ -59,7 +58,7 @@ class Pose(ArrayEquality):
     @classmethod
     def from_quaternion(
         cls, position: npt.ArrayLike, quaternion: npt.ArrayLike, where: str = "tool_target"
-    ) -> Pose:
+    ) -> Self:
         """Take a pose as messages give it.
 
         Args:

@@ -1,10 +1,9 @@
 """Curves of the joints, without time."""
 
-from __future__ import annotations
-
 import bisect
 import functools
 import math
+from typing import Self
 
 import numpy as np
 
@@ -38,12 +37,12 @@ class JointCurve:
         self._factors, self._powers = _derive_powers(coefficients.shape[1])
 
     @classmethod
-    def line(cls, start: Array, end: Array) -> JointCurve:
+    def line(cls, start: Array, end: Array) -> Self:
         """Return the straight line between two configurations (N,)."""
         return cls(np.array([0.0, 1.0]), np.stack([start, end - start])[None])
 
     @classmethod
-    def fit_spline(cls, nodes: Array) -> JointCurve:
+    def fit_spline(cls, nodes: Array) -> Self:
         """Return the cubic spline through configurations (K + 1, N), evenly spread over s."""
         y = np.ascontiguousarray(nodes)
         count, columns = y.shape

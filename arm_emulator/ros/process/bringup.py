@@ -1,7 +1,5 @@
 """The three nodes as three processes that live and end together."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -12,7 +10,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Self
 
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
@@ -96,7 +94,7 @@ class Bringup:
                 words += ["-p", f"{key}:={value}"]
             self._words[name] = words + common
 
-    def __enter__(self) -> Bringup:
+    def __enter__(self) -> Self:
         try:
             for name in self._words:
                 self.start(name)

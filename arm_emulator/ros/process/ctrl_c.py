@@ -5,14 +5,12 @@ Ctrl-C is the usual end of a node and of the commands that run until they are st
 SIGTERM, as in shells.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal
 from collections.abc import Iterator
 from types import FrameType
-from typing import ClassVar
+from typing import ClassVar, Self
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -107,7 +105,7 @@ class CtrlC:
             if interrupted:
                 raise KeyboardInterrupt
 
-    def __enter__(self) -> CtrlC:
+    def __enter__(self) -> Self:
         if CtrlC.signal:
             os._exit(get_exit_code(CtrlC.signal, self._code))
         CtrlC._interrupts = True  # Python runs no handler between here and the block

@@ -1,13 +1,11 @@
 """Writes a rosbag2 bag so that a crash loses little, and mends one whose recorder was killed."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import yaml
 
@@ -84,7 +82,7 @@ class BagWriter:
             shutil.rmtree(folder, ignore_errors=True)  # which is ours, and empty
             raise Refusal("record", f"folder {folder}", "be writable", error.strerror) from None
 
-    def __enter__(self) -> BagWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

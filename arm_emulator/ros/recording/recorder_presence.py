@@ -5,14 +5,13 @@ a recorder waits for its first tick. A recorder therefore holds a name without a
 disappears with its process in any case, and is visible within the loopback interface.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import secrets
 import socket
 from collections.abc import Collection
 from pathlib import Path
+from typing import Self
 
 RECORDER = re.compile(r"\d+\.[0-9a-f]{8}")  # names of recorders
 STATES = "motor_states"  # last part of the topic on which an emulator publishes its states
@@ -43,7 +42,7 @@ class RecorderPresence:
             self._sockets.append(opened)
             opened.bind(name)
 
-    def __enter__(self) -> RecorderPresence:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

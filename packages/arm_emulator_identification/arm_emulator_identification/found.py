@@ -1,10 +1,8 @@
 """Identified numbers, as text for the user."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,7 +33,7 @@ class Found:
     mixed: tuple[str, ...] = ()  # numbers from which this record does not distinguish it
 
     @classmethod
-    def kept(cls, name: str, unit: str, value: float, **why: Any) -> Found:
+    def kept(cls, name: str, unit: str, value: float, **why: Any) -> Self:
         """Return a number that was not sought; `why`: `left`, `shown` or `mixed`."""
         return cls(name, unit, value, value, np.nan, False, **why)
 

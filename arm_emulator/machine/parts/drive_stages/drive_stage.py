@@ -1,7 +1,5 @@
 """Parts around a motor, each of which makes a motor of a motor."""
 
-from __future__ import annotations
-
 from typing import ClassVar, NamedTuple, Self
 
 from arm_emulator.base.validation.section import Section
@@ -38,7 +36,7 @@ class DriveStage(Part):
         return " of ".join([super().name_place(), *[cls.around_kind] * bool(cls.around_kind)])
 
     @classmethod
-    def of(cls, motor: Motor) -> type[DriveStage]:
+    def of(cls, motor: Motor) -> type[Self]:
         """Return the kind of it that goes around a motor, which may be for such motors alone."""
         from arm_emulator.machine.parts.registry import list_kinds
 

@@ -1,10 +1,8 @@
 """Inertial measurement units on links."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from arm_emulator.base.urdf.frames import Frame, frame_of
 from arm_emulator.base.validation.number import Number
@@ -123,7 +121,7 @@ class Imu:
     gyroscope: Gyroscope | None
 
     @classmethod
-    def read(cls, name: str, section: Section, chain: Chain) -> Imu:
+    def read(cls, name: str, section: Section, chain: Chain) -> Self:
         """Return the unit that a section describes.
 
         Raises:

@@ -1,10 +1,9 @@
 """The sensors of a scene, in C++ as core/mechanics/sensors.hpp has them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.measuring.analog_sensor import AnalogSensor
@@ -40,7 +39,7 @@ class JointSensors:
     analog: tuple[AnalogSensor, ...] = ()
 
     @classmethod
-    def read(cls, joint: Section, kind: str) -> JointSensors:
+    def read(cls, joint: Section, kind: str) -> Self:
         """Return the sensors that a joint's section describes.
 
         Args:
@@ -76,7 +75,7 @@ class JointSensors:
         return there | {sensor.section: sensor for sensor in self.analog}
 
     @classmethod
-    def add_counts(cls, counts_per_turn: int) -> JointSensors:
+    def add_counts(cls, counts_per_turn: int) -> Self:
         """Return sensors of which the encoder at the motor is the only one."""
         return cls(encoder=Encoder(counts_per_turn=counts_per_turn))
 
