@@ -211,12 +211,12 @@ PYTEST := PYTHONDONTWRITEBYTECODE= pytest -n 3 --dist loadfile --no-loadscope-re
 PACKAGES ?=
 TESTS = $(foreach name,$(PACKAGES),$(if $(filter core,$(name)),test,packages/arm_emulator_$(name)/test))
 
-# By quick_cxx, which takes half of the time and gives the same bits; test-in-full tests -O3.
+# Both by quick_cxx, which takes half of the time and gives the same bits; test-in-full tests -O3.
 test: setup .venv/.robots
 	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) -m 'not slow' $(TESTS) $(ARGS)
 
 test-slow: setup .venv/.robots
-	@$(RUN) && $(PYTEST) -m slow $(TESTS) $(ARGS)
+	@$(RUN) && CXX="$${CXX:-$(CURDIR)/test/quick_cxx}" $(PYTEST) -m slow $(TESTS) $(ARGS)
 
 test-in-full: setup .venv/.robots
 	@$(RUN) && FULL=1 $(PYTEST) $(TESTS) $(ARGS)

@@ -88,9 +88,9 @@ def drawings(folder: Path) -> dict[str, Drawing]:
     }
 
 
-def cases(folder: Path) -> Iterator[tuple[str, Scene]]:
-    """Yield scenes with their names, in all schemes that they admit."""
-    for name, draw_case in some(drawings(folder).items(), 3):
+def cases(folder: Path, count: int) -> Iterator[tuple[str, Scene]]:
+    """Yield the first scenes with their names, with FULL=1 all in all schemes that they admit."""
+    for name, draw_case in some(drawings(folder).items(), count):
         yield name, draw_case({})
         for scheme in SCHEMES if FULL else ():
             for events in ("step", "located") if scheme in LOCATING_SCHEMES else ("step",):
@@ -225,18 +225,23 @@ def digest_of_servo(name: str, folder: Path, own: str = "") -> str:
     return str(digest)
 
 
-def digests(target: str, level: str) -> Iterator[tuple[str, str]]:
+def digests(target: str, level: str, count: int = 3) -> Iterator[tuple[str, str]]:
     """Yield all digests by name, of code that is compiled for a target at a level such as -O1.
+
+    Args:
+        target: "native" or a portable one.
+        level: of optimisation.
+        count: of scenes, 1 without a fleet; with FULL=1 there are all.
 
     Raises:
         AssertionError: an arm of a fleet has other bits than an arm by itself.
     """
     of_machines.FLAGS = tuple(level if flag == "-O3" else flag for flag in of_machines.FLAGS)
     with tempfile.TemporaryDirectory() as folder:
-        for name, scene in cases(Path(folder)):
+        for name, scene in cases(Path(folder), count):
             # Fleets of long arms compile for long: only as their scenes state them.
             is_quick = len(scene.joints) <= 3 or "," not in name
-            has_fleet = is_quick if FULL else name in ("sensed", "ur5")
+            has_fleet = is_quick if FULL else count > 1 and name in ("sensed", "ur5")
             units = [of_machines.build_machine_unit(scene)]
             units += [build_fleet_unit(scene)] if has_fleet else []
             if target != "native":

@@ -3,10 +3,11 @@
 import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import list_moving_joints, write_scene
 from test_servo_loop import Rng, draw_axis, log_uniform
 
@@ -86,7 +87,7 @@ def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.nd
     return out
 
 
-@pytest.mark.parametrize("seed", some(range(3), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(3), 2), 1))
 def test_arms_called_stable_settle_and_those_called_unstable_swing(
     seed: int, tmp_path: Path
 ) -> None:
@@ -104,7 +105,7 @@ def test_arms_called_stable_settle_and_those_called_unstable_swing(
         assert late < max(0.05 * middle, 0.3), f"dies by {rate:.3g} 1/s, but still {late:.3g} rad/s"
 
 
-@pytest.mark.parametrize("name", some(["three_axis", "ur5", "panda"], 2))
+@pytest.mark.parametrize("name", with_slow(some(["three_axis", "ur5", "panda"], 2), 1))
 def test_the_shipped_scenes_have_margins(name: str) -> None:
     file = find_config(name, ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
@@ -116,7 +117,7 @@ def test_the_shipped_scenes_have_margins(name: str) -> None:
         assert margin.delay > 1.5, f"with a period of dead time: {margin}"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", with_slow(range(3), 1))
 def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: int) -> None:
     rng = np.random.default_rng([seed, 8])
     name = str(rng.choice(["three_axis", "ur5", "panda"]))
@@ -151,6 +152,7 @@ def test_an_unstable_loop_is_refused_with_a_gain_and_a_period_that_hold(seed: in
     assert all(loop.radius < 1.0 for loop in every), "the period that was named"
 
 
+@pytest.mark.slow
 def test_little_margin_is_warned_of() -> None:
     file = find_config("ur5", ".yaml")
     scene, servo = load_scene(file), load_gains(file).servo
@@ -167,33 +169,36 @@ def test_little_margin_is_warned_of() -> None:
     assert lines[0].endswith("; `tune` computes gains")
 
 
-def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine() -> None:
+@pytest.mark.parametrize("overrides", with_slow([{}, {"joints.*.motor.inductance": None}], 1))
+def test_the_currents_and_motor_angles_of_small_motions_are_those_of_the_machine(
+    overrides: dict[str, Any],
+) -> None:
     """One servo period under a small voltage, by the core and by the matrices; L or none."""
-    for overrides in ({}, {"joints.*.motor.inductance": None}):
-        scene = load_scene(
-            "three_axis",
-            {"joints.waist.gear.stiffness": None, "joints.waist.gear.damping": None}
-            | {"integrator.dt": 1e-5, "gravity": None, "varied": ["joints.*"]}
-            | overrides,
-        )
-        plant = Plant(scene)
-        motions = SmallMotions(plant, scene.start)
-        V = np.array([1e-3, -2e-3, 3e-3])
-        F, G = discretise_zoh(motions.J, motions.B, scene.servo_period)
-        x = np.zeros(len(F))
-        plant.reset(q=scene.start)
-        before = plant.state.theta_m
-        for _ in range(5):
-            plant.advance(V, scene.steps_per_period)
-            x = F @ x + G @ V
-        for quantity, actual, expected in (
-            ("current", plant.state.current, motions.current @ x + motions.current_by_command * V),
-            ("motor angle", plant.state.theta_m - before, motions.theta_m @ x),
-        ):
-            error = np.abs(actual - expected).max() / np.abs(expected).max()
-            assert error < 1e-4, f"{quantity}: {actual} by the core, {expected} by the matrices"
+    scene = load_scene(
+        "three_axis",
+        {"joints.waist.gear.stiffness": None, "joints.waist.gear.damping": None}
+        | {"integrator.dt": 1e-5, "gravity": None, "varied": ["joints.*"]}
+        | overrides,
+    )
+    plant = Plant(scene)
+    motions = SmallMotions(plant, scene.start)
+    V = np.array([1e-3, -2e-3, 3e-3])
+    F, G = discretise_zoh(motions.J, motions.B, scene.servo_period)
+    x = np.zeros(len(F))
+    plant.reset(q=scene.start)
+    before = plant.state.theta_m
+    for _ in range(5):
+        plant.advance(V, scene.steps_per_period)
+        x = F @ x + G @ V
+    for quantity, actual, expected in (
+        ("current", plant.state.current, motions.current @ x + motions.current_by_command * V),
+        ("motor angle", plant.state.theta_m - before, motions.theta_m @ x),
+    ):
+        error = np.abs(actual - expected).max() / np.abs(expected).max()
+        assert error < 1e-4, f"{quantity}: {actual} by the core, {expected} by the matrices"
 
 
+@pytest.mark.slow
 def test_a_gear_with_play_is_looked_at_loaded_and_within_its_play() -> None:
     """Loaded it is the gear without play; within, its rotor turns by itself."""
     servo = load_gains(find_config("three_axis", ".yaml")).servo

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import ROTOR, write_scene
 
 from arm_emulator import Plant, load_scene
@@ -26,7 +26,9 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("place", "frictions", "scheme", "events", "weightless"), some(CASES, 2))
+@pytest.mark.parametrize(
+    ("place", "frictions", "scheme", "events", "weightless"), with_slow(some(CASES, 2), 1)
+)
 def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     place: str, frictions: tuple[str, ...], scheme: str, events: str, weightless: bool
 ) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from balance import balance_of
-from draws import some
+from draws import some, with_slow
 from machines import LINK_INERTIA, make_link_urdf, write_scene
 from test_located import STICKING
 
@@ -94,7 +94,7 @@ def span(joint: dict[str, Any], speed: float) -> float:
 
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "extrapolated"], 1))
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", with_slow(range(4), 1))
 def test_teeth_bounce_as_the_closed_form_states_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
@@ -119,6 +119,7 @@ def test_teeth_bounce_as_the_closed_form_states_with_order_two(
     assert left[-1] < 0.4 * left[-2] or left[-1] < 1e-5, f"the balance closes as the scheme, {left}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 1))
 def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme: str) -> None:
     joint, speed = sample_joint(np.random.default_rng([3, 21]))
@@ -133,6 +134,7 @@ def test_steps_that_are_not_cut_come_to_the_same_bounces(tmp_path: Path, scheme:
     assert errors[1] < 0.4 * errors[0], f"a tenth of the step, {errors}"
 
 
+@pytest.mark.slow
 def test_a_gear_without_play_is_elastic() -> None:
     """Its damper pulls, too, and it cuts no step; links that stick keep their located events."""
     rows = np.random.default_rng(0).uniform(-12.0, 12.0, (40, 3))

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from draws import with_slow
 from made_bags import TYPES, synthetic
 from network import PATIENCE, RECORD_QOS, User, network, user
 from rclpy.context import Context
@@ -203,7 +204,13 @@ CHANGES: dict[str, tuple[Callable[[BagMessage], bytes | None], int, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CHANGES)
+# Of which others show the same.
+LONG = {"a current", "a true speed", "lost commands"}
+
+
+@pytest.mark.parametrize(
+    "name", with_slow(sorted(CHANGES, key=LONG.__contains__), len(CHANGES) - len(LONG))
+)
 def test_a_change_of_a_bag_is_detected(
     recording: tuple[Path, str], tmp_path: Path, name: str
 ) -> None:
@@ -277,12 +284,32 @@ def listener(domain: int, actual: list[bytes]) -> Iterator[Callable[[], None]]:
         rclpy.try_shutdown(context=context)
 
 
-def test_a_late_listener_gets_a_replayed_description(recording: tuple[Path, str]) -> None:
-    with user() as client, command_line("replay", recording[0], "--rate", "0.2"):
+def test_a_late_listener_gets_a_replayed_description(
+    recording: tuple[Path, str], tmp_path: Path
+) -> None:
+    """Between the description and the only other message the replay waits longer than any test."""
+    bag = recording[0]
+    last = list(Bag(bag).messages([STATES]))[-1].data
+
+    def description_and_end(message: BagMessage) -> bytes | None:
+        is_end = message.topic == STATES and message.data == last
+        return message.data if message.topic == "/robot_description" or is_end else None
+
+    copy = rewrite(bag, tmp_path / "copy", description_and_end)
+    with (
+        user() as client,
+        command_line("replay", copy, "--rate", "1e-4"),
+    ):
         client.wait("the description", lambda: client.description)
-        assert client.description == load_scene("three_axis").urdf
+        late = User(client.node.context.get_domain_id())
+        try:
+            late.wait("the description", lambda: late.description)
+            assert late.description == client.description == load_scene("three_axis").urdf
+        finally:
+            late.close()
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_leaves_its_flushed_messages(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     with user() as client, command_line("record", bag) as recorder:

@@ -182,6 +182,7 @@ def test_motion_keeps_its_energy_and_dampers_take_it(arm: Scene) -> None:
     assert lost == pytest.approx(flow.dissipated.sum() - flow.supplied.sum(), rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("events", ["step", "located"])
 def test_derivatives_are_those_of_differences(events: str, arm: Scene) -> None:
     """Central differences over 2e-4 of a number lack 1e-8 of its third derivative."""
@@ -329,6 +330,7 @@ def write_ur5(folder: Path) -> Path:
     return written
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     find_example_robot_data() is None, reason="needs the package example-robot-data"
 )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from random_messages import huge, number, random_urdf
 
 from arm_emulator import OfflineRun, Pose, Refusal, Servo, Session, load_scene, load_servo_config
@@ -240,7 +241,7 @@ def begin(controller: Controller, start: np.ndarray, target: Pose) -> None:
     controller.update(start, target)  # a control law may remember the one before
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", with_slow(SCENES, 1))
 def test_the_motion_controller_refuses_extreme_numbers_and_stays_as_it_was(scene: str) -> None:
     rng, run = random.Random(scene), load_offline_run(scene)
     controller, start = run.controller, run.session.scene.start
@@ -273,7 +274,7 @@ def test_quaternions_that_are_not_of_unit_length_are_refused(size: float) -> Non
             Pose.from_quaternion([0.0, 0.0, 0.0], quaternion)
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", with_slow(SCENES, 1))
 def test_every_target_that_is_taken_gives_targets_that_a_servo_takes(scene: str) -> None:
     rng, run = random.Random(scene), load_offline_run(scene)
     controller, N = run.controller, len(run.session.scene.start)
@@ -317,7 +318,7 @@ def test_tool_targets_that_wait_for_their_time_are_bounded_in_number() -> None:
 
 
 @pytest.mark.parametrize("method", ["paper", "way"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", with_slow(range(3), 1))
 def test_any_robot_of_numbers_is_refused_or_computed_with(seed: int, method: str) -> None:
     rng = random.Random(seed)
     names, taken = ["a", "b", "c"], 0

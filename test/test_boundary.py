@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from fuzz.cores import random_machine
 
 from arm_emulator import Diverged, Plant, PlantState, Refusal, Scene, load_scene
@@ -25,7 +25,7 @@ MACHINES = some([0, 1, 3, 4, 2, 5, 6, 7], 2)  # their seeds
 Piece = tuple[np.ndarray, int]  # voltages, and for how many steps
 
 
-@pytest.fixture(scope="module", params=MACHINES)
+@pytest.fixture(scope="module", params=with_slow(MACHINES, 1))
 def sample_machine(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Scene, np.random.Generator]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from by_hand import CLOCKS, go_on, session_of
-from draws import some
+from draws import some, with_slow
 from in_process import in_process
 from machines import CONFIG, MOVED, gantry_urdf, make_link_urdf, write_scene
 
@@ -190,7 +190,7 @@ def test_commands_close_brakes_by_their_bits(scene: Scene) -> None:
         np.testing.assert_array_equal(plant.measured.brake_closed, expected, f"enable {enable}")
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_a_run_with_brakes_is_repeated_to_the_last_bit(
     clock: str, file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

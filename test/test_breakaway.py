@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import Oracle, list_moving_joints, write_random_chain, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
@@ -133,7 +133,9 @@ METHODS = [
 
 @pytest.mark.parametrize(
     ("seed", "scheme", "events"),
-    some([(seed, *METHODS[(seed + k) % 6]) for k in range(6) for seed in range(12)], 2),
+    with_slow(
+        some([(seed, *METHODS[(seed + k) % 6]) for k in range(6) for seed in range(12)], 2), 1
+    ),
 )
 def test_a_joint_breaks_away_where_the_balance_states(
     tmp_path: Path, seed: int, scheme: str, events: str

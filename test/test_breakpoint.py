@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from by_hand import CLOCKS, go_on, session_of
-from draws import some
+from draws import some, with_slow
 from in_process import InProcess, in_process
 from network import PATIENCE
 
@@ -90,7 +90,7 @@ def test_two_breakpoints_of_a_plant_are_independent() -> None:
     assert hits == [(3, "tick >= 3"), (5, "tick >= 5")]
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_the_network_stands_where_a_condition_begins_to_hold(clock: str) -> None:
     with in_process(clock) as nodes:
         session = session_of(nodes)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from by_hand import CLOCKS, QUANTITIES, go_on, session_of, sound_set_state, varied
-from draws import some
+from draws import some, with_slow
 from in_process import in_process
 from network import JOINTS, PATIENCE
 
@@ -22,7 +22,7 @@ from arm_emulator_msgs.srv import RestoreState, SaveState, SetState, SetVaried
 __all__ = ["varied"]  # a fixture
 
 
-@pytest.mark.parametrize("seed", some(range(10), 3))
+@pytest.mark.parametrize("seed", with_slow(some(range(10), 3), 1))
 def test_set_quantities_change_and_all_others_stay(seed: int) -> None:
     draw = random.Random(seed)
     rows = dict(zip(QUANTITIES, ("q", "v", "theta_m", "omega_m", "current"), strict=True))
@@ -48,7 +48,7 @@ def test_set_quantities_change_and_all_others_stay(seed: int) -> None:
             go_on(nodes, draw.randrange(1, 4))
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_a_varied_number_is_set_and_bad_ones_are_refused(clock: str, varied: Path) -> None:
     draw = random.Random(8)
     with in_process(clock, file=varied) as nodes:
@@ -71,7 +71,7 @@ def test_a_varied_number_is_set_and_bad_ones_are_refused(clock: str, varied: Pat
             go_on(nodes, 2)
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_a_restored_machine_is_as_it_was_saved_and_ticks_continue(clock: str) -> None:
     with in_process(clock) as nodes:
         go_on(nodes, 30)
@@ -94,7 +94,7 @@ def test_a_restored_machine_is_as_it_was_saved_and_ticks_continue(clock: str) ->
         assert session_of(nodes).tick > tick
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_a_machine_that_has_diverged_goes_on_when_it_is_put_elsewhere(
     clock: str, tmp_path: Path
 ) -> None:
@@ -181,7 +181,7 @@ def bad_requests(draw: random.Random, saved: bytes) -> Iterator[tuple[str, Any]]
     yield "emulator/restore_state", RestoreState.Request(name="kept", state=saved)
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_bad_requests_are_refused_and_change_nothing(clock: str) -> None:
     draw = random.Random(7)
     with in_process(clock) as nodes:

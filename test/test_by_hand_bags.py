@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from by_hand import CLOCKS, ByHand, events_of, go_on, session_of, varied
-from draws import some
+from draws import some, with_slow
 from in_process import in_process
 from network import User, user
 from rclpy.serialization import deserialize_message
@@ -51,7 +51,7 @@ def recorded(clock: str, seed: int, bag: Path, varied: Path) -> set[str]:
     return hand.kinds
 
 
-@pytest.fixture(scope="module", params=CLOCKS)
+@pytest.fixture(scope="module", params=with_slow(CLOCKS, 1))
 def bag(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, varied: Path
 ) -> Path:
@@ -60,7 +60,7 @@ def bag(
     return folder
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 @pytest.mark.parametrize("seed", some(range(4), 1))
 def test_a_run_with_changes_by_hand_is_equal_to_the_last_bit(
     clock: str, seed: int, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
@@ -168,6 +168,7 @@ def listen(client: User, bag: Path) -> None:
     client.wait("the recorder to hear of an event", heard)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_network_changed_by_hand_is_recorded_and_checked(clock: str, tmp_path: Path) -> None:
     draw = random.Random(11)

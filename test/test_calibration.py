@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import GRAVITY, Oracle, links_of, own_three_axis, write_scene
 from scipy.spatial.transform import Rotation
 
@@ -116,7 +116,7 @@ def tool_by_pinocchio(urdf: str, scene: Scene, q: np.ndarray) -> np.ndarray:
     return oracle.data.oMf[oracle.model.getFrameId(scene.tool)].homogeneous
 
 
-@pytest.mark.parametrize("seed", some(range(8), 3))
+@pytest.mark.parametrize("seed", with_slow(some(range(8), 3), 1))
 def test_the_machine_stands_as_its_calibration_has_it(tmp_path: Path, seed: int) -> None:
     """Turning and sliding joints, fixed ones and branches: dynamics and tool."""
     rng = np.random.default_rng(seed)

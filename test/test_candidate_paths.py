@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from kinematic_arms import turning_chain
 from scipy.spatial.transform import Rotation
 from test_ways import PERIOD, draw_configuration, law_of, needs_robots, pose_of, random_arm
@@ -53,7 +53,7 @@ def test_angles_that_converge_slowly_are_no_goal_while_others_reach_the_target(s
     assert np.linalg.norm(arm.tool_error(path[-1], target)) < 1e-6, controller.path_text
 
 
-@pytest.mark.parametrize("seed", some(range(12), 4))
+@pytest.mark.parametrize("seed", with_slow(some(range(12), 4), 1))
 def test_no_tool_goes_far_past_its_end(seed: int) -> None:
     """Random targets all over the limits, by the tool's place on the whole way.
 
@@ -101,6 +101,7 @@ def past(arm: Kinematics, path: np.ndarray) -> float:
     return float(((p - p[-1]) @ line).max())
 
 
+@pytest.mark.slow
 @needs_robots
 def test_a_tool_rotates_in_the_opposite_sense_before_it_is_refused() -> None:
     """A box where the wrist would be in the middle of its turn, and is not in the other sense."""
@@ -136,7 +137,7 @@ def test_a_tool_rotates_in_the_opposite_sense_before_it_is_refused() -> None:
         assert not any(truth.find_first_contact(curve) for curve in q_path), controller.path_text
 
 
-@pytest.mark.parametrize("seed", some(range(20), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(20), 2), 1))
 def test_a_redundant_arm_does_not_wait_for_a_slow_joint(seed: int) -> None:
     """Of eight joints one is a hundred times slower: it moves a quarter as far at most."""
     rng = np.random.default_rng(seed)

@@ -78,6 +78,7 @@ def test_the_recorded_nodes_give_the_recorded_bits(bag: Path) -> None:
         assert facts["messages"] >= (TICKS if into == "servo" else TICKS // 50), facts
 
 
+@pytest.mark.slow
 def test_commands_recorded_long_before_the_first_state_do_not_matter(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,6 +103,7 @@ def test_commands_recorded_long_before_the_first_state_do_not_matter(
     assert facts["answers"] == facts["messages"] == facts["alike"] >= TICKS, facts
 
 
+@pytest.mark.slow
 def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,6 +126,7 @@ def test_a_recorder_that_ends_before_the_last_joint_targets_loses_no_answer(
     assert facts["answers"] == facts["messages"] == facts["alike"] == last, facts
 
 
+@pytest.mark.slow
 def test_a_servo_with_another_gain_responds_to_each_state_with_the_same_bits(bag: Path) -> None:
     second = [f"joints.{name}.position_gain:=21.0" for name in ("waist", "shoulder", "elbow")]
     words = [word for gain in second for word in ("-p", gain)]

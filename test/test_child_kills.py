@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Plant, Refusal
 from arm_emulator.base import packages
@@ -50,7 +50,7 @@ end.leave("never read")
 """
 
 
-@pytest.mark.parametrize(("child", "how"), some(CASES[::-1], 3))
+@pytest.mark.parametrize(("child", "how"), with_slow(some(CASES[::-1], 3), 1))
 def test_a_run_goes_on_and_nothing_stays(child: str, how: str, tmp_path: Path) -> None:
     case = KillCase(child, HOW[how], 0.2, tmp_path)
     assert case.wait < LONGEST and case.end < LONGEST and not case.left

@@ -174,7 +174,7 @@ def test_counts_are_integers(count: str) -> None:
 SHELLS = {"bash": ["bash", "-n"], "zsh": ["zsh", "-n"], "fish": ["fish", "--no-execute"]}
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", with_slow(SHELLS, 1))
 def test_completion_knows_every_command_and_option(shell: str, tmp_path: Path) -> None:
     code, script, errors = run("completion", shell)
     assert code == 0 and not errors
@@ -232,7 +232,8 @@ WITHOUT_A_READER = {
 }
 
 
-@pytest.mark.parametrize("name", with_slow(WITHOUT_A_READER, 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WITHOUT_A_READER)
 def test_help_and_version_end_quietly_without_a_reader(name: str) -> None:
     lines = WITHOUT_A_READER[name]
     ended = subprocess.run(

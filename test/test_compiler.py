@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from fake_compiler import fake_compiler
 from machines import random_chain
 
@@ -168,13 +168,13 @@ def test_the_step_is_no_part_of_the_library_but_physics_is(
 
 @pytest.mark.parametrize(
     ("scheme", "threads", "joints"),
-    some(
+    with_slow(some(
         [
-            ("implicit", 2, 14), ("rosenbrock", 1, 4), ("extrapolated", 2, 4), ("paper", 1, 4),
+            ("rosenbrock", 1, 4), ("implicit", 2, 14), ("extrapolated", 2, 4), ("paper", 1, 4),
             ("extrapolated", 1, 14), ("paper", 1, 14), ("implicit", 2, 4), ("rosenbrock", 1, 14),
             ("extrapolated", 2, 14), ("extrapolated", 1, 4),
         ], 2,
-    ),
+    ), 1),
 )  # fmt: skip
 def test_the_core_compiles_without_a_warning(
     scheme: str, threads: int, joints: int, tmp_path: Path
@@ -322,6 +322,7 @@ main()
         assert compiled_in(cache) == [], "nothing half made stays"
 
 
+@pytest.mark.slow
 def test_processes_at_the_same_time_share_a_compilation(quick_compiler: None, cache: Path) -> None:
     command = [sys.executable, "-c", READY]
     processes = [
@@ -373,7 +374,7 @@ def running(group: int) -> list[str]:
     return result
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", with_slow([signal.SIGINT, signal.SIGTERM], 1))
 def test_a_compiler_ends_with_the_command_that_started_it(
     number: signal.Signals, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

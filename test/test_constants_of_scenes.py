@@ -36,6 +36,7 @@ print(hashlib.sha256(A @ A).hexdigest())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="kernels of x86-64")
 def test_kernels_of_blas_change_nothing() -> None:
     """A kernel with fused products and one without give equal constants; BLAS itself differs."""

@@ -325,6 +325,7 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
             assert stop.struct.held == (off < 0.0)
 
 
+@pytest.mark.slow
 def test_new_takes_a_telescope_and_the_tool_goes_where_it_is_sent(tmp_path: Path) -> None:
     """By its description: one drive for all slides; the whole machine arrives."""
     text = write_mimic(write_serial("arm", BOOM), "j4", "j3", 0.6, 0.0)

@@ -191,6 +191,7 @@ def by_its_equations(rows: np.ndarray) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 def test_a_drive_does_not_adapt_to_a_heated_winding(tmp_path: Path) -> None:
     rows = np.random.default_rng(8).uniform(-12.0, 12.0, (20, 3))  # beyond the limit, too
     truth, errors = by_its_equations(rows), []

@@ -45,6 +45,7 @@ def signal_of(recording: Path, entity: str) -> dict[int, float]:
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", some(["three_axis", pytest.param("ur5", marks=needs_robots)], 1))
 def test_demo(scene: str, tmp_path: Path) -> None:
     command = [

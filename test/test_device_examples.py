@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from test_library_examples import EXAMPLES
 
 from arm_emulator import Plant, load_scene
@@ -80,8 +81,8 @@ def test_rollouts_bring_an_arm_to_its_target() -> None:
     assert lanes[0] > 0.35 and lanes[-10:].mean() < 0.08
 
 
-@pytest.mark.parametrize("device", [None, "processor"])
-@pytest.mark.parametrize("library", ["numpy", "torch"])
+@pytest.mark.parametrize("device", with_slow([None, "processor"], 1))
+@pytest.mark.parametrize("library", with_slow(["numpy", "torch"], 1))
 def test_a_search_follows_its_rule(device: str | None, library: str) -> None:
     """Mania et al. 2018, V1: the step is the mean of differences times what was tried."""
     xp = pytest.importorskip(library)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from balance import balance_of
-from draws import some, with_slow
+from draws import FULL, some, with_slow
 from lossy_joint import Law, LossyGear, LossyGearDriven, Rotor
 from machines import slides_urdf, write_scene
 from scipy.optimize import brentq
@@ -181,7 +181,8 @@ def test_motion_is_that_of_the_published_law_with_order_two(
         assert fine < 1e-3, f"{kind}: {coarse} {fine}"
 
 
-@pytest.mark.parametrize("kind", with_slow(some(KINDS, 3), 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", some(KINDS, 3))
 def test_without_located_events_the_motion_is_that_of_the_law_too(
     tmp_path: Path, kind: str
 ) -> None:
@@ -216,7 +217,8 @@ def ramped(plant: Plant, begin: float, by: float) -> float:
     raise AssertionError("it never moves")
 
 
-@pytest.mark.parametrize("law", with_slow([EROB80_100, EROB80_50], 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [EROB80_100, EROB80_50])
 def test_a_published_actuator_breaks_away_where_its_budget_states(
     tmp_path: Path, law: Published
 ) -> None:
@@ -240,6 +242,7 @@ def slowed(plant: Plant, torque: float, speed: float, outside: float) -> float:
     return torque - outside - inertia * float(plant.state.omega_m[0] - speed) / step
 
 
+@pytest.mark.slow
 def test_erob80_100_has_the_published_friction_at_rest_and_in_motion(tmp_path: Path) -> None:
     """50 N m from outside: 45 N m of the motor hold it, or none."""
     case = erob_case(EROB80_100, EROB80_100.Kv)
@@ -309,9 +312,9 @@ def sample_budgets(
 
 
 def test_friction_only_takes_energy(tmp_path: Path) -> None:
-    """500 draws of the law, of its load and of the direction."""
+    """Draws of the law, of its load and of the direction, two at a time."""
     rng, worst, plant = np.random.default_rng(93), 0.0, None
-    for draw in range(250):
+    for draw in range(250 if FULL else 60):
         cases, _, rows = sample_budgets(rng, back_load=2.0)
         plant = plant or Plant(scene_of(tmp_path, *cases, dt=PERIOD / 160))
         plant.reset()
@@ -341,13 +344,13 @@ def find_torque(rng: np.random.Generator, law: Bam, joint: Rotor) -> float:
     return S + abs(share) * (end - S)
 
 
-def creep(folder: Path, draws: int, seconds: float) -> None:
+def creep(folder: Path, draws: int, seconds: float, modes: Sequence[str]) -> None:
     """Hold random joints for so long at random loads inside the cone: they do not move at all."""
     rng, dt = np.random.default_rng(94), 0.01
     plants = dict[str, Plant]()
     for draw in range(draws // 2):
         cases, laws, _ = sample_budgets(rng)
-        events = ("located", "step")[draw % 2]
+        events = modes[draw % len(modes)]
         if events not in plants:
             plants[events] = Plant(scene_of(folder, *cases, events=events, dt=dt))
         plant = plants[events]
@@ -363,19 +366,31 @@ def creep(folder: Path, draws: int, seconds: float) -> None:
 
 
 def test_a_joint_that_holds_does_not_creep(tmp_path: Path) -> None:
-    creep(tmp_path, draws=20, seconds=60.0)
+    creep(tmp_path, 20, 60.0, ["located"])
 
 
 @pytest.mark.slow
 def test_a_thousand_joints_do_not_creep_in_an_hour(tmp_path: Path) -> None:
-    creep(tmp_path, draws=1000, seconds=3600.0)
+    creep(tmp_path, 1000, 3600.0, ["located", "step"])
 
 
 WORM = {"coulomb": 0.005, "load": 1.5}  # of the motor's shaft: 40 % of efficiency forward
 
 
-@pytest.mark.parametrize("events", ["located", "step"])
-@pytest.mark.parametrize(("backward", "locks"), [(-0.3, True), (-0.1, True), (0.25, False)])
+@pytest.mark.parametrize(
+    ("events", "backward", "locks"),
+    with_slow(
+        [
+            ("located", -0.1, True),
+            ("located", 0.25, False),
+            ("located", -0.3, True),
+            ("step", -0.3, True),
+            ("step", -0.1, True),
+            ("step", 0.25, False),
+        ],
+        2,
+    ),
+)
 def test_a_worm_holds_without_power_where_its_lead_is_small(
     tmp_path: Path, events: str, backward: float, locks: bool
 ) -> None:
@@ -399,7 +414,7 @@ def test_a_worm_holds_without_power_where_its_lead_is_small(
             assert plant.state.theta_m[0] < at - 1.0, "the weight drives the worm back"
 
 
-@pytest.mark.parametrize("events", ["located", "step"])
+@pytest.mark.parametrize("events", with_slow(["located", "step"], 1))
 def test_a_worm_without_power_stops_where_the_closed_form_states(
     tmp_path: Path, events: str
 ) -> None:

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from draws import with_slow
 from test_dependencies import OF_ROS, imported
 
 from arm_emulator.cli.commands import doctor
@@ -188,12 +189,19 @@ HEARS = 'nodes[1].create_subscription(Int64, "number", print, best)'
 
 @pytest.mark.parametrize(
     ("more", "level", "words"),
-    [
-        (HEARS, "ok", "2 other nodes in the domain"),
-        (TWO_CLOCKS, "problem", "/cell/clock has 2 publishers: /cell/one, /cell/two"),
-        (DEAF, "note", "/cell/number: /cell/two hears nothing of /cell/one: Best effort publisher"),
-        (f"{DEAF}; {TWO_CLOCKS}", "problem", "/cell/two hears nothing of /cell/one"),
-    ],
+    with_slow(
+        [
+            (HEARS, "ok", "2 other nodes in the domain"),
+            (
+                DEAF,
+                "note",
+                "/cell/number: /cell/two hears nothing of /cell/one: Best effort publisher",
+            ),
+            (TWO_CLOCKS, "problem", "/cell/clock has 2 publishers: /cell/one, /cell/two"),
+            (f"{DEAF}; {TWO_CLOCKS}", "problem", "/cell/two hears nothing of /cell/one"),
+        ],
+        2,
+    ),
 )
 def test_clocks_and_qos_of_a_running_network(
     more: str, level: str, words: str, few_imports: None

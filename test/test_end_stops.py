@@ -110,6 +110,7 @@ def stopped_arm(folder: Path, **stops: Any) -> Path:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_hit_at_full_speed_is_accounted_for(tmp_path: Path) -> None:
     """At full voltage from one stop into the other, at each of several steps."""
     file = stopped_arm(tmp_path)

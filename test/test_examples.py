@@ -37,6 +37,7 @@ def example(name: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
         process.wait(PATIENCE)  # whichever the code: rclpy may fail when a signal ends it
 
 
+@pytest.mark.slow
 def test_a_servo_of_ones_own_that_restarts_brings_the_tool_to_its_target(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from by_hand import CLOCKS, events_of, go_on, session_of
+from draws import with_slow
 from geometry_msgs.msg import Vector3, WrenchStamped
 from in_process import InProcess, in_process
 from machines import CONFIG
@@ -47,7 +48,7 @@ def changes(nodes: InProcess) -> int:
     return int(nodes.nodes["emulator"]._reports.changes)
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
+@pytest.mark.parametrize("clock", with_slow(CLOCKS, 1))
 def test_a_run_under_wrenches_is_repeated_to_the_last_bit(
     clock: str, pushed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -152,6 +152,7 @@ def test_after_any_messages_a_reset_gives_every_bit_of_a_run(
         assert_same_bits(nodes.states, reference, TICKS)
 
 
+@pytest.mark.slow
 def test_after_any_messages_in_real_time_the_nodes_still_work() -> None:
     with in_process("realtime") as nodes:
         any_messages(nodes, random.Random(5), 2000 if FULL else 500)
@@ -193,6 +194,7 @@ def restart(nodes: InProcess) -> None:
 # ---------------------------------------------------------------------------- among processes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", some(["realtime", "lockstep"], 1))
 def test_bad_messages_do_not_disturb_three_processes(
     clock: str, tmp_path: Path, reference: dict[int, bytes]

@@ -87,6 +87,7 @@ def test_a_fault_that_a_scene_cannot_have_is_refused(tmp_path: Path) -> None:
         everything(tmp_path, faults=["payload_drops", "wrist_link.mass_at_joint"])
 
 
+@pytest.mark.slow
 def test_off_is_as_without_it(tmp_path: Path, scene: Scene, begun: Begun) -> None:
     """Against numbers that are constants: rounding alone differs."""
     plant, second = Plant(everything(tmp_path, faults=[])), Plant(scene)
@@ -101,6 +102,8 @@ def test_every_fault_acts_from_its_tick_on_and_is_saved(begun: Begun, scene: Sce
     plant, saved, without = begun
     second, acting = Plant(scene), set()
     for fault in scene.faults:
+        if fault.kind.name in acting and not FULL:
+            continue  # at another joint
         plant.restore(saved)
         plant.set_parameter(fault.varied.name, magnitude_of(fault))
         middle = (BEGIN + END) // 2
@@ -127,6 +130,8 @@ def test_a_fault_is_the_numbers_that_its_kind_states(begun: Begun, scene: Scene)
             value = eval(change.expression.format(x=repr(change.value), m=repr(m)))
             if change.number in numbers and numbers[change.number].is_in_range(value):
                 by_hand[change.number] = value
+        if fault.kind.name in compared and not FULL:
+            continue  # at another joint
         if len(by_hand) < len(fault.changes):
             continue  # a number that the scene leaves out, or nothing is left of it
         compared.add(fault.kind.name)
@@ -247,6 +252,7 @@ def record(folder: Path, session: Session, rng: np.random.Generator) -> set[str]
     return observed
 
 
+@pytest.mark.slow
 def test_random_faults_are_repeated_to_equal_bits(tmp_path: Path) -> None:
     file = tmp_path / "scene"
     file.mkdir()

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import yaml
-from draws import some
+from draws import some, with_slow
 from machines import make_link_urdf
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
@@ -191,7 +191,7 @@ class Weighed:
         return float(setpoint.q[0] - q), float(setpoint.tau[0])
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", with_slow(range(12), 4))
 def test_wind_up_under_weight_is_that_of_the_load_at_rest(seed: int) -> None:
     """Links, gear and friction wrong by 30 %, alone and mixed: what is left is the gear's."""
     rng = np.random.default_rng(seed)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from draws import with_slow
 from machines import own_three_axis
 
 from arm_emulator import Refusal, Session, load_scene
@@ -78,7 +79,7 @@ def recorded(bag: Path, scene: Path) -> RecordedMachine:
     return machine
 
 
-@pytest.mark.parametrize("requested", REQUESTS)
+@pytest.mark.parametrize("requested", with_slow(REQUESTS, 3))
 def test_a_fork_is_the_run_that_would_have_been_changed_there(
     requested: str, scene: Path, straight: Path, tmp_path: Path
 ) -> None:

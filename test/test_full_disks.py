@@ -64,14 +64,20 @@ def disk(tmp_path: Path) -> Iterator[Path]:
         (RUN, "> /dev/full", 2, "stdout must accept all that is written, got No space left"),
         (["cache", "--json"], "> /dev/full", 2, "stdout must accept all that is written"),
         (["--help"], "> /dev/full", 2, "stdout must accept all that is written"),
-        (["udp", "--header"], "> /dev/full", 2, "stdout must accept all that is written"),
-        (RUN, ">&-", 2, "stdout must be open"),
+        pytest.param(
+            ["udp", "--header"],
+            "> /dev/full",
+            2,
+            "stdout must accept all that is written",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(RUN, ">&-", 2, "stdout must be open", marks=pytest.mark.slow),
         (["cache", "--json"], ">&-", 2, "stdout must be open"),
-        (RUN, "2>&-", 0, ""),
+        pytest.param(RUN, "2>&-", 0, "", marks=pytest.mark.slow),
         (["run", "nowhere"], "2>&-", 2, ""),
-        (["run", "nowhere"], "2> /dev/full", 2, ""),
-        (["run", "nowhere"], ">&- 2>&-", 2, ""),
-        (RUN, "<&-", 0, ""),
+        pytest.param(["run", "nowhere"], "2> /dev/full", 2, "", marks=pytest.mark.slow),
+        pytest.param(["run", "nowhere"], ">&- 2>&-", 2, "", marks=pytest.mark.slow),
+        pytest.param(RUN, "<&-", 0, "", marks=pytest.mark.slow),
         (["servo-header", "--out", "/dev/full"], "", 2, "file /dev/full must be writable"),
     ],
 )
@@ -82,10 +88,9 @@ def test_outputs_that_take_nothing(words: list[str], shell: str, code: int, line
 
 
 def test_names_are_printed_where_the_terminal_has_ascii_alone(tmp_path: Path) -> None:
-    file = own_three_axis(tmp_path, "")
-    file.write_text(file.read_text().replace("name: three_axis", "name: Gelenkarm é 関節"))
+    file = own_three_axis(tmp_path, "").rename(tmp_path / "Gelenkarm é 関節.yaml")
     for more in ([], ["--json"]):
-        words = ["run", file.name, "--seconds", "0.05", *more]
+        words = ["check-scene", file.name, *more]
         code, printed, errors = ended(words, "", tmp_path, PYTHONIOENCODING="ascii")
         assert code == 0 and "Traceback" not in errors, errors
         assert "Gelenkarm \\xe9 \\u95a2\\u7bc0" in printed or "Gelenkarm \\u00e9" in printed
@@ -104,7 +109,7 @@ ON_DISKS = [
 ]
 
 
-@pytest.mark.parametrize(("words", "left"), with_slow(ON_DISKS, len(RECORDS)))
+@pytest.mark.parametrize(("words", "left"), with_slow(ON_DISKS, 2))
 def test_a_record_on_a_full_disk(words: list[str], left: int, disk: Path) -> None:
     """The run ends, whether the disk is full before or on the way, and no process stays."""
     with contextlib.suppress(OSError):
@@ -114,6 +119,7 @@ def test_a_record_on_a_full_disk(words: list[str], left: int, disk: Path) -> Non
     assert " must " in errors and "No space left on device" in errors, errors
 
 
+@pytest.mark.slow
 def test_a_campaign_on_a_full_disk(disk: Path, tmp_path: Path) -> None:
     (tmp_path / "drop.yaml").write_text(
         "scene: three_axis\nset: {payload: 1.0}\nscenario: {seconds: 0.01}\ncount: 20000\n"
@@ -131,7 +137,7 @@ def test_a_campaign_on_a_full_disk(disk: Path, tmp_path: Path) -> None:
 SIZES = (400, 80, 60, 100, 160, 200, 240, 280, 320, 360, 450, 500)  # MB
 
 
-@pytest.mark.parametrize("size", some(SIZES, 3))
+@pytest.mark.parametrize("size", with_slow(some(SIZES, 3), 1))
 def test_little_memory_is_a_line(size: int) -> None:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (size * 10**6,) * 2)

@@ -108,7 +108,7 @@ def solve_motion(joint: dict[str, Any], voltages: Array) -> Array:
 @pytest.mark.parametrize(
     ("scheme", "elastic", "coupled"),
     with_slow(
-        some([(s, e, e == c) for s in SCHEMES for c in (True, False) for e in (True, False)], 4), 2
+        some([(s, e, e == c) for s in SCHEMES for c in (True, False) for e in (True, False)], 4), 1
     ),
 )
 def test_every_scheme_keeps_its_order(
@@ -174,6 +174,7 @@ def test_a_joint_that_sticks_breaks_away_at_its_temperature(tmp_path: Path) -> N
     assert plant.state.q[0] > 1e-4
 
 
+@pytest.mark.slow
 def test_a_temperature_that_changes_no_friction_changes_no_motion(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     joint = sample_joint(rng, elastic=True, coupled=False)

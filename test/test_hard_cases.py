@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from hard_cases import (
     CASES,
     DETECTED,
@@ -43,7 +43,7 @@ def growing() -> set[str]:
     }
 
 
-@pytest.mark.parametrize("name", some(TRIED, len(CASES) - len(SPARED)))
+@pytest.mark.parametrize("name", with_slow(some(TRIED, len(CASES) - len(SPARED)), 2))
 def test_hard_case(name: str) -> None:
     """The bounds stand in hard_cases.py, each beside its truth and reason."""
     case = CASES[name]

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from ament_index_python.packages import get_package_prefix
-from draws import some
+from draws import some, with_slow
 from in_process import InProcess, in_process
 from network import JOINTS
 
@@ -95,7 +95,7 @@ def run(
         return nodes.published(TOPICS), done
 
 
-@pytest.mark.parametrize("seed", some(range(40), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(40), 2), 1))
 def test_c_and_python_publish_the_same(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     slow, _ = run(seed, (), monkeypatch)
     fast, done = run(seed, ("emulator", "servo"), monkeypatch)

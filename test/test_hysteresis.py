@@ -233,7 +233,7 @@ def test_the_loop_in_python_is_that_of_elements_along_random_paths() -> None:
         assert part.bend(path) == pytest.approx(np.array(expected), abs=1e-9 * law["torque"])
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", with_slow(range(4), 1))
 def test_weights_rest_on_wound_up_gears_as_loops_have_it(tmp_path: Path, seed: int) -> None:
     """Three weights wind their gears up from unloaded; about there slipping elements count half.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import with_slow
 from test_new_drives import untuned
 
 from arm_emulator import Refusal, load_scene
@@ -114,7 +115,7 @@ def test_a_negative_moment_is_replaced_as_a_missing_moment_is(tmp_path: Path) ->
     assert [body.link for body in written.assumed] == ["l2"]
 
 
-@pytest.mark.parametrize("kind", DOUBTFUL)
+@pytest.mark.parametrize("kind", with_slow(DOUBTFUL, 2))
 def test_doubtful_inertias_are_warned_of(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from balance import balance_of
+from draws import with_slow
 from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
 from scipy.optimize import brentq
 
@@ -37,7 +38,7 @@ def current_at(voltage: float, resistance: float) -> float:
     return float(brentq(lambda i: resistance * i + lost(i) - voltage, 0.0, 100.0, xtol=1e-14))
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", with_slow([1.0, -1.0], 1))
 def test_a_locked_rotor_has_the_current_of_the_remaining_voltage(file: Path, sign: float) -> None:
     plant = Plant(load_scene(file))
     plant.advance(sign * COMMAND, 10_000)  # 0.2 s, 40 time constants and more

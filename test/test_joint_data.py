@@ -99,6 +99,7 @@ def test_a_joint_has_the_published_friction_and_motor(name: str) -> None:
     assert numbers["rotor_inertia"] / Ng**2 == pytest.approx(inertia, rel=2e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("untuned")
 @pytest.mark.parametrize(
     "name", with_slow(some(["erob80_100", "mx106", "sts3215", *PUBLISHED], 2), 1)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from scipy.interpolate import BPoly, CubicHermiteSpline, make_interp_spline
 
 from arm_emulator.base.refusal import Refusal
@@ -181,7 +182,7 @@ def test_efforts_go_straight_between_points(seed: int) -> None:
     )
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", with_slow(range(40), 12))
 def test_accepted_trajectories_keep_the_limits_and_refused_ones_do_not(seed: int) -> None:
     rng = np.random.default_rng([seed, 5])
     kind = KINDS[seed % 3]

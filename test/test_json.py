@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from draws import some
+from draws import some, with_slow
 from made_bags import synthetic
 from test_command_line import no_signal, run  # noqa: F401
 
@@ -59,6 +59,10 @@ ENDS: dict[str, list[list[str]]] = {name: [["nowhere"]] for name in command_name
     "tune": [[ARM], ["nowhere"]],
 }  # fmt: skip
 COMPILING = ("campaign", "fmu", "new")
+# Long ones; what their objects hold is tested with the commands.
+SLOW = {
+    "advise": ENDS["advise"][:1], "doctor": [[]], "ethercat": ENDS["ethercat"][:1], "tune": [[ARM]],
+}  # fmt: skip
 NO_SERVERS = {"ethercat": "needs root", "look": "needs a bag", "replay": "ends by itself"}
 UNTIL_STOPPED = {
     name: []
@@ -120,7 +124,12 @@ def test_the_lists_name_commands_only() -> None:
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [(name, words) for name in ENDS if name not in COMPILING for words in ENDS[name]]
+    [
+        pytest.param(name, words, marks=[pytest.mark.slow] if words in SLOW.get(name, ()) else [])
+        for name in ENDS
+        if name not in COMPILING
+        for words in ENDS[name]
+    ]
     + some([(name, words) for name in COMPILING for words in ENDS[name]], 1),
     ids=lambda case: case if isinstance(case, str) else " ".join(case),
 )
@@ -151,7 +160,7 @@ def test_words_that_no_command_takes_are_refused_in_an_object_too() -> None:
         assert code == 0 and list(json.loads(text)) == [key, "warnings"]
 
 
-@pytest.mark.parametrize("name", some(list(UNTIL_STOPPED), 2))
+@pytest.mark.parametrize("name", with_slow(some(list(UNTIL_STOPPED), 2), 1))
 def test_ctrl_c_ends_a_server_with_an_object(name: str, tmp_path: Path) -> None:
     words = [word.format(tmp_path) for word in UNTIL_STOPPED[name]]
     command = [sys.executable, "-m", "arm_emulator", name, *words, "--json"]

@@ -57,7 +57,7 @@ CASES = sorted(
 )
 
 
-@pytest.mark.parametrize(("name", "events", "scheme"), with_slow(CASES, 3))
+@pytest.mark.parametrize(("name", "events", "scheme"), with_slow(CASES, 1))
 def test_a_machine_moves_as_a_machine_that_forgets_its_modes_before_every_step(
     name: str, events: str, scheme: str
 ) -> None:
@@ -87,6 +87,7 @@ def test_a_machine_moves_as_a_machine_that_forgets_its_modes_before_every_step(
     assert {0, 3} <= {*at_once.tolist()} and ((at_once > 0) & (at_once < 3)).any(), "all kinds"
 
 
+@pytest.mark.slow
 def test_an_arm_that_breaks_away_beside_resting_ones_moves_as_a_single_arm() -> None:
     """Groups in which all rest, some move, and one meets a stop; a push moves an arm at rest."""
     name = "loops and progressive gears"

@@ -12,7 +12,7 @@ from arm_emulator.cli.commands.latency import latency, measure_wake_up_latency, 
 from arm_emulator.cli.output import output
 
 
-@pytest.mark.parametrize("rate", [200.0, 3000.0])
+@pytest.mark.parametrize("rate", [200.0, pytest.param(3000.0, marks=pytest.mark.slow)])
 def test_every_period_is_a_wake_up_or_lost(rate: float) -> None:
     began = time.monotonic()
     result = measure_wake_up_latency(load_scene("three_axis"), 1.0 / rate, 2.5)

@@ -137,6 +137,7 @@ def test_nodes_refuse_wrong_arguments_in_these_words(monkeypatch: pytest.MonkeyP
             assert printed.startswith(words) and "\n" not in printed, printed
 
 
+@pytest.mark.slow
 def test_wrong_arguments_are_reported_in_a_line_with_exit_code_2() -> None:
     file = find_config("three_axis", ".yaml", "servo")
     assert file.is_file(), f"{file} is what refusals name"
@@ -179,6 +180,7 @@ def catches(process: subprocess.Popen[str], number: int) -> bool:
     return bool(int(caught, 16) >> (number - 1) & 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(MOMENTS))
 def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
     tmp_path: Path, seed: int

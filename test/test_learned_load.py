@@ -138,7 +138,7 @@ def test_the_factor_is_forgotten_with_all_else() -> None:
 
 
 @pytest.mark.parametrize("scene", some(["ur5", "panda"], 1))
-@pytest.mark.parametrize("wrong", [0.7, 1.3])
+@pytest.mark.parametrize("wrong", with_slow([0.7, 1.3], 1))
 def test_heavier_links_are_followed_nearly_as_well(scene: str, wrong: float) -> None:
     """A fast line of the whole machine, beyond what no encoder at a motor can see.
 

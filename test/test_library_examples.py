@@ -43,6 +43,7 @@ def test_computed_torque_follows(tmp_path: Path) -> None:
     assert (tmp_path / "computed_torque.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_a_sweep_ranks_its_numbers(tmp_path: Path) -> None:
     text = run(tmp_path, sys.executable, EXAMPLES / "sweep.py")
     friction, mass = map(float, re.findall(r": (-[\d.]+)$", text, re.M))
@@ -98,6 +99,7 @@ def step_seeded(env: Any, steps: int) -> list[np.ndarray]:
     return [np.array(numbers) for numbers in observations]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("library", ["numpy", "torch"])
 def test_an_environment_on_a_device_gives_the_numbers_of_lanes(env: Any, library: str) -> None:
     xp = pytest.importorskip(library)
@@ -112,6 +114,7 @@ def test_an_environment_on_a_device_gives_the_numbers_of_lanes(env: Any, library
         np.testing.assert_allclose(actual, own, rtol=1e-15 if library == "torch" else 0.0)
 
 
+@pytest.mark.slow
 def test_a_step_on_a_device_copies_no_array_to_the_host(
     env: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,12 +150,14 @@ def test_draws_of_an_environment_are_of_their_ranges_and_of_each_episode(env: An
     assert all(len(np.unique(column)) == 200 for column in np.array(draws)[:, :, 0].T)
 
 
+@pytest.mark.slow
 def test_the_tests_of_a_user_pass(tmp_path: Path) -> None:
     words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", f"--basetemp={tmp_path / 'all'}"]
     text = run(ROOT, sys.executable, *words, EXAMPLES / "my_tests.py")
     assert "5 passed" in text
 
 
+@pytest.mark.slow
 def test_a_repository_that_follows_the_layout_passes_its_tests(tmp_path: Path) -> None:
     """The lines of its README are run as they stand, but for docker."""
     (tmp_path / "examples").symlink_to(EXAMPLES)
@@ -169,6 +174,7 @@ def test_a_repository_that_follows_the_layout_passes_its_tests(tmp_path: Path) -
     assert "1 passed" in text
 
 
+@pytest.mark.slow
 def test_a_servo_with_an_observer_brings_the_arm_to_its_targets(tmp_path: Path) -> None:
     library = tmp_path / "libobserver.so"
     flags = ["-x", "c", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-fPIC"]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import LINK_INERTIA, MOTOR, make_link_urdf, write_scene
 from scipy.linalg import expm
 from scipy.optimize import brentq
@@ -38,6 +38,7 @@ def sample_three_axis(
     return load_scene("three_axis", overrides=overrides), rng.uniform(-30.0, 30.0, size=(4, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(1, 4), 2))
 def test_limited_motors_without_inductance_move_as_the_equations_state(seed: int) -> None:
     """Rotors that start within a step: near at 1 ms, of second order where steps resolve them."""
@@ -128,7 +129,7 @@ def sample_joint(seed: int) -> tuple[dict[str, float], dict[str, float], Array]:
     return motor, gear, rng.uniform(-40.0, 40.0, size=8)
 
 
-@pytest.mark.parametrize(("seed", "scheme"), some(enumerate(SCHEMES), 2))
+@pytest.mark.parametrize(("seed", "scheme"), with_slow(some(enumerate(SCHEMES), 2), 1))
 def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, scheme: str) -> None:
     """A current that meets and leaves its limit within steps costs no more than their size."""
     motor, gear, V = sample_joint(seed)

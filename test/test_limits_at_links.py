@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Kinematics, Scene, load_gains, load_scene
 from arm_emulator.design.new_scene import write_new
@@ -27,7 +27,7 @@ def sized_arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Scen
     return result
 
 
-@pytest.mark.parametrize("period", some([0.01, 0.05, 0.005, 0.02, 0.1], 2))
+@pytest.mark.parametrize("period", with_slow(some([0.01, 0.05, 0.005, 0.02, 0.1], 2), 1))
 @pytest.mark.parametrize("arm", some(ARMS, 1))
 def test_links_keep_their_accelerations(
     sized_arms: dict[str, tuple[Scene, Gains]], arm: str, period: float

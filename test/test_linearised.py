@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from draws import some
+from draws import some, with_slow
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
@@ -104,7 +104,7 @@ def compare(machine: ReferenceMachine, scene: Scene, of: LinearMachine) -> None:
     assert_same(of.rate[:, np.newaxis], rate[:, np.newaxis], 1e-10 * row + 1e-9)
 
 
-@pytest.fixture(params=some(SCENES, 3), scope="module")
+@pytest.fixture(params=with_slow(some(SCENES, 3), 1), scope="module")
 def scene(request: pytest.FixtureRequest) -> Scene:
     return load_scene(request.param, overrides=SCENES[request.param])
 
@@ -152,6 +152,7 @@ def inertia(scene: Scene, joint: int) -> float:
     return float(getattr(scene.joints[joint].motor, "rotor_inertia"))  # noqa: B009
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(["kuka_kr300", "manutec_r3"], 1))
 def test_friction_of_rotors_and_a_counterbalance_act_at_their_places_alone(name: str) -> None:
     """Friction at speeds of rotors, a counterbalance as a spring by its potential."""
@@ -205,6 +206,7 @@ def in_three_axis(**keys: Any) -> Plant:
     return Plant(load_scene("three_axis", overrides=keys))
 
 
+@pytest.mark.slow
 def test_a_gear_with_play_pulls_where_it_touches() -> None:
     plant, plain = in_three_axis(**LOOSE), in_three_axis()
     N = slice(-3, None)
@@ -253,6 +255,7 @@ def test_an_end_stop_is_a_spring_where_it_is_pressed() -> None:
     assert (M @ linear.rate[linear.v])[0] == pytest.approx(-1e4 * 0.02)
 
 
+@pytest.mark.slow
 def test_a_joint_without_a_motor_rests_where_its_spring_bears_the_weight() -> None:
     """The truth is Pinocchio's gravity and SciPy's table; the elbow sags by some mrad."""
     angles, torques = np.array([-2.0, -0.5, 0.5, 2.0]), np.array([300.0, 90.0, -90.0, -300.0])

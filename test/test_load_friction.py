@@ -38,6 +38,7 @@ def sample_friction(rng: np.random.Generator) -> tuple[dict[str, float], Towed]:
                            lambda T: Ds + mu * abs(T))  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "scheme"),
     some([(0, "extrapolated"), (1, "rosenbrock"), (2, "rosenbrock"), (3, "extrapolated")], 1),
@@ -115,6 +116,7 @@ def test_a_gear_that_a_step_does_not_resolve_is_followed(tmp_path: Path, mu: flo
         assert (off < 0.02).all(), f"{stiffness:g} N m/rad: off by {off} of the way"
 
 
+@pytest.mark.slow
 def test_the_loss_of_a_gear_with_play_closes_the_balance_of_energy(tmp_path: Path) -> None:
     """The torque of load friction jumps where teeth meet and part: at a step's end."""
     rng = np.random.default_rng(44)
@@ -139,6 +141,7 @@ def test_the_loss_of_a_gear_with_play_closes_the_balance_of_energy(tmp_path: Pat
     assert left[-1] < 1e-6, f"of what was exchanged, {left}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "extrapolated"], 1))
 @pytest.mark.parametrize("events", some(["located", "step"], 1))
 def test_an_unloaded_gear_does_not_hold_the_link(tmp_path: Path, scheme: str, events: str) -> None:

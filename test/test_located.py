@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from balance import balance_of
-from draws import some
+from draws import some, with_slow
 from machines import LINK_INERTIA, make_link_urdf, write_scene
 from test_limits import limited_truth, sample_joint
 
@@ -20,7 +20,7 @@ def located(scheme: str, dt: float, period: float) -> dict[str, Any]:
     return {"servo_period": period, "integrator": integrator}
 
 
-@pytest.mark.parametrize("scheme", SECOND_ORDER)
+@pytest.mark.parametrize("scheme", with_slow(SECOND_ORDER, 1))
 def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str) -> None:
     """A constant torque against dry friction, then the opposite one, behind a rigid gear.
 
@@ -54,7 +54,7 @@ def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str
 
 
 @pytest.mark.parametrize("scheme", some(SECOND_ORDER[::-1], 1))
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", with_slow(range(2), 1))
 def test_currents_at_limits_follow_the_closed_form_with_order_two(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
@@ -112,6 +112,7 @@ STICKING: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_the_balance_of_energy_closes_with_the_order_of_the_scheme() -> None:
     """Given less dissipated is what energy changed, through sticking, slipping and limits."""
     rows = np.random.default_rng(4).uniform(-20.0, 20.0, size=(20, 3))

@@ -90,6 +90,7 @@ def offline(scene: str, ticks: int = 0) -> dict[int, bytes]:
     return offline_states(run, max(ticks, TICKS[scene]))
 
 
+@pytest.mark.slow
 def test_three_processes_give_the_same_bits_twice_and_under_load(
     three_nodes: SharedNetwork,
 ) -> None:
@@ -103,6 +104,7 @@ def test_three_processes_give_the_same_bits_twice_and_under_load(
     assert len(set(once.values())) > TICKS["three_axis"] // 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     find_example_robot_data() is None, reason="needs the package example-robot-data"
 )
@@ -134,6 +136,7 @@ def test_the_order_of_joints_in_messages_means_nothing(tmp_path: Path) -> None:
     assert offline_states(run, 300) == {k: v for k, v in expected.items() if k <= 300}
 
 
+@pytest.mark.slow
 def test_two_servos_at_once(three_nodes: SharedNetwork) -> None:
     """Two servos answer each tick: commands of the first one count until it is killed."""
     with three_nodes() as (user, nodes):
@@ -222,6 +225,7 @@ def test_a_killed_servo_is_waited_for_and_the_next_continues(three_nodes: Shared
         assert_same_bits(user.motor_states(), offline("three_axis", tick), tick)
 
 
+@pytest.mark.slow
 def test_a_killed_motion_controller_is_waited_for_and_the_next_continues(
     three_nodes: SharedNetwork,
 ) -> None:
@@ -264,6 +268,7 @@ def test_a_new_emulator_restarts_with_the_old_partners(three_nodes: SharedNetwor
         assert_same_bits(user.motor_states(), offline("three_axis"), 300)
 
 
+@pytest.mark.slow
 def test_a_motion_controller_that_comes_last_still_gets_the_robot(
     without_motion_controller: SharedNetwork,
 ) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import LINK_INERTIA, make_link_urdf, write_scene
 from scipy.integrate import solve_ivp
 
@@ -86,7 +86,9 @@ def pushes(rng: np.random.Generator, lugre: dict[str, float], rows: int = 16) ->
 
 @pytest.mark.parametrize(
     ("side", "scheme"),
-    some([*SCHEME.items(), *((side, scheme) for side in SCHEME for scheme in SCHEMES)], 2),
+    with_slow(
+        some([*SCHEME.items(), *((side, scheme) for side in SCHEME for scheme in SCHEMES)], 2), 1
+    ),
 )  # fmt: skip
 def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) -> None:
     rng = np.random.default_rng([side == "link", SCHEMES.index(scheme), 61])

@@ -238,6 +238,7 @@ def test_a_node_that_was_refused_beside_another_one_works_after_it() -> None:
             rclpy.shutdown()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["servo", "motion_controller"])
 def test_a_node_is_configured_again_in_a_run(tmp_path: Path, name: str) -> None:
     """It serves the same arm again; the machine waits for it meanwhile."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from ideal_arm import SECOND, Ideal
 
 from arm_emulator import Pose, Refusal, load_gains, load_scene
@@ -19,7 +20,7 @@ from arm_emulator.runs.offline import load_offline_run
 # The order in force
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", with_slow(range(6), 2))
 def test_no_reference_jumps_when_an_order_replaces_another(seed: int) -> None:
     rng = np.random.default_rng(seed)
     arm = Ideal()
@@ -54,7 +55,7 @@ def test_no_reference_jumps_when_an_order_replaces_another(seed: int) -> None:
             assert (np.abs(after.v) <= 1.05 * limit).all(), "the speed limits"
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", with_slow(range(4), 1))
 def test_paths_that_begin_where_the_tool_rests_run_in_sequence(seed: int) -> None:
     rng = np.random.default_rng([seed, 5])
     arm = Ideal()
@@ -71,7 +72,9 @@ def test_paths_that_begin_where_the_tool_rests_run_in_sequence(seed: int) -> Non
 
 
 @pytest.mark.parametrize("kind", ["TOOL_TARGET", "JOINT_TRAJECTORY", "TOOL_PATH", "TIMED_PATH"])
-@pytest.mark.parametrize("running", [False, True], ids=["before any angles", "while it runs"])
+@pytest.mark.parametrize(
+    "running", with_slow([False, True], 1), ids=["before any angles", "while it runs"]
+)
 def test_a_stamp_of_the_wall_clock_is_refused(kind: str, running: bool) -> None:
     """A stamp of the wall clock would mean a wait of decades."""
     arm = Ideal()
@@ -133,7 +136,7 @@ def test_the_newest_holds_and_each_is_answered() -> None:
     assert replaced == ["by joint trajectory 1", "by tool target 2", "by tool target 2"]
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", with_slow(range(10), 3))
 def test_no_request_is_lost_in_silence(seed: int) -> None:
     """For any orders in any sequence: accepted ones get one final answer, refused ones too."""
     rng = np.random.default_rng([seed, 1])
@@ -176,7 +179,7 @@ def test_no_request_is_lost_in_silence(seed: int) -> None:
             assert reported[0] in (GoalState.ACCEPTED, GoalState.REFUSED), "the first word"
 
 
-@pytest.mark.parametrize("scene", ["ur5", "three_axis", "panda"])
+@pytest.mark.parametrize("scene", with_slow(["ur5", "three_axis", "panda"], 1))
 def test_targets_beyond_reach_are_reported_as_such_with_the_distance(scene: str) -> None:
     arm = Ideal(scene)
     far = arm.pose((0.0, 0.0, 3.0))

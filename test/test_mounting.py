@@ -26,6 +26,7 @@ PARTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mount", some(MOUNTS, 1))
 def test_gravity_in_the_scene_is_a_base_that_is_turned(mount: str, tmp_path: Path) -> None:
     """The same machine in the axes of its base: equal motions, and it arrives where it is sent."""

@@ -160,9 +160,13 @@ def test_a_target_with_a_time_gives_the_bits_of_every_repeated_run(
     there = (x, y + 0.03, z)
     with network(tmp_path / "log", start="paused") as (user, _):
         user.await_start()
-        with monkeypatch.context() as brief:
-            brief.setattr(move, "PATIENCE", 10.0)  # all of it: a position never comes
-            code, _, errors = run("move", "--by", "0", "0", "0.1", "--at", "0.2")
+        errors = ""
+        for patience in (1.0, 10.0):  # all of it: a position never comes, only the clock does
+            with monkeypatch.context() as brief:
+                brief.setattr(move, "PATIENCE", patience)
+                code, _, errors = run("move", "--by", "0", "0", "0.1", "--at", "0.2")
+            if "position of an arm" in errors:
+                break
         assert code == 2 and "position of an arm that stands must be known" in errors
         words = ["move", "--to", *map(str, there), "--quaternion", "0", "0", "0", "1"]
         with subprocess.Popen(

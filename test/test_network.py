@@ -135,6 +135,7 @@ def reference(change: Callable[[OfflineRun], None] | None = None) -> dict[int, b
     return offline_states(run, TICKS)
 
 
+@pytest.mark.slow
 def test_bad_messages_are_refused_counted_and_change_nothing(lockstep: SharedNetwork) -> None:
     with lockstep() as (user, _):
         go(user)
@@ -174,6 +175,7 @@ def test_every_bad_message_is_refused_in_its_words() -> None:
         assert_same_bits(nodes.states, reference(), TICKS)
 
 
+@pytest.mark.slow
 def test_garbage_and_huge_messages_change_nothing(lockstep: SharedNetwork) -> None:
     rng = random.Random(5)
     little_endian = b"\0\1\0\0"
@@ -344,6 +346,7 @@ def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
         late.destroy_node()
 
 
+@pytest.mark.slow
 def test_services_in_real_time(real_time: SharedNetwork) -> None:
     with real_time() as (user, _):
         go(user)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from draws import with_slow
 from geometry_msgs.msg import PoseStamped
 from network import wait_until_met
 from rclpy.context import Context
@@ -75,13 +76,16 @@ def test_a_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize(
     "call",
-    [
-        lambda net: net.power(False),
-        lambda net: net.go_on(),
-        lambda net: net.wait_until(0.0),
-        lambda net: net.state_of(net.send_joint_target(ANGLES, 0.3)) == "accepted",
-        lambda net: net.state_of(net.send_tool_target(TARGET)) == "accepted",
-    ],
+    with_slow(
+        [
+            lambda net: net.power(False),
+            lambda net: net.state_of(net.send_tool_target(TARGET)) == "accepted",
+            lambda net: net.go_on(),
+            lambda net: net.wait_until(0.0),
+            lambda net: net.state_of(net.send_joint_target(ANGLES, 0.3)) == "accepted",
+        ],
+        2,
+    ),
 )
 def test_the_first_call_waits_until_it_can_be_served(
     call: Callable[[NetworkUnderTest], bool | None], tmp_path: Path

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from geometry_msgs.msg import PoseStamped
 from in_process import in_process
 from machines import own_three_axis
@@ -68,7 +69,7 @@ def record_states(bag: Path, scene: Path) -> list[bytes]:
     return states
 
 
-@pytest.mark.parametrize("at", [0, 137, 215, 245, 300, 380])
+@pytest.mark.parametrize("at", with_slow([0, 137, 215, 245, 300, 380], 2))
 def test_a_fork_without_a_change_is_the_recorded_run(
     at: int, scene: Path, moved: Path, tmp_path: Path
 ) -> None:
@@ -84,6 +85,7 @@ def test_a_fork_without_a_change_is_the_recorded_run(
     assert compare(bag, str(scene)).difference is None
 
 
+@pytest.mark.slow
 def test_forks_of_forks_name_the_bag_with_the_targets(
     scene: Path, moved: Path, tmp_path: Path
 ) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from test_new_drives import untuned
 
 from arm_emulator import Kinematics, Refusal, load_gains, load_scene
@@ -72,7 +72,7 @@ def robot_with_gripper(draw: np.random.Generator) -> tuple[str, list[str], list[
     return robot.text(), [f"a{k}" for k in range(arm)], fingers
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", with_slow(range(30), 10))
 def test_a_gripper_is_distinguished_from_the_arm(seed: int) -> None:
     text, arm, fingers = robot_with_gripper(np.random.default_rng(seed))
     choice = choose_joints(ET.fromstring(text), "robot")
@@ -131,6 +131,7 @@ def test_joints_that_cannot_move_are_refused() -> None:
 
 
 # Without a payload it is the arm of the demo below, whose machine is there.
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", some([None, 3.0], 1))
 def test_new_and_tune_agree(payload: float | None, tmp_path: Path) -> None:
     (tmp_path / "scara.urdf").write_text(OWN["scara"]())
@@ -386,6 +387,7 @@ def test_a_new_arm_goes_where_it_is_sent(name: str, tmp_path: Path) -> None:
         assert outcome.seconds < 12.0 and outcome.peak_speed <= 1.0, outcome
 
 
+@pytest.mark.slow
 def test_a_single_command_from_a_robot_to_a_moving_arm(tmp_path: Path) -> None:
     file = tmp_path / "scara.urdf"
     file.write_text(OWN["scara"]())

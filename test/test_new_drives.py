@@ -163,6 +163,7 @@ def test_a_makers_torque_remains_and_a_placeholder_is_replaced_joint_by_joint(
     assert not written.overloads
 
 
+@pytest.mark.slow
 def test_loads_that_the_arm_cannot_hold_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator.base.config_files import find_beside
 from arm_emulator.design import new_scene
@@ -41,7 +41,7 @@ def with_balls(rng: np.random.Generator) -> str:
     return text
 
 
-@pytest.mark.parametrize("seed", some([12, 18, 43, *range(60)], 8))
+@pytest.mark.parametrize("seed", with_slow(some([12, 18, 43, *range(60)], 8), 3))
 def test_no_parts_touch_at_the_start_where_a_pose_without_contact_exists(
     seed: int, tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ def test_events_at_steps_have_order_1(share: int, scheme: str, tmp_path: Path) -
     judge(share, scheme, tmp_path)
 
 
+@pytest.mark.slow
 def test_the_machines_have_every_part_beside_and_opposite_every_part() -> None:
     """The list of pairs is drawn: each part must be in it, with all that a joint may have."""
     pairs = set().union(*map(part_pairs.list_pairs, machines()))

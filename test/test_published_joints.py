@@ -9,6 +9,7 @@ from draws import some
 from bench.published_joints import JOINTS, RAMP, WORDS, Stand
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(JOINTS, 1))
 def test_a_joint_takes_the_published_friction_at_rest_and_in_motion(
     tmp_path: Path, name: str

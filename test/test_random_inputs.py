@@ -13,6 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from draws import some
 from network import ALL_THREE, ASK_AGAIN, JOINTS, PATIENCE, SOLE_PUBLISHER, User, logs, network
@@ -154,6 +155,7 @@ def assert_alive(nodes: Bringup, log: Path) -> None:
     assert ended is None, f"{ended} ended by itself: {logs(log)}"
 
 
+@pytest.mark.slow
 def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path: Path) -> None:
     rng = random.Random(f"values {SEED}")
     with network(tmp_path, start="first_answer", forked=False) as (user, nodes):
@@ -178,6 +180,7 @@ def test_random_values_of_every_service_topic_and_parameter_end_no_node(tmp_path
         strangers.node.destroy_node()
 
 
+@pytest.mark.slow
 def test_strangers_orders_and_stamps_keep_a_moving_arm_within_its_limits(tmp_path: Path) -> None:
     """Joints move to and fro, and every topic gets messages of strangers, of any time and content.
 

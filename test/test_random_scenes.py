@@ -25,7 +25,7 @@ from arm_emulator.runs.gains import check_fit
 from arm_emulator.servo.servo_config import ServoConfig
 
 
-@pytest.mark.parametrize("block", some(range(10), 5))
+@pytest.mark.parametrize("block", with_slow(some(range(10), 5), 2))
 def test_random_scenes_are_taken_or_refused(tmp_path: Path, block: int) -> None:
     """40 draws a block; `verdict` states what else may not come of it."""
     taken = 0
@@ -131,7 +131,7 @@ def test_work_grows_as_the_number_of_fixed_links(tmp_path: Path, in_a_row: bool)
 
     A loop within a loop takes 25 times. Calls are counted, since a time depends on what else runs.
     """
-    few, many = (with_fixed_links(tmp_path / str(n), n, in_a_row) for n in (1_000, 5_000))
+    few, many = (with_fixed_links(tmp_path / str(n), n, in_a_row) for n in (300, 1_500))
     calls = []
     for file in (few, many):
         counted = Counter[str]()
@@ -143,7 +143,7 @@ def test_work_grows_as_the_number_of_fixed_links(tmp_path: Path, in_a_row: bool)
             sys.setprofile(None)
         assert names == scene.joint_names
         calls.append(counted["call"] + counted["c_call"])
-    assert scene.chain.joints[2].body.mass == pytest.approx(3.0 + 0.5, rel=1e-9)
+    assert scene.chain.joints[2].body.mass == pytest.approx(3.0 + 0.15, rel=1e-9)
     assert calls[1] < 5.5 * calls[0], calls
 
 
@@ -204,7 +204,7 @@ HABITS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", some(range(60), 30))
+@pytest.mark.parametrize("seed", with_slow(some(range(60), 30), 8))
 def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int) -> None:
     """Emulator, servo and motion controller name the same joints, unlimited where no limit is."""
     rng = np.random.default_rng(seed)
@@ -241,6 +241,7 @@ def test_published_habits_are_taken_alike_by_all_three(tmp_path: Path, seed: int
         assert changed.start[names.index(name)] == 0.25, f"an override of {name!r} went elsewhere"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     find_example_robot_data() is None, reason="needs the package example-robot-data"
 )
@@ -302,7 +303,7 @@ def test_a_body_that_no_motion_is_possible_with_is_refused_with_its_links(tmp_pa
         load_scene(file, {"payload": {"mass": 1.0}, "tool": "forearm"})
 
 
-@pytest.mark.parametrize("seed", with_slow(range(20), 5))
+@pytest.mark.parametrize("seed", with_slow(range(20), 2))
 def test_combinations_of_numbers_are_sound(tmp_path: Path, seed: int) -> None:
     """Motor and gear of any size: refused, or all that the core divides by is well in range."""
     rng = np.random.default_rng(seed)

@@ -78,6 +78,7 @@ def motors(written: NewScene) -> Iterator[DcMotor]:
         yield drive.joint.motor
 
 
+@pytest.mark.slow
 def test_wrists_are_as_strong_as_makers_build_them(tmp_path: Path) -> None:
     """The torques that we choose for wrists are within a factor of 3 of those that makers publish.
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from by_hand import go_on
-from draws import some
+from draws import some, with_slow
 from in_process import InProcess, in_process
 
 from arm_emulator.base.validation.bound import COMMAND
@@ -43,7 +43,7 @@ def is_due(command: MotorCommand, answered: int, newest: int) -> bool:
     )
 
 
-@pytest.mark.parametrize("seed", some(range(8), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(8), 2), 1))
 def test_only_commands_that_are_due_are_in_force(seed: int) -> None:
     """By the rules of docs/concepts/time.md, whichever of C and Python takes them."""
     draw, taken_in_c = random.Random(seed), 0

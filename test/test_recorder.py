@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
@@ -269,14 +269,17 @@ def wait_until_complete(file: Path) -> tuple[dict[str, list[Any]], dict[str, str
 
 @pytest.mark.parametrize(
     ("how", "suffix"),
-    some(
-        [
-            (signal.SIGKILL, ".csv"),
-            (signal.SIGINT, ".mcap"),
-            (signal.SIGKILL, ".parquet"),
-            *itertools.product([signal.SIGKILL, signal.SIGINT], SUFFIXES),
-        ],
-        3,
+    with_slow(
+        some(
+            [
+                (signal.SIGKILL, ".csv"),
+                (signal.SIGINT, ".mcap"),
+                (signal.SIGKILL, ".parquet"),
+                *itertools.product([signal.SIGKILL, signal.SIGINT], SUFFIXES),
+            ],
+            3,
+        ),
+        1,
     ),
 )
 def test_a_run_that_is_ended_leaves_a_complete_file(
@@ -334,6 +337,7 @@ def test_a_full_disk_is_reported_and_leaves_a_complete_file_or_none(
         assert not list(small_disk.iterdir()), "what cannot be read is not left"
 
 
+@pytest.mark.slow
 def test_rerun_gets_the_run(tmp_path: Path) -> None:
     chunk = pytest.importorskip("rerun.chunk")
     plant, file = Plant("three_axis"), tmp_path / "run.rrd"
@@ -414,6 +418,7 @@ def test_a_table_of_a_run_is_not_taken_for_a_bag(scene: Scene, tmp_path: Path) -
         Bag(file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [server for server in servers() if server != "ethercat"]
 )  # needs root

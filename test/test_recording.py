@@ -127,7 +127,6 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
     """
     folder = tmp_path_factory.mktemp("lockstep")
     slow_bag, killed_bag, own_bag = (folder / name for name in ("slow", "killed", "own"))
-    draw = random.Random(4)
     with (
         user() as listener,
         recorder(slow_bag) as slow,
@@ -138,12 +137,12 @@ def lockstep_bags(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path,
         # As late as a busy machine may make them; the machine must not leave tick 0 before.
         for process in (slow, killed):
             process.send_signal(signal.SIGSTOP)
-        time.sleep(draw.uniform(2.0, 3.0))
+        time.sleep(1.0)
         for process in (slow, killed):
             process.send_signal(signal.SIGCONT)
         listener.wait("the run", lambda: listener.tick > 100)
-        for _ in range(3):
-            away(slow, draw.uniform(0.5, 2.0))
+        for seconds in (0.5, 1.5):
+            away(slow, seconds)
             await_ticks(listener, 50)
         killed.kill()
         await_ticks(listener, 300)
@@ -206,6 +205,7 @@ def test_the_emulators_own_record_is_complete(
         assert Bag(bag).topics[topic].count > 0, topic
 
 
+@pytest.mark.slow
 def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
     with network(tmp_path / "log", start="first_answer") as (listener, _):
         listener.wait("the run", lambda: listener.tick > 200)
@@ -233,6 +233,7 @@ def test_a_late_recorder_states_so_or_resets_on_request(tmp_path: Path) -> None:
     assert check_bag(tmp_path / "reset") == 0
 
 
+@pytest.mark.slow
 def test_a_recorder_in_real_time_counts_its_losses_and_the_emulators_own_record_is_complete(
     tmp_path: Path,
 ) -> None:
@@ -265,6 +266,7 @@ def test_a_recorder_in_real_time_counts_its_losses_and_the_emulators_own_record_
     assert_every_tick(tmp_path / "own", count=3000)
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_any_moment_leaves_a_complete_bag(tmp_path: Path) -> None:
     """The recorder starts in one or two seconds: some moments about there."""
     draw = random.Random(6)

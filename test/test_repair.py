@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import yaml
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -195,7 +195,7 @@ def record_until_full(
         reported[bag.folder] = error.errno, bag.is_complete, bag.topics[0].count
 
 
-@pytest.mark.parametrize("seed", some(range(40), 6))
+@pytest.mark.parametrize("seed", with_slow(some(range(40), 6), 2))
 @pytest.mark.parametrize("recorders", [1, 2])
 def test_recorders_on_a_disk_that_becomes_full_leave_complete_bags(
     recorders: int, seed: int, small_disk: Path
@@ -293,7 +293,7 @@ for turn in range(10_000):
 """
 
 
-@pytest.mark.parametrize("seed", some(range(60), 4))
+@pytest.mark.parametrize("seed", with_slow(some(range(60), 4), 1))
 def test_a_recorder_killed_at_any_moment_leaves_a_bag_that_repair_completes(
     seed: int, tmp_path: Path
 ) -> None:

@@ -282,6 +282,7 @@ assert "rerun" not in sys.modules
     run(code)
 
 
+@pytest.mark.slow
 def test_a_file_that_does_not_take_data_costs_samples_and_nothing_else(tmp_path):
     """A pipe that nobody reads any more stands for a disk that hangs."""
     pipe = tmp_path / "pipe"
@@ -315,6 +316,7 @@ assert "Flush timed out" in stream.trouble, stream.trouble
     run(code)  # and the process ends
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_a_readable_file(tmp_path):
     file = tmp_path / "a.rrd"
     code = f"""

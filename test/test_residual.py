@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from draws import with_slow
 from kinematic_arms import CONFIG, START, THREE_AXIS
 
 from arm_emulator import (
@@ -140,7 +141,7 @@ def test_gravity_adds_the_wind_up_of_the_gears() -> None:
 @pytest.mark.skipif(
     find_example_robot_data() is None, reason="needs the package example-robot-data"
 )
-@pytest.mark.parametrize("scene", ["ur5", "panda"])
+@pytest.mark.parametrize("scene", with_slow(["ur5", "panda"], 1))
 @pytest.mark.parametrize("method", ["paper", "way"])
 def test_robots_move_50_mm_with_constant_orientation(scene: str, method: str) -> None:
     """By either method, under gravity, through the whole machine."""

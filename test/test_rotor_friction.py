@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import make_link_urdf, slides_urdf, write_scene
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
@@ -87,10 +87,10 @@ def let_go(plant: Plant, angle: float) -> None:
 # Seed 3 is of another library: its breakaway torque is another multiple.
 @pytest.mark.parametrize(
     ("seed", "scheme"),
-    some(
+    with_slow(some(
         [(0, "rosenbrock"), (1, "rosenbrock"), (2, "rosenbrock"), (3, "extrapolated"),
          (0, "extrapolated"), (1, "extrapolated"), (2, "extrapolated"), (3, "rosenbrock")], 3,
-    ),
+    ), 1),
 )  # fmt: skip
 def test_a_rotor_swings_and_sticks_as_the_closed_form_states_with_order_two(
     tmp_path: Path, seed: int, scheme: str
@@ -111,7 +111,7 @@ def test_a_rotor_swings_and_sticks_as_the_closed_form_states_with_order_two(
 
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 1))
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", with_slow(range(2), 1))
 def test_the_error_is_of_first_order_without_located_events(
     tmp_path: Path, seed: int, scheme: str
 ) -> None:
@@ -164,6 +164,7 @@ def test_friction_of_a_rotor_that_moves_with_its_link_is_that_of_the_link(tmp_pa
     assert q[:, 1] == pytest.approx(q[:, 0], rel=1e-9), "friction of rotor and of link differ"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("events", some(["located", "step"], 2))
 def test_a_rotor_far_faster_than_the_step_costs_a_bounded_time(events: str, tmp_path: Path) -> None:
     """No modes may hold in any part of its steps; it moves on, or is refused as diverged."""
@@ -191,7 +192,9 @@ def test_a_rotor_far_faster_than_the_step_costs_a_bounded_time(events: str, tmp_
                 break
         return (time.process_time() - began) / (count + 1)
 
-    usual = measure_period(1e-4, 400)
     for rotor_inertia in (1e-15, 1e-14, 1e-13):
         # With 8191 parts in a step some 1900 to 3700 times as long, with 129 some 45 to 490 times.
-        assert measure_period(rotor_inertia, 40) < 1000.0 * usual, rotor_inertia
+        # Other processes may lengthen one of the two times: the best of three pairs counts.
+        assert any(
+            measure_period(rotor_inertia, 40) < 1000.0 * measure_period(1e-4, 400) for _ in range(3)
+        ), rotor_inertia

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import (
     GRAVITY,
     LINK_INERTIA,
@@ -184,7 +184,7 @@ PAIRS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("machine", "scheme"), some(PAIRS, 4 + (len(MACHINES) - 3)))
+@pytest.mark.parametrize(("machine", "scheme"), with_slow(some(PAIRS, 4 + (len(MACHINES) - 3)), 4))
 def test_orders(machine: str, scheme: str) -> None:
     # The next term of the error's expansion is one order higher: at 12 us and below it is some per
     # cent of the first for the fastest motions of these machines (300 rad/s without damping).
@@ -196,6 +196,7 @@ def test_orders(machine: str, scheme: str) -> None:
     assert fine < {1: 1e-3, 2: 1e-6}[KNOWN[scheme].order], "error of the fine step [rad or m]"
 
 
+@pytest.mark.slow
 def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
     """At dt = 10 ms three_axis is within 5e-4 rad after 1 s."""
     machine = scene("everything", "rosenbrock", 1)
@@ -241,6 +242,7 @@ def test_small_inductances_converge_to_none(scheme: str) -> None:
 # Nonsmooth parts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [
@@ -332,6 +334,7 @@ def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: flo
     assert plant.state.q[0] == rest and plant.state.v[0] == 0.0, "it stays where it came to rest"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 def test_friction_only_takes_energy(tmp_path: Path, scheme: str) -> None:
     """A thrown chain of four joints with dry friction alone loses energy till all of it is gone."""

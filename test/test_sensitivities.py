@@ -98,6 +98,7 @@ def test_derivatives_by_every_number_of_a_part(parts: Parts, tmp_path: Path) -> 
     compare(scene, draw_commands(scene, 0))
 
 
+@pytest.mark.slow
 def test_derivatives_by_every_number_of_friction_that_knows_the_direction_of_power(
     tmp_path: Path,
 ) -> None:

@@ -203,6 +203,7 @@ def test_a_client_of_version_1_is_served(scene: Scene) -> None:
     assert plant.core.arm_measure(plant.machine, struct) == 1, "one that is too short"
 
 
+@pytest.mark.slow
 def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
     """As with counts that go on; noise moves the links by no more than it states of them."""
     encoder = {"kind": "absolute", "counts_per_turn": 1024, "bits": 16, "noise": 0.0}
@@ -233,6 +234,7 @@ def test_a_servo_holds_and_moves_an_arm_by_words_and_noisy_sensors() -> None:
     assert (worse < 6.0 * at_link).all(), f"on the way: {worse} of {at_link}"
 
 
+@pytest.mark.slow
 def test_a_delay_is_dead_time_of_the_loop() -> None:
     """Small motions are as predicted: 7 periods are too many."""
     scene = load_scene(

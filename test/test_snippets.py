@@ -73,6 +73,16 @@ PYTHON = {
     "by_hand.md": ("rclpy", "needs a network; test_by_hand.py"),
     "campaigns.md": ("polars", "a library of the reader, and results that a reader has"),
 }
+# Pages whose programs compile machines of their own, for seconds.
+LONG = {
+    "device.md",
+    "ethercat.md",
+    "fleet.md",
+    "identify.md",
+    "many_arms.md",
+    "rewind.md",
+    "sensitivities.md",
+}
 # Programs of masters, indented on their pages since a test in test/peers reads them there.
 MASTERS = {"canopen.md", "ethercat.md", "modbus.md"}
 MAKEFILES = (
@@ -218,6 +228,7 @@ def test_a_command_on_a_page_exists(words: list[str]) -> None:
             ).exists(), word
 
 
+@pytest.mark.slow
 def test_commands_that_end_soon_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -253,7 +264,8 @@ def python_fences() -> list[Any]:
     for page, text in fences("python"):
         counts[page.name] = counts.get(page.name, -1) + 1
         if page.name not in PYTHON or PYTHON[page.name][0] not in text:
-            blocks.append(pytest.param(text, id=f"{page.name}-{counts[page.name]}"))
+            marks = [pytest.mark.slow] if page.name in LONG else []
+            blocks.append(pytest.param(text, id=f"{page.name}-{counts[page.name]}", marks=marks))
     return blocks
 
 

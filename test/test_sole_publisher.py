@@ -65,7 +65,9 @@ class Mover:
         return number
 
 
-@pytest.fixture(scope="module", params=["lockstep", "realtime"])
+@pytest.fixture(
+    scope="module", params=["lockstep", pytest.param("realtime", marks=pytest.mark.slow)]
+)
 def mover(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Mover]:
@@ -109,7 +111,7 @@ def test_messages_of_strangers_do_not_change_a_motion(mover: Mover) -> None:
     user.add(stranger)
     fastest, publishers = 0.0, {}
     try:
-        for to in some((0.6, 0.0, 0.6, 0.0), 2):
+        for to in some((0.6, 0.0, 0.6, 0.0), 1):
             number = mover.move(to)
             while mover.state_of(number) == MotionStatus.STATE_MOVING:
                 for topic, message in strangers(rng, user).items():
@@ -156,6 +158,7 @@ def test_a_reset_by_the_emulator_restarts(mover: Mover) -> None:
     user.wait("the run", lambda: user.status is not None and user.status.phase == running_)
 
 
+@pytest.mark.slow
 def test_a_first_publisher_yields_to_the_servo(tmp_path: Path) -> None:
     """A stranger published joint states before there was a servo."""
     with network(tmp_path, only=("motion_controller",), start="first_answer") as (user, _):

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Plant, load_scene
 from arm_emulator.analysis.stability import SmallMotions
@@ -45,7 +45,7 @@ def small_motions(seed: int) -> SmallMotions:
 PAIRS = [(scheme, seed) for seed in range(2) for scheme in SCHEMES]
 
 
-@pytest.mark.parametrize(("scheme", "seed"), some(PAIRS, len(SCHEMES)))
+@pytest.mark.parametrize(("scheme", "seed"), with_slow(some(PAIRS, len(SCHEMES)), 1))
 def test_small_motions_move_as_the_matrix_of_the_scheme(scheme: str, seed: int) -> None:
     overrides = {**random_overrides(seed), "integrator.scheme": scheme}
     plant = Plant(load_scene("three_axis", overrides=overrides))

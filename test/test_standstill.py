@@ -157,6 +157,7 @@ def test_a_target_waits_for_the_brakes_and_is_reached_within_limits(seed: int) -
     assert arm.last is GoalState.REACHED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(102, 114), 1))
 def test_a_path_and_a_trajectory_go_on_from_where_they_were(seed: int) -> None:
     """Within the limits, through all of their ends, after the time that they stood."""

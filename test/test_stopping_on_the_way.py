@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
@@ -113,7 +113,9 @@ class LowArm:
 
 
 @pytest.mark.parametrize("kind", ["path", "trajectory"])
-@pytest.mark.parametrize(("name", "drop", "blend"), [("ur5", 0.2, 0.06), ("panda", 0.1, 0.03)])
+@pytest.mark.parametrize(
+    ("name", "drop", "blend"), with_slow([("ur5", 0.2, 0.06), ("panda", 0.1, 0.03)], 1)
+)
 def test_a_free_path_is_taken_however_near_an_obstacle_is(
     name: str, drop: float, blend: float, kind: str
 ) -> None:
@@ -127,7 +129,7 @@ def test_a_free_path_is_taken_however_near_an_obstacle_is(
 ENDS = ("twist", "joints", "cancel", "target below", "target above", "stream")
 
 
-@pytest.mark.parametrize("end", ENDS)
+@pytest.mark.parametrize("end", with_slow(ENDS, 3))
 @pytest.mark.parametrize("seed", some(range(12), 1))
 def test_a_motion_that_is_ended_stops_on_its_path(seed: int, end: str) -> None:
     """Anything that comes on the way, at a drawn moment: nothing touches, and the arm goes on."""

@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Callable
+from itertools import cycle, product
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
@@ -97,9 +98,14 @@ def curve_for(arm: Streamed, seed: int) -> Callable[[float], np.ndarray]:
     return TRUTHS[key]
 
 
-@pytest.mark.parametrize("seed", some(range(30), 2))
-@pytest.mark.parametrize("period", PERIODS)
-@pytest.mark.parametrize("scene", ["three_axis", "ur5", "panda"])
+# At first each period once, of different arms.
+SCENES = ("three_axis", "ur5", "panda")
+ONCE = [(scene, period, 0) for scene, period in zip(cycle(SCENES), PERIODS, strict=False)]
+EVERY = list(product(SCENES, PERIODS, some(range(30), 2)))
+CASES = [*ONCE, *(case for case in EVERY if case not in ONCE)]
+
+
+@pytest.mark.parametrize(("scene", "period", "seed"), with_slow(CASES, len(PERIODS)))
 def test_a_stream_is_followed_closely(scene: str, period: float, seed: int) -> None:
     """200 Hz at 0.3 m/s, whatever the motion period; then the tool rests where it has ended."""
     arm = Streamed(scene, period)
@@ -111,7 +117,7 @@ def test_a_stream_is_followed_closely(scene: str, period: float, seed: int) -> N
     assert np.linalg.norm(arm.tool() - at(2.5 - 1.0 / 200.0)) < 5e-4
 
 
-@pytest.mark.parametrize("seed", some(range(30), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(30), 2), 1))
 @pytest.mark.parametrize("scene", ["ur5", "panda"])
 def test_targets_without_stamps_are_of_their_period(scene: str, seed: int) -> None:
     """At a period of 10 ms that is near enough."""
@@ -120,7 +126,7 @@ def test_targets_without_stamps_are_of_their_period(scene: str, seed: int) -> No
     assert max(arm.behind) < 0.5 * BEHIND
 
 
-@pytest.mark.parametrize("scene", ["three_axis", "ur5"])
+@pytest.mark.parametrize("scene", with_slow(["three_axis", "ur5"], 1))
 def test_shaking_targets_do_not_shake_the_tool_off(scene: str) -> None:
     """0.2 mm in every target, as cameras have: the tool stays within twice the promise."""
     arm, rng = Streamed(scene), np.random.default_rng(0)

@@ -56,7 +56,7 @@ def thread_count() -> int:
 
 
 @pytest.mark.parametrize(
-    ("exchange", "depth"), with_slow([("lag", 1), ("predict", 2), ("predict", 1)], 2)
+    ("exchange", "depth"), with_slow([("predict", 2), ("lag", 1), ("predict", 1)], 1)
 )
 def test_same_bits_every_time_under_load(exchange: str, depth: int) -> None:
     machine = plant(2, exchange=exchange, depth=depth)
@@ -84,7 +84,9 @@ def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
         assert falls == pytest.approx([10.0] * 3, rel=rel), f"differences, from {dt} s to a tenth"
 
 
-@pytest.mark.parametrize(("exchange", "depth"), some([("predict", 2), ("lag", 2), ("lag", 4)], 1))
+@pytest.mark.parametrize(
+    ("exchange", "depth"), with_slow(some([("predict", 2), ("lag", 2), ("lag", 4)], 1), 0)
+)
 def test_a_deeper_exchange_costs_as_it_states(exchange: str, depth: int) -> None:
     """D steps late; or led on by D differences of v, which leaves D (D + 1) / 2 second ones."""
     exact = simulate_second(plant(1))
@@ -176,6 +178,7 @@ def test_in_real_time_no_thread_waits_for_a_less_urgent_thread() -> None:
     assert urgent() == 0, "urgent threads when it has ended"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", some([2, 1], 1))
 def test_no_data_race(tmp_path: Path, depth: int) -> None:
     """The core under ThreadSanitizer: bursts of two threads, the real-time loop with partners."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from draws import some
+from draws import with_slow
 from in_process import InProcess, in_process
 from sensor_msgs.msg import JointState
 
@@ -82,8 +82,18 @@ def quintic(part: float) -> tuple[float, float]:
     return t**3 * (10.0 - 15.0 * t + 6.0 * t * t), 30.0 * t * t * (1.0 - t) ** 2
 
 
-@pytest.mark.parametrize("commands", some([("position",), ("position", "velocity")], 2))
-@pytest.mark.parametrize("threshold", [DEFAULT, ALWAYS])
+@pytest.mark.parametrize(
+    ("threshold", "commands"),
+    with_slow(
+        [
+            (DEFAULT, ("position", "velocity")),
+            (ALWAYS, ("position",)),
+            (DEFAULT, ("position",)),
+            (ALWAYS, ("position", "velocity")),
+        ],
+        2,
+    ),
+)
 def test_a_trajectory_is_followed_and_then_its_end_stays(
     nodes: InProcess, commands: tuple[str, ...], threshold: float
 ) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import with_slow
 from machines import MOVED, ROTOR, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, load_scene
@@ -25,7 +26,7 @@ def gantry(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[list[fl
     return write_scene(folder, gantry_urdf(), joints, integrator=integrator), waves
 
 
-@pytest.mark.parametrize("u", [0.05, -0.03])
+@pytest.mark.parametrize("u", with_slow([0.05, -0.03], 1))
 def test_a_constant_torque_does_the_work_of_its_waves(
     gantry: tuple[Path, list[list[float]]], u: float
 ) -> None:

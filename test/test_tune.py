@@ -158,6 +158,7 @@ def test_a_loop_holds_a_link_that_falls(seed: int) -> None:
         assert poles.real.max() < 0.0, (share, M, K, G)
 
 
+@pytest.mark.slow
 def test_gains_of_an_arm_exceed_the_growth_of_its_falling_links(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

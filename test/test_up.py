@@ -80,6 +80,7 @@ def node_of(process: psutil.Process) -> str:
     return module.removesuffix("_node.node")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(["servo", "emulator", "motion_controller"], 1))
 def test_up_ends_all_processes_when_a_process_ends(name: str) -> None:
     with up() as (launcher, children):
@@ -92,12 +93,14 @@ def test_up_ends_all_processes_when_a_process_ends(name: str) -> None:
         assert "Traceback" not in complaint, complaint
 
 
+@pytest.mark.slow
 def test_up_that_is_killed_leaves_no_node() -> None:
     with up("--clock", "realtime", "--start", "free_run") as (launcher, _):
         launcher.kill()
         launcher.wait(PATIENCE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", some([signal.SIGINT, signal.SIGTERM], 1))
 def test_a_second_network_is_refused_and_the_first_goes_on_until_its_end_is_requested(
     stop: signal.Signals,
@@ -135,6 +138,7 @@ def test_a_second_network_is_refused_and_the_first_goes_on_until_its_end_is_requ
         assert "Traceback" not in complaint, complaint
 
 
+@pytest.mark.slow
 def test_up_reports_of_a_node_that_cannot_start() -> None:
     """The port of the Rerun stream is taken: the emulator states no, and the others end."""
     with (
@@ -161,7 +165,7 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
     file = tmp_path / "mine.yaml"
     file.write_text(
         "/**/motion_controller:\n  ros__parameters: {weight: 0.125}\n"
-        "/**/emulator:\n  ros__parameters: {real_time_factor: 3.0}\n"
+        "/**/emulator:\n  ros__parameters: {real_time_factor: 0.5}\n"
     )
     words = ("--namespace", "cell1", "--use-sim-time", "--params-file", str(file))
     with own_domain() as domain, started("arm_emulator", "up", *words) as launcher:

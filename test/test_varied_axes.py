@@ -83,7 +83,7 @@ def skewed_joint(rng: np.random.Generator) -> ChainJoint:
     )  # fmt: skip
 
 
-def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 1000) -> None:
+def test_every_term_of_a_turned_body_is_written(seeds: int = 4000 if FULL else 300) -> None:
     """Mass, first moment and tensor, some of them varied, against R h and R I R' in NumPy."""
     for seed in range(seeds):
         rng = np.random.default_rng([seed, 11])
@@ -221,6 +221,7 @@ def moved(scene: Scene, values: dict[str, float], seed: int) -> tuple[np.ndarray
     return np.array(rows), measured
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(30), 1))
 def test_every_kind_of_varied_number_is_as_if_built_in(seed: int, tmp_path: Path) -> None:
     """All parts' numbers, links' and sensors' at once, on a mixture with skewed axes."""

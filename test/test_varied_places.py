@@ -31,7 +31,7 @@ def set_all(plant: Plant, deltas: Deltas) -> None:
         plant.set_parameter(name, value)
 
 
-@pytest.mark.parametrize("seed", with_slow(some(range(8), 3), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(8), 3), 1))
 def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
     """At the values of the scene and at others; chains, branches, turning and sliding joints."""
     rng = np.random.default_rng(seed)
@@ -84,7 +84,8 @@ def move(plant: Plant, count: int) -> np.ndarray:
     return np.concatenate([plant.state.q, plant.state.v])
 
 
-@pytest.mark.parametrize("events", with_slow(["located", "step"], 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("events", ["located", "step"])
 def test_a_machine_with_set_places_moves_as_a_compiled_machine(
     tmp_path: Path, deltas: Deltas, events: str
 ) -> None:
@@ -104,6 +105,7 @@ def test_a_machine_with_set_places_moves_as_a_compiled_machine(
     assert move(plant, 100).tolist() == moved.tolist()
 
 
+@pytest.mark.slow
 def test_lanes_have_places_of_their_own(tmp_path: Path, deltas: Deltas) -> None:
     scene = three_axis(tmp_path, deltas, "step", varied=True)
     rng = np.random.default_rng(2)
@@ -124,6 +126,7 @@ def test_lanes_have_places_of_their_own(tmp_path: Path, deltas: Deltas) -> None:
         assert fleet.state.q[arm] == pytest.approx(plant.state.q, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_derivatives_by_places_are_those_of_the_machine(tmp_path: Path, deltas: Deltas) -> None:
     """Beside central differences of fourth order; also at a displacement of 0."""
     scene = three_axis(tmp_path, deltas, "located", varied=True)

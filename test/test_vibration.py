@@ -99,6 +99,7 @@ def ring(stiff: float, **motion: object) -> tuple[OfflineRun, np.ndarray]:
 NAMES = ("waist", "shoulder", "elbow")
 
 
+@pytest.mark.slow
 def test_the_arm_swings_at_the_frequency_of_its_mode_and_less_when_shaped() -> None:
     """A waist that turns fast excites its own mode; ZVD takes it away."""
     run, places = ring(8.0)

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator.motion.trajectory import timed_path
 from arm_emulator.motion.trajectory.joint_curve import JointCurve
 from arm_emulator.motion.trajectory.timed_path import JointPathLimits, TimedPath, ToolPathLimits
 
 
-@pytest.mark.parametrize("case", some(range(40), 8))
+@pytest.mark.parametrize("case", with_slow(some(range(40), 8), 3))
 def test_limits_hold_where_the_third_derivative_of_their_curve_steps(case: int) -> None:
     """Splines through random nodes, whose jerk steps in each of them, with ramps of any length.
 

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from draws import with_slow
 from network import network
 
 from arm_emulator.base.config_files import find_config_folder
@@ -53,7 +54,9 @@ def command(folder: Path, *words: str, path: str = "") -> None:
     assert done.returncode == (2 if words[1] == "nothing" else 0), done.stderr
 
 
-@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
+@pytest.mark.parametrize(
+    "words", with_slow(((words,) for words in COMMANDS), 1), ids=lambda words: words[0]
+)
 def test_a_command_imports_nothing_of_the_working_folder(
     words: tuple[str, ...], folder: Path
 ) -> None:
@@ -62,6 +65,7 @@ def test_a_command_imports_nothing_of_the_working_folder(
     command(folder, *words)
 
 
+@pytest.mark.slow
 def test_an_empty_entry_in_pythonpath_is_not_followed(folder: Path) -> None:
     """As `PYTHONPATH=$PYTHONPATH:` has, which Python takes for the working folder."""
     for name in STANDARD:  # Python itself imports some at its start
@@ -69,7 +73,9 @@ def test_an_empty_entry_in_pythonpath_is_not_followed(folder: Path) -> None:
     command(folder, "run", "three_axis", "--seconds", "0.05", path=":")
 
 
-@pytest.mark.parametrize("node", ["emulator_node", "servo_node", "motion_controller_node"])
+@pytest.mark.parametrize(
+    "node", with_slow(["emulator_node", "servo_node", "motion_controller_node"], 1)
+)
 def test_a_node_imports_nothing_of_the_working_folder(node: str, folder: Path) -> None:
     (folder / f"{node}.py").unlink()  # which Python itself takes for the one to start
     done = subprocess.run(
