@@ -433,7 +433,7 @@ def test_a_unit(tmp_path: Path) -> None:
 def test_the_machine_of_ros2_control(tmp_path: Path) -> None:
     compile_ahead(SCENE, "native", tmp_path)
     compile_units([servo_data_unit("three_axis")], "native", tmp_path)
-    compile_client(tmp_path, Path(__file__).with_name("commanded_machine.cpp"))
+    compile_client(tmp_path, Path(__file__).with_name("commanded_machine.cpp"), "-O0")
     door = ByRos2Control(tmp_path)
     with door.client:
         check(door)

@@ -24,7 +24,7 @@ ROOMS = (
 )  # fmt: skip
 IN_C = (".c", ".h", ".cpp", ".hpp")
 CALL = re.compile(r"\barm_exchange\s*\(|->\s*exchange\s*\(|\bexchange_\s*\(")
-FAULTS = {"command_lost": 0.5, "command_late": 2.0}  # of a line; they are off at first
+FAULTS = {"command_late": 2.0, "command_lost": 0.5}  # of a line; they are off at first
 SCENE = load_scene("three_axis", overrides={"faults": [f"elbow.{fault}" for fault in FAULTS]})
 N = len(SCENE.joints)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import with_slow
 from machines import GANTRY, MOVED, ROTOR, gantry_urdf, write_scene
 from test_command_line import run
 
@@ -117,7 +116,8 @@ def test_modes_need_a_servo(file: Path) -> None:
     assert code == 2 and "servo parameters must be in" in errors, out
 
 
-@pytest.mark.parametrize("axis", with_slow(ABB, 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", ABB)
 def test_a_published_axis_responds_as_its_masses(axis: Masses) -> None:
     """The arm's structure is joints without a motor, on springs."""
     scene = load_scene(axis.scene)

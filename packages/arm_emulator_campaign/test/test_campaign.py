@@ -324,7 +324,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
         Results(tmp_path / "other", reseeded).folder, reseeded,
         Outcomes.join(list(make_simulator(reseeded).runs([draw_case(reseeded.variation, 3)]))),
     )  # fmt: skip
-    for round_ in range(60 if FULL else 12):
+    for round_ in range(60 if FULL else 8):
         some = results.parts[int(rng.integers(len(results.parts)))]
         content = bytearray(some.read_bytes())
         match round_ % 4:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from draws import some
+from draws import some, with_slow
 from test_campaign import MOVES, written
 from test_campaign_lanes import VARIED, campaign_of
 
@@ -29,7 +29,11 @@ def campaign(folder: Path, name: str) -> Campaign:
     )
 
 
-@pytest.mark.parametrize("name", [*VARIED, "moves"])
+ALONE = "a gear with play, without lanes"
+NAMES = [*(name for name in VARIED if name != ALONE), "moves", ALONE]
+
+
+@pytest.mark.parametrize("name", with_slow(NAMES, len(NAMES) - 1))
 def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None:
     definition = campaign(tmp_path, name)
     simulator = Simulator(definition)

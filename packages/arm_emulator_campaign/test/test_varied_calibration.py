@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from draws import with_slow
 from test_calibration import displaced_urdf, tool_by_pinocchio
 
 from arm_emulator_campaign.batch_simulator import BatchSimulator
@@ -35,7 +36,7 @@ def write_campaign(folder: Path) -> Path:
     return folder / "c.yaml"
 
 
-@pytest.mark.parametrize("kind", [Simulator, BatchSimulator])
+@pytest.mark.parametrize("kind", with_slow([Simulator, BatchSimulator], 1))
 def test_tools_stand_by_the_pictured_places(tmp_path: Path, kind: Any) -> None:
     campaign = load_campaign(write_campaign(tmp_path))
     simulator, scene = kind(campaign), campaign.scene

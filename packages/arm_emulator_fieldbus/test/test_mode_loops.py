@@ -183,7 +183,8 @@ def test_drives_behave_as_the_eigenvalues_state(tmp_path: Path) -> None:
     """In each loop, of motors slow and fast against the period, only unstable modes grow."""
     rng = np.random.default_rng(4)
     stable, grew = 0, 0
-    for draw in range(200 if FULL else 16):
+    draws = 200 if FULL else 8
+    for draw in range(draws):
         (folder := tmp_path / str(draw)).mkdir()
         scene_and_servo = draw_drive(rng, folder)
         if scene_and_servo is None:
@@ -212,7 +213,7 @@ def test_drives_behave_as_the_eigenvalues_state(tmp_path: Path) -> None:
             about = f"draw {draw}, {loop.value}: growth {growth:.3g} 1/s, swings by {swing:.3g} %"
             assert (swing > 1.0) == (growth > 1.0), about
             stable, grew = stable + (growth < 1.0), grew + (growth > 1.0)
-    assert stable > 15 and grew > 1, f"{stable} that hold, {grew} that do not"
+    assert stable > 0.9 * draws and grew > 0.1 * draws, f"{stable} that hold, {grew} that do not"
 
 
 def test_a_locked_rotor_is_a_rotor_of_infinite_inertia() -> None:

@@ -81,6 +81,11 @@ def machine(kind: str) -> Scene:
 
 def servo_of(scene: Scene) -> ServoConfig:
     """Gains that are computed for it, from the data sheet in its scene."""
+    return compute(scene, describe(scene), compute_link_inertias([scene]))
+
+
+def describe(scene: Scene) -> ServoConfig:
+    """The data sheet in its scene, with gains for another machine."""
     servo = load_servo_config(find_beside(find_scene("three_axis"), "servo"))
     servo_joints = {joint.name: joint for joint in servo.joints}
     joints = tuple(
@@ -89,7 +94,7 @@ def servo_of(scene: Scene) -> ServoConfig:
         )
         for joint in scene.joints
     )
-    return compute(scene, dataclasses.replace(servo, joints=joints), compute_link_inertias([scene]))
+    return dataclasses.replace(servo, joints=joints)
 
 
 def test_every_kind_states_the_numbers_that_a_servo_needs() -> None:
@@ -107,9 +112,9 @@ def test_a_motor_that_is_not_sized_is_refused_with_our_servo(kind: type[Motor]) 
     motor = {"kind": kind.kind, **ROTOR, **draw_part(kind, np.random.default_rng(1))}
     scene = load_scene("three_axis", {"joints.elbow.motor": motor})
     with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
-        check_joints(scene, servo_of(good))
+        check_joints(scene, describe(good))
     with pytest.raises(Refusal, match=r"elbow\.motor\.kind must be one that our servo drives"):
-        FieldBus(Plant(scene), servo_of(good), ETHERCAT)
+        FieldBus(Plant(scene), describe(good), ETHERCAT)
 
 
 def predicted(scene: Scene, servo: ServoConfig, joint: int) -> np.ndarray:
@@ -223,7 +228,7 @@ def test_a_servo_for_another_command_is_refused(
     kind: str, change: dict[str, float], words: str
 ) -> None:
     scene = machine(kind)
-    servo = servo_of(scene)
+    servo = describe(scene)
     joints = tuple(dataclasses.replace(joint, **change) for joint in servo.joints)
     with pytest.raises(Refusal, match=words):
         check_joints(scene, dataclasses.replace(servo, joints=joints))
@@ -232,7 +237,7 @@ def test_a_servo_for_another_command_is_refused(
 def test_a_drive_without_limits_is_refused_on_a_field_bus() -> None:
     unlimited = {"joints.*.motor": {"kind": "torque", **ROTOR}}
     scene = load_scene("three_axis", unlimited)
-    servo = servo_of(scene)
+    servo = describe(scene)
     joints = tuple(dataclasses.replace(joint, current_limit=math.inf) for joint in servo.joints)
     with pytest.raises(Refusal, match=r"current_limit must be given: the rated torque of its"):
         FieldBus(Plant(scene), dataclasses.replace(servo, joints=joints), ETHERCAT)

@@ -2,6 +2,7 @@
 
 import copy
 import gc
+import json
 import os
 import pickle
 import struct
@@ -14,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from devices import Stub
+from machines import SENSED
 
 from arm_emulator import Refusal
 from arm_emulator_fleet import cuda_device
@@ -499,7 +501,8 @@ def test_a_card_that_cannot_be_used(cards: SimpleNamespace, function: str) -> No
 
 
 OPENS = """
-import sys
+import json, sys
+from arm_emulator import load_scene
 import arm_emulator_fleet
 from arm_emulator_fleet import Fleet, ServoFleet
 def opened():
@@ -509,7 +512,7 @@ def loaded(*parts):
     return [name for name in names if any(part in name for part in parts)]
 PARTS = "cuda", "device", "gpu", "kernels", "dlpack"
 print(opened(), loaded(*PARTS), "ctypes.util" in sys.modules)
-fleet = Fleet("three_axis", 3)
+fleet = Fleet(load_scene("three_axis", json.loads(sys.argv[1])), 3)
 fleet.advance([0.0, 0.0, 0.0], 5)
 fleet.follow(ServoFleet(fleet, "three_axis"), 2)
 print(opened(), loaded(*PARTS))
@@ -524,7 +527,7 @@ def test_the_driver_is_opened_for_a_card_alone(stub: Stub) -> None:
     """And found by its own name, as the loader finds libraries."""
     folders = os.pathsep.join(filter(None, sys.path))
     environment = os.environ | {"LD_LIBRARY_PATH": str(stub.file.parent), "PYTHONPATH": folders}
-    command = [sys.executable, "-c", OPENS]
+    command = [sys.executable, "-c", OPENS, json.dumps(SENSED)]  # a fleet of other tests
     result = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert result.returncode == 0, result.stderr
     expected = ["False [] False", "False []", "False []", "stub 0 True"]

@@ -71,15 +71,16 @@ def coupled(folder: Path) -> Scene:
 
 
 def one_arm_after_the_other(folder: Path) -> Scene:
-    """Return a scene without lanes: a gear has play; two motors have temperatures."""
+    """Return a scene without lanes: a gear has play; motors have temperatures and noise."""
     motors = {**DC, "winding": WINDING}, {**PMSM, "winding": WINDING}, DC
     joints = {
-        name: {"motor": motor, "gear": ELASTIC} for name, motor in zip(GANTRY, motors, strict=True)
+        name: {"motor": motor, "gear": ELASTIC, "current_sensor": {"noise": 0.01}}
+        for name, motor in zip(GANTRY, motors, strict=True)
     }
     joints["z"]["gear"] = {**ELASTIC, "backlash": 1e-3}
-    varied = ["joints.*.gear.stiffness", "joints.y.motor.winding.thermal_resistance"]
+    varied = ["joints.*.gear.stiffness", "joints.y.motor.winding.thermal_resistance", "seed"]
     file = write_scene(
-        folder, gantry_urdf(), joints, varied=varied, gravity=[0.5, -0.5, 1.0],
+        folder, gantry_urdf(), joints, varied=varied, gravity=[0.5, -0.5, 1.0], seed=3,
         servo_period=2e-3, integrator={"scheme": "rosenbrock", "dt": 2e-4},
     )  # fmt: skip
     return load_scene(file)
@@ -87,8 +88,8 @@ def one_arm_after_the_other(folder: Path) -> Scene:
 
 SCENES: dict[str, Callable[[Path], Scene]] = {
     "located events, brake, wrench": three_axis(LOCATED),
+    "further inputs, temperatures, noise, seeds, no lanes": one_arm_after_the_other,
     "noise, seeds": three_axis(SENSED),
-    "further inputs, temperatures, no lanes": one_arm_after_the_other,
     "further inputs, temperatures": gantry("gears that are not linear"),
     "no lanes": three_axis(BACKLASH),
     "ur5": lambda folder: load_scene("ur5"),
@@ -104,7 +105,7 @@ SCENES: dict[str, Callable[[Path], Scene]] = {
 }
 
 
-@pytest.fixture(scope="module", params=with_slow(some(SCENES, 5), 3))
+@pytest.fixture(scope="module", params=with_slow(some(SCENES, 5), 2))
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return SCENES[request.param](tmp_path_factory.mktemp("scene"))
 

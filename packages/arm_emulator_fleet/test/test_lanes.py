@@ -121,6 +121,7 @@ def machine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return load_scene(file)
 
 
+@pytest.mark.slow
 def test_lanes_move_as_single_arms(machine: Scene) -> None:
     """With numbers, commands, power and starts of their own."""
     rng = np.random.default_rng(4)

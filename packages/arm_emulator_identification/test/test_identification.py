@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some, with_slow
+from draws import some
 from machines import make_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
@@ -67,6 +67,7 @@ def make_mistakes() -> dict[str, MeasuredRun]:
     return {str(name): mistakes[str(name)] for name in names}
 
 
+@pytest.mark.slow
 def test_the_record_as_it_is_passes() -> None:
     assert look_over(RUN_A) == []
 
@@ -74,7 +75,8 @@ def test_the_record_as_it_is_passes() -> None:
 MISTAKES = make_mistakes()
 
 
-@pytest.mark.parametrize("slip", with_slow(some(MISTAKES, 3), 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("slip", some(MISTAKES, 3))
 def test_a_record_with_a_slip_is_refused_by_its_name(slip: str) -> None:
     with pytest.raises(Refusal) as refusal:
         look_over(MISTAKES[slip])

@@ -39,7 +39,7 @@ def answer(
     file: Path, capsys: pytest.CaptureFixture[str], at_link: bool = True
 ) -> dict[str, dict[str, Any]]:
     """The answer of `identify` to programs, by the number below the joint."""
-    record = make_record(load_scene(file), 1, 10.0, 2e-6, 0.05, link_noise=1e-6)
+    record = make_record(load_scene(file), 1, 6.0, 2e-6, 0.05, link_noise=1e-6)
     data, q_link = file.with_suffix(".npz"), record.q_link
     assert q_link is not None
     more = {"q_link": q_link} if at_link else {}

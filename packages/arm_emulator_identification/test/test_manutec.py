@@ -7,6 +7,7 @@ from draws import FULL, some
 from arm_emulator_identification.validation.manutec_r3 import compare, simulate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "extrapolated"], 1))
 def test_six_axes_stick_and_slip_as_others_have_computed_with_order_two(scheme: str) -> None:
     """Axes 1 to 3 at their motors, 4 to 6 at their links; peak friction at the wrist."""
