@@ -41,6 +41,7 @@ from arm_emulator.ros.node.node_parameters import (
     replace_parameters,
 )
 from arm_emulator.ros.node.node_shell import Diagnostics, create_wall_timer, run_node
+from arm_emulator.ros.process.ctrl_c import CtrlC
 from arm_emulator.ros.process.priority import raise_priority
 from arm_emulator.ros.recording.recorder_presence import list_recorders
 from emulator_node.answered_ticks import AnsweredTicks
@@ -201,7 +202,8 @@ class EmulatorNode(ManagedNode):
         folder, diagnostics = Path(self._config.record), self._diagnostics
         self._others = subscribe_to_others(self, outgoing.record_message_of_others)
         taken = [commands, *(subscription.topic_name for subscription in self._others)]
-        outgoing.record = create_record(self, folder, publishers, taken, self._session.lockstep)
+        with CtrlC.delay_interrupt():  # or the new bag would have no end
+            outgoing.record = create_record(self, folder, publishers, taken, self._session.lockstep)
         diagnostics.send = lambda message: outgoing.put(diagnostics.publisher, message)
         self.cleanup.callback(self._end_record)
 

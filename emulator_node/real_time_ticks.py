@@ -77,7 +77,8 @@ class RealTimeTicks:
             raise MemoryError
 
     def __del__(self) -> None:
-        self._calls.real_time_ticks_end(self.at)
+        if hasattr(self, "at"):  # a signal may end the compiler before
+            self._calls.real_time_ticks_end(self.at)
 
     def begin(self) -> None:
         """Let `run` publish from now on."""

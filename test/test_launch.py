@@ -157,8 +157,9 @@ def test_wrong_arguments_are_reported_in_a_line_with_exit_code_2() -> None:
             assert len(own) == lines - 1, complaint
 
 
-# Commands, and their exit codes after SIGINT and SIGTERM.
-BREAKS_OFF, ENDS = {signal.SIGINT: 130, signal.SIGTERM: 143}, {signal.SIGINT: 0, signal.SIGTERM: 0}
+# Commands, and their exit codes after signals.
+BREAKS_OFF = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+ENDS = dict.fromkeys(BREAKS_OFF, 0)
 STOPPED = [
     (("arm_emulator", "up"), ENDS),
     (("arm_emulator", "record", "{folder}/bag"), ENDS),
@@ -191,7 +192,7 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
         for number, (command, codes) in enumerate(STOPPED):
             folder = tmp_path / f"{number}"
             folder.mkdir()
-            stop = rng.choice([signal.SIGINT, signal.SIGTERM])
+            stop = rng.choice([*codes])
             process = start(*(word.format(folder=folder) for word in command))
             try:
                 ready = f"{process} to heed SIGTERM"
@@ -207,9 +208,9 @@ def test_every_command_and_node_ends_without_a_traceback_at_any_moment(
             reported = (
                 f"{command}, {stop.name} after {moment:.3f} s: {process.returncode} {complaint}"
             )
-            # A command that ends by itself may be done, or in Python's own shutdown.
+            # A command that ends by itself may be done.
             terminates = command[1:] and command[1] in ("demo", "advise", "compile")
-            finished = terminates and process.returncode in (0, -stop)
+            finished = terminates and process.returncode == 0
             assert process.returncode == codes[stop] or finished, reported
             for word in ("Traceback", "Exception", "Error"):
                 assert word not in printed + complaint, reported
@@ -297,7 +298,7 @@ from arm_emulator.ros.node import node_shell
 from arm_emulator.ros.node.managed_node import ManagedNode
 
 def ctrl_c():
-    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.{signal})
 
 def interrupted():
     {first}
@@ -319,16 +320,74 @@ node_shell.run_node(Interrupted)
 
 
 @pytest.mark.parametrize(
-    ("first", "set_up", "words"),
-    [("ctrl_c()", "pass", ""), ("pass", "ctrl_c()", ""), ("pass", "pass", "closed\n")],
+    ("signal_name", "first", "set_up", "words"),
+    [
+        ("SIGINT", "ctrl_c()", "pass", ""),
+        ("SIGHUP", "pass", "ctrl_c()", ""),
+        ("SIGINT", "pass", "pass", "closed\n"),
+        ("SIGHUP", "pass", "pass", "closed\n"),
+    ],
 )
 def test_ctrl_c_breaks_off_the_set_up_and_never_the_ending(
-    first: str, set_up: str, words: str
+    signal_name: str, first: str, set_up: str, words: str
 ) -> None:
-    command = [sys.executable, "-c", INTERRUPTED.format(first=first, set_up=set_up)]
+    code = INTERRUPTED.format(signal=signal_name, first=first, set_up=set_up)
+    command = [sys.executable, "-c", code]
     with own_domain():
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert (done.stdout, done.stderr) == (words, ""), "what it states"
+
+
+INTERRUPTED_RECORD = """
+import os, signal, sys
+from arm_emulator.ros.recording.bag_writer import BagWriter
+from emulator_node import node
+
+def flush(bag, do=BagWriter.flush):
+    do(bag)
+    os.kill(os.getpid(), signal.SIGINT)
+
+BagWriter.flush = flush
+sys.argv[1:] = ["--ros-args", "-p", "record:={folder}"]
+node.main()
+"""
+
+
+def test_ctrl_c_while_the_emulator_begins_a_record_leaves_a_complete_bag(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    with own_domain():
+        command = [sys.executable, "-c", INTERRUPTED_RECORD.format(folder=folder)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
+    assert done.stderr == "" and f"{folder}: 0 messages" in done.stdout
+    assert sorted(file.name for file in folder.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+WORKS_ON = """
+import atexit, os, signal
+from arm_emulator.ros.process.ctrl_c import CtrlC, end_at_once
+
+def hang_up():
+    os.kill(os.getpid(), signal.SIGHUP)
+
+signal.signal(signal.SIGHUP, signal.{handler})
+end_at_once(None)
+with CtrlC(None):
+    hang_up()
+    print("works")
+atexit.register(hang_up)
+print("ends", CtrlC.signal)
+"""
+
+
+@pytest.mark.parametrize(
+    ("handler", "words"), [("SIG_IGN", "works\nends 0\n"), ("SIG_DFL", "ends 1\n")]
+)
+def test_a_terminal_that_is_closed_ends_a_process_unless_nohup_began_it(
+    handler: str, words: str
+) -> None:
+    code = WORKS_ON.format(handler=handler)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, words, "")
 
 
 SPOILED_END = """

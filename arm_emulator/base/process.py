@@ -2,10 +2,20 @@
 
 import contextlib
 import ctypes
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 _PR_SET_PDEATHSIG = 1  # of Linux
+
+
+def list_end_signals() -> list[signal.Signals]:
+    """Return the signals that end a process: of Ctrl-C, of `kill`, of a terminal that is closed.
+
+    The last one is not among them where it is ignored, as in a job of `nohup`.
+    """
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
 
 
 def signal_at_end_of_parent(number: int) -> None:

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from arm_emulator.base.process import list_end_signals
 from arm_emulator.base.refusal import Refusal
 
 LONGEST_RUN = 900.0  # s; the largest scenes take a minute, more on a busy machine
@@ -65,8 +66,8 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> str
 
 @contextlib.contextmanager
 def _hold_signals() -> Iterator[None]:
-    """Deliver Ctrl-C and SIGTERM at the end of this block."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    """Deliver signals that end this process at the end of this block."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, list_end_signals())
     try:
         yield
     finally:

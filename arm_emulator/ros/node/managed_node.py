@@ -5,7 +5,7 @@ import time
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
+from typing import Any, ClassVar
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -49,6 +49,7 @@ class ManagedNode(LifecycleNode):
         settable: names of the parameters that may be set in every state; the others while it is
             unconfigured.
         configured, active: its state.
+        starting: the newest one whose `start` has not succeeded, which no other code may have yet.
         generation: number of transitions so far.
         in_c_so_far, in_python_so_far: messages taken in C, and in Python, since its start.
         hot: its messages in C; None: nothing.
@@ -58,6 +59,7 @@ class ManagedNode(LifecycleNode):
     hot: HotPath | None = None
     generation = in_c_so_far = in_python_so_far = 0
     configured = active = False
+    starting: ClassVar[ManagedNode | None] = None
     _configuring = False
 
     def __init__(self, name: str) -> None:
@@ -125,7 +127,9 @@ class ManagedNode(LifecycleNode):
             where, rule = f"node {self.get_name()}", "be true or false"
             raise Refusal(where, "parameter autostart", rule, repr(autostart))
         if autostart:
+            ManagedNode.starting = self
             self._run_transitions(self.trigger_configure, self.trigger_activate)
+            ManagedNode.starting = None
 
     def restart(self) -> None:
         """Clean up, and start as at the begin, see `start`."""

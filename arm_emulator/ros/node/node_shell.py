@@ -231,6 +231,7 @@ def run_node(create: Callable[[], ManagedNode]) -> None:
         sys.exit(2)
     finally:
         code = 0 if sys.exc_info()[0] is None else 1
+        node = node or ManagedNode.starting
         if node is not None:
             try:
                 node.close()

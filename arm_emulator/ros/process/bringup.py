@@ -15,7 +15,7 @@ from typing import IO, Self
 from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.ros.process.ctrl_c import block_signals
+from arm_emulator.ros.process.ctrl_c import CtrlC, block_signals
 from arm_emulator.ros.process.end_with_parent import get_parent_environment
 from arm_emulator.ros.process.node_forks import ForkedNode, get_forks, get_python_path
 
@@ -118,15 +118,16 @@ class Bringup:
             output = None if log is None else log.fileno()
             process = self._forks.start(module, words, {**os.environ, **get_python_path()}, output)
         else:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", module, *words],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT if log is not None else None,
-                process_group=0,  # takes no signals from the terminal: `stop` passes them on
-                preexec_fn=block_signals,  # noqa: PLW1509 - one system call, no lock
-                env={**os.environ, **get_parent_environment(), **get_python_path()},
-            )
+            with CtrlC.delay_interrupt():  # which is printed and lost in what Python does at forks
+                process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", module, *words],
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT if log is not None else None,
+                    process_group=0,  # takes no signals from the terminal: `stop` passes them on
+                    preexec_fn=block_signals,  # noqa: PLW1509 - one system call, no lock
+                    env={**os.environ, **get_parent_environment(), **get_python_path()},
+                )
         if log is not None:
             log.close()
         self._running.append(_NodeProcess(name, process))

@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM end a process once, without a traceback, however often they are sent.
+"""Ctrl-C, SIGTERM and SIGHUP end a process once, without a traceback, however often they come.
 
 Ctrl-C is the usual end of a node and of the commands that run until they are stopped
-(`up`, `record`, `replay`): exit code 0. It breaks off every other command: 130, and 143 after
-SIGTERM, as in shells.
+(`up`, `record`, `replay`): exit code 0. It breaks off every other command: 130, 143 after
+SIGTERM, and 129 after SIGHUP, as in shells.
 """
 
 import contextlib
@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import ClassVar, Self
 
-END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+from arm_emulator.base.process import list_end_signals
 
 
 def block_signals() -> None:
     """Hold signals until `end_at_once`, before a process can handle them without a traceback."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
+    signal.pthread_sigmask(signal.SIG_BLOCK, list_end_signals())
 
 
 def end_at_once(code: int | None) -> None:
@@ -33,16 +33,16 @@ def end_at_once(code: int | None) -> None:
     def end(number: int, frame: FrameType | None) -> None:
         os._exit(get_exit_code(number, code))
 
-    for number in END_SIGNALS:
-        # Also where it is ignored, as it is in a job that a script has started with `&`.
+    for number in list_end_signals():
+        # Also where Ctrl-C is ignored, as it is in a job that a script has started with `&`.
         signal.signal(number, end)
     # A launcher may have kept signals back until here, see `Bringup`.
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, END_SIGNALS)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, list_end_signals())
 
 
 def ignore_signals() -> None:
     """Ignore signals: all is done, and Python would let them kill it while it ends."""
-    for number in END_SIGNALS:
+    for number in list_end_signals():
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -52,7 +52,7 @@ def get_exit_code(number: int, code: int | None) -> int:
 
 
 class CtrlC:
-    """Lets Ctrl-C and SIGTERM interrupt code from a `with` block on, until `leave_to_rclpy`.
+    """Lets signals that end a process interrupt code from a `with` block to `leave_to_rclpy`.
 
     rclpy shuts its context down on a signal and passes it on to Python, which raises
     KeyboardInterrupt wherever it is by then: on a busy machine even during the shutdown.
@@ -76,7 +76,7 @@ class CtrlC:
 
     def __init__(self, code: int | None = 0) -> None:
         self._code = code
-        for number in END_SIGNALS:
+        for number in list_end_signals():
             signal.signal(number, self._handle_signal)
 
     @classmethod
@@ -112,17 +112,21 @@ class CtrlC:
         return self
 
     def __exit__(self, kind: object, error: object, trace: object) -> bool:
+        ignore_signals()  # which would break off what ends now
         return bool(CtrlC.signal) and not isinstance(error, SystemExit)
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:
         CtrlC.signal = CtrlC.signal or number
+        if number == signal.SIGHUP:  # which rclpy does not know
+            signal.raise_signal(signal.SIGTERM)
+            return
         if not CtrlC._interrupts:
             return
         if CtrlC._delays:
             CtrlC._delayed = True
             return
         if _is_importing(frame):
-            os._exit(get_exit_code(number, self._code))
+            os._exit(get_exit_code(CtrlC.signal, self._code))
         raise KeyboardInterrupt
 
 

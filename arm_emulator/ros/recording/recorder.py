@@ -20,6 +20,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
+from arm_emulator.base.process import list_end_signals
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.messages.message_types import get_message_class, read_definition
 from arm_emulator.ros.messages.middleware import get_middleware
@@ -80,7 +81,7 @@ def record(
     reported = threading.Event()  # to end
     # Not rclpy's handlers: they end publishing, and emulators wait for a recorder until it reports
     # its end. A signal interrupts nothing here: it is noticed between two messages.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in list_end_signals():
         signal.signal(number, lambda *_: reported.set())
     node: _Recorder | None = None
     bag = BagWriter(out)

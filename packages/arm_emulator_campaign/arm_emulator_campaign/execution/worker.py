@@ -158,9 +158,10 @@ def begin_worker(parent: int, devices: Queue[str] | None) -> None:
 def follow_parent(parent: int) -> None:
     """End this process, with its results written, when its parent ends or requests it.
 
-    Ctrl-C in a terminal reaches all processes of a group: the parent decides.
+    Ctrl-C in a terminal, or its end, reaches all processes of a group: the parent decides.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _end)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent:
