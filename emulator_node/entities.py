@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.session import Session
 from arm_emulator.ros.messages.time_stamp import set_stamp
+from emulator_node.name_search import search_names
 
 if TYPE_CHECKING:
     from arm_emulator.motion.model.link_motions import LinkMotions
@@ -60,21 +59,15 @@ class SimulationEntities:
         """Return the names that EntityFilters let through.
 
         Raises:
-            Refusal: the expression is not valid.
+            Refusal: see `search_names`.
         """
-        try:
-            expression = re.compile(filters.filter)
-        except (re.error, OverflowError, RecursionError) as error:
-            rule = "be a regular expression"
-            raise Refusal("filters", "filter", rule, f"{filters.filter!r}: {error}") from None
         categories = {category.category for category in filters.categories}
         tags = set(filters.tags.tags)
         enough = tags.issubset if filters.tags.filter_mode == ALL_OF_THEM else tags.intersection
         return [
             name
-            for name in self.names
-            if expression.search(name)
-            and (not categories or self.get_category(name) in categories)
+            for name in search_names(filters.filter, self.names)
+            if (not categories or self.get_category(name) in categories)
             and (not tags or enough(self.get_tags(name)))
         ]
 

@@ -59,7 +59,7 @@ class ManagedNode(LifecycleNode):
     hot: HotPath | None = None
     generation = in_c_so_far = in_python_so_far = 0
     configured = active = False
-    starting: ClassVar[ManagedNode | None] = None
+    starting: "ClassVar[ManagedNode | None]" = None
     _configuring = False
 
     def __init__(self, name: str) -> None:
