@@ -44,6 +44,7 @@ def test_joints_rest_where_friction_holds_them_and_move_elsewhere(
     assert not wrong, wrong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("events", some(["located", "step"], 1))
 def test_joints_that_break_away_together_are_solved_together(tmp_path: Path, events: str) -> None:
     """Against a trial of all ways in which three joints may rest and slide: one of them holds.

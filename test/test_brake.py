@@ -94,6 +94,7 @@ def test_turning_joints_stop_within_the_distance_of_the_closed_form(gantry: Scen
         assert (plant.state.omega_m[:2] == 0.0).all(), "the rotors are at rest exactly"
 
 
+@pytest.mark.slow
 def test_brakes_follow_after_their_delays_to_the_step(scene: Scene) -> None:
     """Divisions into calls change no bit; a withdrawn command has no effect."""
     draw = random.Random(2)

@@ -96,7 +96,7 @@ def test_a_spoiled_event_is_named(
     def switch_power(event: MachineEvent) -> None:
         event.powered = not event.powered
 
-    for case in some(range(12), 6):
+    for case in some(range(12), 3):
         change = (flip, elsewhere, switch_power)[case % 3]
         event = draw.choice(
             [e for e in events if change is not elsewhere or e.kind != e.KIND_RESET]

@@ -421,6 +421,7 @@ def test_our_files_are_read_and_changed_by_the_scene(tmp_path: Path) -> None:
     assert scene.calibration.deviations["waist"].nonzero == {"delta_theta": 2e-3}
 
 
+@pytest.mark.slow
 def test_encoders_report_their_zeros(tmp_path: Path) -> None:
     """Counts are those of the position with the zero; truth and stops are the joint's own."""
     zero = 0.01

@@ -252,6 +252,7 @@ def test_calls_of_threads_on_servo_and_session_are_serialised(scene: Scene) -> N
     assert go_on(servo) == go_on(expected)
 
 
+@pytest.mark.slow
 def test_worker_processes_take_and_return_plants(plant: Plant) -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         moved = pool.map(advanced, [plant])[0]

@@ -37,8 +37,8 @@ def rolled_out(mppi: Any, controller: Any, plant: Plant, seed: int) -> tuple[Any
     return shares, costs
 
 
-@pytest.mark.parametrize("device", [None, "processor"])
-@pytest.mark.parametrize("library", ["numpy", "torch"])
+@pytest.mark.parametrize("device", with_slow([None, "processor"], 1))
+@pytest.mark.parametrize("library", with_slow(["numpy", "torch"], 1))
 def test_a_decision_is_the_weighed_mean_of_rollouts(
     device: str | None, library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

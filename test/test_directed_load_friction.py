@@ -256,6 +256,7 @@ def test_erob80_100_has_the_published_friction_at_rest_and_in_motion(tmp_path: P
     assert measured == pytest.approx([15.5, 2.2, 7.8], abs=0.06), "N m, as published"
 
 
+@pytest.mark.slow
 def test_friction_of_the_machine_is_the_budget_at_random_torques_and_speeds(
     tmp_path: Path,
 ) -> None:

@@ -338,6 +338,7 @@ def test_bad_wrenches_are_refused_and_change_nothing(tmp_path: Path) -> None:
         assert plant.save() == saved, name
 
 
+@pytest.mark.slow
 def test_arms_of_a_fleet_are_pushed_together_as_alone() -> None:
     scene = load_scene("three_axis", overrides=LOCATED)
     link, count = scene.chain.joints[2].link, 5

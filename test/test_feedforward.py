@@ -293,6 +293,7 @@ def test_the_tool_follows_a_fast_line(knowledge: AssumedNumbers, bound: float) -
     assert result.past < bound
 
 
+@pytest.mark.slow
 def test_better_numbers_reduce_the_error() -> None:
     """Each mode of feed-forward leaves less than the one before, and 50 % off is between."""
     modes = "none", "speed", "torque", "full"

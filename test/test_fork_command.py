@@ -79,7 +79,7 @@ def recorded(bag: Path, scene: Path) -> RecordedMachine:
     return machine
 
 
-@pytest.mark.parametrize("requested", with_slow(REQUESTS, 3))
+@pytest.mark.parametrize("requested", with_slow(REQUESTS, 2))
 def test_a_fork_is_the_run_that_would_have_been_changed_there(
     requested: str, scene: Path, straight: Path, tmp_path: Path
 ) -> None:
@@ -106,6 +106,7 @@ def test_a_fork_is_the_run_that_would_have_been_changed_there(
     } == ({at: [kind]} if kind else {})
 
 
+@pytest.mark.slow
 def test_forks_of_forks_have_all_orders_of_their_past(
     scene: Path, straight: Path, tmp_path: Path
 ) -> None:

@@ -49,6 +49,7 @@ def at_the_doors() -> Iterator[Doors]:
         yield opened
 
 
+@pytest.mark.slow
 @given(rng=randoms, topic=topics, tick=st.integers(0, 10**6))
 @examples
 def test_a_bad_message_is_refused_and_changes_nothing(

@@ -175,6 +175,7 @@ def test_a_servo_for_voltages_and_the_reference_refuse_them(motor: dict[str, Any
         solve_positions(scene, [[0.0, 0.0, 0.0]], 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["extrapolated"])
 def test_quantities_beside_a_torque_that_jumps_keep_order_two(tmp_path: Path, scheme: str) -> None:
     """Friction with the load and ripple take the torque of the command that is there now.

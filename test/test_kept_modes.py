@@ -50,14 +50,15 @@ def draw_command(rng: np.random.Generator, largest: float) -> np.ndarray:
     return rng.uniform(-size, size, 3)
 
 
-# At first each machine in one of the modes of events, in turns.
 CASES = sorted(
     product(some(MACHINES, 3), ("located", "step"), some(["extrapolated", "rosenbrock"], 1)),
-    key=lambda case: (list(MACHINES).index(case[0]) + (case[1] == "step")) % 2,
+    key=lambda case: case != ("rotors that stick, with play", "step", "extrapolated"),
 )
 
 
-@pytest.mark.parametrize(("name", "events", "scheme"), with_slow(CASES, 1))
+@pytest.mark.parametrize(
+    ("name", "events", "scheme"), with_slow([CASES[1], CASES[0], *CASES[2:]], 1)
+)
 def test_a_machine_moves_as_a_machine_that_forgets_its_modes_before_every_step(
     name: str, events: str, scheme: str
 ) -> None:

@@ -87,6 +87,7 @@ def longest_chain(file: Path) -> tuple[list[str], str]:
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     find_example_robot_data() is None, reason="needs the package example-robot-data"
 )

@@ -189,7 +189,7 @@ def test_friction_of_a_joint_at_rest_is_no_reason_for_a_factor(stuck: float) -> 
 
 
 @pytest.mark.parametrize("seed", with_slow(some(range(12), 2), 1))
-@pytest.mark.parametrize("scene", ["ur5", "panda"])
+@pytest.mark.parametrize("scene", with_slow(["ur5", "panda"], 1))
 def test_friction_that_releases_its_load_is_no_disturbance(scene: str, seed: int) -> None:
     """A circle whose start is reached from drawn sides: friction holds another part of the weight.
 
@@ -202,7 +202,7 @@ def test_friction_that_releases_its_load_is_no_disturbance(scene: str, seed: int
 
 
 @pytest.mark.parametrize("kind", some(["line", "circle", "corners"], 1))
-@pytest.mark.parametrize("scene", ["ur5", "panda"])
+@pytest.mark.parametrize("scene", with_slow(["ur5", "panda"], 1))
 def test_friction_of_an_arm_at_rest_is_no_reason_for_a_factor(scene: str, kind: str) -> None:
     """All numbers are right, and the joints have been held by friction of any size before the path.
 

@@ -101,6 +101,7 @@ def turned_round() -> tuple[Scene, ServoConfig]:
     return scene, dataclasses.replace(servo, joints=joints)
 
 
+@pytest.mark.slow
 def test_a_servo_with_the_sign_of_the_gear_brings_the_arm_to_its_target() -> None:
     scene, servo = turned_round()
     motion = load_gains(find_config("three_axis", ".yaml")).motion

@@ -59,7 +59,7 @@ def scene_of(folder: Path, parts: Parts, steps: int) -> Scene:
     return scene
 
 
-@pytest.mark.parametrize("parts", with_slow(((parts,) for parts in BESIDE), 2), ids=names)
+@pytest.mark.parametrize("parts", with_slow(((parts,) for parts in BESIDE), 1), ids=names)
 def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_path: Path) -> None:
     rows = draw_commands(scene_of(tmp_path, parts, STEPS[0]), 0)
 
@@ -78,7 +78,7 @@ def test_motions_and_the_balance_of_energy_are_of_order_two(parts: Parts, tmp_pa
         assert verdict.is_in_order and verdict.is_balanced, f"{part.__name__}: {verdict}"
 
 
-@pytest.mark.parametrize("parts", with_slow(((parts,) for parts in BESIDE), 2), ids=names)
+@pytest.mark.parametrize("parts", with_slow(((parts,) for parts in BESIDE), 1), ids=names)
 def test_a_machine_that_is_saved_goes_on_to_the_last_bit(parts: Parts, tmp_path: Path) -> None:
     scene = scene_of(tmp_path, parts, STEPS[0])
     rows = draw_commands(scene, 1)

@@ -93,6 +93,7 @@ def test_wrists_are_as_strong_as_makers_build_them(tmp_path: Path) -> None:
     assert (shares(tmp_path, names[:3], payload=0.0)[:, -1] < 0.1).all()
 
 
+@pytest.mark.slow
 def test_without_a_payload_wrists_follow_from_the_arm(tmp_path: Path) -> None:
     """Payloads of arms of one mass and speed differ by a factor of 1.6, their torques by more."""
     names = some(sorted(ARMS), 10)

@@ -22,6 +22,7 @@ def test_its_servos_are_those_of_the_data_file() -> None:
         assert {key: joint[key] for key in servo} == servo, name
 
 
+@pytest.mark.slow
 def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixture[str]) -> None:
     """At rest under its servo a motor's torque is the weight's, by Pinocchio, up to friction."""
     scene = load_scene("so_arm100")

@@ -37,6 +37,7 @@ def rows(session: Session) -> list[bytes]:
     return [getattr(session.state, name).tobytes() for name in (*SET, "gear_torque")]
 
 
+@pytest.mark.slow
 def test_forks_of_forks_are_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                  capsys: pytest.CaptureFixture[str]) -> None:  # fmt: skip
     line = Timeline(load_offline_run("three_axis"), every=64)

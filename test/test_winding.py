@@ -44,6 +44,7 @@ def rise(t: float) -> np.ndarray:
     return final * -np.expm1(-rate * t)
 
 
+@pytest.mark.slow
 def test_a_constant_current_heats_along_the_exponential(locked: Path) -> None:
     errors = []
     for dt in (2e-3, 1e-3, 5e-4):
