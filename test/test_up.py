@@ -162,6 +162,7 @@ def socket_on_a_port() -> Iterator[int]:
 
 
 def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path) -> None:
+    """It ends when one of its processes does."""
     file = tmp_path / "mine.yaml"
     file.write_text(
         "/**/motion_controller:\n  ros__parameters: {weight: 0.125}\n"
@@ -180,8 +181,10 @@ def test_up_takes_a_namespace_simulated_time_and_a_parameter_file(tmp_path: Path
             weight = Parameters(user).get("motion_controller", "weight")
             assert weight == 0.125, "the weight of the file"
             user.wait("the run", lambda: user.tick >= 120)
-            launcher.send_signal(signal.SIGINT)
-            _, complaint = launcher.communicate(timeout=PATIENCE)
-            assert launcher.returncode == 0, complaint
+            children = psutil.Process(launcher.pid).children(recursive=True)
+            next(child for child in children if node_of(child) == "servo").kill()
+            printed, complaint = launcher.communicate(timeout=PATIENCE)
+            assert launcher.returncode == 128 + signal.SIGKILL, complaint
+            assert "ending the others" in printed, printed
         finally:
             user.close()

@@ -224,7 +224,6 @@ def test_a_tool_that_cannot_turn_evenly_goes_straight_all_the_same(seed: int) ->
     assert free
 
 
-@pytest.mark.slow
 def test_the_same_requests_have_the_same_results_to_the_last_bit() -> None:
     rng = np.random.default_rng(2)
     arm = random_arm(rng, 7)
