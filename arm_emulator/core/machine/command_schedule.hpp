@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <type_traits>
 
 #include "mechanics/command_bounds.hpp"
 #include "mechanics/energy.hpp"
@@ -64,10 +65,10 @@ class CommandSchedule {
     }
   }
 
-  // Take `count` steps. `power` is what the motors can be given at most under u, of which `most`
-  // is the sum.
+  // Take `count` steps, or those before one that `threads` refuses; returns how many. `power` is what
+  // the motors can be given at most under u, of which `most` is the sum.
   template <class Threads>
-  ARM_INLINE void march(const Numbers<S, X>& numbers, Threads& threads, Real h, int count,
+  ARM_INLINE int march(const Numbers<S, X>& numbers, Threads& threads, Real h, int count,
                         State<S, X>& y, X (&u)[row], X& power, X& most) {
     X energy = h * power;
     for (int s = 0; s < count; ++s) {
@@ -78,7 +79,10 @@ class CommandSchedule {
           energy = h * power;
         }
       }
-      threads.step(y, u);
+      if constexpr (std::is_void_v<decltype(threads.step(y, u))>)
+        threads.step(y, u);
+      else if (!threads.step(y, u))
+        return s;
       if constexpr (any_drive<S>([](const auto& drive) { return drive.supply_grows_with_speed; })) {
         const X now = EnergyBalance<S>::largest_power(numbers, y, u);
         energy = h * select(power < now, now, power);
@@ -87,6 +91,7 @@ class CommandSchedule {
       most += energy;
       if (--left_ == 0) end_row(y);
     }
+    return count;
   }
 
   std::int64_t steps;  // of a row

@@ -17,8 +17,15 @@ from arm_emulator.extension.machine import ARM_REFUSED as REFUSED
 from arm_emulator.extension.machine import Scene, bound_start, list_rows, make_commands
 from arm_emulator_fleet.device import DEFAULT_BLOCK, Device, DevicePointer, Memory
 from arm_emulator_fleet.device_array import DeviceArray
-from arm_emulator_fleet.load_kernels import load_kernels
-from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_kernels_unit
+from arm_emulator_fleet.load_kernels import load_parts
+from arm_emulator_fleet.unit import (
+    ALL_KERNELS,
+    FLEET,
+    KERNELS,
+    NATIVE,
+    SMOOTH_KERNEL,
+    build_kernels_unit,
+)
 
 OK = ARM.constant("ARM_OK")
 _COMMAND = ARM.sizeof("arm_joint_command")
@@ -29,6 +36,8 @@ _UNDER_ROWS, _UNDER_ZOH_COMMANDS, _UNDER_CONTROL = (
 ALIGNMENT = 256  # bytes, of an object in the pool of kernel.hpp
 HALVED = 8  # one arm in so many may halve its steps
 MIN_HALVED = 4096  # arms that may, in any fleet
+_QUEUE_BEGINS = KERNELS.constant("FLEET_QUEUE_BEGINS")
+_Call = tuple[str, Mapping[str, Any]]  # a kernel, and values of its struct
 # Bytes of a thread: 6 kB for three_axis; 80 kB for panda with located events, where steps that are
 # halved call themselves. A card keeps as many for every thread that it can hold.
 STACK, STACK_WITH_EVENTS = 16 * 1024, 96 * 1024
@@ -79,12 +88,15 @@ class DeviceCore:
         self._scene = scene
         self._N = len(scene.joints)
         self._saved_size, self.block = 0, DEFAULT_BLOCK
-        self._module = load_kernels(device, build_kernels_unit(scene, kernels))
-        *_, self._lanes, has_events = self._measure_room(1)
+        units = [build_kernels_unit(scene, kernels, part) for part in (ALL_KERNELS, SMOOTH_KERNEL)]
+        self._module, self._smooth_module = load_parts(device, units)
+        self._functions: dict[str, int] = {}
+        self._smooth_functions: dict[int, int] = {}  # by their addresses in the first module
+        *_, self._lanes, has_events, self._has_queue = self._measure_room(1)
         device.set_stack(STACK_WITH_EVENTS if has_events else STACK)
 
     def _measure_room(self, count: int) -> list[int]:
-        return self.read_sizes("fleet_measure_room", 6, count=count)
+        return self.read_sizes("fleet_measure_room", 7, count=count)
 
     def read_sizes(self, kernel: str, numbers: int, **values: Any) -> list[int]:
         """Return the numbers that a kernel writes to its `bytes`."""
@@ -106,7 +118,7 @@ class DeviceCore:
         Raises:
             Refusal: the device has no room for them.
         """
-        of_fleet, of_places, of_group, of_half, lanes, _ = self._measure_room(count)
+        of_fleet, of_places, of_group, of_half, lanes, *_ = self._measure_room(count)
         groups = self.count_groups(count)
         halved = min(count, max(MIN_HALVED, count // HALVED)) * of_half
         size = of_places + groups * (of_group + ALIGNMENT * (lanes + 2)) + halved + 8 * ALIGNMENT
@@ -247,7 +259,7 @@ class DeviceCore:
             ("fleet_advance",),
             motion=_UNDER_ROWS,
             command=commands,
-            rows=rows,
+            periods=rows,
             steps=steps,
             q=reached,
         )
@@ -282,12 +294,48 @@ class DeviceCore:
 
         Measurement and truth have pointers of the device.
         """
-        return self._step(fleet, periods, tick=-1, measurement=measurement[0], truth=truth[0])
+        show = "fleet_show", {"measurement": measurement[0], "truth": truth[0]}
+        return self._step(fleet, periods, show, tick=-1)
 
-    def _step(self, fleet: DeviceFleet, periods: int, **values: Any) -> int:
-        kernels = "fleet_check_commands", "fleet_advance"
+    def _step(self, fleet: DeviceFleet, periods: int, *more: _Call, **values: Any) -> int:
         values |= {"motion": _UNDER_ZOH_COMMANDS, "joint": self._joint_commands(fleet)}
-        return self._check_and_do(fleet, kernels, periods=periods, **values)
+        values["periods"] = periods
+        kernels = ("fleet_check_commands", values), ("fleet_advance", values), *more
+        return self._check_and_do_each(fleet, kernels)
+
+    def _advance(self, fleet: DeviceFleet, threads: int | None = None, **values: Any) -> None:
+        """Let time go on, see core/fleet_kernels.h."""
+        threads = fleet.groups if threads is None else threads
+        call = _make_call("fleet_advance", fleet=fleet.memory, **values)
+        smooth = _make_call("fleet_advance_smoothly", fleet=fleet.memory, **values)
+        if not (self._has_queue and call.step == NULL and self._find_smooth_functions(smooth)):
+            self._module.launch("fleet_advance", threads, _view_call(call), block=self.block)
+            return
+        queue = self._room(fleet, "queue", 4 * (_QUEUE_BEGINS + fleet.groups))
+        self.device.fill(queue, 0)
+        call.queue = smooth.queue = cast_pointer(queue)
+        for period in range(call.periods):
+            smooth.period = call.period = period
+            for module, kernel, given in (
+                (self._smooth_module, "fleet_advance_smoothly", smooth),
+                (self._module, "fleet_advance", call),
+            ):
+                module.launch(kernel, threads, _view_call(given), block=self.block)
+
+    def _find_smooth_functions(self, call: CData) -> bool:
+        """Replace functions of the module of all kernels by those of the other; whether they are.
+
+        Each module has copies of all functions.
+        """
+        for struct, name in ((call, "step_rows"), (call.way, "look")):
+            function = getattr(struct, name)
+            if function == NULL:
+                continue
+            address = self._smooth_functions.get(int(KERNELS.ffi.cast("uintptr_t", function)))
+            if address is None:
+                return False
+            setattr(struct, name, KERNELS.ffi.cast(KERNELS.ffi.typeof(function), address))
+        return True
 
     def _joint_commands(self, fleet: DeviceFleet) -> Memory:
         if "joint commands" not in fleet.rooms:
@@ -362,18 +410,19 @@ class DeviceCore:
                 self.device.write(links, view_bytes(schedule.links, links.size))
             own.links = cast_pointer(links)
         self._put_changes(fleet, schedule, own)
-        result = self._check_and_do(
-            fleet,
-            ("fleet_check_changes", "fleet_advance"),
-            motion=_UNDER_CONTROL,
-            threads=self.count_groups(arms),
-            joint=self._joint_commands(fleet),
+        threads = self.count_groups(arms)
+        values = {
+            "motion": _UNDER_CONTROL,
+            "threads": threads,
+            "joint": self._joint_commands(fleet),
             **{name: getattr(control, name) for name in ("step", "step_rows", "with")},
-            periods=periods,
-            way=own[0],
-            measurement=measurement[0],
-            truth=truth[0],
-        )
+            "periods": periods,
+            "way": own[0],
+            "measurement": measurement[0],
+        }
+        shown = {"threads": threads, "measurement": measurement[0], "truth": truth[0]}
+        kernels = ("fleet_check_changes", values), ("fleet_advance", values), ("fleet_show", shown)
+        result = self._check_and_do_each(fleet, kernels)
         if links is not None:
             self._copy_out(links, schedule.links, links.size)
         return result
@@ -388,8 +437,13 @@ class DeviceCore:
         Raises:
             Refusal: no variable has that name.
         """
-        place = self._module.global_memory(name)
-        return int(self.device.read(place, np.uint64, (1,))[0])
+        if name not in self._functions:
+            own, smooth = (
+                int(self.device.read(module.global_memory(name), np.uint64, (1,))[0])
+                for module in (self._module, self._smooth_module)
+            )
+            self._functions[name], self._smooth_functions[own] = own, smooth
+        return self._functions[name]
 
     def _put_changes(self, fleet: DeviceFleet, schedule: CData, own: CData) -> None:
         """Copy changes of arms, and the wrenches that they point to."""
@@ -480,13 +534,14 @@ class DeviceCore:
         """Launch kernels that check, and those that do nothing if an arm has refused."""
         return self._check_and_do_each(fleet, [(kernel, values) for kernel in kernels])
 
-    def _check_and_do_each(
-        self, fleet: DeviceFleet, calls: Sequence[tuple[str, Mapping[str, Any]]]
-    ) -> int:
+    def _check_and_do_each(self, fleet: DeviceFleet, calls: Sequence[_Call]) -> int:
         refused = self._room(fleet, "refused", 8)
         self.device.write(refused, np.full(2, NONE_REFUSED, np.int32))
         for kernel, values in calls:
-            self._launch_on(fleet, kernel, refused=refused, **values)
+            if kernel == "fleet_advance":
+                self._advance(fleet, refused=refused, **values)
+            else:
+                self._launch_on(fleet, kernel, refused=refused, **values)
         lowest = int(self.device.read(refused, np.int32, (2,)).min())
         fleet.refused = -1 if lowest == NONE_REFUSED else lowest
         return OK if fleet.refused < 0 else REFUSED
@@ -500,13 +555,8 @@ class DeviceCore:
 
     def launch(self, kernel: str, threads: int, **values: Any) -> None:
         """Launch a kernel of core/fleet_kernels.h, with values of its struct."""
-        places = {
-            name: cast_pointer(value) if isinstance(value, Memory) else value
-            for name, value in values.items()
-        }
-        call = KERNELS.new(f"{kernel}_call", **places)
-        call_bytes = bytes(KERNELS.ffi.buffer(call))
-        self._module.launch(kernel, threads, call_bytes, block=self.block)
+        call = _make_call(kernel, **values)
+        self._module.launch(kernel, threads, _view_call(call), block=self.block)
 
     def _room(self, fleet: DeviceFleet, purpose: str, size: int) -> Memory:
         if purpose not in fleet.rooms:
@@ -522,6 +572,18 @@ class DeviceCore:
 
     def _copy_out(self, memory: Memory, host: CData, size: int) -> None:
         view_bytes(host, size)[:] = self.device.read(memory, np.uint8, (size,))
+
+
+def _make_call(kernel: str, **values: Any) -> CData:
+    places = {
+        name: cast_pointer(value) if isinstance(value, Memory) else value
+        for name, value in values.items()
+    }
+    return KERNELS.new(f"{kernel}_call", **places)
+
+
+def _view_call(call: CData) -> bytes:
+    return bytes(KERNELS.ffi.buffer(call))
 
 
 def view_bytes(host: CData, size: int) -> NDArray[np.uint8]:

@@ -26,7 +26,7 @@ from arm_emulator.extension.compiler import (
     run_compiler,
 )
 from arm_emulator.extension.machine import Scene
-from arm_emulator_fleet.unit import build_kernels_unit
+from arm_emulator_fleet.unit import ALL_KERNELS, SMOOTH_KERNEL, build_kernels_unit
 
 VARIABLE = "ARM_EMULATOR_CLANG"
 OLDEST = 19  # clang
@@ -43,6 +43,7 @@ FLAGS = (
 )
 OF_LIBRARIES = (*SHARED_FLAGS, "-fvisibility=hidden", "-pthread")
 PARALLEL = "--split-compile"  # of ptxas
+QUICK = "--Ofast-compile"
 WAIT = 30.0  # s, for a line about a compiler
 
 
@@ -102,7 +103,8 @@ def compile_scene_for_card(scene: Scene, architecture: str, folder: Path | None)
     Raises:
         Refusal: see there; or no device advances the scene.
     """
-    return compile_for_card(build_kernels_unit(scene), architecture, folder)
+    units = [build_kernels_unit(scene, kernels=part) for part in (ALL_KERNELS, SMOOTH_KERNEL)]
+    return [file for unit in units for file in compile_for_card(unit, architecture, folder)]
 
 
 def find_clang() -> list[str]:
@@ -148,6 +150,11 @@ def has_ptxas() -> bool:
         return False
 
 
+def is_assembled_quickly(ptx: bytes) -> bool:
+    """Whether kernels do without the fastest code: arm_is_assembled_quickly of their source."""
+    return re.search(rb"arm_is_assembled_quickly = 1;", ptx) is not None
+
+
 def _build_gpu_unit(unit: Unit, architecture: str) -> Unit:
     flags = tuple(flag for flag in unit.flags if flag not in OF_LIBRARIES)
     return replace(
@@ -170,10 +177,14 @@ def _build_ptx(command: list[str], unit: Unit, architecture: str, scratch: Path)
 
 def _build_cubin(command: list[str], unit: Unit, architecture: str, scratch: Path) -> bytes:
     source, result = scratch / "unit.ptx", scratch / "unit.cubin"
-    source.write_bytes(load_file(unit, architecture, CLANG))
+    ptx = load_file(unit, architecture, CLANG)
+    source.write_bytes(ptx)
     words = [*command, "--fmad=false", f"-arch={architecture}"]
-    if PARALLEL in _ask(tuple(command), unit.where, "--help"):  # since CUDA 12
+    options = _ask(tuple(command), unit.where, "--help")
+    if PARALLEL in options:  # since CUDA 12
         words.append(f"{PARALLEL}=0")  # a thread on each core
+    if is_assembled_quickly(ptx) and QUICK in options:
+        words.append(f"{QUICK}=min")
     words += [str(source), "-o", str(result)]
     run_compiler(words, scratch, unit.where, unit.part)
     return _read_result(result, command[0], unit, b"\x7fELF", "a cubin")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from arm_emulator.extension.base import Refusal
@@ -25,12 +27,30 @@ def load_kernels(device: Device, unit: Unit) -> Module:
         Refusal: there is neither a sound cached file nor a working compiler, or the device cannot
             load it.
     """
+    return load_parts(device, [unit])[0]
+
+
+def load_parts(device: Device, units: Sequence[Unit]) -> list[Module]:
+    """Return kernels of several units, which are compiled at the same time; see `load_kernels`.
+
+    Args:
+        device: see there.
+        units: for a card; on the processor the first has all kernels of the others.
+
+    Raises:
+        Refusal: see there.
+    """
     if device.architecture == NATIVE:
-        return device.load(Path(compiled_library(unit).file))
+        return len(units) * [device.load(Path(compiled_library(units[0]).file))]
+    with ThreadPoolExecutor(len(units)) as threads:
+        images = list(threads.map(lambda unit: _find_image(unit, device.architecture), units))
+    return [device.load(image) for image in images]
+
+
+def _find_image(unit: Unit, architecture: str) -> bytes:
     # First, so that an error in the sources is that of clang.
-    ptx = gpu_compiler.load_ptx(unit, device.architecture)
+    ptx = gpu_compiler.load_ptx(unit, architecture)
     try:
-        image = gpu_compiler.load_cubin(unit, device.architecture)
+        return gpu_compiler.load_cubin(unit, architecture)
     except Refusal:  # no ptxas, or one that is older than the card
-        image = ptx
-    return device.load(image)
+        return ptx

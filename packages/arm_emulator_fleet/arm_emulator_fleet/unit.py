@@ -22,6 +22,8 @@ FLEET = Header(FOLDER / "arm_fleet.h", (BOUNDARY_FOLDER,))
 NATIVE = "native"  # architecture of the processor
 LANES_OF_THREAD = 2  # arms that a thread of a device advances, of scenes that have lanes
 SERVOS = Header(FOLDER / "servo_fleet.h", (BOUNDARY_FOLDER, SERVO_FOLDER))
+# A card has the kernel of smooth steps in a module of its own, a processor all kernels in one.
+ALL_KERNELS, SMOOTH_KERNEL = "fleet_kernels.hpp", "advance_smoothly.hpp"
 KERNELS = Header(FOLDER / "fleet_kernels.h", (BOUNDARY_FOLDER, SERVO_FOLDER))
 
 
@@ -48,12 +50,15 @@ def build_fleet_unit(scene: Scene) -> Unit:
     )
 
 
-def build_kernels_unit(scene: Scene, more: Sequence[Path] = ()) -> Unit:
-    """Return the sources of the scene's kernels for a device (core/fleet_kernels.hpp).
+def build_kernels_unit(
+    scene: Scene, more: Sequence[Path] = (), kernels: str = ALL_KERNELS
+) -> Unit:
+    """Return the sources of the scene's kernels for a device.
 
     Args:
         scene: of all arms.
         more: files in C++ that are included behind them.
+        kernels: `ALL_KERNELS` or `SMOOTH_KERNEL`.
 
     Raises:
         Refusal: the scene is one that no device advances.
@@ -61,11 +66,11 @@ def build_kernels_unit(scene: Scene, more: Sequence[Path] = ()) -> Unit:
     if scene.threads > 1:
         rule = "be 1 on a device: its arms are its threads"
         raise Refusal(scene.where, "threads", rule, scene.threads)
-    unit = build_machine_unit(scene, "fleet_kernels.hpp")
+    unit = build_machine_unit(scene, kernels)
     source = unit.source + "".join(f'#include "{file.name}"\n' for file in more)
     return replace(
         unit,
-        name=f"{scene.name}-kernels",
+        name=f"{scene.name}-kernels" if kernels == ALL_KERNELS else f"{scene.name}-smooth",
         source=f'#include "begin_kernels.hpp"\n{source}#include "end_kernels.hpp"\n',
         flags=(*unit.flags, f"-DARM_LANES={LANES_OF_THREAD}"),
         headers=(),

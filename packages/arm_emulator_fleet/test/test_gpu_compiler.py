@@ -230,17 +230,19 @@ def test_the_kernels_of_a_scene_are_compiled_ahead(
         monkeypatch.setattr(f"arm_emulator.cli.commands.compile.{ahead}", lambda *arguments: [])
     folder = tmp_path / "into"
     assert compile_scene("three_axis", device="sm_90", into=folder) == 0
-    (file,) = folder.iterdir()
-    assert capsys.readouterr().out == f"{file}\n" and file.suffix == ".ptx"
-    text = file.read_bytes()
-    assert b"--cuda-gpu-arch=sm_90" in text and b'#include "fleet_kernels.hpp"' in text
+    files = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert sorted(folder.iterdir()) == sorted(files)
+    for file, kernels in zip(files, ("fleet_kernels", "advance_smoothly"), strict=True):
+        text = file.read_bytes()
+        assert file.suffix == ".ptx" and b"--cuda-gpu-arch=sm_90" in text
+        assert f'#include "{kernels}.hpp"'.encode() in text
     monkeypatch.setattr("arm_emulator.cli.commands.compile.UNITS", "none")
     monkeypatch.setattr(
         "arm_emulator.cli.commands.compile.load_all",
         lambda group: [] if group == "none" else [point.load() for point in points.values()],
     )
     assert compile_scene("three_axis", device="sm_90", into=folder, packages=True) == 0
-    assert capsys.readouterr().out == f"{more}\n{file}\n"
+    assert capsys.readouterr().out == "".join(f"{file}\n" for file in (more, *files))
     with pytest.raises(Refusal, match="compile: device must be an architecture of cards, got sm_9"):
         compile_scene("three_axis", device="sm_9")
     two = {"threads": 2, "integrator.scheme": "paper"}
@@ -258,19 +260,23 @@ def test_no_ptxas(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert not gpu_compiler.has_ptxas()
 
 
-@pytest.mark.parametrize("about", ["--split-compile <N>", "nothing"])
+@pytest.mark.parametrize("about", ["--split-compile <N> --Ofast-compile <N>", "nothing"])
+@pytest.mark.parametrize("quick", [0, 1])
 def test_ptxas_gets_the_ptx_of_the_kernels(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, about: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, about: str, quick: int
 ) -> None:
     """And adds to no product: without --fmad=false it might contract PTX of others."""
-    name_clang(monkeypatch, tmp_path / "bin", 'echo ".version 7.8" > "$out"', "clang version 19.1")
+    text = f".version 7.8\n.global .align 4 .u32 arm_is_assembled_quickly = {quick};"
+    name_clang(monkeypatch, tmp_path / "bin", f"echo '{text}' > \"$out\"", "clang version 19.1")
     does = r'printf "\177ELF%s " "$*" > "$out"; for w; do case "$w" in *.ptx) cat "$w" >> "$out";; esac; done'  # noqa: E501
     does = f'case "$*" in --help) echo "{about}"; exit;; esac; {does}'
     ptxas = fake_compiler(tmp_path / "bin", does)
     monkeypatch.setattr(gpu_compiler, "find_ptxas", lambda: [ptxas])
     monkeypatch.setattr(gpu_compiler, "PTXAS", replace(gpu_compiler.PTXAS, find=lambda: [ptxas]))
     cubin = load_cubin(make_unit(), "sm_120")
-    words = b"--fmad=false -arch=sm_120 " + b"--split-compile=0 " * (about != "nothing")
+    knows = about != "nothing"
+    words = b"--fmad=false -arch=sm_120 " + b"--split-compile=0 " * knows
+    words += b"--Ofast-compile=min " * (knows and quick)
     assert cubin.startswith(b"\x7fELF" + words + b"/") and b".version 7.8\n" in cubin
     kinds = [file.suffix for file in compile_for_card(make_unit(), "sm_120")]
     assert kinds == [".ptx", ".cubin"]

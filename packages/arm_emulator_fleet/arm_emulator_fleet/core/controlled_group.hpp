@@ -10,8 +10,10 @@ class ControlledGroup {
  public:
   static constexpr int N = arm_fleet::N, J = arm_fleet::J, lanes = arm_fleet::lanes;
 
+  // `period`: of the call, from which it goes on.
   ControlledGroup(arm_fleet& fleet, int group, const arm_fleet_control& control,
-                  const arm_fleet_measurement& measured, const arm_fleet_way& way)
+                  const arm_fleet_measurement& measured, const arm_fleet_way& way,
+                  std::int64_t period = 0)
       : fleet_(fleet),
         g_(group),
         first_(group * lanes),
@@ -19,30 +21,46 @@ class ControlledGroup {
         control_(control),
         measured_(measured),
         way_(way),
-        changes_(fleet, group, way) {
-    fleet.put_down(group);
-  }
+        period_(period),
+        changes_(fleet, group, way, period) {}
 
   // False if a command was refused.
   bool follow(std::int64_t periods) {
-    bool glides = false, sound = true;
-    double* links = way_.links;
-    for (std::int64_t period = 0; period < periods && sound; ++period) {
-      if (changes_.are_due(period)) {
-        if (glides) fleet_.note(g_, of_drives(), -1);
-        glides = false;
-        changes_.make(period);
+    bool sound = true;
+    for (; periods > 0 && sound; --periods) {
+      if (changes_.are_due(period_)) {
+        glides_ = false;
+        changes_.make(period_);
       }
-      if (!glides) glides = control_.step_rows && fleet_.may_glide(g_, control_.joint);
-      if (glides)
-        sound = glide(*fleet_.group[g_], links, glides);
-      else
-        sound = walk(links);
-      if (links) links += std::int64_t{fleet_.arms} * J;
-      if (way_.look && sound) way_.look(way_.with, first_, end_ - first_);
+      if (!glides_) glides_ = may_glide();
+      sound = glides_ ? command(*fleet_.group[g_]) : walk(links());
+      if (sound && glides_) glide(0);
+      if (sound) end_period();
     }
-    if (glides) fleet_.note(g_, of_drives(), -1);
     return sound;
+  }
+  // A period up to its first event, which `finish` then goes on from. False if a command was
+  // refused; whether all steps are taken goes to `done`.
+  bool follow_smoothly(bool& done) {
+    fleet_.known[g_].taken = -1;
+    done = false;
+    if (changes_.are_due(period_) || !may_glide()) return true;
+    if (!command(*fleet_.group[g_])) return false;
+    done = fleet_.glide_smoothly(g_, of_drives(), -1, links());
+    if (done)
+      end_period();
+    else
+      for_each_joint([&](int joint, int row) { control_.joint[joint].value = rows_.value[row]; });
+    return true;
+  }
+  // The remaining steps of a period. False if a command was refused.
+  bool finish() {
+    const std::int64_t taken = fleet_.known[g_].taken;
+    if (taken < 0) return follow(1);
+    for_each_joint([&](int joint, int row) { rows_.value[row] = control_.joint[joint].value; });
+    glide(taken);
+    end_period();
+    return true;
   }
   // The arm whose command was refused.
   int refused() const { return refused_; }
@@ -54,9 +72,18 @@ class ControlledGroup {
     std::uint8_t powered[lanes] = {};
   };
 
-  // A period in lanes. `glides`: whether all arms are still there after it.
+  bool may_glide() { return control_.step_rows && fleet_.may_glide(g_, control_.joint); }
+  // Where the positions after this period go.
+  double* links() const {
+    return way_.links ? way_.links + (period_ * fleet_.arms + first_) * J : nullptr;
+  }
+  void end_period() {
+    ++period_;
+    if (way_.look) way_.look(way_.with, first_, end_ - first_);
+  }
+  // What control code commands to arms in lanes; false if a command is refused.
   template <class Group>
-  bool glide([[maybe_unused]] Group& group, [[maybe_unused]] double* links, bool& glides) {
+  bool command([[maybe_unused]] Group& group) {
     if constexpr (requires { group.is_abreast(0); }) {
       alignas(64) double current[N * lanes], angle[N * lanes], speed[N * lanes], applied[N * lanes];
       group.report(current, angle, speed);
@@ -71,11 +98,12 @@ class ControlledGroup {
       }
       for (int l = 0; l < end_ - first_; ++l) rows_.powered[l] = 1;
       step_rows();
-      if (!all_finite<OfLanes>()) return false;
-      glides = fleet_.glide(g_, of_drives(), 1, links ? links + first_ * J : nullptr);
-      if (!glides) fleet_.note(g_, of_drives(), -1);
+      return all_finite<OfLanes>();
     }
     return true;
+  }
+  void glide(std::int64_t taken) {
+    glides_ = fleet_.glide(g_, of_drives(), -1, 1, links(), taken);
   }
   static void copy_row(const double* from, double* to) {
     __builtin_memcpy(to, from, lanes * sizeof(double));
@@ -118,24 +146,25 @@ class ControlledGroup {
     fleet_.exchange(g_, control_.joint, nullptr, -1);
     for (int k = first_; links && k < end_; ++k) {
       arm_fleet_truth where = {};
-      where.q = links;
+      where.q = links - first_ * J;
       fleet_.get_truth(k, where);
     }
     return true;
   }
+  // act(joint in rows of arms, in rows of lanes)
+  void for_each_joint(auto&& act) {
+    for (int k = first_; k < end_; ++k)
+      for (int j = 0; j < J; ++j) act(k * J + j, j * lanes + k - first_);
+  }
   void step_transposed() {
-    const auto for_each = [&](auto&& act) {
-      for (int k = first_; k < end_; ++k)
-        for (int j = 0; j < J; ++j) act(k * J + j, j * lanes + k - first_);
-    };
-    for_each([&](int from, int to) {
+    for_each_joint([&](int from, int to) {
       const arm_joint_measurement& joint = measured_.joint[from];
       rows_.encoder[to] = joint.encoder, rows_.brake[to] = joint.brake;
       rows_.current[to] = joint.current, rows_.applied[to] = joint.applied;
     });
     for (int k = first_; k < end_; ++k) rows_.powered[k - first_] = measured_.powered[k];
     step_rows();
-    for_each([&](int to, int from) { control_.joint[to].value = rows_.value[from]; });
+    for_each_joint([&](int to, int from) { control_.joint[to].value = rows_.value[from]; });
     for (std::int64_t& closed : rows_.brake) closed = 0;
   }
   void step_rows() {
@@ -150,7 +179,9 @@ class ControlledGroup {
   const arm_fleet_control& control_;
   const arm_fleet_measurement& measured_;
   const arm_fleet_way& way_;
+  std::int64_t period_;
   GroupChanges changes_;
+  bool glides_ = false;
   Rows rows_;
   alignas(64) double drives_[J == N ? 1 : N * lanes] = {};
 };

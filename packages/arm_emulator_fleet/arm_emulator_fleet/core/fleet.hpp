@@ -19,6 +19,9 @@ struct arm_fleet {
   // Whether lanes have all data of measurements and commands; other data is read from the machine.
   static constexpr bool in_lanes =
       lanes > 1 && !arm_machine::looks && !Machine::heats && Scene::inputs == 0;
+  // Whether some steps of lanes have events: then a device takes the others in a kernel of their
+  // own.
+  static constexpr bool has_events_in_lanes = in_lanes && arm::kStepsApart<Scene>;
   static constexpr bool has_current_d =
       arm::any_drive<Scene>([](const auto& drive) { return drive.has_current_d; });
 
@@ -56,16 +59,16 @@ struct arm_fleet {
   arm_fleet(const arm_fleet&) = delete;
 
   // Take a group through rows of commands, see SideBySide; sensors look at every tick. Arms without
-  // power get none of them.
+  // power get none of them. `taken`: steps of the first row, by `follow_smoothly`.
   void follow(int g, const double* command, std::int64_t stride, std::int64_t rows,
-              std::int64_t steps, double* q) {
+              std::int64_t steps, double* q, std::int64_t taken = 0) {
     const int first = g * lanes, end = end_of(g);
     put_down(g);
     known[g].has_applied = false;
     bool powered = true;
     for (int k = first; k < end; ++k) powered = powered && machine[k]->powered;
     if (powered && J == N) {
-      follow_command(g, command, stride, rows, steps, q);
+      follow_command(g, command, stride, rows, steps, q, taken);
     } else {
       for (; rows > 0; --rows, command += stride, q += stride) {
         double given[lanes * N] = {}, at[lanes * N];
@@ -79,14 +82,26 @@ struct arm_fleet {
     }
     settle_lent(g);
   }
+  // Take the steps of a row that come before the first event; whether these were all.
+  bool follow_smoothly(int g, const double* command, std::int64_t steps, double* q) {
+    known[g].taken = 0;
+    if constexpr (in_lanes && J == N) {
+      if (steps == 0 || !is_free(*group[g], g)) return false;
+      put_down(g);
+      known[g].has_applied = false;
+      known[g].taken = group[g]->follow_smoothly(command, steps, q);
+      return known[g].taken == steps;
+    }
+    return false;
+  }
   // Positions of the drives of a group, one arm after the other, to a row of joints.
   void put_joints(int g, const double* at, double* q) const {
     for (int k = 0; k < end_of(g) - g * lanes; ++k) arm_machine::to_joints(at + k * N, q + k * J);
   }
   void follow_command(int g, const double* command, std::int64_t stride, std::int64_t rows,
-                      std::int64_t steps, double* q) {
+                      std::int64_t steps, double* q, [[maybe_unused]] std::int64_t taken = 0) {
     if constexpr (!arm_machine::looks) {
-      group[g]->follow(command, stride, rows, steps, q);
+      group[g]->follow(command, stride, rows, steps, q, 1, taken);
     } else {
       const int first = g * lanes, end = end_of(g);
       for (; rows > 0; --rows, command += stride, q += q ? stride : 0) {
@@ -151,19 +166,41 @@ struct arm_fleet {
   bool is_marked_free(const auto& own, int g) const {
     return known[g].free_since == own.departures();
   }
-  // Periods in lanes, of a group that may, under commands in rows of lanes, one per drive; the
-  // positions then go to `q` if it is not null. Whether all arms are still there after them. `note`
-  // is due before the machines are read.
-  bool glide(int g, const double* given, std::int64_t periods, double* q) {
+  // Periods in lanes, of a group that may, under commands in answer to a tick, in rows of lanes, one
+  // per drive; the positions then go to `q` if it is not null. Whether all arms are still there
+  // after them. `taken`: steps of the first period, by `glide_smoothly`.
+  bool glide(int g, const double* given, std::int64_t tick, std::int64_t periods, double* q,
+             std::int64_t taken = 0) {
     if (J == N || !q) {
-      group[g]->follow(given, 0, periods, steps_per_period, q, lanes);
+      group[g]->follow(given, 0, periods, steps_per_period, q, lanes, taken);
     } else {
       double at[lanes * N];
-      group[g]->follow(given, 0, periods, steps_per_period, at, lanes);
+      group[g]->follow(given, 0, periods, steps_per_period, at, lanes, taken);
       put_joints(g, at, q);
     }
+    return answer(g, given, tick);
+  }
+  // Take the steps of such a period that come before the first event; whether these were all.
+  bool glide_smoothly(int g, const double* given, std::int64_t tick, double* q) {
+    if constexpr (in_lanes) {
+      double at[J == N ? 1 : lanes * N];
+      double* const positions = J == N || !q ? q : at;
+      known[g].taken = group[g]->follow_smoothly(given, steps_per_period, positions, lanes);
+      if (known[g].taken < steps_per_period) return false;
+      if (J != N && q) put_joints(g, at, q);
+      known[g].has_applied = known[g].answers = true;
+      known[g].answered = tick;
+      return true;
+    }
+    return false;
+  }
+  // Machines whose arms are in their lanes get what was commanded there before they are read.
+  bool answer(int g, const double* given, std::int64_t tick) {
     known[g].has_applied = true;
-    return are_abreast(g);
+    known[g].answered = tick;
+    known[g].answers = are_abreast(g);
+    if (!known[g].answers) note(g, given, tick);
+    return known[g].answers;
   }
   // Put down in the machines what their lanes were commanded in answer to a tick.
   void note(int g, const double* given, std::int64_t tick) const {
@@ -187,18 +224,30 @@ struct arm_fleet {
     const Known& of = known[k / lanes];
     return of.answers ? of.answered : machine[k]->answered;
   }
-  // Periods under held commands.
+  // Periods under held commands. `taken`: steps of the first one, by `hold_smoothly`; -1: it has not
+  // begun.
   void hold(int g, const arm_joint_command* joint, const double* further, std::int64_t tick,
-            std::int64_t periods) {
-    for (; periods > 0 && !may_glide(g, joint); --periods) exchange(g, joint, further, tick);
+            std::int64_t periods, std::int64_t taken = -1) {
+    for (; periods > 0 && taken < 0 && !may_glide(g, joint); --periods)
+      exchange(g, joint, further, tick);
     if (periods == 0) return;
     double given[lanes * N] = {};
+    put_lanes(g, joint, given);
+    glide(g, given, tick, periods, nullptr, taken < 0 ? 0 : taken);
+  }
+  // Take the steps of a period that come before the first event; whether these were all.
+  bool hold_smoothly(int g, const arm_joint_command* joint, std::int64_t tick) {
+    known[g].taken = -1;
+    if (!may_glide(g, joint)) return false;
+    double given[lanes * N] = {};
+    put_lanes(g, joint, given);
+    return glide_smoothly(g, given, tick, nullptr);
+  }
+  // Commands of joints to rows of lanes, one per drive.
+  void put_lanes(int g, const arm_joint_command* joint, double* given) const {
     for (int k = g * lanes; k < end_of(g); ++k)
       for (int j = 0; j < J; ++j)
         given[arm::drive_of<Scene>(j) * lanes + k % lanes] = joint[k * J + j].value;
-    known[g].answered = tick;
-    known[g].answers = glide(g, given, periods, nullptr);
-    if (!known[g].answers) note(g, given, tick);
   }
   void take_commands(int k, const arm_joint_command* joint, const double* further,
                      std::int64_t tick) {
@@ -458,6 +507,10 @@ struct arm_fleet {
     bool answers = false;          // its machines do not have the newest commands yet
     std::int64_t answered = -1;    // the tick of these
     bool has_applied = false;      // its lanes do, as no run has commanded them since
+    // Of a call that a device carries out period by period.
+    bool has_refused = false;     // its control code has
+    std::int64_t taken = -1;      // steps of the period before the first event; -1: not begun
+    std::int64_t began[lanes] = {};  // ticks of the arms when the call began
   };
 
   int arms;

@@ -37,14 +37,19 @@ class GroupChanges {
   static constexpr int lanes = arm_fleet::lanes;
   static constexpr std::int64_t never = INT64_MAX;
 
-  GroupChanges(arm_fleet& fleet, int group, const arm_fleet_way& way)
-      : fleet_(fleet), first_(group * lanes), end_(fleet.end_of(group)), way_(way) {
+  // From a period of the call on; those before are made.
+  GroupChanges(arm_fleet& fleet, int group, const arm_fleet_way& way, std::int64_t period)
+      : fleet_(fleet),
+        first_(group * lanes),
+        end_(fleet.end_of(group)),
+        way_(way),
+        began_(fleet.known[group].began) {
     if (!way.change) return;
     for (int k = first_; k < end_; ++k) {
       std::int64_t& next = next_[k - first_];
       next = way.first_change[k];
-      began_[k - first_] = fleet.ticks_of(k);
-      while (next < way.first_change[k + 1] && way.change[next].tick < began_[k - first_]) ++next;
+      if (period == 0) began_[k - first_] = fleet.ticks_of(k);
+      while (next < way.first_change[k + 1] && due_at(k) < period) ++next;
       look_ahead(k);
     }
   }
@@ -81,8 +86,9 @@ class GroupChanges {
   arm_fleet& fleet_;
   int first_, end_;
   const arm_fleet_way& way_;
-  std::int64_t next_[lanes] = {}, began_[lanes] = {};  // ticks of the arms when the call began
-  std::int64_t due_ = never;                           // period of the call
+  std::int64_t next_[lanes] = {};
+  std::int64_t (&began_)[lanes];  // ticks of the arms when the call began
+  std::int64_t due_ = never;      // period of the call
 };
 
 }  // namespace

@@ -18,7 +18,7 @@ typedef struct fleet_measure_room_call {
   int32_t count;
   int32_t reserved;
   /* Bytes: of the fleet, of its places, of a group with its arms, of a step's half; its lanes;
-   * whether it looks for modes or events. */
+   * whether it looks for modes or events, and does so in lanes. */
   int64_t* bytes;
 } fleet_measure_room_call;
 
@@ -103,16 +103,19 @@ typedef struct fleet_tell_why_call {
   arm_refusal* why;
 } fleet_tell_why_call;
 
-/* Time goes on: steps under rows of commands, servo periods under held commands, or servo periods
- * under control code. Measurements and true states follow, if their size is not 0; of control code,
- * `joint` and `powered` of the measurement must be there. One kernel, since a card's assembler
- * takes half a minute for each that has a step in it. */
+/* Time goes on: steps under `periods` rows of commands, servo periods under held commands, or servo
+ * periods under control code, for which `joint` and `powered` of the measurement must be there.
+ *
+ * Without a queue `fleet_advance` does it all. With one, two kernels take each period: in
+ * `fleet_advance_smoothly` every group goes on up to its first event, and queues if something is
+ * left of its period. `fleet_advance` takes the queue, so that threads with events stand side by
+ * side, and others do not wait for them. */
 enum fleet_motion { FLEET_UNDER_ROWS, FLEET_UNDER_HELD_COMMANDS, FLEET_UNDER_CONTROL };
 typedef struct fleet_advance_call {
   arm_fleet* fleet;
   int64_t motion; /* enum fleet_motion */
   const double* command;
-  int64_t rows, steps;
+  int64_t steps; /* of a row */
   double* q;
   arm_joint_command* joint;
   const double* further;
@@ -121,18 +124,23 @@ typedef struct fleet_advance_call {
   arm_fleet_step_of_rows step_rows;
   void* with;
   arm_fleet_way way;
-  arm_fleet_measurement measurement;
-  arm_fleet_truth truth;
+  arm_fleet_measurement measurement; /* where control code measures */
   int32_t* refused;
+  int64_t period; /* of the call, with a queue */
+  /* How many groups have queued in even periods, in odd ones; then the groups. Null: no queue. */
+  int32_t* queue;
 } fleet_advance_call;
+#define FLEET_QUEUE_BEGINS 2
+typedef fleet_advance_call fleet_advance_smoothly_call;
 typedef fleet_advance_call fleet_check_commands_call;
 typedef fleet_advance_call fleet_check_changes_call;
 
-/* Measurements and true states alone. */
+/* Measurements and true states, of each if its size is not 0; `refused` may be null. */
 typedef struct fleet_show_call {
   const arm_fleet* fleet;
   arm_fleet_measurement measurement;
   arm_fleet_truth truth;
+  const int32_t* refused;
 } fleet_show_call;
 
 /* One number of each joint, which lie apart, one after the other; a thread for each of them. Whole

@@ -2,32 +2,7 @@
 // processor.
 #pragma once
 
-#include <new>
-
-#include "controlled_group.hpp"
-#include "fleet_kernels.h"
-#include "kernel.hpp"
-#include "numerics/finite.hpp"
-
-namespace {
-
-// arm::is_finite, also of a vector of one number: servos of arms without lanes have these.
-template <class X>
-ARM_INLINE auto find_finite(const X& x) {
-  if constexpr (arm::kWidth<X> == 1 && requires { x[0]; }) {
-    arm::Mask<X> finite = {};
-    finite[0] = arm::is_finite(x[0]) ? -1 : 0;
-    return finite;
-  } else {
-    return arm::is_finite(x);
-  }
-}
-
-}  // namespace
-
-#define SERVO_IS_FINITE find_finite
-#define SERVO_FLEET_LANES arm_fleet::lanes
-#include "servo_group.hpp"
+#include "advance.hpp"
 
 namespace {
 
@@ -37,14 +12,6 @@ void for_arms_of(arm_fleet* fleet, std::int64_t group, const std::uint8_t* mask,
   const int g = static_cast<int>(group);
   for (int k = g * arm_fleet::lanes; k < fleet->end_of(g); ++k)
     if (!mask || mask[k]) fleet->settle(k), act(fleet->machine[k], k);
-}
-
-// The lowest arm of all that refuse is known, whichever thread is first.
-void note_refusal(std::int32_t* refused, int arm) {
-  std::int32_t lowest = __atomic_load_n(refused, __ATOMIC_RELAXED);
-  while (arm < lowest && !__atomic_compare_exchange_n(refused, &lowest, arm, true, __ATOMIC_RELAXED,
-                                                      __ATOMIC_RELAXED)) {
-  }
 }
 
 // Note the first arm of a group and of a mask that check(machine, arm) refuses.
@@ -68,6 +35,7 @@ ARM_KERNEL(fleet_measure_room) {
   call.bytes[3] = sizeof(arm_fleet::Machine::Method);
   call.bytes[4] = arm_fleet::lanes;
   call.bytes[5] = arm::max_modes<Scene>() > 0 || arm::kLocates<Scene>;
+  call.bytes[6] = arm_fleet::has_events_in_lanes;
 }
 
 ARM_KERNEL(fleet_begin) { new (call.fleet) arm_fleet(call.options, call.count); }
@@ -170,6 +138,7 @@ static void show(const arm_fleet& fleet, int g, const arm_fleet_measurement& mea
     fleet.show(g, measurement.size ? &measurement : nullptr, truth.size ? &truth : nullptr);
 }
 ARM_KERNEL(fleet_show) {
+  if (call.refused && *call.refused != FLEET_NONE_REFUSED) return;
   show(*call.fleet, static_cast<int>(thread), call.measurement, call.truth);
 }
 
@@ -198,29 +167,30 @@ ARM_KERNEL(fleet_check_changes) {
       arm >= 0)
     note_refusal(call.refused, arm);
 }
-// The positions after each row of commands.
-static void advance_under_rows(arm_fleet& fleet, int g, const fleet_advance_call& call) {
-  const std::int64_t first = std::int64_t{g} * arm_fleet::lanes * arm_fleet::J;
-  const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::J;
-  fleet.follow(g, call.command + first, stride, call.rows, call.steps, call.q + first);
-}
-static void advance_under_control(arm_fleet& fleet, int g, const fleet_advance_call& call) {
-  arm_fleet_control control = {};
-  control.step = call.step, control.with = call.with, control.joint = call.joint;
-  control.step_rows = call.step || call.step_rows ? call.step_rows : servo_fleet_step;
-  ControlledGroup group(fleet, g, control, call.measurement, call.way);
-  if (!group.follow(call.periods)) note_refusal(call.refused + 1, group.refused());
-}
+// A group with all code: one that queues, the rest of its period; without a queue every group, all
+// periods.
 ARM_KERNEL(fleet_advance) {
   if (*call.refused != FLEET_NONE_REFUSED) return;
-  const int g = static_cast<int>(thread);
-  if (call.motion == FLEET_UNDER_ROWS)
-    advance_under_rows(*call.fleet, g, call);
-  else if (call.motion == FLEET_UNDER_CONTROL)
-    advance_under_control(*call.fleet, g, call);
-  else if (call.periods > 0)
-    call.fleet->hold(g, call.joint, call.further, call.tick, call.periods);
-  show(*call.fleet, g, call.measurement, call.truth);
+  const bool queues = call.queue;
+  if (queues && thread >= call.queue[call.period & 1]) return;
+  const std::int64_t group = queues ? call.queue[FLEET_QUEUE_BEGINS + thread] : thread;
+  const Advance of(call, group, queues ? call.period : 0);
+  const std::int64_t periods = queues ? 1 : call.periods;
+  arm_fleet& fleet = of.fleet;
+  const std::int64_t taken = queues ? fleet.known[of.g].taken : -1;
+  if (call.motion == FLEET_UNDER_ROWS) {
+    const std::int64_t stride = std::int64_t{fleet.arms} * arm_fleet::J;
+    fleet.follow(of.g, of.row(call.command), stride, periods, call.steps, of.row(call.q),
+                 taken < 0 ? 0 : taken);
+  } else if (call.motion == FLEET_UNDER_CONTROL) {
+    ControlledGroup controlled = of.controlled();
+    if (!(queues ? controlled.finish() : controlled.follow(periods))) {
+      fleet.known[of.g].has_refused = true;
+      note_refusal(call.refused + 1, controlled.refused());
+    }
+  } else if (periods > 0) {
+    fleet.hold(of.g, call.joint, call.further, call.tick, periods, taken);
+  }
 }
 
 ARM_KERNEL(fleet_look) {
@@ -253,3 +223,12 @@ ARM_KERNEL(servos_aim) {
 ARM_KERNEL(servos_retune) {
   retune_servo(*call.servos, static_cast<int32_t>(call.arm), call.joint);
 }
+
+#ifdef __CUDA__
+// Most steps are then taken by the other module, and this one need not be the fastest.
+extern "C" {
+__attribute__((device)) int arm_is_assembled_quickly = arm_fleet::has_events_in_lanes;
+}
+#else
+#include "advance_smoothly.hpp"
+#endif

@@ -8,6 +8,8 @@
 // ARM_ADDRESS(name, function): the variable `name` has the address of a function where it runs.
 #ifdef __CUDA__
 
+#pragma clang attribute pop
+
 #define ARM_KERNEL(name)                                                                 \
   static void name##_of(const name##_call& call, std::int64_t thread);                   \
   extern "C" __attribute__((global)) void name(std::int64_t threads, name##_call call) { \

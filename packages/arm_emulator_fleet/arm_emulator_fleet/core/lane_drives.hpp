@@ -60,6 +60,43 @@ class SmoothTogether {
   ARM_INLINE void step(State<S, X>& x, const X (&u)[row], const Dynamics& links,
                        Exchange& exchange) {
     State<S, X> start = x;
+    const Attempt of = attempt(x, u, links, exchange);
+    if (any(of.alone)) {
+      Memory past = memory_before(of);
+      Memory later = method_.memory();
+      for (int lane = 0; lane < width; ++lane) {
+        if (!of.alone[lane]) continue;
+        if constexpr (locates)
+          if (of.begins[lane]) {
+            cut_alone(lane, start, u, x, later);
+            continue;
+          }
+        step_alone(lane, start, past, u, x, later);
+      }
+      restore(later);
+    }
+  }
+  // The same where no machine has to take it alone; else false, and nothing has happened.
+  template <class Exchange>
+  ARM_INLINE bool step_smoothly(State<S, X>& x, const X (&u)[row], Exchange& exchange) {
+    const State<S, X> start = x;
+    const Attempt of = attempt(x, u, links_at(x), exchange);
+    if (!any(of.alone)) return true;
+    x = start;
+    restore(memory_before(of));
+    return false;
+  }
+
+ private:
+  // A step of all lanes: in which it was smooth at its start, which must take it alone, and whether
+  // the method took it at all.
+  struct Attempt {
+    Mask<X> begins, alone;
+    bool taken;
+  };
+  template <class Exchange>
+  ARM_INLINE Attempt attempt(State<S, X>& x, const X (&u)[row], const Dynamics& links,
+                             Exchange& exchange) {
     Mask<X> jumps = {};
     if constexpr (locates) jumps = follow(x, u);
     Mask<X> smooth = n_.brakes_open() & is_regular(n_, x, u);
@@ -71,24 +108,12 @@ class SmoothTogether {
       else
         smooth &= take(x, u, links, exchange);
     }
-    const Mask<X> alone = there_ & ~smooth;
-    if (any(alone)) {
-      Memory past = together ? method_.memory_before() : method_.memory();
-      Memory later = method_.memory();
-      for (int lane = 0; lane < width; ++lane) {
-        if (!alone[lane]) continue;
-        if constexpr (locates)
-          if (begins[lane]) {
-            cut_alone(lane, start, u, x, later);
-            continue;
-          }
-        step_alone(lane, start, past, u, x, later);
-      }
-      restore(later);
-    }
+    return {begins, there_ & ~smooth, together};
+  }
+  Memory memory_before(const Attempt& of) const {
+    return of.taken ? method_.memory_before() : method_.memory();
   }
 
- private:
   static constexpr bool locates = kLocates<S>;
   using Friction = Coulomb<S, X>;
 

@@ -41,20 +41,14 @@ class SideBySide {
   // numbers long; those of the machines here begin at `command`, one after the other, or side by
   // side for each joint, if its commands are `width` numbers apart. The positions after each row go
   // to `q`, one machine after the other, if it is not null; a machine at fault keeps its state. The
-  // state is in the lanes until `settle`.
+  // state is in the lanes until `settle`. `taken`: steps of the first row, by `follow_smoothly`.
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
-              double* q, int apart = 1) {
+              double* q, int apart = 1, std::int64_t taken = 0) {
     if (!together_) take_numbers();
-    const double* commands[width];
-    double* positions[width];
     std::int64_t began[width];
-    for (int lane = 0; lane < width; ++lane) {
-      commands[lane] = command + (lane < used_ ? lane : 0) * (apart == 1 ? N : 1);
-      positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
-      if (q && lane < used_) began[lane] = steps_taken(lane);
-    }
-    CommandSchedule schedule(commands, positions, stride, steps, apart);
-    for (std::int64_t left = rows * steps; left > 0;) {
+    for (int lane = 0; q && lane < used_; ++lane) began[lane] = steps_taken(lane) - taken;
+    CommandSchedule schedule = make_schedule(command, stride, steps, q, apart, taken);
+    for (std::int64_t left = rows * steps - taken; left > 0;) {
       int count = left < kSection ? static_cast<int>(left) : kSection;
       const bool still = together_ && brakes_rest_;
       for (int lane = 0; lane < used_ && !still; ++lane)
@@ -78,8 +72,24 @@ class SideBySide {
       std::int64_t row = steps > 0 ? (machine_[lane]->steps() - began[lane]) / steps : 0;
       for (; row < rows; ++row)
         for (int j = 0; j < N; ++j)
-          positions[lane][row * stride + j] = machine_[lane]->state().q[j];
+          q[lane * N + row * stride + j] = machine_[lane]->state().q[j];
     }
+  }
+  // Take steps of a row for as long as no machine has to leave its lane or to take one alone.
+  // Returns how many: the remaining ones are due by `follow`.
+  std::int64_t follow_smoothly(const double* command, std::int64_t steps, double* q,
+                               int apart = 1) {
+    if (!together_ || !brakes_rest_) return 0;
+    CommandSchedule schedule = make_schedule(command, 0, steps, q, apart, 0);
+    std::int64_t taken = 0;
+    while (taken < steps) {
+      const std::int64_t left = steps - taken;
+      const int count = left < kSection ? static_cast<int>(left) : kSection;
+      const int some = section<true>(schedule, count);
+      taken += some;
+      if (some < count) break;
+    }
+    return taken;
   }
 
   // Copy a lane's state to its machine. Call it before the machine is read or changed: lanes keep
@@ -158,6 +168,19 @@ class SideBySide {
   using Checkpoint = typename Machine::Checkpoint;
 
   static void put_rows(const X* from, double* to) { __builtin_memcpy(to, from, N * sizeof(X)); }
+
+  // See `follow`.
+  CommandSchedule make_schedule(const double* command, std::int64_t stride, std::int64_t steps,
+                                double* q, int apart, std::int64_t taken) const {
+    const double* commands[width];
+    double* positions[width];
+    for (int lane = 0; lane < width; ++lane) {
+      commands[lane] = command + (lane < used_ ? lane : 0) * (apart == 1 ? N : 1);
+      if (taken > 0) commands[lane] += stride;
+      positions[lane] = q && lane < used_ ? q + lane * N : nullptr;
+    }
+    return {commands, positions, stride, steps, apart, taken > 0 ? steps - taken : 0};
+  }
 
   static constexpr int kSection = 256;  // steps after which machines that diverged stand still
 
@@ -243,32 +266,44 @@ class SideBySide {
     ++departures_;
   }
 
-  void section(CommandSchedule& schedule, int count) {
-    if (!line_up()) return;
+  // Steps by which time goes on, where each machine takes those alone that are not smooth.
+  // `smoothly`: up to the first of these. Returns how many were taken.
+  template <bool smoothly = false>
+  int section(CommandSchedule& schedule, int count) {
+    if constexpr (!smoothly)
+      if (!line_up()) return count;
     const CommandSchedule start = schedule;
     const Moment began = {at_, threads_.memory()};
     Mask<X> lost = {};  // in what follows
     Found found = {};   // at the newest check
-    for (int left = count; left > 0;) {
+    int left = count;
+    for (bool goes_on = true; goes_on && left > 0;) {
       int steps = left;
       for (const std::int64_t taken : at_.steps_taken) {
         const int due = Machine::steps_to_check(taken);
         if (due < steps) steps = due;
       }
-      march(schedule, steps);
-      left -= steps;
+      const int taken = march<smoothly>(schedule, steps);
+      goes_on = taken == steps;
+      left -= taken;
       for_each_drive<S>(
           [&](const auto& drive, int j) { lost |= ~Machine::within_bounds(drive, j, at_.x, h_); });
       bool checks = false;
       for (int lane = 0; lane < width; ++lane) {
-        at_.steps_taken[lane] += steps;
+        at_.steps_taken[lane] += taken;
         checks = checks || Machine::is_check(at_.steps_taken[lane]);
       }
-      if (checks) check(left, lost, found);
+      if (checks && taken > 0) check(smoothly ? 0 : left, lost, found);
     }
+    if constexpr (smoothly)
+      if (any(lost)) {
+        at_ = began.at;
+        threads_.restore(began.past);
+        return 0;
+      }
     for (int lane = 0; lane < used_; ++lane) {
       if (!abreast_[lane]) continue;
-      if (lost[lane]) {
+      if (!smoothly && lost[lane]) {
         take(lane, began.at, began.past, full_[lane].now);
         leave(lane);
         auto alone = start.template of_lane<Machine::Stepper::row>(lane);
@@ -281,6 +316,7 @@ class SideBySide {
       }
     }
     if (found.all) newest_ = 1 - newest_;
+    return count - left;
   }
 
   // Check the lanes for which that is due; where they are sound is kept, most often for all at
@@ -306,14 +342,29 @@ class SideBySide {
   }
 
   // Neither inlined nor cloned, as a single machine's steps.
-  ARM_APART void march(CommandSchedule& schedule, int steps) {
+  template <bool smoothly = false>
+  ARM_APART int march(CommandSchedule& schedule, int steps) {
     Mask<X> checked = {};
     for (int lane = 0; lane < width; ++lane)
       if (Machine::is_check(at_.steps_taken[lane])) checked[lane] = -1;
     if (any(checked))
       at_.power = select(checked, Balance::largest_power(numbers_, at_.x, at_.u), at_.power);
-    schedule.march(numbers_, threads_, h_, steps, at_.x, at_.u, at_.power, at_.most);
+    const auto go = [&](auto& threads) __attribute__((always_inline)) {
+      return schedule.march(numbers_, threads, h_, steps, at_.x, at_.u, at_.power, at_.most);
+    };
+    if constexpr (smoothly && kStepsApart<S>) {
+      SmoothSteps threads = {threads_};
+      return go(threads);
+    } else {
+      return go(threads_);
+    }
   }
+  struct SmoothSteps {
+    Threads& threads;
+    ARM_INLINE bool step(State<S, X>& x, const X (&u)[Method::row]) {
+      return threads.stepper().step_smoothly(x, u, threads);
+    }
+  };
 
   void account_for_work(int lane) {
     Checkpoint now = {};
@@ -405,7 +456,7 @@ class SideBySide<S, 1> {
   SideBySide(double, Machine* const* machines, int, const Common&) : machine_(machines[0]) {}
 
   void follow(const double* command, std::int64_t stride, std::int64_t rows, std::int64_t steps,
-              double* q, int = 1) {
+              double* q, int = 1, std::int64_t = 0) {
     for (; rows > 0; --rows, command += stride) {
       machine_->advance(command, steps);
       if (!q) continue;
@@ -413,6 +464,7 @@ class SideBySide<S, 1> {
       q += stride;
     }
   }
+  std::int64_t follow_smoothly(const double*, std::int64_t, double*, int = 1) { return 0; }
   void settle(int) {}
 
  private:
