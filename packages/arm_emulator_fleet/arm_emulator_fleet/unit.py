@@ -50,9 +50,7 @@ def build_fleet_unit(scene: Scene) -> Unit:
     )
 
 
-def build_kernels_unit(
-    scene: Scene, more: Sequence[Path] = (), kernels: str = ALL_KERNELS
-) -> Unit:
+def build_kernels_unit(scene: Scene, more: Sequence[Path] = (), kernels: str = ALL_KERNELS) -> Unit:
     """Return the sources of the scene's kernels for a device.
 
     Args:

@@ -1,15 +1,17 @@
 """Arms that meet an event go through a queue to a kernel of their own, and nothing shows it."""
 
 import ctypes
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from draws import some
+from test_fleet_follow import ROWS
 from test_fleet_on_device import Pair, device, located
 
-from arm_emulator import Scene
-from arm_emulator_fleet import Fleet
+from arm_emulator import Refusal, Scene
+from arm_emulator_fleet import Fleet, FleetControl
 from arm_emulator_fleet.device import Module
 from arm_emulator_fleet.unit import KERNELS
 
@@ -28,7 +30,9 @@ def queued(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     rng = np.random.default_rng(7)
     launch = Module.launch
 
-    def launch_and_shuffle(self: Module, kernel: str, threads: int, *given: Any, block: int) -> None:
+    def launch_and_shuffle(
+        self: Module, kernel: str, threads: int, *given: Any, block: int
+    ) -> None:
         launch(self, kernel, threads, *given, block=block)
         if kernel != "fleet_advance_smoothly":
             return
@@ -64,10 +68,8 @@ def test_any_groups_in_any_order_give_the_bits_of_lanes(
     assert any(0 < length < GROUPS for length in queued) and max(queued) == GROUPS
 
 
-def test_arms_without_events_do_not_queue(
-    located: Scene, device: str, queued: list[int]
-) -> None:
-    """Joints that slide at constant voltages; then one arm of many loses its power."""
+def test_arms_without_events_do_not_queue(located: Scene, device: str, queued: list[int]) -> None:
+    """Joints slide at constant voltages; then one arm of many loses its power."""
     fleets = [Fleet(located, COUNT, device=place) for place in (None, device)]
     for fleet in fleets:
         fleet.exchange(rows := np.tile([6.0, 2.0, 2.0], (COUNT, 1)))
@@ -80,6 +82,31 @@ def test_arms_without_events_do_not_queue(
     for fleet in fleets:
         fleet.powered = on
         frame = fleet.step(rows, 20)
-    assert queued[20:] == 20 * [1]
+    assert queued[20:] == [GROUPS, *(19 * [1])], "all have been changed before the first period"
     first, second = (fleet.save() for fleet in fleets)
     assert first == second and frame.q.numpy().any()
+
+
+def test_code_of_users_is_in_both_kernels_and_refuses_in_its_period(
+    tmp_path: Path, located: Scene, device: str, queued: list[int]
+) -> None:
+    """Arm by arm it does not queue; over rows of lanes it is called once in every period."""
+    count, file = 16, tmp_path / "law.c"
+    file.write_text(ROWS)
+    start = np.random.default_rng(2).uniform(-0.05, 0.05, (count, len(located.joints)))
+    fleet = Fleet(located, count, device=device, kernels=[file], q=start)
+    numbers = np.array([len(located.joints), -1, *[0] * count], np.int32)
+    data, links = fleet.to_device(numbers), np.zeros((2, 40, count, len(located.joints)))
+    fleet.follow(FleetControl("law_by_arm", data), 40, links=links[0])
+    assert not queued
+    fleet.reset(q=start)
+    by_rows = FleetControl("law_by_rows", data, in_lanes=True)
+    fleet.follow(by_rows, 40, links=links[1])
+    np.testing.assert_array_equal(links[1], links[0])
+    assert (data.numpy()[2:] == 40).all()
+    assert len(queued) == 40 and any(0 < length < count // 2 for length in queued)
+    numbers[1] = 9
+    with pytest.raises(Refusal, match=r"Fleet\.follow: arm 9: .* must be finite, got nan"):
+        fleet.follow(FleetControl("law_by_rows", fleet.to_device(numbers), in_lanes=True), 5)
+    ticks = np.where(np.arange(count) // 2 == 4, 40, 45)
+    np.testing.assert_allclose(fleet.state.t, ticks * located.servo_period, rtol=1e-12)

@@ -71,7 +71,9 @@ def test_no_thread_needs_more_stack_than_it_gets(
     small = robot == "three_axis" or part == SMOOTH_KERNEL
     stack_limit = STACK if small else STACK_WITH_EVENTS
     least = 0 if robot == "three_axis" and part == SMOOTH_KERNEL else 1000
-    assert least <= max(stacks) <= stack_limit, f"{robot} on sm_{number}: {sorted(stacks)[-5:]} bytes"
+    assert least <= max(stacks) <= stack_limit, (
+        f"{robot} on sm_{number}: {sorted(stacks)[-5:]} bytes"
+    )
 
 
 @pytest.fixture
