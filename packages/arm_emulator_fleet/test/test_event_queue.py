@@ -25,7 +25,7 @@ BLOCKS = 1, 32, 64, 1024
 
 @pytest.fixture
 def queued(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many groups have queued in each period; their order is shuffled."""
+    """Return numbers of the groups that queue in each period; their order is shuffled."""
     lengths: list[int] = []
     rng = np.random.default_rng(7)
     launch = Module.launch

@@ -81,7 +81,7 @@ class ControlledGroup {
     ++period_;
     if (way_.look) way_.look(way_.with, first_, end_ - first_);
   }
-  // What control code commands to arms in lanes; false if a command is refused.
+  // Let control code command arms in lanes; false if a command is refused.
   template <class Group>
   bool command([[maybe_unused]] Group& group) {
     if constexpr (requires { group.is_abreast(0); }) {

@@ -127,7 +127,7 @@ typedef struct fleet_advance_call {
   arm_fleet_measurement measurement; /* where control code measures */
   int32_t* refused;
   int64_t period; /* of the call, with a queue */
-  /* How many groups have queued in even periods, in odd ones; then the groups. Null: no queue. */
+  /* Number of groups that queue in even periods, and in odd ones; then the groups. Null: none. */
   int32_t* queue;
 } fleet_advance_call;
 #define FLEET_QUEUE_BEGINS 2
