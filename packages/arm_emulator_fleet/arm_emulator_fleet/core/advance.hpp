@@ -1,5 +1,5 @@
-// What kernels that let time go on have in common. Included last in a scene's unit, for a card or for
-// its stand-in on a processor.
+// Common parts of the kernels that let time go on. Included last in a scene's unit, for a card or
+// for its stand-in on a processor.
 #pragma once
 
 #include <new>
@@ -27,7 +27,7 @@ ARM_INLINE auto find_finite(const X& x) {
 #define SERVO_IS_FINITE find_finite
 #define SERVO_FLEET_LANES arm_fleet::lanes
 #include "servo_group.hpp"
-//
+// Behind all that the kernels call.
 #include "kernel.hpp"
 
 namespace {
