@@ -102,9 +102,7 @@ class ControlledGroup {
     }
     return true;
   }
-  void glide(std::int64_t taken) {
-    glides_ = fleet_.glide(g_, of_drives(), -1, 1, links(), taken);
-  }
+  void glide(std::int64_t taken) { glides_ = fleet_.glide(g_, of_drives(), -1, 1, links(), taken); }
   static void copy_row(const double* from, double* to) {
     __builtin_memcpy(to, from, lanes * sizeof(double));
   }

@@ -166,8 +166,8 @@ struct arm_fleet {
   bool is_marked_free(const auto& own, int g) const {
     return known[g].free_since == own.departures();
   }
-  // Periods in lanes, of a group that may, under commands in answer to a tick, in rows of lanes, one
-  // per drive; the positions then go to `q` if it is not null. Whether all arms are still there
+  // Periods in lanes, of a group that may, under commands in answer to a tick, in rows of lanes,
+  // one per drive; the positions then go to `q` if it is not null. Whether all arms are still there
   // after them. `taken`: steps of the first period, by `glide_smoothly`.
   bool glide(int g, const double* given, std::int64_t tick, std::int64_t periods, double* q,
              std::int64_t taken = 0) {
@@ -224,8 +224,8 @@ struct arm_fleet {
     const Known& of = known[k / lanes];
     return of.answers ? of.answered : machine[k]->answered;
   }
-  // Periods under held commands. `taken`: steps of the first one, by `hold_smoothly`; -1: it has not
-  // begun.
+  // Periods under held commands. `taken`: steps of the first one, by `hold_smoothly`; -1: it has
+  // not begun.
   void hold(int g, const arm_joint_command* joint, const double* further, std::int64_t tick,
             std::int64_t periods, std::int64_t taken = -1) {
     for (; periods > 0 && taken < 0 && !may_glide(g, joint); --periods)
@@ -508,8 +508,8 @@ struct arm_fleet {
     std::int64_t answered = -1;    // the tick of these
     bool has_applied = false;      // its lanes do, as no run has commanded them since
     // Of a call that a device carries out period by period.
-    bool has_refused = false;     // its control code has
-    std::int64_t taken = -1;      // steps of the period before the first event; -1: not begun
+    bool has_refused = false;        // its control code has
+    std::int64_t taken = -1;         // steps of the period before the first event; -1: not begun
     std::int64_t began[lanes] = {};  // ticks of the arms when the call began
   };
 

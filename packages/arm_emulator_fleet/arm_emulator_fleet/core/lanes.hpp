@@ -71,8 +71,7 @@ class SideBySide {
       settle(lane);
       std::int64_t row = steps > 0 ? (machine_[lane]->steps() - began[lane]) / steps : 0;
       for (; row < rows; ++row)
-        for (int j = 0; j < N; ++j)
-          q[lane * N + row * stride + j] = machine_[lane]->state().q[j];
+        for (int j = 0; j < N; ++j) q[lane * N + row * stride + j] = machine_[lane]->state().q[j];
     }
   }
   // Take steps of a row for as long as no machine has to leave its lane or to take one alone.
