@@ -2,14 +2,13 @@
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from draws import FULL, some
+from test_command_line import run as command
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import RunOutputs
@@ -289,13 +288,10 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     }
     assert units["robustness.near"] == b"rad" and units["measure.current"] == b"A"
     assert units["payload.mass"] == b"kg" and units["robustness.never"] == b"rad/s"
-    words = [file, "--into", tmp_path / "two", "--workers", "2", "--json"]
-    done = subprocess.run(
-        [sys.executable, "-m", "arm_emulator", "campaign", *words], capture_output=True, text=True,
-        timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    facts = json.loads(done.stdout)
+    words = str(file), "--into", str(tmp_path / "two"), "--workers", "2", "--json"
+    code, out, errors = command("campaign", *words)
+    assert not code, errors
+    facts = json.loads(out)
     assert facts["digest"] == digest and facts["count"] == 200
     assert all(share["high"] - share["low"] <= 0.16 for share in facts["shares"])
     assert facts["shares"][1]["hits"] == np.count_nonzero(columns["robustness.never"] < 0) > 0

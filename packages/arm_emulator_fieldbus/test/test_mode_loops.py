@@ -2,8 +2,6 @@
 
 import dataclasses
 import re
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 from draws import FULL, some
 from machines import make_link_urdf, write_scene
+from test_command_line import run
 from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
@@ -252,17 +251,12 @@ def test_check_scene_prints_all_loops_and_warns_of_withheld_modes(tmp_path: Path
         text += "" if place else "varied: [joints.*.friction.coulomb]\n"
         (tmp_path / place).mkdir(exist_ok=True)
         (tmp_path / f"{place}ur5.yaml").write_text(text)
-    done = subprocess.run(
-        [sys.executable, "-m", "arm_emulator", "check-scene", tmp_path / "ur5.yaml", "--modes"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    rows = [line for line in done.stdout.splitlines() if line.endswith("| withheld |")]
-    assert len(rows) == 7, "the torque loop of each joint, and of all: " + done.stdout
+    code, out, errors = run("check-scene", str(tmp_path / "ur5.yaml"), "--modes")
+    assert not code, errors
+    rows = [line for line in out.splitlines() if line.endswith("| withheld |")]
+    assert len(rows) == 7, "the torque loop of each joint, and of all: " + out
     assert all("| torque |" in row for row in rows)
-    warned = [line for line in done.stderr.splitlines() if "a drive offers no" in line]
+    warned = [line for line in errors.splitlines() if "a drive offers no" in line]
     assert len(warned) == 6 and warned[0].startswith("warning: ur5.yaml: shoulder_pan_joint: ")
 
 

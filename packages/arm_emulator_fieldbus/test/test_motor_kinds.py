@@ -202,6 +202,7 @@ def test_an_arm_is_moved_by_its_motion_controller(kind: str) -> None:
     assert off < 1e-4, f"{kind}: {off:.3g} m"
 
 
+@pytest.mark.slow
 def test_gains_hold_the_machine_in_motion() -> None:
     """A smooth move of all joints at once: torques and currents follow it as voltages do."""
     errors = {}

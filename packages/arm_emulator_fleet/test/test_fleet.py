@@ -1,12 +1,14 @@
 """Arms in lanes: each moves as it would alone, whatever its neighbours do."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from draws import FULL, some, with_slow
+from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
+from test_lanes import ELASTIC, WINDING
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.plant.compiler import compile_ahead
@@ -201,11 +203,35 @@ def test_an_arm_of_a_fleet_is_a_plant(tmp_path: Path) -> None:
     stored.advance(rows[0], STEPS)  # the fleet lives as long as one of its arms is held
 
 
-@pytest.mark.parametrize("keys", some([TWO_THREADS, BACKLASH], 1))
-def test_scenes_that_have_no_lanes_move_as_well(keys: dict[str, Any]) -> None:
-    """Two threads, and drives without a usual mode: one arm after the other, to the last bit."""
+def one_arm_after_the_other(folder: Path) -> Scene:
+    """Return a scene without lanes: a gear has play; motors have temperatures and noise."""
+    motors = {**DC, "winding": WINDING}, {**PMSM, "winding": WINDING}, DC
+    joints = {
+        name: {"motor": motor, "gear": ELASTIC, "current_sensor": {"noise": 0.01}}
+        for name, motor in zip(GANTRY, motors, strict=True)
+    }
+    joints["z"]["gear"] = {**ELASTIC, "backlash": 1e-3}
+    varied = ["joints.*.gear.stiffness", "joints.y.motor.winding.thermal_resistance", "seed"]
+    file = write_scene(
+        folder, gantry_urdf(), joints, varied=varied, gravity=[0.5, -0.5, 1.0], seed=3,
+        servo_period=2e-3, integrator={"scheme": "rosenbrock", "dt": 2e-4},
+    )  # fmt: skip
+    return load_scene(file)
+
+
+def one_arm_of_two_threads(folder: Path) -> Scene:
+    return load_scene("three_axis", overrides=TWO_THREADS)
+
+
+@pytest.mark.parametrize(
+    "make_scene", with_slow([one_arm_after_the_other, one_arm_of_two_threads], 1)
+)
+def test_scenes_that_have_no_lanes_move_as_well(
+    make_scene: Callable[[Path], Scene], tmp_path: Path
+) -> None:
+    """Drives without a usual mode, and two threads: one arm after the other, to the last bit."""
     rng = np.random.default_rng(11)
-    scene = load_scene("three_axis", overrides=keys)
+    scene = make_scene(tmp_path)
     rows = rng.uniform(-20.0, 20.0, (10, 3, len(scene.joints)))
     fleet = Fleet(scene, 3)
     assert fleet.lanes == 1, "lanes"

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from devices import Stub
 from draws import some, with_slow
-from machines import DC, GANTRY, PMSM, SENSED, gantry_urdf, write_scene
-from test_fleet import BACKLASH
+from machines import GANTRY, SENSED, gantry_urdf, write_scene
+from test_fleet import BACKLASH, one_arm_after_the_other
 from test_fleet_step import BRAKED, LOCATED
-from test_lanes import ELASTIC, JOINTS, WINDING
+from test_lanes import JOINTS
 
 from arm_emulator import Diverged, ExternalWrench, Refusal, Scene, load_scene
 from arm_emulator.extension.machine import (
@@ -68,22 +68,6 @@ def coupled(folder: Path) -> Scene:
     from test_couplings import machine
 
     return machine(folder, *ARMS["palletizer"], varied=["joints.*.friction.viscous"])
-
-
-def one_arm_after_the_other(folder: Path) -> Scene:
-    """Return a scene without lanes: a gear has play; motors have temperatures and noise."""
-    motors = {**DC, "winding": WINDING}, {**PMSM, "winding": WINDING}, DC
-    joints = {
-        name: {"motor": motor, "gear": ELASTIC, "current_sensor": {"noise": 0.01}}
-        for name, motor in zip(GANTRY, motors, strict=True)
-    }
-    joints["z"]["gear"] = {**ELASTIC, "backlash": 1e-3}
-    varied = ["joints.*.gear.stiffness", "joints.y.motor.winding.thermal_resistance", "seed"]
-    file = write_scene(
-        folder, gantry_urdf(), joints, varied=varied, gravity=[0.5, -0.5, 1.0], seed=3,
-        servo_period=2e-3, integrator={"scheme": "rosenbrock", "dt": 2e-4},
-    )  # fmt: skip
-    return load_scene(file)
 
 
 SCENES: dict[str, Callable[[Path], Scene]] = {
