@@ -15,7 +15,7 @@ from test_bags import run
 from arm_emulator.bags import recorded_topics
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.cli.commands.replay import offer
+from arm_emulator.cli.commands.replay import offer, replay
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
@@ -104,6 +104,13 @@ def test_a_topic_that_is_not_in_the_bag_is_refused(tmp_path: Path) -> None:
     code, printed = run("replay", foreign_topics(tmp_path / "bag"), "--topics", "walk")
     assert code == 2
     assert "--topics must be in the bag, got /walk; valid: /talk" in printed
+
+
+def test_a_replay_of_no_message_is_refused(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic(Topic("/talk", "std_msgs/msg/String"))
+    with pytest.raises(Refusal, match="the bag must hold messages, got none"):
+        replay(tmp_path / "bag")
 
 
 def test_a_bag_of_a_missing_scene_is_refused_by_its_name(

@@ -144,7 +144,10 @@ def offer(recorded: Collection[QoSProfile]) -> QoSProfile:
 
 def _choose_topics(bag: Bag, topics: Collection[str] | None) -> list[str]:
     if topics is None:
-        return [name for name, topic in bag.topics.items() if topic.count]
+        names = [name for name, topic in bag.topics.items() if topic.count]
+        if not names:
+            raise Refusal(str(bag.path), "the bag", "hold messages", "none")
+        return names
     names = [name if name.startswith("/") else f"/{name}" for name in topics]
     for name in names:
         if name not in bag.topics:

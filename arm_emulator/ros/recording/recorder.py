@@ -28,7 +28,7 @@ from arm_emulator.ros.node.lean_executor import LeanExecutor
 from arm_emulator.ros.node.sole_publisher import OwnExecutorOnly, receive, split_received
 from arm_emulator.ros.recording.bag_metadata import Topic
 from arm_emulator.ros.recording.bag_writer import BagWriter
-from arm_emulator.ros.recording.recorder_presence import STATES, RecorderPresence
+from arm_emulator.ros.recording.recorder_presence import NAME, STATES, RecorderPresence
 from arm_emulator.toolchain.c_header import CData
 from arm_emulator.workarounds.exit_watchdog import start_exit_watchdog
 from arm_emulator.workarounds.fastdds_shared_memory import clear_left_over
@@ -128,7 +128,7 @@ class _Recorder(Node):
         from_start: bool,
         end_requested: threading.Event,
     ) -> None:
-        super().__init__("recorder", enable_rosout=False, start_parameter_services=False)
+        super().__init__(NAME, enable_rosout=False, start_parameter_services=False)
         self._bag = bag
         self._name = name
         self._from_start = from_start

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Self
 
 RECORDER = re.compile(r"\d+\.[0-9a-f]{8}")  # names of recorders
+NAME = "recorder"  # of its node
 STATES = "motor_states"  # last part of the topic on which an emulator publishes its states
 LONGEST = 107  # bytes of an abstract socket's name
 ALL = "/*"
@@ -32,12 +33,15 @@ class RecorderPresence:
     def __init__(self, topics: Collection[str] | None) -> None:
         self.recorder = f"{os.getpid()}.{secrets.token_hex(4)}"
         self._sockets: list[socket.socket] = []
+        start = f"{_get_prefix()}{self.recorder}"
+        names = set[str]()
         for topic in (ALL,) if topics is None else topics:
-            if topic != ALL and topic.rsplit("/")[-1] != STATES:
-                continue  # no emulator needs to wait for it
-            name = f"{_get_prefix()}{self.recorder}/{topic.lstrip('/')}"
-            if len(name.encode()) > LONGEST:
-                name = f"{_get_prefix()}{self.recorder}{ALL}"
+            name = f"{start}/{topic.lstrip('/')}"
+            if len(name.encode()) <= LONGEST:
+                names.add(name)
+            elif topic.rsplit("/")[-1] == STATES:  # an emulator has to wait for it
+                names.add(f"{start}{ALL}")
+        for name in names:
             opened = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._sockets.append(opened)
             opened.bind(name)
@@ -54,8 +58,8 @@ class RecorderPresence:
             opened.close()
 
 
-def list_recorders(states: str) -> set[str]:
-    """Return the names of the recorders on this computer that record a topic of motor states."""
+def list_recorders(topic: str) -> set[str]:
+    """Return the names of the recorders on this computer that record a topic."""
     try:
         table = Path("/proc/net/unix").read_text(encoding="utf-8", errors="replace")
     except OSError:  # not Linux: only the network discovers them
@@ -63,8 +67,8 @@ def list_recorders(states: str) -> set[str]:
     prefix, recorders = _get_prefix().replace("\0", "@"), set()
     for line in table.splitlines():
         _, sign, name = line.partition(prefix)
-        recorder, slash, topic = name.partition("/")
-        if sign and slash and f"/{topic}" in (states, ALL):
+        recorder, slash, recorded = name.partition("/")
+        if sign and slash and f"/{recorded}" in (topic, ALL):
             recorders.add(recorder)
     return recorders
 
