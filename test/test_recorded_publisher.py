@@ -15,7 +15,7 @@ LONG = ["x" * 200, "y" * 200]  # for which the announcement has no room
 
 
 class MadeUpNetwork:
-    """What a node sees of recorders: those that report to an emulator, and readers of a topic."""
+    """Recorders that report to an emulator, and readers of a topic, as a node sees them."""
 
     def __init__(self, reports: int, readers: list[str]) -> None:
         self._reports, self._readers = reports, readers

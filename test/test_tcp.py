@@ -80,6 +80,7 @@ def test_lines_of_every_invalid_kind_are_refused_and_change_no_bit() -> None:
     state, before = server.answer(b"{}"), server._session.plant.save()
     wrong = [
         b"", b"{", b"\xff\xfe", b"[" * 10_000, b"[1.0, 2.0, 3.0]", b"null", b'{"colour": 1}',
+        b'{"power": false}', b'{"power": true, "tick": 0}',
         *(json.dumps(good | change).encode() for change in (
             {"command": [1.0, 2.0]}, {"command": 1.0}, {"command": None},
             {"command": ["a", "b", "c"]}, {"command": [[1.0], 2.0, 3.0]},
@@ -108,8 +109,8 @@ def test_further_inputs_and_resets() -> None:
             reply = client.ask(command=[0.0, 0.0, 1.0], command_b=[0.0, 0.0, 2.0])
             assert reply["applied_b"] == [0.0, 0.0, 2.0]
             refused = client.ask(command_b=[0.0, 0.0, 2.0])
-            assert "command must be given with further inputs" in refused["refused"]
-            assert client.ask(reset=True) == first, "a reset is the beginning"
+            assert "command must be given with power or further inputs" in refused["refused"]
+            assert client.ask(reset=True, power=False) == first, "a reset is the beginning"
 
 
 def test_a_line_without_end_ends_the_client_and_not_the_server() -> None:

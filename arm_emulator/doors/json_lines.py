@@ -125,8 +125,10 @@ class JsonLinesServer:
             if key in request
         }
         command = rows.pop("command", None)
-        if command is None and not rows.keys().isdisjoint(self._inputs):
-            raise Refusal(self._where, "command", "be given with further inputs", "nothing")
+        if command is None and (rows or (on is not None and not again)):
+            raise Refusal(
+                self._where, "command", "be given with power or further inputs", "nothing"
+            )
         with self._session.turn:
             tick = request.get("tick", self._session.tick)
             if isinstance(tick, bool) or not isinstance(tick, int):
