@@ -40,21 +40,15 @@ pytest.register_assert_rewrite(
 # Files that take more than 5 s, the longest first: one that comes late would leave the other half
 # of the machine idle.
 LONGEST = """
-joint_laws campaign fleet_on_device snippets move full_disks recording lockstep library_examples
-spoiled_files json collisions advice ways bags up search duplicate_nodes schemes identification
-stream faults directed_load_friction recorder formula_users bearing sole_publisher motor_faults
-demo by_hand_bags motor_kinds random_scenes portable_bits network doubtful_records new mode_loops
-compiler causal_replay examples varied_places launch doctor part_contract sensitivities
-managed_nodes network_fixture random_inputs faults_at_doors campaign_device kept_modes linearised
-fleet topic_based fleet_follow varied_axes accuracy arm_loops child_kills motion_orders by_hand
-load_friction extreme_numbers rerun_stream sensors threads repair gear_temperature device
-cia402_profile latency inputs command_line working_folder bound faults_at_nodes hard_cases
-firmware couplings candidate_paths brake jog inertia_check driven_machine run_time_parameters
-device_examples stability located splitting progressive_gear hysteresis stopping_on_the_way
-rotor_friction ideal_motors feedforward new_drives residual tune first_difference part_pairs
-mounting negative_ratio at_rest learned_load bode coupled_moves validation standstill rated_tool
-network_fork limits firmware_faults lanes backlash hot_path calibration external_wrench
-published_joints fork_command
+campaign fleet_on_device formula_users advice search bags identification mode_loops motor_kinds move
+doubtful_records collisions lockstep compiler faults_at_doors campaign_device directed_load_friction
+causal_replay network recorder full_disks joint_laws network_fixture json recording spoiled_files
+ways device fleet fleet_follow managed_nodes inputs schemes child_kills sole_publisher
+duplicate_nodes faults_at_nodes accuracy firmware topic_based cia402_profile jog driven_machine
+run_time_parameters faults up portable_bits bearing splitting progressive_gear rerun_stream
+random_scenes hysteresis latency extreme_numbers doctor first_difference new coupled_moves
+motor_faults inertia_check by_hand motion_orders firmware_faults by_hand_bags varied_axes couplings
+ideal_motors repair residual external_wrench sensitivities brake
 """.split()
 
 
