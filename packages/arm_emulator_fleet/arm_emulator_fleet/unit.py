@@ -65,10 +65,13 @@ def build_kernels_unit(scene: Scene, more: Sequence[Path] = (), kernels: str = A
         rule = "be 1 on a device: its arms are its threads"
         raise Refusal(scene.where, "threads", rule, scene.threads)
     unit = build_machine_unit(scene, kernels)
+    name, part = "kernels", "kernels"
+    if kernels == SMOOTH_KERNEL:
+        name, part = "smooth-kernel", "the kernel of smooth steps"
     source = unit.source + "".join(f'#include "{file.name}"\n' for file in more)
     return replace(
         unit,
-        name=f"{scene.name}-kernels" if kernels == ALL_KERNELS else f"{scene.name}-smooth",
+        name=f"{scene.name}-{name}",
         source=f'#include "begin_kernels.hpp"\n{source}#include "end_kernels.hpp"\n',
         flags=(*unit.flags, f"-DARM_LANES={LANES_OF_THREAD}"),
         headers=(),
@@ -81,6 +84,6 @@ def build_kernels_unit(scene: Scene, more: Sequence[Path] = (), kernels: str = A
             FOLDER,
             *(file.parent for file in more),
         ),
-        about=f"kernels of a fleet of {scene.name} ({len(scene.joints)} joints)",
+        about=f"{part} of a fleet of {scene.name} ({len(scene.joints)} joints)",
         saves_as=build_machine_unit(scene),
     )
