@@ -11,7 +11,12 @@ from arm_emulator.runs.offline import OfflineRun
 from arm_emulator.runs.recorder import Recorder
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun, compute_tool_error
-from arm_emulator.runs.target_table import TargetTable, check_targets, load_target_table
+from arm_emulator.runs.target_table import (
+    TargetTable,
+    check_targets,
+    keep_limits,
+    load_target_table,
+)
 from arm_emulator.servo.servo_arm import ServoArm as ServoDrives
 from arm_emulator.servo.servo_config import (
     ServoConfig,

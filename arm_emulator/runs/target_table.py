@@ -121,8 +121,7 @@ def check_targets(scene: Scene, where: str, rows: Sequence[str], t: Array, q: Ar
     """
     arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
     names, slides = scene.joint_names, arm.joint_scale != 1.0
-    outside = (q < arm.lower - ROUNDING) | (q > arm.upper + ROUNDING)
-    for row, j in np.argwhere(outside)[:1]:
+    for row, j in np.argwhere(_find_outside(arm, q))[:1]:
         unit, probable = _get_units(slides[j])
         scaled = q[:, j] * (MILLI if slides[j] else DEGREE)
         fits = bool(((scaled >= arm.lower[j]) & (scaled <= arm.upper[j])).all())
@@ -133,10 +132,33 @@ def check_targets(scene: Scene, where: str, rows: Sequence[str], t: Array, q: Ar
     _warn_of_units(where, t, np.vstack([scene.start, q]), arm)
 
 
+def keep_limits(scene: Scene, t: Array, q: Array) -> bool:
+    """Return whether tables of targets keep the joints' limits, see `check_targets`.
+
+    Args:
+        scene: the machine.
+        t: times of each table (..., K) [s].
+        q: targets in the scene's order of joints (..., K, N) [rad or m].
+    """
+    arm = Kinematics(scene.urdf, scene.joint_names, scene.tool)
+    return not (np.any(_find_outside(arm, q)) or np.any(_find_too_fast(arm, t, q)[0]))
+
+
+def _find_outside(arm: Kinematics, q: Array) -> npt.NDArray[np.bool_]:
+    """Return which targets are beyond the limits of their joints (..., K, N)."""
+    return (q < arm.lower - ROUNDING) | (q > arm.upper + ROUNDING)
+
+
+def _find_too_fast(arm: Kinematics, t: Array, q: Array) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Return which mean speeds from row to row are too fast, and these (..., K - 1, N)."""
+    v = np.diff(q, axis=-2) / np.diff(t)[..., None]
+    return np.abs(v) > SPEED_BETWEEN_POINTS * arm.velocity_limit, v
+
+
 def _check_speed(where: str, rows: Sequence[str], t: Array, q: Array, arm: Kinematics) -> None:
     limit = arm.velocity_limit
-    v = np.diff(q, axis=0) / np.diff(t)[:, None]
-    for row, j in np.argwhere(np.abs(v) > SPEED_BETWEEN_POINTS * limit)[:1]:
+    too_fast, v = _find_too_fast(arm, t, q)
+    for row, j in np.argwhere(too_fast)[:1]:
         unit, probable = _get_units(bool(arm.joint_scale[j] != 1.0))
         share = np.abs(v[:, j]).max() / limit[j]
         slip = _FAR_TOO_FAST < share <= 1.0 / (DEGREE if unit == "rad" else MILLI)

@@ -6,43 +6,37 @@ changes at their ticks, and its whole way is C.
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.extension.base import Array, Refusal
-from arm_emulator_campaign.case import Case
+from arm_emulator.extension.base import Refusal
+from arm_emulator.extension.runs import ServoConfig
+from arm_emulator_campaign.bound_cases import BoundCases, bind_cases
+from arm_emulator_campaign.case import Case, Cases
 from arm_emulator_campaign.definition.campaign_file import Campaign
-from arm_emulator_campaign.definition.scenario import Scenario
 from arm_emulator_campaign.evaluators import Evaluators, count_most_samples
-from arm_emulator_campaign.program import BLOCK, Program, Targets
+from arm_emulator_campaign.program import BLOCK, Targets
 from arm_emulator_campaign.results.outcome import Outcome, Outcomes
 from arm_emulator_campaign.signals import FleetSampler
-from arm_emulator_campaign.simulator import BoundCase, Simulator, bind_case
+from arm_emulator_campaign.simulator import Simulator, bind_case
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 if TYPE_CHECKING:
     from arm_emulator_campaign.device_program import DeviceProgram
 
 WIDTH = 64  # runs at a time
+BOUND = 4096  # runs that are bound at a time, at least
 # On a device: as many as samples and judges have memory for, at most so many.
 LARGEST_WIDTH = 2**14
 MEMORY = 2**30  # bytes of both
 # Samples in a piece: whole blocks of the judges, which the processor's cache holds. Rows of a power
 # of two would all begin in the same set of that cache.
 ROOM = 7 * BLOCK
-
-
-class _Run(NamedTuple):
-    """A run as its arm gets it, with the numbers of the arm."""
-
-    numbers: Array
-    bound: BoundCase
 
 
 class BatchSimulator:
@@ -72,10 +66,7 @@ class BatchSimulator:
         width = self.width
         scenario, _, servo = campaign.nominal
         self._scene = scene = campaign.scene
-        self._names = [number.name for number in campaign.variation.numbers]
-        self._numbers = {number.name: (k, number.number) for k, number in enumerate(scene.varied)}
-        self._seed = self._numbers["seed"][0] if scene.has_sensor_errors else None
-        self._own = np.array([number.value for number in scene.varied], np.float64)
+        self._block = width * max(1, BOUND // width)
         make_sampler, kernels = _choose_sampler(device, program is not None)
         self._fleet = Fleet(scene, width, workers=1, device=device, kernels=kernels)
         if program is not None:
@@ -85,29 +76,27 @@ class BatchSimulator:
         self._sampler = make_sampler(self._fleet, self._evaluators.samples, ROOM)
         self._schedule = FleetWay(scene, width, self._sampler.look, self._sampler.with_)
         self._frame = self._fleet.frame()
-        self._aimed: list[Scenario] = []
-        self._aim([scenario])
+        table = scenario.table
+        self._nominal = Targets.of([(table.ticks(scene.servo_period), table.q)] * width)
+        self._targets = self._nominal
+        self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
 
-    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
+    def runs(self, cases: Cases) -> Iterator[Outcomes]:
         """Simulate runs and judge them; yield some after the other.
 
         Raises:
             Refusal: values of a run that are out of range; those before it have been yielded.
         """
-        for first in range(0, len(cases), self.width):
-            runs: list[_Run] = []
-            refused = None
-            for case in cases[first : first + self.width]:
-                try:
-                    runs.append(self._bind(case))
-                except Refusal as no:
-                    where = f"{self._campaign.where}, run {case.index}"
-                    refused = Refusal(where, no.quantity, no.rule, no.got, no.valid)
-                    break
-            if runs:
-                yield self._run(cases[first : first + len(runs)], runs)
-            if refused is not None:
-                raise refused
+        for first in range(0, len(cases), self._block):
+            some = cases[first : first + self._block]
+            try:
+                bound = bind_cases(self._campaign, some)
+            except Refusal as no:
+                place, refused = self._find_refused(some, no)
+                yield from self.runs(some[:place])
+                raise refused from None
+            for begin in range(0, len(some), self.width):
+                yield self._run(some, bound, begin, min(begin + self.width, len(some)))
 
     def run(self, case: Case) -> Outcome:
         """Simulate one run and judge it: to the last bit as beside others.
@@ -115,33 +104,32 @@ class BatchSimulator:
         Raises:
             Refusal: values of this run that are out of range.
         """
-        (outcomes,) = self.runs([case])
+        (outcomes,) = self.runs(Cases.of([case]))
         return Outcome.of(self._campaign, case, outcomes)
 
-    def _bind(self, case: Case) -> _Run:
-        """Return a run as its arm gets it.
+    def _find_refused(self, cases: Cases, otherwise: Refusal) -> tuple[int, Refusal]:
+        """Return the place of the first run that is refused alone, and its refusal."""
+        varied = {number.name: number.number for number in self._scene.varied}
+        for place, case in enumerate(cases):
+            try:
+                bind_case(self._campaign, case)
+                for name in varied.keys() & case.values.keys():
+                    varied[name].take("", case.values[name])
+            except Refusal as no:
+                where = f"{self._campaign.where}, run {case.index}"
+                return place, Refusal(where, no.quantity, no.rule, no.got, no.valid)
+        return 0, otherwise
 
-        Raises:
-            Refusal: a value that is out of range.
-        """
-        bound_case, numbers = bind_case(self._campaign, case), self._own.copy()
-        for name, value in case.values.items():
-            if name in self._numbers:
-                place, number = self._numbers[name]
-                numbers[place] = number.take("", value)
-        if self._seed is not None and "seed" not in case.values:
-            numbers[self._seed] = case.seed
-        return _Run(numbers, bound_case)
-
-    def _run(self, cases: Sequence[Case], runs: Sequence[_Run]) -> Outcomes:
-        self._begin(runs)
+    def _run(self, cases: Cases, bound: BoundCases, first: int, end: int) -> Outcomes:
+        """Simulate the runs [first, end) of those that are bound."""
+        self.begin(bound, first, end)
         evaluators, sampler, fleet, frame = (
             self._evaluators,
             self._sampler,
             self._fleet,
             self._frame,
         )
-        count, last = len(runs), np.array([run.bound.last for run in runs])
+        count, last = end - first, bound.last[first:end]
         evaluators.begin()
         sampler.forget()
         fleet.look(self._schedule)
@@ -160,43 +148,41 @@ class BatchSimulator:
             if np.all(ended | diverged):
                 break
         robustness, measures = evaluators.end(diverged)
-        values = [[case.values[name] for name in self._names] for case in cases]
         return Outcomes(
-            np.array([case.index for case in cases], np.int64),
-            np.array(values, np.float64).reshape(count, len(self._names)),
+            cases.indices[first:end],
+            cases.values[first:end],
             robustness,
             measures,
             np.where(diverged, t, np.nan),
         )
 
-    def _begin(self, runs: Sequence[_Run]) -> None:
+    def begin(self, bound: BoundCases, first: int, end: int) -> None:
         """Set arms and servos to the starts of runs; further arms begin as the last one."""
         fleet, servos = self._fleet, self._servos
-        rows = [*runs, *[runs[-1]] * (self.width - len(runs))]
-        every = [row.bound for row in rows]
+        runs = np.minimum(np.arange(first, first + self.width), end - 1)
         fleet.powered = True
-        numbers = np.array([row.numbers for row in rows])
+        numbers = bound.numbers[runs]
         fleet.set_parameters(numbers)
         self._sampler.place_joints(numbers)
-        fleet.reset(q=np.array([run.scenario.start for run in every]))
-        for arm, run in enumerate(every):
-            if run.servo is not self._tuned[arm]:
-                servos.retune(arm, run.servo)
-                self._tuned[arm] = run.servo
-        self._schedule.set_changes([run.changes for run in every])
-        self._aim([run.scenario for run in every])
+        fleet.reset(q=bound.start[runs if len(bound.start) > 1 else 0])
+        self._tune([bound.servos[run] for run in runs] if len(bound.servos) > 1 else bound.servos)
+        self._referenced = bound, bound.changes.give_to(self._schedule, first, end)
+        self._aim(self._nominal if bound.targets is None else bound.targets.take_runs(runs))
         servos.reset()
 
-    def _aim(self, scenarios: Sequence[Scenario]) -> None:
-        """Give the servos the targets of each arm; one scenario is that of all."""
-        every = [*scenarios] * (self.width if len(scenarios) == 1 else 1)
-        if len(self._aimed) == len(every) and all(map(operator.is_, self._aimed, every)):
-            return
-        period = self._scene.servo_period
-        tables = [run.table for run in every]
-        self._targets = Targets.of([(table.ticks(period), table.q) for table in tables])
-        self._servos.aim_at(self._targets.since, self._targets.q, self._targets.first)
-        self._aimed = every
+    def _tune(self, configs: Sequence[ServoConfig]) -> None:
+        """Give each servo its gains; one config is that of all."""
+        every = [*configs] * (self.width if len(configs) == 1 else 1)
+        for arm in range(self.width) if every != self._tuned else ():
+            if every[arm] is not self._tuned[arm]:
+                self._servos.retune(arm, every[arm])
+        self._tuned = every
+
+    def _aim(self, targets: Targets) -> None:
+        """Give the servos the targets of each arm."""
+        if targets is not self._targets:
+            self._servos.aim_at(targets.since, targets.q, targets.first)
+        self._targets = targets
 
 
 def _choose_judges(
@@ -210,20 +196,16 @@ def _choose_judges(
     if device is None:
         return WIDTH, Evaluators(campaign, ROOM, WIDTH), None
     one, program = Evaluators(campaign, ROOM), None
+    bytes_per_run = 8 * ROOM * (len(one.samples) + len(campaign.scene.joints))
     most = count_most_samples(campaign)
     if not (one.needs_processor or most is None):
         # Nothing of it is loaded for the processor's lanes.
         from arm_emulator_campaign.device_program import DeviceProgram
 
-        def make_program(*of_program: Any) -> Program:
-            nonlocal program
-            program = DeviceProgram(most, *of_program)
-            return program
-
-        one = Evaluators(campaign, ROOM, make_program=make_program)
-    bytes_per_run = 8 * ROOM * (len(one.samples) + len(campaign.scene.joints))
-    if program is not None:
-        bytes_per_run += program.bytes_per_run
+        one = Evaluators(campaign, ROOM, make_program=DeviceProgram)
+        assert isinstance(one.program, DeviceProgram)
+        program = one.program
+        bytes_per_run += program.measure_run(most)
     width = max(1, min(LARGEST_WIDTH, MEMORY // bytes_per_run))
     if campaign.search is None:
         width = min(width, campaign.count)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from arm_emulator.extension.compiler import (
     Unit,
     c_pointer,
 )
-from arm_emulator_campaign.program import BLOCK, HERE, JUDGES, Program, Rows, Targets
-from arm_emulator_campaign.requirement import Robustness
+from arm_emulator_campaign.device_copy import copy_to_device
+from arm_emulator_campaign.program import BLOCK, HERE, JUDGES, Program, Targets
 from arm_emulator_fleet.device import Device, Memory
 from arm_emulator_fleet.device_core import cast_pointer, view_bytes
 from arm_emulator_fleet.load_kernels import load_kernels
@@ -43,39 +42,23 @@ def build_judges_unit() -> Unit:
 
 
 class DeviceProgram(Program):
-    """Judges the samples of runs on a device, where they stay.
+    """Judges the samples of runs on a device, where they stay: see `measure_run`, then `move`.
+
+    Its requirements are those of one run, of which the others have copies; nothing is traced.
 
     Attributes:
-        bytes_per_run: of the device's memory.
         device: where they are, once they have moved.
-
-    Args:
-        longest: samples in a run at most.
-        rows: see `Program`, as all that follow.
-        requirements: of one run, of which the others have copies.
-        measures: see there.
-        traced: none.
-        room: see there.
     """
 
-    def __init__(
-        self,
-        longest: int,
-        rows: Rows,
-        requirements: Sequence[Sequence[Robustness]],
-        measures: Sequence[tuple[str, int]],
-        traced: Sequence[int],
-        room: int,
-    ) -> None:
-        super().__init__(rows, requirements, measures, traced, room)
-        assert len(requirements) == 1 and not traced
-        self._counts = len(rows), len(requirements[0]), len(measures)
+    def measure_run(self, longest: int) -> int:
+        """Return the bytes of the device's memory that a run of so many samples at most needs."""
+        assert len(self._requirements) == 1 and not self.kept.size
+        requirement_count, measure_count = self._robustness.shape[1], self._reduced.shape[1]
         self._measure_requirements(longest)
-        row_count, requirement_count, measure_count = self._counts
         self._sizes = {
             "all": JUDGES.sizeof("judges"),
-            "values": 8 * BLOCK * row_count,
-            "at": 8 * row_count,
+            "values": 8 * BLOCK * self._row_count,
+            "at": 8 * self._row_count,
             "copies": 8 * requirement_count,
             "measures": JUDGES.sizeof("judges_measure") * measure_count,
             "rooms": sum(whole for _, whole in self._requirement_sizes),
@@ -83,12 +66,12 @@ class DeviceProgram(Program):
             "robustness": 8 * requirement_count,
             "reduced": 8 * measure_count,
         }
-        self.bytes_per_run = sum(self._sizes.values())
+        return sum(self._sizes.values())
 
     def _measure_requirements(self, longest: int) -> None:
         """Find how much of a run each requirement keeps: that depends on its length alone."""
         block = np.zeros(BLOCK)
-        at = JUDGES.ffi.new("double const *[]", [c_pointer(block)] * max(1, self._counts[0]))
+        at = JUDGES.ffi.new("double const *[]", [c_pointer(block)] * max(1, self._row_count))
         self._requirement_sizes: list[tuple[int, int]] = []
         size = np.zeros(2, np.int64)
         for requirement in self._requirements[0]:
@@ -120,16 +103,16 @@ class DeviceProgram(Program):
         like = JUDGES.ffi.new("judges *")
         like[0] = self._structs[0]
         copied = {
-            "rows": self._copy(of_rows),
-            "inputs": self._copy(inputs),
-            "measures": self._copy(own[0]),
+            "rows": copy_to_device(device, of_rows),
+            "inputs": copy_to_device(device, inputs),
+            "measures": copy_to_device(device, own[0]),
         }
         JUDGES.fill(
             like,
             **{name: JUDGES.ffi.cast("void *", place.pointer) for name, place in copied.items()},
         )
         heads = [
-            self._copy(view_bytes(requirement.pointer, head))
+            copy_to_device(device, view_bytes(requirement.pointer, head))
             for requirement, (head, _) in zip(
                 self._requirements[0], self._requirement_sizes, strict=True
             )
@@ -137,9 +120,13 @@ class DeviceProgram(Program):
         self._like = copied, heads
         self._launch(
             "judge_build",
-            like=self._copy(view_bytes(like, JUDGES.sizeof("judges"))),
-            requirements=self._copy(np.array([*(head.pointer for head in heads), 0], np.uint64)),
-            room_of=self._copy(np.array([0, *(whole for _, whole in self._requirement_sizes)])[1:]),
+            like=copy_to_device(device, view_bytes(like, JUDGES.sizeof("judges"))),
+            requirements=copy_to_device(
+                device, np.array([*(head.pointer for head in heads), 0], np.uint64)
+            ),
+            room_of=copy_to_device(
+                self.device, np.array([0, *(whole for _, whole in self._requirement_sizes)])[1:]
+            ),
             room=self._sizes["rooms"],
             **{
                 name: self._memory[name] for name in ("values", "at", "copies", "measures", "rooms")
@@ -157,7 +144,9 @@ class DeviceProgram(Program):
         assert targets is not None
         if targets is not self._targets:
             names = ("since", "q", "first")
-            self._of_targets = {name: self._copy(getattr(targets, name)) for name in names}
+            self._of_targets = {
+                name: copy_to_device(self.device, getattr(targets, name)) for name in names
+            }
             self._targets = targets
         padded = np.zeros(self._runs, np.int64)
         padded[: len(counts)] = counts
@@ -181,10 +170,9 @@ class DeviceProgram(Program):
         self._launch("judge_end", robustness=places[0], measures=places[1])
         if self.device.read(self._memory["failed"], np.int32, (1,))[0]:
             raise MemoryError("no memory for a requirement")
-        _, *columns = self._counts
         robustness, reduced = (
-            self.device.read(place, np.float64, (self._runs, count))
-            for place, count in zip(places, columns, strict=True)
+            self.device.read(place, np.float64, (self._runs, of_one_run.shape[1]))
+            for place, of_one_run in zip(places, (self._robustness, self._reduced), strict=True)
         )
         return robustness, reduced
 
@@ -195,8 +183,3 @@ class DeviceProgram(Program):
         }
         call: CData = KERNELS.new(f"{kernel}_call", **places)
         self._module.launch(kernel, self._runs, bytes(KERNELS.ffi.buffer(call)))
-
-    def _copy(self, array: NDArray[Any]) -> Memory:
-        memory = self.device.allocate(max(8, array.nbytes))
-        self.device.write(memory, array)
-        return memory

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.compiler import C_NULL, CData
+from arm_emulator_campaign.device_copy import copy_to_device
 from arm_emulator_campaign.signals import HERE, SAMPLER, FleetSampler
 from arm_emulator_fleet import Fleet
 from arm_emulator_fleet.device import Memory
@@ -45,16 +46,18 @@ class DeviceSampler(FleetSampler):
         struct = super().sampler(rows, **more | fleet | {"show": C_NULL})
         for number in self._numbers[: struct.count]:
             number["place"] = self._find(int(number["place"]), rows)
-        self._of_numbers = self._copy(self._numbers)
+        self._of_numbers = copy_to_device(self._device, self._numbers)
         self._of_samples = self._device.allocate(self._samples.nbytes)
-        self._of_taken = self._copy(self._taken)
+        self._of_taken = copy_to_device(self._device, self._taken)
         SAMPLER.fill(
             struct,
             numbers=SAMPLER.ffi.cast("sampler_number *", self._of_numbers.pointer),
             samples=SAMPLER.ffi.cast("double *", self._of_samples.pointer),
             taken=SAMPLER.ffi.cast("int64_t *", self._of_taken.pointer),
         )
-        self._of_sampler = self._copy(view_bytes(struct, SAMPLER.sizeof("sampler")))
+        self._of_sampler = copy_to_device(
+            self._device, view_bytes(struct, SAMPLER.sizeof("sampler"))
+        )
         return cast_pointer(self._of_sampler)
 
     def forget(self) -> None:  # noqa: D102
@@ -77,7 +80,9 @@ class DeviceSampler(FleetSampler):
             if field.type.kind == "pointer" and at != C_NULL:
                 there = self._find(int(FLEET.ffi.cast("uintptr_t", at)), rows)
                 setattr(struct, name, cast_address(there))
-        copied = self._copy(view_bytes(struct, FLEET.ffi.sizeof(FLEET.ffi.typeof(struct).item)))
+        copied = copy_to_device(
+            self._device, view_bytes(struct, FLEET.ffi.sizeof(FLEET.ffi.typeof(struct).item))
+        )
         self._copied.append(copied)
         return cast_pointer(copied)
 
@@ -87,11 +92,6 @@ class DeviceSampler(FleetSampler):
             began = int(array.__array_interface__["data"][0])
             if began <= address < began + array.nbytes:
                 if began not in self._rows:
-                    self._rows[began] = array, self._copy(array.view(np.uint8))
+                    self._rows[began] = array, copy_to_device(self._device, array.view(np.uint8))
                 return self._rows[began][1].pointer + address - began
         raise AssertionError("an address of another array")
-
-    def _copy(self, array: NDArray[Any]) -> Memory:
-        memory: Memory = self._device.allocate(array.nbytes)
-        self._device.write(memory, array)
-        return memory

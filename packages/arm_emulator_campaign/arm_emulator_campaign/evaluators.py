@@ -171,6 +171,7 @@ class Evaluators:
 
     Attributes:
         samples: signals that they need, in the order of their rows.
+        program: judges the formulas and reduces the measures.
         needs_processor: whether some judge, or a sample, is computed by the processor alone.
 
     Args:
@@ -236,22 +237,22 @@ class Evaluators:
         reduced = [
             (measure.kind, rows.of(each)) for measure in self._measures for each in measure.of
         ]
-        self._program = make_program(rows, requirements, reduced, traced_rows, room)
+        self.program = make_program(rows, requirements, reduced, traced_rows, room)
         self._traces: list[list[Array]] = [[] for _ in range(runs)]  # of those that need all of it
         self.samples = rows.samples
         self.needs_processor = bool(self._checked or has_tool_signals(self.samples))
 
     def begin(self) -> None:
         """Begin all runs."""
-        self._program.begin()
-        for trace in self._traces:
+        self.program.begin()
+        for trace in self._traces if self._checked else ():
             trace.clear()
 
     def take(self, samples: Any, counts: NDArray[np.int64], targets: Targets) -> None:
         """Go on with samples (runs, S, room), of which there are so many (runs,), see `Program`."""
-        self._program.take(samples, counts, targets)
+        self.program.take(samples, counts, targets)
         if self._checked:
-            for trace, rows, count in zip(self._traces, self._program.kept, counts, strict=False):
+            for trace, rows, count in zip(self._traces, self.program.kept, counts, strict=False):
                 trace.append(rows[:, :count].copy())
 
     def end(self, diverged: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -259,7 +260,7 @@ class Evaluators:
 
         They are -inf and NaN in runs that diverged; robustness that is not a number is -inf, too.
         """
-        values, reduced = self._program.end()
+        values, reduced = self.program.end()
         runs = len(diverged)
         robustness = np.full((runs, len(self._of_formulas) + len(self._of_checked)), -math.inf)
         measures = np.full((runs, len(self._measures)), math.nan)

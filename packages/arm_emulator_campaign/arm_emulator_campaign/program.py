@@ -104,6 +104,13 @@ class Targets:
     q: Array
     first: NDArray[np.int64]
 
+    def take_runs(self, runs: NDArray[np.int64]) -> Targets:
+        """Return those of some runs, which may be named several times."""
+        sizes = np.diff(self.first)[runs]
+        first = np.concatenate([[0], np.cumsum(sizes)])
+        places = np.repeat(self.first[runs] - first[:-1], sizes) + np.arange(first[-1])
+        return Targets(self.since[places], self.q[places], first)
+
     @classmethod
     def of(cls, runs: Sequence[tuple[Sequence[int], Array]]) -> Targets:
         """Return those of runs, of each the samples and the positions."""
@@ -133,7 +140,7 @@ class Program:
         room: int,
     ) -> None:
         self._requirements = requirements  # they own what the program uses
-        self._room = room
+        self._room, self._row_count = room, len(rows)
         self._calls, runs = judges(), len(requirements)
         own = JUDGES.rows("judges_measure", runs, max(1, len(measures)))
         for place, (kind, row) in enumerate(measures):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from arm_emulator.extension.runs import (
     TableRun,
     TargetTable,
 )
-from arm_emulator_campaign.case import Case, draw_case
+from arm_emulator_campaign.case import Case, Cases, draw_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.definition.fault import schedule_changes
 from arm_emulator_campaign.definition.scenario import Move, Scenario, count_ticks
@@ -79,7 +79,7 @@ class Simulator:
         case = draw_case(self._campaign.variation, which) if isinstance(which, int) else which
         return Outcome.of(self._campaign, case, self._judge(case))
 
-    def runs(self, cases: Sequence[Case]) -> Iterator[Outcomes]:
+    def runs(self, cases: Cases) -> Iterator[Outcomes]:
         """Simulate runs one after the other, see `BatchSimulator.runs`."""
         return map(self._judge, cases)
 

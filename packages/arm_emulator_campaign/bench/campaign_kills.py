@@ -28,7 +28,7 @@ import yaml
 
 from arm_emulator.base.process import is_running, list_descendants
 from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_case
+from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, compute_digest, write_part
@@ -186,7 +186,7 @@ def digest_runs(file: Path, folder: Path) -> str:
     """Return the digest of all runs, one after the other in this process."""
     campaign = load_campaign(file)
     simulator, results = make_simulator(campaign), Results(folder, campaign)
-    cases = [draw_case(campaign.variation, index) for index in range(campaign.count)]
+    cases = draw_cases(campaign.variation, range(campaign.count))
     write_part(folder, campaign, Outcomes.join(list(simulator.runs(cases))))
     return compute_digest(results.columns())
 

@@ -22,7 +22,7 @@ from arm_emulator.runs.table_run import TableRun
 from arm_emulator.runs.target_table import TargetTable
 from arm_emulator.servo.servo_arm import ServoArm
 from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_case
+from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.commands.campaign import campaign
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.evaluators import PythonRequirement
@@ -273,7 +273,7 @@ def digest_alone(file, count=None):
     runs, results = make_simulator(definition), Results(file.parent / "alone", definition)
     order = np.random.default_rng(3).permutation(count or definition.count)
     for part in np.array_split(order, 7):
-        cases = [draw_case(definition.variation, index) for index in sorted(part.tolist())]
+        cases = draw_cases(definition.variation, np.sort(part))
         write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
     return compute_digest(results.columns()), results.columns()
 
@@ -318,7 +318,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
     results, runs = Results(tmp_path / "alone", definition), make_simulator(definition)
     foreign = write_part(
         Results(tmp_path / "other", reseeded).folder, reseeded,
-        Outcomes.join(list(make_simulator(reseeded).runs([draw_case(reseeded.variation, 3)]))),
+        Outcomes.join(list(make_simulator(reseeded).runs(draw_cases(reseeded.variation, [3])))),
     )  # fmt: skip
     for round_ in range(60 if FULL else 8):
         some = results.parts[int(rng.integers(len(results.parts)))]
@@ -341,7 +341,7 @@ def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, ca
             some.parent / foreign.name
         ).exists()
         for first, end in missing:
-            cases = [draw_case(definition.variation, k) for k in range(first, end)]
+            cases = draw_cases(definition.variation, range(first, end))
             write_part(results.folder, definition, Outcomes.join(list(runs.runs(cases))))
         assert not results.missing(70) and compute_digest(results.columns()) == digest
     assert list((tmp_path / "alone" / "set_aside").iterdir()), "they are kept"
@@ -404,7 +404,7 @@ def test_a_run_is_driven_again_to_the_last_bit(tmp_path):
 
     file, record = written(tmp_path, TABLE), tmp_path / "r.parquet"
     definition = load_campaign(file)
-    beside = [draw_case(definition.variation, index) for index in range(20)]
+    beside = draw_cases(definition.variation, range(20))
     rows = Outcomes.join(list(make_simulator(definition).runs(beside)))
     outputs = RunOutputs(record=record)
     code = campaign(file, replay=17, outputs=outputs)

@@ -11,7 +11,7 @@ from test_campaign import MOVES, TABLE, changed, written
 from arm_emulator import ExternalWrench, Refusal, load_gains
 from arm_emulator.machine.session.change import Change, NumberChange, PowerChange, WrenchChange
 from arm_emulator_campaign.batch_simulator import WIDTH, BatchSimulator, make_simulator
-from arm_emulator_campaign.case import Case, draw_case
+from arm_emulator_campaign.case import Cases, draw_cases
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.simulator import Simulator
@@ -87,8 +87,8 @@ def campaign_of(folder: Path, change: dict[str, Any]) -> Campaign:
     return load_campaign(written(folder, TABLE | JUDGED | change))
 
 
-def cases_of(campaign: Campaign, indices: Any) -> list[Case]:
-    return [draw_case(campaign.variation, int(index)) for index in indices]
+def cases_of(campaign: Campaign, indices: Any) -> Cases:
+    return draw_cases(campaign.variation, np.array(indices))
 
 
 def rows_of(outcomes: Outcomes) -> np.ndarray:

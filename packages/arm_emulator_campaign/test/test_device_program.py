@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,8 +80,9 @@ def test_a_device_judges_runs_of_any_length_as_the_processor(seed: int) -> None:
     texts = [draw_formula(rng, int(rng.integers(0, 4)), horizon)[0] for _ in range(4)]
     texts.append(f"target.arm > {rng.normal():.3f}")
     expected, names = make_program(texts, longest, longest)
-    there, _ = make_program(texts, longest, 1, partial(DeviceProgram, longest))
+    there, _ = make_program(texts, longest, 1, DeviceProgram)
     assert isinstance(there, DeviceProgram) and set(names) <= set(NAMES)
+    there.measure_run(longest)
     there.move(ProcessorDevice(2), longest)
     for _ in range(2):  # the next runs begin anew
         counts = rng.permutation(np.arange(1, longest + 1))
@@ -99,8 +99,9 @@ def test_a_device_judges_runs_of_any_length_as_the_processor(seed: int) -> None:
 
 def test_a_run_that_is_longer_than_stated_is_an_error_and_no_wrong_number() -> None:
     text = ["always eventually[0, 3] a > 0"]
-    program, _ = make_program(text, BLOCK, 1, partial(DeviceProgram, BLOCK))
+    program, _ = make_program(text, BLOCK, 1, DeviceProgram)
     assert isinstance(program, DeviceProgram)
+    program.measure_run(BLOCK)
     program.move(ProcessorDevice(1), 2)
     samples, targets = np.ones((2, 1, 8 * BLOCK)), draw_targets(np.random.default_rng(1), 2, 9)
     with pytest.raises(MemoryError):

@@ -16,7 +16,7 @@ from scipy import optimize, special, stats
 
 from arm_emulator import Refusal
 from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_case, make_case, place_case
+from arm_emulator_campaign.case import Cases, draw_case, make_case, place_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.searcher import Searcher
 from arm_emulator_campaign.execution.worker_pool import WorkerPool
@@ -254,7 +254,7 @@ def test_rare_failures_of_a_machine(tmp_path):
     for at in places:
         values = {number.name: columns[number.name][at] for number in campaign.variation.numbers}
         cases.append(make_case(campaign.variation, int(at), values))
-    (again,) = make_simulator(campaign).runs(cases)
+    (again,) = make_simulator(campaign).runs(Cases.of(cases))
     assert np.array_equal(again.robustness[:, 0], columns["robustness.near"][places])
 
 

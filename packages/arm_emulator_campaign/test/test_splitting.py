@@ -10,6 +10,7 @@ from scipy import stats
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator_campaign.batch_simulator import make_simulator
+from arm_emulator_campaign.case import Cases
 from arm_emulator_campaign.commands.campaign import find_case
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.execution.splitter import Splitter, read_failures
@@ -183,7 +184,7 @@ def test_a_failure_of_forks_is_a_run_whose_noise_changes_after_its_start(tmp_pat
             assert bits(alone) == bits(forks)
     minimum = forks.reach(-math.inf)[1]
     assert alone.run(case).robustness["counts"] == pytest.approx(minimum, abs=1e-15)
-    (outcomes,) = make_simulator(campaign).runs([case])
+    (outcomes,) = make_simulator(campaign).runs(Cases.of([case]))
     assert outcomes.robustness[0, 0] == pytest.approx(minimum, abs=1e-12)
 
 

@@ -10,7 +10,7 @@ from draws import with_slow
 from test_calibration import displaced_urdf, tool_by_pinocchio
 
 from arm_emulator_campaign.batch_simulator import BatchSimulator
-from arm_emulator_campaign.case import draw_case
+from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.simulator import Simulator
 
@@ -41,7 +41,7 @@ def test_tools_stand_by_the_pictured_places(tmp_path: Path, kind: Any) -> None:
     campaign = load_campaign(write_campaign(tmp_path))
     simulator, scene = kind(campaign), campaign.scene
     names = list(campaign.measures)
-    cases = [draw_case(campaign.variation, k) for k in range(6)]
+    cases = draw_cases(campaign.variation, range(6))
     apart = []
     for outcomes in simulator.runs(cases):
         for index, row in zip(outcomes.indices, outcomes.measures, strict=True):

@@ -15,6 +15,7 @@ from typing import Any
 from arm_emulator.extension.base import (
     LARGEST_YAML_FILE,
     VERSION,
+    Array,
     Number,
     Refusal,
     Section,
@@ -170,6 +171,25 @@ class Campaign:
             faults = _read_faults(root, self.scene)
         return scenario, faults, servo
 
+    def bind_servos(self, names: Sequence[str], values: Array) -> list[ServoConfig]:
+        """Return the servo of each run, or one of all where nothing of the controller varies.
+
+        Args:
+            names: of what varies.
+            values: of runs (K, D).
+
+        Raises:
+            Refusal: a value that is out of its range.
+        """
+        places = [place for place, name in enumerate(names) if name.startswith("controller.")]
+        servos = [self.servo]
+        if places:
+            servos *= len(values)
+        for run, row in enumerate(values[:, places].tolist() if places else ()):
+            for place, value in zip(places, row, strict=True):
+                servos[run] = change_gain(servos[run], names[place], value, self.where)
+        return servos
+
     @cached_property
     def _places(self) -> dict[str, tuple[str, list[str]]]:
         """Fault and path in it of each number of faults that varies."""
@@ -182,9 +202,23 @@ class Campaign:
                 places[number.name] = fault, rest[len(fault) + 1 :].split(".")
         return places
 
-    def _bind_numbers(self, values: Mapping[str, float]) -> dict[str, Fault] | None:
+    def bind_faults(self, values: Mapping[str, Array]) -> Mapping[str, Fault]:
+        """Return the faults of many runs, by name in the order of the file.
+
+        Args:
+            values: of what varies, an array of all runs for each (K,).
+
+        Raises:
+            Refusal: a value that is out of its range.
+        """
+        faults = self._bind_numbers(values)
+        if faults is None:
+            raise Refusal(self.where, "faults", "have numbers in their ranges", "another one")
+        return faults
+
+    def _bind_numbers(self, values: Mapping[str, float | Array]) -> dict[str, Fault] | None:
         """Return the faults with other numbers; None: their section must be read."""
-        numbers: dict[str, list[tuple[Sequence[str], float]]] = {}
+        numbers: dict[str, list[tuple[Sequence[str], float | Array]]] = {}
         for name, value in values.items():
             if name.startswith("faults."):
                 fault, path = self._places.get(name, ("", []))

@@ -1,7 +1,8 @@
 """A fault: what goes wrong with a machine, from one tick to another.
 
 A new kind is a file in `faults`: a frozen dataclass that declares its numbers, and how it begins
-and ends. Files, refusals, docs and what can vary follow from it.
+and ends. Files, refusals, docs and what can vary follow from it. Its numbers may be arrays, one of
+each run (K,): a fault of many runs, whose changes have arrays, too.
 """
 
 from __future__ import annotations
@@ -11,9 +12,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from arm_emulator.extension.base import Number, Registry, Section, list_numbers, number
+import numpy as np
+from numpy.typing import NDArray
+
+from arm_emulator.extension.base import (
+    Array,
+    Number,
+    Refusal,
+    Registry,
+    Section,
+    list_numbers,
+    number,
+)
 from arm_emulator.extension.machine import Change, NumberChange, Scene
-from arm_emulator_campaign.definition.scenario import count_ticks
+from arm_emulator_campaign.definition.scenario import count_all_ticks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +73,12 @@ class Fault:
         number = list_numbers(cls).get(key) or cls.vectors.get(key)
         return number.unit if number else ""
 
-    def with_numbers(self, numbers: Iterable[tuple[Sequence[str], float]]) -> Self | None:
+    def with_numbers(self, numbers: Iterable[tuple[Sequence[str], float | Array]]) -> Self | None:
         """Return it with other numbers, as if it had been read so.
 
         Args:
             numbers: of each its path, the name of a number, or of a vector and the place in it;
-                and its value.
+                and its value, or those of many runs (K,).
 
         Returns:
             None: no such number, or a value out of its range, which `read` refuses.
@@ -75,14 +87,14 @@ class Fault:
         own = list_numbers(type(self))
         for (key, *place), value in numbers:
             bound = self.vectors.get(key) if place else own.get(key)
-            if bound is None or not bound.is_in_range(value):
+            if bound is None or not are_in_range(bound, value):
                 return None
             if place:
                 entries = list(changed.get(key) or getattr(self, key))
                 entries[int(place[0])] = value
                 changed[key] = tuple(entries)
             else:
-                changed[key] = bound.take("", value)
+                changed[key] = value if isinstance(value, np.ndarray) else bound.take("", value)
         return replace(self, **changed)
 
     def check(self, scene: Scene, where: str) -> None:
@@ -97,6 +109,23 @@ class Fault:
         raise NotImplementedError
 
 
+def check_number(bound: Number, where: str, value: float | Array, name: str) -> None:
+    """Refuse a number that is out of its range, or numbers of which one is."""
+    if isinstance(value, np.ndarray):
+        bound.named(name).check(where, value)
+    else:
+        bound.take(where, value, name)
+
+
+def are_in_range(bound: Number, value: float | Array) -> bool:
+    """Return whether a number is in its range, or all of several."""
+    try:
+        check_number(bound, "", value, "")
+    except Refusal:
+        return False
+    return True
+
+
 _KINDS = Registry[Fault]("fault", f"{__package__}.faults", lambda kind: str(kind.kind))
 register_fault = _KINDS.register
 
@@ -106,41 +135,89 @@ def list_faults() -> dict[str, type[Fault]]:
     return dict(sorted(_KINDS.kinds().items()))
 
 
-def schedule_changes(
-    faults: Iterable[Fault], scene: Scene, values: Mapping[str, float]
-) -> list[tuple[int, Change]]:
-    """Return what faults set in a machine, with the ticks before which that happens, ascending.
+UNCHANGED, SOUND = -2, -1  # in the place of a fault
+
+
+@dataclass(frozen=True)
+class Events:
+    """Ends of the F faults of runs, and behind them their begins.
+
+    Attributes:
+        changes: what each fault sets.
+        ticks: before which they happen (K, 2 F).
+        holders: the fault that sets the same quantity from then on (K, 2 F); SOUND: none;
+            UNCHANGED: the same one as before, which is newer than one that ends.
+    """
+
+    changes: Sequence[Change]
+    ticks: NDArray[np.int64]
+    holders: NDArray[np.int64]
+
+
+def schedule_events(faults: Sequence[Fault], scene: Scene, count: int) -> Events:
+    """Return the events of the faults of so many runs.
 
     Of faults that set the same (a number, the wrench on a link, the power), the newest holds; when
     it ends, the newest of those that still last holds again.
+    """
+    period, F = scene.servo_period, len(faults)
+    changes = [fault.begins(scene) for fault in faults]
+    ticks = np.empty((count, 2 * F), np.int64)
+    for place, fault in enumerate(faults):
+        ticks[:, F + place] = begins = count_all_ticks(fault.at, period)
+        ticks[:, place] = begins + np.maximum(1, count_all_ticks(fault.lasting, period))
+    holders = np.empty_like(ticks)
+    places_by_quantity: dict[str, list[int]] = {}
+    for place, change in enumerate(changes):
+        places_by_quantity.setdefault(change.quantity, []).append(place)
+    for places in places_by_quantity.values():
+        columns = np.array([*places, *(F + place for place in places)])
+        order = columns[np.argsort(ticks[:, columns], axis=1, kind="stable")]
+        orders, which = order[:1], np.zeros(count, np.int64)
+        if np.any(order != orders):
+            orders, which = np.unique(order, axis=0, return_inverse=True)
+        found = np.array([_find_holders(events, F) for events in orders.tolist()])
+        holders[:, columns] = found[which.reshape(-1)][:, columns]
+    return Events(changes, ticks, holders)
+
+
+def _find_holders(events: Sequence[int], F: int) -> list[int]:
+    """Return the holder after each event of faults that set the same, at its place of 2 F."""
+    holders, lasting = [UNCHANGED] * (2 * F), list[int]()
+    for event in events:
+        fault = event % F
+        if event >= F:
+            lasting.append(fault)
+        else:
+            place = lasting.index(fault)
+            del lasting[place]
+            if place < len(lasting):
+                continue  # a newer one holds
+        holders[event] = lasting[-1] if lasting else SOUND
+    return holders
+
+
+def schedule_changes(
+    faults: Iterable[Fault], scene: Scene, values: Mapping[str, float]
+) -> list[tuple[int, Change]]:
+    """Return what faults of a run set, with the ticks before which that happens, ascending.
 
     Args:
-        faults: of a run.
+        faults: of a run, see `schedule_events`.
         scene: the machine.
         values: of its varied numbers, where they are not those of the scene.
     """
-    period = scene.servo_period
     sound = {number.name: number.value for number in scene.varied} | dict(values)
-    begun: list[tuple[int, Fault, bool]] = []
-    ended: list[tuple[int, Fault, bool]] = []
-    for fault in faults:
-        begins = count_ticks(fault.at, period)
-        begun.append((begins, fault, True))
-        ended.append((begins + max(1, count_ticks(fault.lasting, period)), fault, False))
-    active_by_quantity: dict[str, list[tuple[Fault, Change]]] = {}
+    of_run = list(faults)
+    events = schedule_events(of_run, scene, 1)
     changes: list[tuple[int, Change]] = []
-    for tick, fault, begins_now in sorted(ended + begun, key=lambda event: event[0]):
-        change = fault.begins(scene)
-        same = active_by_quantity.setdefault(change.quantity, [])
-        if begins_now:
-            same.append((fault, change))
-        else:
-            place = next(place for place, pair in enumerate(same) if pair[0] is fault)
-            del same[place]
-            if place < len(same):
-                continue  # a newer one holds
-            change = same[-1][1] if same else fault.ends()
-            if isinstance(change, NumberChange) and change.value is None:
-                change = replace(change, value=sound[change.name])
-        changes.append((tick, change))
+    for event in np.argsort(events.ticks[0], kind="stable"):
+        holder = events.holders[0, event]
+        if holder == UNCHANGED:
+            continue
+        ended = of_run[event % len(of_run)]
+        change = ended.ends() if holder == SOUND else events.changes[holder]
+        if isinstance(change, NumberChange) and change.value is None:
+            change = replace(change, value=sound[change.name])
+        changes.append((int(events.ticks[0, event]), change))
     return changes

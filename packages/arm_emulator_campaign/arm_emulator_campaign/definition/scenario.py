@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from arm_emulator.extension.base import POSITION, TOOL_POSITION, Array, Number, Section
 from arm_emulator.extension.machine import Scene
@@ -166,4 +166,10 @@ def _read_points(section: Section, key: str) -> Array:
 
 def count_ticks(seconds: float, period: float) -> int:
     """Return the first tick that is not before a time; those of the end of a run at least 1."""
-    return math.ceil(seconds / period - 1e-6) if math.isfinite(seconds) else 2**62
+    return int(count_all_ticks(seconds, period))
+
+
+def count_all_ticks(seconds: ArrayLike, period: float) -> NDArray[np.int64]:
+    """Return the same of several times; at most 2**61, which never comes."""
+    ticks = np.ceil(np.asarray(seconds, np.float64) / period - 1e-6)
+    return np.minimum(ticks, 2.0**61).astype(np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator_campaign.batch_simulator import WIDTH, make_simulator
-from arm_emulator_campaign.case import draw_case
+from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.worker import Done, get_simulator, simulate_chunk
 from arm_emulator_campaign.execution.worker_pool import (
@@ -137,7 +137,7 @@ def measure_run(campaign: Campaign, device: str | None = None) -> tuple[float, f
         if device is None
         else make_simulator(campaign, device)
     )
-    some = [draw_case(campaign.variation, k % campaign.count) for k in range(simulator.width)]
+    some = draw_cases(campaign.variation, np.arange(simulator.width) % campaign.count)
     list(simulator.runs(some[:1]))
     ready, runs = clock(), 0
     while runs < 3 or clock() - ready < 0.2:

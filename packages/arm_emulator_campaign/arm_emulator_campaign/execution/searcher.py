@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from arm_emulator.extension.base import Array, Refusal, write_atomically
-from arm_emulator_campaign.case import place_case
 from arm_emulator_campaign.definition.campaign_file import Campaign
 from arm_emulator_campaign.execution.executor import count_failures
 from arm_emulator_campaign.execution.worker import Done, simulate_chunk
@@ -118,15 +117,15 @@ class Searcher:
     def _fill(self, first: int, points: Array, outputs: Array) -> list[tuple[int, int]]:
         """Fill in outputs that are known; return the runs that are missing, as ranges."""
         gaps: list[tuple[int, int]] = []
-        for k, point in enumerate(points):
+        values = self._campaign.variation.place_values(points)
+        for k in range(len(points)):
             index = first + k
             place = self._place_of_run.get(index)
             if place is None:
                 begin = gaps.pop()[0] if gaps and gaps[-1][1] == index else index
                 gaps.append((begin, index + 1))
                 continue
-            values = place_case(self._campaign.variation, index, point).values
-            if not np.array_equal(self._values[place], list(values.values())):
+            if not np.array_equal(self._values[place], values[k]):
                 rule = "have runs of this search, by the same versions of its packages"
                 folder = f"folder {self._results.folder}"
                 raise Refusal("campaign", folder, rule, f"another run {index}", "--into FOLDER")

@@ -18,7 +18,7 @@ import numpy as np
 
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator_campaign.batch_simulator import BatchSimulator, make_simulator
-from arm_emulator_campaign.case import Case, draw_case, place_case
+from arm_emulator_campaign.case import Cases, draw_cases, place_cases
 from arm_emulator_campaign.definition.campaign_file import Campaign, load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import write_part
@@ -113,12 +113,10 @@ def simulate_chunk(
     began = time.process_time()
     _requests["busy"] = True
     try:
-        for start in range(first, end, simulator.width):
+        for run in simulator.runs(_make_cases(campaign, first, end, points)):
+            outcomes.append(run)  # those before a run that is refused, too
             if _requests["end"]:
                 break
-            some = range(start, min(start + simulator.width, end))
-            for run in simulator.runs([_make_case(campaign, k, first, points) for k in some]):
-                outcomes.append(run)  # those before a run that is refused, too
     finally:
         done = Outcomes.join(outcomes) if outcomes else None
         if done is not None:
@@ -138,11 +136,12 @@ def simulate_chunk(
     )
 
 
-def _make_case(campaign: Campaign, index: int, first: int, points: Array | None) -> Case:
-    """Return a run of a chunk that begins at `first`."""
+def _make_cases(campaign: Campaign, first: int, end: int, points: Array | None) -> Cases:
+    """Return the runs of a chunk."""
+    indices = np.arange(first, end)
     if points is None:
-        return draw_case(campaign.variation, index)
-    return place_case(campaign.variation, index, points[index - first])
+        return draw_cases(campaign.variation, indices)
+    return place_cases(campaign.variation, indices, points)
 
 
 def begin_worker(parent: int, devices: Queue[str] | None) -> None:

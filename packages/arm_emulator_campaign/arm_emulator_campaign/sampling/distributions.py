@@ -11,11 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
-from arm_emulator.extension.base import LARGEST_NUMBER, Refusal
+from arm_emulator.extension.base import LARGEST_NUMBER, Array, Refusal
 
-Quantile = Callable[[float], float]
+Quantile = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class Distribution:
 
     Attributes:
         text: as it was written.
-        quantile: value of a number within (0, 1).
+        quantile: values of numbers within (0, 1), of each one (K,).
         share: what part of the values lies below one; None: they are single values.
         levels: how many values a grid has; 0: it is not a grid.
         factor, offset: of the nominal value of the scene, with which it goes on:
@@ -37,9 +39,11 @@ class Distribution:
     levels: int = 0
     relative: str = ""
 
-    def at(self, u: float, nominal: float) -> float:
-        """Return the value for a number within (0, 1)."""
-        value = self.quantile(u)
+    def at(self, u: ArrayLike, nominal: float) -> Array:
+        """Return the value of each number within (0, 1)."""
+        shares = np.asarray(u, np.float64)
+        with np.errstate(over="ignore"):  # what varies refuses a value that is not finite
+            value = self.quantile(shares.reshape(-1)).reshape(shares.shape)
         if not self.relative:
             return value
         return nominal * value if self.relative == "*" else nominal + value
@@ -53,8 +57,9 @@ class _Bad(Exception):
         self.rule, self.got, self.valid = rule, value, valid
 
 
-def _invert_normal(u: float) -> float:
-    return float(special.ndtri(u))
+def _compute_each(function: Callable[[float], float], x: Array) -> Array:
+    """Return a function of the C library of each number: NumPy's own ones have other last bits."""
+    return np.fromiter(map(function, x.tolist()), np.float64, len(x))
 
 
 def _integrate_normal(x: float) -> float:
@@ -91,7 +96,7 @@ def loguniform(low: float, high: float) -> Distribution:
     a, width = math.log(low), math.log(high / low)
     return Distribution(
         "",
-        lambda u: math.exp(a + width * u),
+        lambda u: _compute_each(math.exp, a + width * u),
         lambda x: _clip_share((math.log(x) - a) / width) if x > 0.0 else 0.0,
     )
 
@@ -101,7 +106,7 @@ def normal(mean: float, sigma: float) -> Distribution:
     _check_above("sigma", sigma)
     return Distribution(
         "",
-        lambda u: mean + sigma * _invert_normal(u),
+        lambda u: mean + sigma * special.ndtri(u),
         lambda x: _integrate_normal((x - mean) / sigma),
     )
 
@@ -113,7 +118,7 @@ def lognormal(mean: float, sigma: float) -> Distribution:
     mu = math.log(mean) - 0.5 * sigma * sigma
     return Distribution(
         "",
-        lambda u: math.exp(mu + sigma * _invert_normal(u)),
+        lambda u: _compute_each(math.exp, mu + sigma * special.ndtri(u)),
         lambda x: _integrate_normal((math.log(x) - mu) / sigma) if x > 0.0 else 0.0,
     )
 
@@ -125,10 +130,10 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
         raise _Bad("have its mode between its ends", mode)
     width, left, right = high - low, mode - low, high - mode
 
-    def quantile(u: float) -> float:
-        if u * width < left:
-            return low + math.sqrt(u * width * left)
-        return high - math.sqrt((1.0 - u) * width * right)
+    def quantile(u: Array) -> Array:
+        is_left = u * width < left
+        first, last = u * width * left, (1.0 - u) * width * right
+        return np.where(is_left, low + np.sqrt(first), high - np.sqrt(last))
 
     def share(x: float) -> float:
         if x <= mode:
@@ -142,7 +147,9 @@ def exponential(mean: float) -> Distribution:
     """Mean of the values, which begin at 0."""
     _check_above("mean", mean)
     return Distribution(
-        "", lambda u: -mean * math.log1p(-u), lambda x: -math.expm1(-max(0.0, x) / mean)
+        "",
+        lambda u: -mean * _compute_each(math.log1p, -u),
+        lambda x: -math.expm1(-max(0.0, x) / mean),
     )
 
 
@@ -150,9 +157,10 @@ def weibull(shape: float, scale: float) -> Distribution:
     """Shape and scale."""
     _check_above("shape", shape)
     _check_above("scale", scale)
+    power = 1.0 / shape
     return Distribution(
         "",
-        lambda u: scale * (-math.log1p(-u)) ** (1.0 / shape),
+        lambda u: scale * _compute_each(lambda share: (-math.log1p(-share)) ** power, u),
         lambda x: -math.expm1(-((max(0.0, x) / scale) ** shape)),
     )
 
@@ -165,7 +173,7 @@ def beta(a: float, b: float, low: float = 0.0, high: float = 1.0) -> Distributio
     width = high - low
     return Distribution(
         "",
-        lambda u: low + width * float(special.betaincinv(a, b, u)),
+        lambda u: low + width * special.betaincinv(a, b, u),
         lambda x: float(special.betainc(a, b, _clip_share((x - low) / width))),
     )
 
@@ -181,8 +189,10 @@ def truncated(of: Distribution, low: float, high: float) -> Distribution:
         raise _Bad(rule, f"{of.text} within {low:g} and {high:g}")
     width, share = last - first, of.share
 
-    def quantile(u: float) -> float:
-        return min(high, max(low, of.quantile(first + width * u)))
+    def quantile(u: Array) -> Array:
+        values = of.quantile(first + width * u)
+        values = np.where(values > low, values, low)
+        return np.where(values < high, values, high)
 
     return Distribution("", quantile, lambda x: _clip_share((share(x) - first) / width))
 
@@ -191,7 +201,13 @@ def choice(*values: float) -> Distribution:
     """One of some values, each as often."""
     if not values:
         raise _Bad("have a value", "none")
-    return Distribution("", lambda u: values[min(int(u * len(values)), len(values) - 1)])
+    table = np.array(values, np.float64)
+    return Distribution("", lambda u: table[_find_level(u, len(values))])
+
+
+def _find_level(u: Array, levels: int) -> NDArray[np.int64]:
+    """Return in which of so many equal parts of (0, 1) each number is."""
+    return np.minimum((u * levels).astype(np.int64), levels - 1)
 
 
 def mixture(*pairs: float | Distribution) -> Distribution:
@@ -202,14 +218,16 @@ def mixture(*pairs: float | Distribution) -> Distribution:
     sizes = [_check_above("weights", weight) for weight in weights if isinstance(weight, float)]
     shares = [size / math.fsum(sizes) for size in sizes]
 
-    def quantile(u: float) -> float:
-        left = u
+    def quantile(u: Array) -> Array:
+        values, left, open_places = np.empty_like(u), u, np.arange(len(u))
         for weight, part in zip(shares[:-1], parts[:-1], strict=True):
-            if left < weight:
-                return part.quantile(left / weight)  # type: ignore[union-attr]
-            left -= weight
-        inside = min(max(left / shares[-1], 2.0**-53), 1.0 - 2.0**-53)
-        return parts[-1].quantile(inside)  # type: ignore[union-attr]
+            here = left < weight
+            inside = left[here] / weight
+            values[open_places[here]] = part.quantile(inside)  # type: ignore[union-attr]
+            left, open_places = left[~here] - weight, open_places[~here]
+        inside = np.clip(left / shares[-1], 2.0**-53, 1.0 - 2.0**-53)
+        values[open_places] = parts[-1].quantile(inside)  # type: ignore[union-attr]
+        return values
 
     return Distribution("", quantile)
 
@@ -223,7 +241,7 @@ def grid(low: float, high: float, count: float) -> Distribution:
     width = high - low
     return Distribution(
         "",
-        lambda u: low + width * (min(int(u * levels), levels - 1) / (levels - 1)),
+        lambda u: low + width * (_find_level(u, levels) / (levels - 1)),
         levels=levels,
     )
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from arm_emulator.extension.base import Array, Refusal
 from arm_emulator_campaign.sampling.distributions import Distribution
+from arm_emulator_campaign.sampling.philox import draw_uniform
 
 if TYPE_CHECKING:
     from scipy.stats import qmc
@@ -56,7 +59,6 @@ class Variation:
     where: str = "campaign"
     _cube: Array | None = field(default=None, repr=False)
     _sobol: tuple[int, qmc.Sobol] | None = field(default=None, repr=False)
-    _newest: tuple[int, list[float]] = field(default=(-1, []), repr=False)
 
     def __post_init__(self) -> None:
         grids = [place for place, number in enumerate(self.numbers) if number.distribution.levels]
@@ -76,10 +78,6 @@ class Variation:
         alone = np.eye(len(self.numbers))
         mixed = alone if self._mixed is None else self._mixed
         self._coupled = [block for block in self._free if np.any(mixed[block] != alone[block])]
-        # One stream whose counter is set: a new one for each run takes four times as long.
-        self._bits = np.random.Philox(counter=np.zeros(4, np.uint64), key=self._key)
-        self._fresh = self._bits.state
-        self._stream = np.random.Generator(self._bits)
 
     def _factor_correlation(self, correlation: Array) -> Array:
         try:
@@ -93,76 +91,77 @@ class Variation:
         return root
 
     @property
+    def names(self) -> list[str]:
+        """Of the numbers."""
+        return [number.name for number in self.numbers]
+
+    @property
     def levels(self) -> int:
         """Combinations of all grids; 1 without any."""
         return math.prod(self.numbers[place].distribution.levels for place in self._grids)
 
-    def draw_uniforms(self, index: int) -> list[float]:
-        """Return the random numbers of a run from 0 to 1: for each that varies, and one more."""
-        if self._newest[0] != index:
-            self._fresh["state"]["counter"][3] = index
-            self._bits.state = self._fresh
-            self._newest = index, self._stream.random(len(self.numbers) + 1).tolist()
-        return self._newest[1]
+    def draw_values(self, indices: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return the values of runs (K, D), and one more random number from 0 to 1 of each (K,)."""
+        uniform = draw_uniform(self._key, indices, len(self.numbers) + 1)
+        return self._take_quantiles(self._draw_points(indices, uniform)), uniform[:, -1]
 
-    def values(self, index: int) -> dict[str, float]:
-        """Return the values of a run by name."""
-        u = self._draw_point(index)
-        return {
-            number.name: number.distribution.at(at, number.nominal)
-            for number, at in zip(self.numbers, u, strict=True)
-        }
+    def place_values(self, z: Array) -> Array:
+        """Return the values at points of independent standard normal numbers, (K, D) each."""
+        return self._take_quantiles(self._shares(np.asarray(z, np.float64)))
 
-    def place_values(self, z: Sequence[float] | Array) -> dict[str, float]:
-        """Return the values at a point of independent standard normal numbers (D,), by name."""
-        shares = self._shares(np.asarray(z, np.float64))
-        return {
-            number.name: number.distribution.at(share, number.nominal)
-            for share, number in zip(shares, self.numbers, strict=True)
-        }
+    def _take_quantiles(self, shares: Array) -> Array:
+        values = np.empty_like(shares)
+        for place, number in enumerate(self.numbers):
+            values[:, place] = number.distribution.at(shares[:, place], number.nominal)
+        return values
 
-    def _shares(self, z: Array) -> list[float]:
-        """Return what share of each number's values lies below its value at a point."""
+    def _shares(self, z: Array) -> Array:
+        """Return what share of each number's values lies below its value at points (K, D)."""
         scores = z.copy()
         if self._mixed is not None:
             for place in self._coupled:
-                scores[place] = math.fsum((self._mixed[place] * z).tolist())
-        shares: list[float] = np.clip(special.ndtr(scores), _FIRST, _LAST).tolist()
+                scores[:, place] = _sum_products(self._mixed[place], z)
+        shares: Array = np.clip(special.ndtr(scores), _FIRST, _LAST)
         return shares
 
-    def _draw_point(self, index: int) -> list[float]:
-        """Return a point of the unit cube, a number for each that varies."""
-        u = [0.5] * len(self.numbers)
-        for place, at in zip(self._free, self._draw_free_point(index), strict=True):
-            u[place] = min(max(at, _FIRST), _LAST)
+    def _draw_points(self, indices: NDArray[np.int64], uniform: Array) -> Array:
+        """Return points of the unit cube, a number for each that varies (K, D)."""
+        u = np.full((len(indices), len(self.numbers)), 0.5)
+        if self._free:
+            u[:, self._free] = np.clip(self._draw_free_points(indices, uniform), _FIRST, _LAST)
         if self._mixed is not None:
-            shares = self._shares(special.ndtri(u))
-            for place in self._free:
-                u[place] = shares[place]
-        rest = index
+            u[:, self._free] = self._shares(special.ndtri(u))[:, self._free]
+        rest = indices
         for place in reversed(self._grids):
             levels = self.numbers[place].distribution.levels
-            rest, level = divmod(rest, levels)
-            u[place] = (level + 0.5) / levels
+            rest, level = np.divmod(rest, levels)
+            u[:, place] = (level + 0.5) / levels
         return u
 
-    def _draw_free_point(self, index: int) -> list[float]:
+    def _draw_free_points(self, indices: NDArray[np.int64], uniform: Array) -> Array:
         D = len(self._free)
-        if D == 0:
-            return []
         if self.sampling == "sobol":
-            return self._draw_sobol_point(index, D)
-        if self.sampling == "latin" and index < self.count:
+            return self._draw_sobol_points(indices, D)
+        points = uniform[:, :D].copy()
+        if self.sampling == "latin":
             if self._cube is None:
                 from scipy.stats import qmc  # takes long to import
 
                 cube = qmc.LatinHypercube(D, seed=self._make_common_stream())
                 self._cube = cube.random(self.count)
-            row: list[float] = self._cube[index].tolist()
-            return row
-        return self.draw_uniforms(index)[:D]
+            inside = indices < self.count
+            points[inside] = self._cube[indices[inside]]
+        return points
 
-    def _draw_sobol_point(self, index: int, D: int) -> list[float]:
+    def _draw_sobol_points(self, indices: NDArray[np.int64], D: int) -> Array:
+        points = np.empty((len(indices), D))
+        begins = np.flatnonzero(np.diff(indices, prepend=indices[:1] - 2) != 1)
+        for first, end in itertools.pairwise([*begins.tolist(), len(indices)]):
+            points[first:end] = self._draw_sobol_sequence(int(indices[first]), end - first, D)
+        return points
+
+    def _draw_sobol_sequence(self, index: int, count: int, D: int) -> Array:
+        """Return so many points of Sobol's sequence from an index on."""
         at, sequence = self._sobol or (0, None)
         if sequence is None or at > index:
             from scipy.stats import qmc  # takes long to import
@@ -170,13 +169,23 @@ class Variation:
             at, sequence = 0, qmc.Sobol(D, scramble=True, seed=self._make_common_stream())
         if index > at:
             sequence.fast_forward(index - at)
-        point: list[float] = sequence.random(1)[0].tolist()
-        self._sobol = index + 1, sequence
-        return point
+        self._sobol = index + count, sequence
+        # SciPy warns of a first call for another count than a power of two.
+        several = [sequence.random(1), *([sequence.random(count - 1)] if count > 1 else [])]
+        return np.concatenate(several)
 
     def _make_common_stream(self) -> np.random.Generator:
         """Return the random numbers that all runs share."""
         return np.random.Generator(np.random.Philox(np.random.SeedSequence(self._key)))
+
+
+def _sum_products(factors: Array, z: Array) -> Array:
+    """Return the sum of all factors (D,) times numbers (K, D), rounded once (K,)."""
+    some = np.flatnonzero(factors)
+    products = factors[some] * z[:, some]
+    if products.shape[1] <= 2:
+        return np.asarray(np.sum(products, axis=1), np.float64)
+    return np.fromiter(map(math.fsum, products.tolist()), np.float64, len(products))
 
 
 def _factor_dependent(matrix: Array) -> Array:

@@ -5,7 +5,7 @@ from pathlib import Path
 from browser import chromium
 
 from arm_emulator_campaign.batch_simulator import make_simulator
-from arm_emulator_campaign.case import draw_case
+from arm_emulator_campaign.case import draw_cases
 from arm_emulator_campaign.definition.campaign_file import load_campaign
 from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, write_part
@@ -18,7 +18,7 @@ NARROW = 360  # px
 def test_the_report_is_as_wide_as_a_phone(tmp_path):
     campaign = load_campaign(Path(__file__).parents[4] / "examples/campaign.yaml")
     results = Results(tmp_path, campaign)
-    cases = [draw_case(campaign.variation, index) for index in range(80)]
+    cases = draw_cases(campaign.variation, range(80))
     write_part(results.folder, campaign, Outcomes.join(list(make_simulator(campaign).runs(cases))))
     columns = results.columns()
     file = write_report(campaign, results, columns, summarize(campaign, columns))

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from arm_emulator.extension.base import FORCE, MOMENT, POINT, Number, Section, number
 from arm_emulator.extension.machine import (
     NO_WRENCH,
@@ -17,7 +19,13 @@ from arm_emulator.extension.machine import (
     move_to_moving_link,
 )
 from arm_emulator_campaign.definition.fault import Fault, register_fault
-from arm_emulator_campaign.definition.scenario import count_ticks
+from arm_emulator_campaign.definition.scenario import count_all_ticks
+
+
+def count_runs(wrench: ExternalWrench) -> tuple[int, ...]:
+    """Return of how many runs a wrench has rows; nothing of one run."""
+    vectors = wrench.force, wrench.moment, wrench.point
+    return tuple({len(rows) for rows in vectors if isinstance(rows, np.ndarray)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +63,8 @@ class OnLink(Fault):
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse a link that does not move."""
-        move_to_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
+        wrench = self.wrench(scene.servo_period)
+        move_to_moving_link(scene, where, self.link, wrench, *count_runs(wrench))
 
     def begins(self, scene: Scene) -> Change:
         """Return what acts."""
@@ -84,7 +93,8 @@ class Wrench(OnLink):
 
     def wrench(self, period: float) -> ExternalWrench:
         """Return force and moment."""
-        return ExternalWrench(self.force, self.moment, self.point, self.axes)
+        force, moment = _stack_vector(self.force), _stack_vector(self.moment)
+        return ExternalWrench(force, moment, _stack_vector(self.point), self.axes)
 
 
 @register_fault
@@ -106,6 +116,13 @@ class Impulse(OnLink):
 
     def wrench(self, period: float) -> ExternalWrench:
         """Return the force."""
-        contact = period * max(1, count_ticks(self.lasting, period))
+        contact = period * np.maximum(1, count_all_ticks(self.lasting, period))
         force = tuple(component / contact for component in self.impulse)
-        return ExternalWrench(force, NO_WRENCH, self.point, self.axes)
+        return ExternalWrench(_stack_vector(force), NO_WRENCH, _stack_vector(self.point), self.axes)
+
+
+def _stack_vector(vector: tuple[Any, ...]) -> Any:
+    """Return a vector, of many runs a row for each (K, 3)."""
+    if not any(isinstance(component, np.ndarray) for component in vector):
+        return vector
+    return np.stack(np.broadcast_arrays(*vector), axis=-1)
