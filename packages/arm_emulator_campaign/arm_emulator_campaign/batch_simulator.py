@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from arm_emulator_campaign.device_program import DeviceProgram
 
 WIDTH = 64  # runs at a time
-BOUND = 4096  # runs that are bound at a time, at least
+# Runs that are bound at a time, at least: for vectors of more than 10 000 numbers OpenBLAS would
+# start threads.
+BOUND = 3072
 # On a device: as many as samples and judges have memory for, at most so many.
 LARGEST_WIDTH = 2**14
 MEMORY = 2**30  # bytes of both

@@ -12,6 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from arm_emulator.extension.base import (
     LARGEST_YAML_FILE,
     VERSION,
@@ -205,6 +207,8 @@ class Campaign:
     def bind_faults(self, values: Mapping[str, Array]) -> Mapping[str, Fault]:
         """Return the faults of many runs, by name in the order of the file.
 
+        What they set is checked where it is computed, see `make_change_rows`.
+
         Args:
             values: of what varies, an array of all runs for each (K,).
 
@@ -228,7 +232,8 @@ class Campaign:
             varied_fault = faults[fault].with_numbers(fault_numbers) if fault else None
             if varied_fault is None:
                 return None
-            varied_fault.check(self.scene, f"{self.where}: faults.{fault}")
+            if not any(isinstance(value, np.ndarray) for _, value in fault_numbers):
+                varied_fault.check(self.scene, f"{self.where}: faults.{fault}")
             faults[fault] = varied_fault
         return faults
 

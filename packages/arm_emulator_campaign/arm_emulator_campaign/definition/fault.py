@@ -2,7 +2,7 @@
 
 A new kind is a file in `faults`: a frozen dataclass that declares its numbers, and how it begins
 and ends. Files, refusals, docs and what can vary follow from it. Its numbers may be arrays, one of
-each run (K,): a fault of many runs, whose changes have arrays, too.
+each run (K,): a fault of many runs, which is not checked, and whose changes have arrays, too.
 """
 
 from __future__ import annotations
@@ -109,18 +109,12 @@ class Fault:
         raise NotImplementedError
 
 
-def check_number(bound: Number, where: str, value: float | Array, name: str) -> None:
-    """Refuse a number that is out of its range, or numbers of which one is."""
-    if isinstance(value, np.ndarray):
-        bound.named(name).check(where, value)
-    else:
-        bound.take(where, value, name)
-
-
 def are_in_range(bound: Number, value: float | Array) -> bool:
     """Return whether a number is in its range, or all of several."""
+    if not isinstance(value, np.ndarray):
+        return bound.is_in_range(value)
     try:
-        check_number(bound, "", value, "")
+        bound.check("", value)
     except Refusal:
         return False
     return True

@@ -14,11 +14,12 @@ from arm_emulator.extension.base import Array
 Words = NDArray[np.uint64]
 
 ROUNDS = 10
-_MULTIPLIERS = (0xD2E7470EE14C6C93, 0xCA5A826395121157)
+_FACTOR = np.array([0xD2E7470EE14C6C93, 0xCA5A826395121157], np.uint64)[:, None, None]
 _WEYL = (0x9E3779B97F4A7C15, 0xBB67AE8584CAA73B)
 _LOW, _HALF = np.uint64(2**32 - 1), np.uint64(32)
+_FACTOR_LOW, _FACTOR_HIGH = _FACTOR & _LOW, _FACTOR >> _HALF
 _SHIFT = np.uint64(11)  # a double has 53 bits of 64
-_PIECE = 2**14  # words at a time, which a cache of the processor holds with all that follows
+_PIECE = 2**13  # words at a time, which a cache of the processor holds with all that follows
 
 
 def draw_uniform(key: int, indices: NDArray[np.int64], count: int) -> Array:
@@ -46,18 +47,26 @@ def _draw_words(key: int, indices: NDArray[np.int64], blocks: int) -> Words:
     keys = [key % 2**64, key >> 64]
     for _ in range(ROUNDS):
         high, low = _multiply(even)
-        even = high[::-1] ^ odd ^ np.array(keys, np.uint64)[:, None, None]
+        even = high[::-1]
+        even ^= odd
+        even ^= np.array(keys, np.uint64)[:, None, None]
         odd = low[::-1]
         keys = [(word + step) % 2**64 for word, step in zip(keys, _WEYL, strict=True)]
     return np.stack([even[0], odd[0], even[1], odd[1]], axis=-1)
 
 
 def _multiply(words: Words) -> tuple[Words, Words]:
-    """Return the high and the low half of the product of words (2, ...) and their multipliers."""
-    shape = 2, *[1] * (words.ndim - 1)
-    factor = np.array(_MULTIPLIERS, np.uint64).reshape(shape)
-    factor_low, factor_high = factor & _LOW, factor >> _HALF
+    """Return the high and the low half of the products of words (2, ...) and the multipliers."""
     low, high = words & _LOW, words >> _HALF
-    middle = factor_high * low + (factor_low * low >> _HALF)
-    other = factor_low * high + (middle & _LOW)
-    return factor_high * high + (middle >> _HALF) + (other >> _HALF), factor * words
+    carry = low * _FACTOR_LOW
+    carry >>= _HALF
+    low *= _FACTOR_HIGH
+    low += carry
+    np.bitwise_and(low, _LOW, out=carry)
+    low >>= _HALF
+    carry += high * _FACTOR_LOW
+    carry >>= _HALF
+    high *= _FACTOR_HIGH
+    high += low
+    high += carry
+    return high, words * _FACTOR

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from arm_emulator.extension.base import Refusal, Section, number
 from arm_emulator.extension.machine import Change, NumberChange, Scene
-from arm_emulator_campaign.definition.fault import Fault, check_number, register_fault
+from arm_emulator_campaign.definition.fault import Fault, register_fault
 
 
 @register_fault
@@ -35,7 +35,7 @@ class Machine(Fault):
         if self.fault not in listed:
             listed_names = ", ".join(listed) or f"none, set: {{faults: [{self.fault}]}} lists it"
             raise Refusal(where, "fault", "be listed by the scene", self.fault, listed_names)
-        check_number(listed[self.fault], where, self.magnitude, "magnitude")
+        listed[self.fault].take(where, self.magnitude, "magnitude")
 
     def begins(self, scene: Scene) -> Change:
         """Return its magnitude."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from arm_emulator.extension.base import Refusal, Section, number
 from arm_emulator.extension.machine import LARGEST_SEED, Change, NumberChange, Scene
-from arm_emulator_campaign.definition.fault import Fault, check_number, register_fault
+from arm_emulator_campaign.definition.fault import Fault, register_fault
 
 
 @register_fault
@@ -42,7 +42,7 @@ class NumberOfScene(Fault):
         of = {number.name: number.number for number in scene.varied}
         if self.name not in of:
             raise Refusal(where, "name", "be one number, not a pattern", self.name, ", ".join(of))
-        check_number(of[self.name], where, self.value, "value")
+        of[self.name].take(where, self.value, "value")
 
     def begins(self, scene: Scene) -> Change:
         """Return the value."""

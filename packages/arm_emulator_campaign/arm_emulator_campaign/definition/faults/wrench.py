@@ -22,12 +22,6 @@ from arm_emulator_campaign.definition.fault import Fault, register_fault
 from arm_emulator_campaign.definition.scenario import count_all_ticks
 
 
-def count_runs(wrench: ExternalWrench) -> tuple[int, ...]:
-    """Return of how many runs a wrench has rows; nothing of one run."""
-    vectors = wrench.force, wrench.moment, wrench.point
-    return tuple({len(rows) for rows in vectors if isinstance(rows, np.ndarray)})
-
-
 @dataclass(frozen=True, kw_only=True)
 class OnLink(Fault):
     """Base of faults that act on a link.
@@ -63,8 +57,7 @@ class OnLink(Fault):
 
     def check(self, scene: Scene, where: str) -> None:
         """Refuse a link that does not move."""
-        wrench = self.wrench(scene.servo_period)
-        move_to_moving_link(scene, where, self.link, wrench, *count_runs(wrench))
+        move_to_moving_link(scene, where, self.link, self.wrench(scene.servo_period))
 
     def begins(self, scene: Scene) -> Change:
         """Return what acts."""

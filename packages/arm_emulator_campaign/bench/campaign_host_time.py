@@ -1,9 +1,9 @@
 """What a run of a campaign costs beside its machine, step by step: draw, bind, begin, collect.
 
-``python packages/arm_emulator_campaign/bench/host_time.py [--device processor] FILE ...`` prints a
-row for each campaign, by default those of this file. Each number is the least time of the
-processor of several repetitions; a busy machine makes it larger. The column `run` is the rest: the
-machine, its samples and judges, and calls of them.
+``python -m bench.campaign_host_time [--device processor] FILE ...`` prints a row
+for each campaign, by default those of this file. Each number is the least time of the processor of
+several repetitions; a busy machine makes it larger. The column `run` is the rest: the machine, its
+samples and judges, and calls of them.
 """
 
 from __future__ import annotations
