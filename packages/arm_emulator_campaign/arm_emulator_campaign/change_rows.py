@@ -35,11 +35,11 @@ KINDS = {
 
 @dataclass(frozen=True)
 class ChangeRows:
-    """What faults and forks of runs set, of each run ascending by ticks.
+    """Changes by faults and forks of runs, of each run ascending by ticks.
 
     Attributes:
         first: place of the first row of each run, and the end (K + 1,).
-        rows: ``arm_fleet_change`` (C + 1,), the last one for a pointer where there is none.
+        rows: ``arm_fleet_change`` (C + 1,), the last one for a pointer where no run has a change.
         wrenches: to which rows point.
     """
 

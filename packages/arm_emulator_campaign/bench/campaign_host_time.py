@@ -1,4 +1,4 @@
-"""What a run of a campaign costs beside its machine, step by step: draw, bind, begin, collect.
+"""Cost of a run of a campaign beside its machine, step by step: draw, bind, begin, collect.
 
 ``python -m bench.campaign_host_time [--device processor] FILE ...`` prints a row
 for each campaign, by default those of this file. Each number is the least time of the processor of
