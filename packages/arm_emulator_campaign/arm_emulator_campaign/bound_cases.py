@@ -80,13 +80,17 @@ def _bind_scenarios(
     nominal, period = campaign.nominal[0], campaign.scene.servo_period
     if not any(name.split(".")[0] == "scenario" for name in values):
         return nominal.start[None], None, nominal.seconds
-    drawn = draw_scenarios(
+    scenarios = draw_scenarios(
         nominal, campaign.data["scenario"], campaign.scene, values, campaign.where
     )
     # The start is the target until the first one.
-    t = np.pad(drawn.t, ((0, 0), (1, 0)))
-    q = np.concatenate([drawn.start[:, None], drawn.q], axis=1)
+    t = np.pad(scenarios.t, ((0, 0), (1, 0)))
+    q = np.concatenate([scenarios.start[:, None], scenarios.q], axis=1)
     holds = np.ones(t.shape, bool)
-    holds[:, 0] = drawn.t[:, 0] > 0.0 if drawn.t.size else True
+    holds[:, 0] = scenarios.t[:, 0] > 0.0 if scenarios.t.size else True
     first = np.concatenate([[0], np.cumsum(np.count_nonzero(holds, axis=1))])
-    return drawn.start, Targets(count_all_ticks(t, period)[holds], q[holds], first), drawn.seconds
+    return (
+        scenarios.start,
+        Targets(count_all_ticks(t, period)[holds], q[holds], first),
+        scenarios.seconds,
+    )

@@ -98,12 +98,12 @@ def make_change_rows(
             columns.put(np.s_[:] if np.all(runs) else runs, R + event, change)
     order = np.argsort(ticks, axis=1, kind="stable")
     run = np.arange(count)[:, None]
-    kept = happens[run, order]
-    rows = FLEET.rows("arm_fleet_change", int(np.count_nonzero(kept)) + 1)
-    rows["tick"][:-1] = ticks[run, order][kept]
+    selected = happens[run, order]
+    rows = FLEET.rows("arm_fleet_change", int(np.count_nonzero(selected)) + 1)
+    rows["tick"][:-1] = ticks[run, order][selected]
     for name, column in columns.fields.items():
-        rows[name][:-1] = column[run, order][kept]
-    first = np.concatenate([[0], np.cumsum(np.count_nonzero(kept, axis=1))])
+        rows[name][:-1] = column[run, order][selected]
+    first = np.concatenate([[0], np.cumsum(np.count_nonzero(selected, axis=1))])
     return ChangeRows(first.astype(np.int64), rows, columns.wrenches)
 
 

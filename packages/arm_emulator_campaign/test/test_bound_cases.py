@@ -138,10 +138,12 @@ def test_many_runs_are_bound_as_each_alone(tmp_path: Path, name: str) -> None:
 
 def test_faults_that_do_not_happen_and_other_seeds(tmp_path: Path) -> None:
     campaign = campaign_of(tmp_path, VARIED["noise and lost commands"])
-    drawn = draw_cases(campaign.variation, range(5))
+    sampled = draw_cases(campaign.variation, range(5))
     reseeds = ((10, 7.0), (40, 8.0))
     for without in (frozenset[str](), frozenset({"lost"})):
-        cases = Cases(drawn.names, drawn.indices, drawn.values, drawn.seeds, without, 0.1, reseeds)
+        cases = Cases(
+            sampled.names, sampled.indices, sampled.values, sampled.seeds, without, 0.1, reseeds
+        )
         bound = bind_cases(campaign, cases)
         for run, case in enumerate(cases):
             alone = bind_case(campaign, case)

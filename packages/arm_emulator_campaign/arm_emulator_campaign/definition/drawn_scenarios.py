@@ -53,11 +53,11 @@ def draw_scenarios(
     count = len(next(iter(values.values())))
 
     def take(name: str, bound: Number, otherwise: float) -> Array:
-        drawn = values.get(f"scenario.{name}")
-        if drawn is None:
+        samples = values.get(f"scenario.{name}")
+        if samples is None:
             return np.full(count, otherwise)
-        bound.named(f"scenario.{name}").check(where, drawn)
-        return drawn
+        bound.named(f"scenario.{name}").check(where, samples)
+        return samples
 
     joints = scene.joint_names
     start = np.stack(

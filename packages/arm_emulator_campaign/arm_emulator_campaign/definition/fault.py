@@ -170,24 +170,24 @@ def schedule_events(faults: Sequence[Fault], scene: Scene, count: int) -> Events
         orders, which = order[:1], np.zeros(count, np.int64)
         if np.any(order != orders):
             orders, which = np.unique(order, axis=0, return_inverse=True)
-        found = np.array([_find_holders(events, F) for events in orders.tolist()])
-        holders[:, columns] = found[which.reshape(-1)][:, columns]
+        holders_by_order = np.array([_find_holders(events, F) for events in orders.tolist()])
+        holders[:, columns] = holders_by_order[which.reshape(-1)][:, columns]
     return Events(changes, ticks, holders)
 
 
 def _find_holders(events: Sequence[int], F: int) -> list[int]:
     """Return the holder after each event of faults that set the same, at its place of 2 F."""
-    holders, lasting = [UNCHANGED] * (2 * F), list[int]()
+    holders, active = [UNCHANGED] * (2 * F), list[int]()
     for event in events:
         fault = event % F
         if event >= F:
-            lasting.append(fault)
+            active.append(fault)
         else:
-            place = lasting.index(fault)
-            del lasting[place]
-            if place < len(lasting):
+            place = active.index(fault)
+            del active[place]
+            if place < len(active):
                 continue  # a newer one holds
-        holders[event] = lasting[-1] if lasting else SOUND
+        holders[event] = active[-1] if active else SOUND
     return holders
 
 
