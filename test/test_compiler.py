@@ -298,6 +298,7 @@ def test_a_compiler_that_leaves_somebody_behind_is_not_waited_for(
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_reported(cache: Path, tmp_path: Path) -> None:
     """No file may grow beyond some bytes, as where a disk or a quota is full."""
     for largest in (100, 10_000):

@@ -166,7 +166,7 @@ def compare(
     return errors[0], errors[1]
 
 
-@pytest.mark.parametrize(("seed", "kinds"), with_slow(BESIDE, 2))
+@pytest.mark.parametrize(("seed", "kinds"), with_slow(BESIDE, 1))
 def test_motion_is_that_of_the_published_law_with_order_two(
     tmp_path: Path, seed: int, kinds: tuple[str, ...]
 ) -> None:

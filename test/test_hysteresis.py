@@ -116,7 +116,7 @@ def pushes(rng: np.random.Generator, hysteresis: dict[str, float], rows: int = 1
 
 @pytest.mark.parametrize(
     ("scheme", "events", "cubic"),
-    # At first a linear spring without located events, and a cubic one with them.
+    # At first a linear spring without located events, then a cubic one with them.
     with_slow(
         some(
             [
@@ -131,7 +131,7 @@ def pushes(rng: np.random.Generator, hysteresis: dict[str, float], rows: int = 1
             ],
             4,
         ),
-        2,
+        1,
     ),
 )
 def test_every_scheme_keeps_its_order(
@@ -233,7 +233,8 @@ def test_the_loop_in_python_is_that_of_elements_along_random_paths() -> None:
         assert part.bend(path) == pytest.approx(np.array(expected), abs=1e-9 * law["torque"])
 
 
-@pytest.mark.parametrize("seed", with_slow(range(4), 1))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
 def test_weights_rest_on_wound_up_gears_as_loops_have_it(tmp_path: Path, seed: int) -> None:
     """Three weights wind their gears up from unloaded; about there slipping elements count half.
 

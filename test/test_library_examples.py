@@ -34,6 +34,7 @@ def test_each_example_is_no_longer_than_a_page_and_in_the_documents(name: str) -
     assert f"<!-- generated: file examples/{name} -->" in page
 
 
+@pytest.mark.slow
 def test_computed_torque_follows(tmp_path: Path) -> None:
     text = run(tmp_path, sys.executable, EXAMPLES / "computed_torque.py")
     result = re.search(r"largest error ([\d.]+) mrad", text)

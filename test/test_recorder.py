@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from draws import some, with_slow
+from draws import some
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
@@ -267,19 +267,17 @@ def wait_until_complete(file: Path) -> tuple[dict[str, list[Any]], dict[str, str
             time.sleep(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "suffix"),
-    with_slow(
-        some(
-            [
-                (signal.SIGKILL, ".csv"),
-                (signal.SIGINT, ".mcap"),
-                (signal.SIGKILL, ".parquet"),
-                *itertools.product([signal.SIGKILL, signal.SIGINT], SUFFIXES),
-            ],
-            3,
-        ),
-        1,
+    some(
+        [
+            (signal.SIGKILL, ".csv"),
+            (signal.SIGINT, ".mcap"),
+            (signal.SIGKILL, ".parquet"),
+            *itertools.product([signal.SIGKILL, signal.SIGINT], SUFFIXES),
+        ],
+        3,
     ),
 )
 def test_a_run_that_is_ended_leaves_a_complete_file(

@@ -27,6 +27,7 @@ with own_domain() as domain:
 """
 
 
+@pytest.mark.slow
 def test_processes_that_choose_at_once_choose_differently() -> None:
     """More processes than there are domains to choose from first."""
     count = len(DOMAINS[0]) + 5

@@ -91,7 +91,7 @@ def quintic(part: float) -> tuple[float, float]:
             (DEFAULT, ("position",)),
             (ALWAYS, ("position", "velocity")),
         ],
-        2,
+        1,
     ),
 )
 def test_a_trajectory_is_followed_and_then_its_end_stays(
