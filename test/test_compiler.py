@@ -375,13 +375,16 @@ def running(group: int) -> list[str]:
     return result
 
 
-@pytest.mark.parametrize("number", with_slow([signal.SIGINT, signal.SIGTERM], 1))
+@pytest.mark.parametrize("number", with_slow([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], 1))
 def test_a_compiler_ends_with_the_command_that_started_it(
     number: signal.Signals, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pid = tmp_path / "pid"
-    slow = fake_compiler(tmp_path, f"echo $$ > {pid}.new; mv {pid}.new {pid}; sleep 100")
-    monkeypatch.setenv("CXX", slow)
+    passing = tmp_path / "passing"
+    passing.mkdir()
+    monkeypatch.setenv("TMPDIR", str(passing))
+    words = f'touch "$TMPDIR/cc.s"; echo $$ > {pid}.new; mv {pid}.new {pid}; sleep 100'
+    monkeypatch.setenv("CXX", fake_compiler(tmp_path, words))
     command = [sys.executable, "-m", "arm_emulator", "compile", "three_axis"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         until = time.monotonic() + 60.0
@@ -392,3 +395,4 @@ def test_a_compiler_ends_with_the_command_that_started_it(
     assert (process.returncode, printed.count("\n")) == (128 + number, 1), printed
     assert running(int(pid.read_text())) == [], "of the compiler's group"
     assert compiled_in(cache) == [], "nothing half made stays"
+    assert list(passing.iterdir()) == []

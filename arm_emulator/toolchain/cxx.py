@@ -20,7 +20,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> str
 
     Args:
         command: its words.
-        folder: folder of its files; removed from its messages.
+        folder: folder of its files, passing ones, too; removed from its messages.
         where: name in refusals.
         part: name of the unit.
 
@@ -39,6 +39,7 @@ def run_compiler(command: list[str], folder: Path, where: str, part: str) -> str
                     stdout=words,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
+                    env={**os.environ, "TMPDIR": str(folder)},  # a killed one leaves its files
                 )
             process.wait(LONGEST_RUN)
         except subprocess.TimeoutExpired:
