@@ -1,4 +1,4 @@
-"""Of the page on the architecture: a picture of rooms and their imports, and one tick as a table.
+"""Pictures of the page on the architecture: rooms and their imports, and one tick.
 
 Rooms and floors follow from the contract of layers in pyproject.toml, imports from the sources.
 The stations of a tick are a table here; each one's function must be defined in its file.
@@ -9,13 +9,14 @@ import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 from docs.hooks import ROOT, Missing
 
 NAMESPACE = "arm_emulator"  # imported itself, it gives the public names
-INK, PAPER = "#263238", "#ffffff"
+INK, FAINT, PAPER = "#263238", "#90a4ae", "#ffffff"
 BANDS = ("#eceff1", "#ffffff")
 
 
@@ -265,6 +266,54 @@ def check_stations(bands: Sequence[Band] = (*TICK, NEWTON_EULER)) -> None:
                 raise Missing(f"definition of {station.function} in {station.file}")
 
 
+def tick_picture() -> str:
+    """Draw the way of a command down to the motors, and of the measurement back."""
+    check_stations()
+    left, right, box, high, gap = 30, 520, 450, 40, 14
+    parts = [
+        _draw_text(left, 30, "joint_targets: down to volts at the motor", 14, weight="bold"),
+        _draw_text(
+            right, 30, "encoder counts: up to motor_states and joint_states", 14, weight="bold"
+        ),
+    ]
+    y = 46
+    tops: dict[Station, int] = {}
+    for k, band in enumerate((*TICK, NEWTON_EULER)):
+        deep = 30 + max(len(band.down), len(band.up)) * (high + gap)
+        parts.append(_draw_rectangle(10, y, 980, deep, BANDS[k % 2], FAINT))
+        parts.append(_draw_text(20, y + 18, band.title, 12, weight="bold"))
+        for x, column in ((left, band.down), (right, tuple(reversed(band.up)))):
+            for i, station in enumerate(column):
+                at = tops[station] = y + 28 + i * (high + gap)
+                parts.append(_draw_rectangle(x, at, box, high, PAPER, "#00695c"))
+                parts.append(_draw_text(x + 10, at + 16, station.text, 12))
+                called = f"{station.file}: {station.function}"
+                parts.append(_draw_text(x + 10, at + 32, called, 10.5, family="monospace"))
+        y += deep
+    down = [station for band in TICK for station in band.down]
+    up = [station for band in reversed(TICK) for station in band.up]
+    at = left + box - 30
+    for above, below in pairwise(down):
+        parts.append(_draw_arrow(at, tops[above] + high, at, tops[below]))
+    at = right + box - 30
+    for below, above in pairwise(up):
+        parts.append(_draw_arrow(at, tops[below], at, tops[above] + high))
+    (takes,), (links,) = NEWTON_EULER.down, NEWTON_EULER.up
+    by_name = {station.function: station for station in (*down, *up)}
+    across = (  # from the right column to the left, or the other way
+        (by_name["servo_measure"], by_name["servo_command"]),
+        (down[-1], up[0]),
+        (by_name["give"], takes),
+        (takes, links),
+    )
+    for start, end in across:
+        from_left = start in down or start is takes
+        x1, x2 = (left + box, right) if from_left else (right, left + box)
+        parts.append(_draw_arrow(x1, tops[start] + high // 2, x2, tops[end] + high // 2))
+    parts.append(_draw_arrow(right + 60, tops[links], right + 60, tops[up[0]] + high))
+    return _write_svg(1000, y + 10, "One tick, from joint target to volts and back", parts)
+
+
 def tick_table() -> str:
     """Return the stations of a tick as a table with links to their files."""
     check_stations()
@@ -291,25 +340,47 @@ def _draw_text(
     *,
     anchor: str = "start",
     weight: str = "normal",
+    family: str = "",
 ) -> str:
+    shape = f' font-family="{family}"' if family else ""
     return (
         f'<text x="{x}" y="{y}" font-size="{size}" font-weight="{weight}" fill="{INK}" '
-        f'text-anchor="{anchor}">{escape(text)}</text>'
+        f'text-anchor="{anchor}"{shape}>{escape(text)}</text>'
     )
 
 
-def _draw_rectangle(x: int, y: int, width: int, height: int, fill: str) -> str:
-    return f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="{fill}"/>'
+def _draw_rectangle(x: int, y: int, width: int, height: int, fill: str, line: str = "none") -> str:
+    return (
+        f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="{fill}" stroke="{line}"/>'
+    )
+
+
+def _draw_arrow(x1: int, y1: int, x2: int, y2: int) -> str:
+    return (
+        f'<line x1="{x1}" y1="{y1}" x2="{x2}" y2="{y2}" stroke="{INK}" stroke-width="1.5" '
+        'marker-end="url(#head)"/>'
+    )
 
 
 def _write_svg(width: int, height: int, title: str, parts: Sequence[str]) -> str:
+    head = (
+        '<marker id="head" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="7" markerHeight="7" '
+        f'orient="auto"><path d="M0 0 L8 4 L0 8 z" fill="{INK}"/></marker>'
+    )
     return "\n".join(
         (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
             f'viewBox="0 0 {width} {height}" font-family="sans-serif">',
             f"<title>{escape(title)}</title>",
+            f"<defs>{head}</defs>",
             _draw_rectangle(0, 0, width, height, PAPER),
             *parts,
             "</svg>\n",
         )
     )
+
+
+def pictures() -> Iterator[tuple[str, str]]:
+    """Yield the path below docs/ and the text of each picture."""
+    yield "contribute/rooms.svg", rooms_picture()
+    yield "contribute/tick.svg", tick_picture()

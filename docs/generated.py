@@ -7,7 +7,7 @@ It stands on its page between two comments,
     <!-- end generated -->
 
 and follows from the code by `GENERATORS[KIND]`. It is kept in the repository, so that the pages can
-be read there, and so is the picture of docs/architecture.py. `make tables` writes both; `make
+be read there, and so are the pictures of docs/architecture.py. `make tables` writes both; `make
 lint` refuses what has fallen behind.
 """
 
@@ -167,9 +167,10 @@ def outdated_pages() -> Iterator[tuple[Path, str]]:
         text = page.read_text(encoding="utf-8")
         if (filled := fill(text)) != text:
             yield page, filled
-    picture, text = DOCS / "contribute" / "rooms.svg", architecture.rooms_picture()
-    if not picture.is_file() or picture.read_text(encoding="utf-8") != text:
-        yield picture, text
+    for path, text in architecture.pictures():
+        picture = DOCS / path
+        if not picture.is_file() or picture.read_text(encoding="utf-8") != text:
+            yield picture, text
 
 
 def main(check: bool) -> int:

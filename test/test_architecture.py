@@ -1,4 +1,4 @@
-"""Rooms and one tick follow from the sources; headers include lower floors alone."""
+"""The pictures of the architecture follow from the sources; headers include lower floors alone."""
 
 import re
 import tomllib
@@ -52,7 +52,8 @@ def test_a_station_names_a_function_of_its_file(station: architecture.Station) -
     """A definition begins a line with a type, and no statement; its parameters lead to a body."""
     text = re.sub(r"\s+", " ", (ROOT / station.file).read_text())
     assert re.search(rf"[\w>*&] {station.function}\([^;{{}}]*\)[\w ()]*\{{", text)
-    assert f"(../../{station.file}) | `{station.function}` |" in architecture.tick_table()
+    picture = (DOCS / "contribute" / "tick.svg").read_text()
+    assert f"{station.file}: {station.function}</text>" in picture
 
 
 @pytest.mark.parametrize(
