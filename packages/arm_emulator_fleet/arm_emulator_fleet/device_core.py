@@ -38,7 +38,7 @@ HALVED = 8  # one arm in so many may halve its steps
 MIN_HALVED = 4096  # arms that may, in any fleet
 _QUEUE_BEGINS = KERNELS.constant("FLEET_QUEUE_BEGINS")
 _Call = tuple[str, Mapping[str, Any]]  # a kernel, and values of its struct
-# Bytes of a thread: 6 kB for three_axis; 80 kB for panda with located events, where steps that are
+# Bytes of a thread: 6 kB for three_axis; 88 kB for panda with located events, where steps that are
 # halved call themselves. A card keeps as many for every thread that it can hold.
 STACK, STACK_WITH_EVENTS = 16 * 1024, 96 * 1024
 
