@@ -454,13 +454,15 @@ class DeviceCore:
         changes = view_bytes(schedule.change, size).view(FLEET.dtype("arm_fleet_change")).copy()
         pushes = np.flatnonzero(changes["wrench"])
         each = ARM.sizeof("arm_wrench")
-        wrenches = [
-            view_bytes(ARM.ffi.cast("arm_wrench *", int(host)), each)
-            for host in changes["wrench"][pushes]
-        ]
-        wrench_array = self._keep(
-            fleet, "wrenches", np.concatenate([*wrenches, np.zeros(each, np.uint8)])
-        )
+        wrenches = np.zeros((1, each), np.uint8)
+        if len(pushes):
+            # One gather by addresses: a loop over wrenches would take longer than their runs.
+            hosts = changes["wrench"][pushes]
+            span = view_bytes(
+                ARM.ffi.cast("arm_wrench *", int(hosts.min())), int(np.ptp(hosts)) + each
+            )
+            wrenches = span[(hosts - hosts.min())[:, None] + np.arange(each, dtype=np.uint64)]
+        wrench_array = self._keep(fleet, "wrenches", wrenches)
         changes["wrench"][pushes] = wrench_array.pointer + each * np.arange(len(pushes))
         own.change = cast_pointer(self._keep(fleet, "changes", changes.view(np.uint8)))
         first = view_bytes(schedule.first_change, 8 * (fleet.count + 1))
