@@ -86,7 +86,8 @@ def pytest_collection_finish() -> None:
 @pytest.fixture(autouse=True)
 def own_signal_handlers() -> Iterator[None]:
     """Let no handler stay behind: commands that run in this process install theirs."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {number: signal.getsignal(number) for number in numbers}
     yield
     for number, handler in before.items():
         if signal.getsignal(number) is not handler:
