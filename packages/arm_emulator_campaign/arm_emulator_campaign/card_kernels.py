@@ -8,7 +8,7 @@ from arm_emulator.extension.machine import Scene
 from arm_emulator_campaign.device_program import build_judges_unit
 from arm_emulator_campaign.device_sampler import KERNELS
 from arm_emulator_fleet.gpu_compiler import compile_for_card
-from arm_emulator_fleet.unit import build_kernels_unit
+from arm_emulator_fleet.unit import build_card_units
 
 
 def compile_campaign_for_card(scene: Scene, architecture: str, folder: Path | None) -> list[Path]:
@@ -17,5 +17,5 @@ def compile_campaign_for_card(scene: Scene, architecture: str, folder: Path | No
     Raises:
         Refusal: see there; or no device advances the scene.
     """
-    units = build_kernels_unit(scene, KERNELS), build_judges_unit()
+    units = *build_card_units(scene, KERNELS), build_judges_unit()
     return [file for unit in units for file in compile_for_card(unit, architecture, folder)]

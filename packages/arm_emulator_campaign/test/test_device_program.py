@@ -27,7 +27,7 @@ from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_fleet import gpu_compiler
 from arm_emulator_fleet.gpu_compiler import find_ptxas, has_ptxas, load_ptx
 from arm_emulator_fleet.processor_device import ProcessorDevice
-from arm_emulator_fleet.unit import build_kernels_unit
+from arm_emulator_fleet.unit import build_card_units
 
 ROOM = 2 * BLOCK
 REDUCTIONS = ("max", "min", "mean", "rms", "last")
@@ -181,12 +181,14 @@ def test_kernels_of_campaigns_are_compiled_ahead(
     monkeypatch.setattr(gpu_compiler, "has_ptxas", lambda: False)
     scene = load_scene("three_axis")
     files = compile_campaign_for_card(scene, "sm_90", tmp_path / "into")
-    arms, judging = (file.read_text(errors="replace") for file in files)
+    arms, smooth, judging = (file.read_text(errors="replace") for file in files)
     assert "fleet_kernels.hpp" in arms and "sampler_kernels.hpp" in arms
+    assert "advance_smoothly.hpp" in smooth and "sampler_kernels.hpp" in smooth
     assert "judges_kernels.hpp" in judging
     # A campaign loads the same kernels.
-    assert load_ptx(build_kernels_unit(scene, KERNELS), "sm_90") in files[0].read_bytes()
-    assert load_ptx(build_judges_unit(), "sm_90") in files[1].read_bytes()
+    units = *build_card_units(scene, KERNELS), build_judges_unit()
+    for unit, file in zip(units, files, strict=True):
+        assert load_ptx(unit, "sm_90") in file.read_bytes()
 
 
 @needs_clang

@@ -18,14 +18,7 @@ from arm_emulator.extension.machine import Scene, bound_start, list_rows, make_c
 from arm_emulator_fleet.device import DEFAULT_BLOCK, Device, DevicePointer, Memory
 from arm_emulator_fleet.device_array import DeviceArray
 from arm_emulator_fleet.load_kernels import load_parts
-from arm_emulator_fleet.unit import (
-    ALL_KERNELS,
-    FLEET,
-    KERNELS,
-    NATIVE,
-    SMOOTH_KERNEL,
-    build_kernels_unit,
-)
+from arm_emulator_fleet.unit import FLEET, KERNELS, NATIVE, build_card_units
 
 OK = ARM.constant("ARM_OK")
 _COMMAND = ARM.sizeof("arm_joint_command")
@@ -88,8 +81,7 @@ class DeviceCore:
         self._scene = scene
         self._N = len(scene.joints)
         self._saved_size, self.block = 0, DEFAULT_BLOCK
-        units = [build_kernels_unit(scene, kernels, part) for part in (ALL_KERNELS, SMOOTH_KERNEL)]
-        self._module, self._smooth_module = load_parts(device, units)
+        self._module, self._smooth_module = load_parts(device, build_card_units(scene, kernels))
         self._functions: dict[str, int] = {}
         self._smooth_functions: dict[int, int] = {}  # by their addresses in the first module
         *_, self._lanes, has_events, self._has_queue = self._measure_room(1)

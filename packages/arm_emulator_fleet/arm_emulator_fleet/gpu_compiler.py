@@ -26,7 +26,7 @@ from arm_emulator.extension.compiler import (
     run_compiler,
 )
 from arm_emulator.extension.machine import Scene
-from arm_emulator_fleet.unit import ALL_KERNELS, SMOOTH_KERNEL, build_kernels_unit
+from arm_emulator_fleet.unit import build_card_units
 
 VARIABLE = "ARM_EMULATOR_CLANG"
 OLDEST = 19  # clang
@@ -103,8 +103,11 @@ def compile_scene_for_card(scene: Scene, architecture: str, folder: Path | None)
     Raises:
         Refusal: see there; or no device advances the scene.
     """
-    units = [build_kernels_unit(scene, kernels=part) for part in (ALL_KERNELS, SMOOTH_KERNEL)]
-    return [file for unit in units for file in compile_for_card(unit, architecture, folder)]
+    return [
+        file
+        for unit in build_card_units(scene)
+        for file in compile_for_card(unit, architecture, folder)
+    ]
 
 
 def find_clang() -> list[str]:

@@ -50,6 +50,15 @@ def build_fleet_unit(scene: Scene) -> Unit:
     )
 
 
+def build_card_units(scene: Scene, more: Sequence[Path] = ()) -> list[Unit]:
+    """Return the sources of both modules of a card, see `build_kernels_unit`.
+
+    Raises:
+        Refusal: see there.
+    """
+    return [build_kernels_unit(scene, more, part) for part in (ALL_KERNELS, SMOOTH_KERNEL)]
+
+
 def build_kernels_unit(scene: Scene, more: Sequence[Path] = (), kernels: str = ALL_KERNELS) -> Unit:
     """Return the sources of the scene's kernels for a device.
 
