@@ -358,8 +358,8 @@ def test_ctrl_c_while_the_emulator_begins_a_record_leaves_a_complete_bag(tmp_pat
     with own_domain():
         command = [sys.executable, "-c", INTERRUPTED_RECORD.format(folder=folder)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
-    told = [line for line in done.stderr.splitlines() if not line.startswith("compiling ")]
-    assert not told and f"{folder}: 0 messages" in done.stdout
+    errors = [line for line in done.stderr.splitlines() if not line.startswith("compiling ")]
+    assert not errors and f"{folder}: 0 messages" in done.stdout
     assert sorted(file.name for file in folder.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
 
 
