@@ -15,7 +15,6 @@ from arm_emulator.extension.machine import (
     WRENCH_AXES,
     Change,
     NumberChange,
-    PowerChange,
     Scene,
     WrenchChange,
     find_varied,
@@ -23,14 +22,8 @@ from arm_emulator.extension.machine import (
 )
 from arm_emulator_campaign.definition.fault import SOUND, UNCHANGED, Fault, schedule_events
 from arm_emulator_fleet import FleetWay
+from arm_emulator_fleet.fleet_schedule import KINDS
 from arm_emulator_fleet.unit import FLEET
-
-KINDS = {
-    kind: FLEET.constant(f"ARM_CHANGES_{name}")
-    for kind, name in (
-        (NumberChange, "PARAMETER"), (WrenchChange, "WRENCH"), (PowerChange, "POWER")
-    )
-}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,12 @@ from arm_emulator.extension.machine import (
 from arm_emulator_fleet.fleet_machines import LARGEST_FLEET
 from arm_emulator_fleet.unit import FLEET
 
-_PARAMETER, _WRENCH, _POWER = (
-    FLEET.constant(f"ARM_CHANGES_{name}") for name in ("PARAMETER", "WRENCH", "POWER")
-)
+KINDS = {
+    kind: FLEET.constant(f"ARM_CHANGES_{name}")
+    for kind, name in (
+        (NumberChange, "PARAMETER"), (WrenchChange, "WRENCH"), (PowerChange, "POWER")
+    )
+}  # fmt: skip
 Timed = tuple[int, Change]
 
 
@@ -90,13 +93,13 @@ class FleetWay(NonCopyable):
                 if not before <= tick:
                     raise Refusal(where, "ticks", "ascend from 0", tick)
                 before = tick
-                kind, place, value = _POWER, 0, 0.0
+                kind, place, value = KINDS[PowerChange], 0, 0.0
                 if isinstance(change, NumberChange):
                     varied = find_varied(scene.varied, change.name, where)
-                    kind, place = _PARAMETER, self._places[change.name]
+                    kind, place = KINDS[NumberChange], self._places[change.name]
                     value = varied.number.take(where, change.value)
                 elif isinstance(change, WrenchChange):
-                    kind = _WRENCH
+                    kind = KINDS[WrenchChange]
                     place, moved = move_to_moving_link(scene, where, change.link, change.wrench)
                     wrenches.append((len(rows), AXES.index(moved.axes), moved))
                 elif isinstance(change, PowerChange):
