@@ -204,7 +204,7 @@ CHANGES: dict[str, tuple[Callable[[BagMessage], bytes | None], int, str]] = {
 }  # fmt: skip
 
 
-# Of which others show the same.
+# These changes are slow tests: the others make the same claims.
 LONG = {"a current", "a true speed", "lost commands"}
 
 

@@ -92,7 +92,7 @@ class Variation:
 
     @property
     def names(self) -> list[str]:
-        """Of the numbers."""
+        """The names of the numbers."""
         return [number.name for number in self.numbers]
 
     @property

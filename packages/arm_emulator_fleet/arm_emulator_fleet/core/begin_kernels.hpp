@@ -18,6 +18,6 @@
 #pragma clang force_cuda_host_device begin
 #include <tuple>
 #include <vector>
-// Of what other files may call, only what the kernels call is of use here; until kernel.hpp.
+// No other file calls the functions up to kernel.hpp, so those that no kernel calls are dropped.
 #pragma clang attribute push(__attribute__((internal_linkage)), apply_to = function)
 #endif

@@ -507,7 +507,7 @@ struct arm_fleet {
     bool answers = false;          // its machines do not have the newest commands yet
     std::int64_t answered = -1;    // the tick of these
     bool has_applied = false;      // its lanes do, as no run has commanded them since
-    // Of a call that a device carries out period by period.
+    // The members below serve a call that a device carries out period by period.
     bool has_refused = false;        // its control code has
     std::int64_t taken = -1;         // steps of the period before the first event; -1: not begun
     std::int64_t began[lanes] = {};  // ticks of the arms when the call began

@@ -76,7 +76,8 @@ class SmoothTogether {
       restore(later);
     }
   }
-  // The same where no machine has to take it alone; else false, and nothing has happened.
+  // A step that no machine has to take alone; where one has to, it returns false and changes
+  // nothing.
   template <class Exchange>
   ARM_INLINE bool step_smoothly(State<S, X>& x, const X (&u)[row], Exchange& exchange) {
     const State<S, X> start = x;

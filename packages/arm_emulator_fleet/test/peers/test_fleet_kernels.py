@@ -39,7 +39,7 @@ CUMULATIVE = re.compile(r"(\d+) bytes cumulative stack size")
 @pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("robot", some(ROBOTS, 1))
 def test_kernels_call_nothing_that_a_card_has_not(robot: str, part: str) -> None:
-    """That of smooth steps has no code of events; where they exist, the others are assembled
+    """The kernel of smooth steps has no code of events; where they exist, the others are assembled
     quickly."""
     ptx = load_ptx(build_kernels_unit(load_scene(robot), kernels=part), "sm_90")
     text = ptx.decode()
