@@ -1,9 +1,14 @@
 """Packages are found by their entry points; the core without them names what is missing."""
 
+import os
 import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
 
 import pytest
-from documents import ROOT
+from documents import ROOT, page_of
 
 from arm_emulator import Plant, Refusal
 from arm_emulator.base import packages
@@ -48,3 +53,25 @@ def test_the_core_knows_which_package_has_which_command() -> None:
         if commands:
             commands_of[setup.parent.name.removeprefix("arm_emulator_")] = tuple(sorted(commands))
     assert commands_of == packages.COMMANDS_OF
+
+
+def test_the_package_of_the_page_adds_its_command(tmp_path: Path) -> None:
+    text = page_of("contribute/extending").read_text().split("### A package in a repository")[1]
+    indented = re.findall(r"(?:^(?: {4}.*)?\n)+", text.split("\n## ")[0], re.M)
+    setup, module = (textwrap.dedent(block) for block in indented if block.strip())
+    package = tmp_path / "my_arm_tools"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "joint_names.py").write_text(module)
+    (tmp_path / "setup.py").write_text(setup)
+
+    path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", "")))
+
+    def run(folder: Path, *arguments: str) -> str:
+        command, env = (sys.executable, *arguments), {**os.environ, "PYTHONPATH": path}
+        return subprocess.run(
+            command, capture_output=True, text=True, check=True, cwd=folder, env=env
+        ).stdout
+
+    run(tmp_path, "setup.py", "-q", "egg_info")
+    assert run(ROOT, "-m", "arm_emulator", "joint-names", "three_axis") == "waist shoulder elbow\n"
