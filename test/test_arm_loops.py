@@ -87,6 +87,7 @@ def swing_of(scene: Scene, servo: ServoConfig, ticks: int, kick: float) -> np.nd
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", with_slow(some(range(3), 2), 1))
 def test_arms_called_stable_settle_and_those_called_unstable_swing(
     seed: int, tmp_path: Path

@@ -98,6 +98,7 @@ def list_deflections(plant: Plant) -> dict[str, float]:
     return {name: float(getattr(measured, f"bearing_{name}")[0]) for name in SPRINGS}
 
 
+@pytest.mark.slow
 def test_weight_deflects_a_bearing_as_statics_say(beam: Scene) -> None:
     """The slowest motion, D / K of 0.5 ms and its mass, has died away after 20 s to rounding."""
     plant = Plant(beam)

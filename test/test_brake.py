@@ -135,6 +135,7 @@ def test_a_delay_of_integer_steps_is_so_many_steps_though_its_quotient_is_rounde
         assert plant.measured.brake_closed[2] == (not on), f"{steps} steps after it"
 
 
+@pytest.mark.slow
 def test_power_off_holds_the_arm_by_its_brakes(scene: Scene) -> None:
     """It falls until they close, then hangs in its gears: rotors stand still to the last bit."""
     rng = np.random.default_rng(4)

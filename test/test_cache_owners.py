@@ -112,6 +112,7 @@ def chain(rng: np.random.Generator, top: Path) -> tuple[Path, str]:
     return folder, "" if setup in fine else setup
 
 
+@pytest.mark.slow
 def test_only_a_private_folder_is_searched(
     planted: Planted,
     sound: Sound,
@@ -209,6 +210,7 @@ def test_a_library_that_another_user_plants_in_the_temporary_folder_never_runs(
     assert "cache folder must be writable" in printed[1], printed
 
 
+@pytest.mark.slow
 @as_root
 def test_swapping_folders_during_the_check_gains_nothing(
     planted: Planted, sound: Sound, shared: Path, bait: Path, monkeypatch: pytest.MonkeyPatch

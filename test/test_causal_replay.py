@@ -58,6 +58,7 @@ def gains(name: str) -> str:
     return str(find_config_folder() / f"{name}/three_axis.yaml")
 
 
+@pytest.mark.slow
 def test_the_record_has_the_topics_that_replays_need(bag: Path) -> None:
     counts = {name: topic.count for name, topic in Bag(bag).topics.items()}
     for name in ("joint_targets", "joint_states", "servo_states"):
@@ -140,6 +141,7 @@ def test_a_servo_with_another_gain_responds_to_each_state_with_the_same_bits(bag
     assert len(digests) == 1, "the same bits"
 
 
+@pytest.mark.slow
 def test_missing_commands_are_reported(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(causal_replay, "PATIENCE", 0.5)
     renamed = find_config_folder() / "servo/three_axis.yaml"
@@ -153,6 +155,7 @@ def test_missing_commands_are_reported(bag: Path, monkeypatch: pytest.MonkeyPatc
     assert "replay: goal not reached: " in errors
 
 
+@pytest.mark.slow
 def test_a_replay_without_its_node_or_beside_an_emulator_is_refused(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

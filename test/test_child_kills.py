@@ -50,6 +50,7 @@ end.leave("never read")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("child", "how"), with_slow(some(CASES[::-1], 3), 1))
 def test_a_run_goes_on_and_nothing_stays(child: str, how: str, tmp_path: Path) -> None:
     case = KillCase(child, HOW[how], 0.2, tmp_path)
@@ -90,6 +91,7 @@ def test_processes_of_a_run_end_together(noisy: str, tmp_path: Path) -> None:
     assert second.close() == "over"
 
 
+@pytest.mark.slow
 def test_processes_that_hang_are_killed_at_a_common_deadline(noisy: str) -> None:
     plant, task, patience = Plant("three_axis"), {"hangs": True}, 4.0
     every = [

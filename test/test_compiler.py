@@ -82,6 +82,7 @@ def test_second_use_compiles_nothing(
     assert capsys.readouterr().err == "", "the second use prints nothing"
 
 
+@pytest.mark.slow
 def test_compilers_are_reported_apart(
     quick_compiler: None,
     cache: Path,
@@ -116,6 +117,7 @@ def test_compilers_are_reported_apart(
     assert capsys.readouterr().err == "", "an unnamed compiler"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "serves"),
     [
@@ -259,6 +261,7 @@ def test_failures_of_a_compiler_end_in_a_line(
     assert not cache.exists() or list(cache.iterdir()) == [], "nothing half made stays"
 
 
+@pytest.mark.slow
 def test_random_output_of_a_compiler_is_never_loaded(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

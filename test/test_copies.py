@@ -130,6 +130,7 @@ def in_child(work: Callable[[], object]) -> str:
     return text
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*:DeprecationWarning")
 @pytest.mark.parametrize("threads", some([2, 1], 1))
 def test_a_forked_child_continues_independently(threads: int, tmp_path: Path) -> None:

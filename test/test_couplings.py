@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from machines import links_of
 from scipy.integrate import solve_ivp
 
@@ -104,7 +104,10 @@ CASES: dict[str, Callable[[], tuple[list[RobotPart], Shares]]] = {
 
 
 @pytest.mark.parametrize(
-    "name", some(sorted(CASES, key=lambda name: name not in ("palletizer", "differential")), 2)
+    "name",
+    with_slow(
+        some(sorted(CASES, key=lambda name: name not in ("palletizer", "differential")), 2), 1
+    ),
 )
 def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) -> None:
     parts, shares = CASES[name]()
@@ -257,6 +260,7 @@ def assert_keeps_energy(plant: Plant) -> None:
     assert np.abs(v).max() > 0.3 and np.abs(moved).max() < 1e-6 * 0.5 * v @ M @ v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["telescope", *some([*ARMS][1:], 0)])
 def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: Path) -> None:
     """On links with and without a drive: what a unit measures is what the constraints give."""

@@ -206,6 +206,7 @@ def test_a_drive_does_not_adapt_to_a_heated_winding(tmp_path: Path) -> None:
     assert errors[1] < 5e-3 and errors[1] < 0.35 * errors[0], errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("last", some([{"winding": WINDING}, {}], 1), ids=repr)
 def test_energy_is_supplied_less_dissipated_energy(last: dict[str, Any], tmp_path: Path) -> None:
     file, left = write(tmp_path, events="located", **last), []

@@ -70,6 +70,7 @@ def test_a_decision_is_the_weighed_mean_of_rollouts(
     np.testing.assert_allclose(np.asarray(controller.plan)[:-1], mean[1:], rtol=1e-11, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_rollouts_bring_an_arm_to_its_target() -> None:
     import mppi
 
@@ -81,6 +82,7 @@ def test_rollouts_bring_an_arm_to_its_target() -> None:
     assert lanes[0] > 0.35 and lanes[-10:].mean() < 0.08
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", with_slow([None, "processor"], 1))
 @pytest.mark.parametrize("library", with_slow(["numpy", "torch"], 1))
 def test_a_search_follows_its_rule(device: str | None, library: str) -> None:

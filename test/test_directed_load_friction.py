@@ -312,6 +312,7 @@ def sample_budgets(
     return cases, laws, np.stack(commands, axis=1)
 
 
+@pytest.mark.slow
 def test_friction_only_takes_energy(tmp_path: Path) -> None:
     """Draws of the law, of its load and of the direction, two at a time."""
     rng, worst, plant = np.random.default_rng(93), 0.0, None
@@ -378,6 +379,7 @@ def test_a_thousand_joints_do_not_creep_in_an_hour(tmp_path: Path) -> None:
 WORM = {"coulomb": 0.005, "load": 1.5}  # of the motor's shaft: 40 % of efficiency forward
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("events", "backward", "locks"),
     with_slow(

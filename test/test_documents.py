@@ -65,6 +65,7 @@ def test_the_page_of_python_has_every_public_name() -> None:
     assert set(arm_emulator.__all__) <= set(text)
 
 
+@pytest.mark.slow
 def test_generated_parts_of_pages_follow_from_the_code() -> None:
     """As `make tables` writes them, and `make lint` checks."""
     assert dict(generated.outdated_pages()) == {}

@@ -53,6 +53,7 @@ def started(user: User, name: str) -> int:
 SILENT = "silent until it ends: another emulator was started before on /motor_states, "
 
 
+@pytest.mark.slow
 def test_a_second_emulator_is_named_and_silent_until_the_first_has_ended(
     three_nodes: tuple[User, Bringup], log: Path, forked: bool
 ) -> None:

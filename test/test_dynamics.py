@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import GRAVITY, Oracle, links_of, random_chain
 from scipy.spatial.transform import Rotation
 
@@ -54,7 +54,7 @@ def test_shipped_scenes_equal_aba(name: str) -> None:
 
 # 12 are the most that the core unrolls in nested loops, which a compiler takes long over.
 @pytest.mark.parametrize(
-    ("seed", "joints"), some([(3, 5), (6, 14), (1, 1), (2, 2), (5, 7), (4, 12)], 2)
+    ("seed", "joints"), with_slow(some([(3, 5), (6, 14), (1, 1), (2, 2), (5, 7), (4, 12)], 2), 1)
 )
 def test_random_chains_equal_aba(tmp_path: Path, seed: int, joints: int) -> None:
     """Revolute and prismatic joints about any axis, fixed joints merged, gravity aslant.
@@ -84,6 +84,7 @@ def test_payload_is_a_body_at_the_tool(tmp_path: Path) -> None:
     assert actual == pytest.approx(expected, rel=TOLERANCE), "accelerations with a payload"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(4), 1))
 def test_locked_joints_hold_their_position(tmp_path: Path, seed: int) -> None:
     """Two of five joints, anywhere in the chain: Pinocchio locks them there too."""

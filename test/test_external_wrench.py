@@ -135,6 +135,7 @@ def test_links_accelerate_as_in_pinocchio(tmp_path: Path) -> None:
     np.testing.assert_allclose(a, expected, rtol=1e-9, atol=1e-8, err_msg="after a reset")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(["extrapolated", "rosenbrock"], 1))
 def test_pushes_and_loads_that_change_keep_the_order(tmp_path: Path, scheme: str) -> None:
     """Each period others: a jump of the load is no motion of the links."""

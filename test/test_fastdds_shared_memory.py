@@ -48,6 +48,7 @@ def segments(process: subprocess.Popen[str]) -> set[Path]:
     return {Path(name) for name in process.stdout.readline().split()}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no shared memory here")
 def test_shared_memory_of_killed_nodes_is_removed_and_of_running_nodes_remains() -> None:
     with own_domain():

@@ -142,6 +142,7 @@ for library in libraries:
 """
 
 
+@pytest.mark.slow
 def test_a_library_that_ends_the_process_is_reported_with_its_tick(
     build: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -79,7 +79,7 @@ def recorded(bag: Path, scene: Path) -> RecordedMachine:
     return machine
 
 
-@pytest.mark.parametrize("requested", with_slow(REQUESTS, 2))
+@pytest.mark.parametrize("requested", with_slow(REQUESTS, 1))
 def test_a_fork_is_the_run_that_would_have_been_changed_there(
     requested: str, scene: Path, straight: Path, tmp_path: Path
 ) -> None:

@@ -87,6 +87,7 @@ def test_outputs_that_take_nothing(words: list[str], shell: str, code: int, line
     assert errors.count("\n") == bool(line) and line in errors, errors
 
 
+@pytest.mark.slow
 def test_names_are_printed_where_the_terminal_has_ascii_alone(tmp_path: Path) -> None:
     file = own_three_axis(tmp_path, "").rename(tmp_path / "Gelenkarm é 関節.yaml")
     for more in ([], ["--json"]):
@@ -109,6 +110,7 @@ ON_DISKS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "left"), with_slow(ON_DISKS, 2))
 def test_a_record_on_a_full_disk(words: list[str], left: int, disk: Path) -> None:
     """The run ends, whether the disk is full before or on the way, and no process stays."""

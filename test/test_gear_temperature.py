@@ -146,6 +146,7 @@ def driven_at_once(folder: Path, body: dict[str, float], viscous: float, coulomb
     return Plant(scene_of(folder, joint, 4, varied=["joints.*"]))
 
 
+@pytest.mark.slow
 def test_a_joint_that_warms_for_hours_comes_to_rest_where_losses_leave(tmp_path: Path) -> None:
     """At a constant speed: the rise is Rth times the loss, and viscous friction fell by it."""
     body = {"heat_capacity": 400.0, "thermal_resistance": 0.8, "viscous_decay": 20.0,

@@ -149,6 +149,7 @@ def test_a_motor_that_speeds_up_has_its_energy_from_the_supply(gantry: Path) -> 
         assert (plant.state.v > 0.3).all(), "speeds that were reached"
 
 
+@pytest.mark.slow
 def test_motors_that_start_from_rest_receive_their_energy(gantry: Path) -> None:
     """Between any two looks at the energy: at rest these motors are given nothing."""
     for seed in range(100):

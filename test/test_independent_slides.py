@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import with_slow
 from machines import ROTOR, write_scene
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj
@@ -82,7 +83,7 @@ def row(which: slice, values: np.ndarray) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("m", [(0.2, 0.7, 0.95), (0.95, 0.4, 0.6)])
+@pytest.mark.parametrize("m", with_slow([(0.2, 0.7, 0.95), (0.95, 0.4, 0.6)], 1))
 def test_a_free_rotor_swings_in_a_tooth_as_a_pendulum(
     slides: Path, m: tuple[float, float, float]
 ) -> None:

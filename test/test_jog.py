@@ -303,6 +303,7 @@ def test_commands_are_refused() -> None:
     np.testing.assert_allclose(largest.twist, [0.24, 0.32, 0.0, 0.0, 0.0, 0.5])
 
 
+@pytest.mark.slow
 def test_the_node_takes_twists_and_publishes_their_limits() -> None:
     """By its topics, in lock-step: the tool moves, the status goes to a code and back, refusals."""
     with in_process() as nodes:

@@ -56,6 +56,7 @@ CASES = sorted(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "events", "scheme"), with_slow([CASES[1], CASES[0], *CASES[2:]], 1)
 )

@@ -34,6 +34,7 @@ def test_a_wake_up_is_waited_for_beyond_the_requested_time() -> None:
     assert len(result.late) > 0 and result.quantiles[0] >= 0.0
 
 
+@pytest.mark.slow
 def test_emulator_and_servo_run_at_another_rate() -> None:
     responses = probe_latency("three_axis", 2e-3, 0.4)
     assert 0.4 / 2e-3 <= responses.periods < 60.0 / 2e-3

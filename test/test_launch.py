@@ -245,6 +245,7 @@ time.sleep(1000)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", some([signal.SIGKILL, signal.SIGTERM], 1))
 def test_nodes_end_with_a_launcher_that_leaves_them(stop: signal.Signals) -> None:
     """As `ros2 launch` does when it is ended by SIGTERM, at any moment."""

@@ -141,6 +141,7 @@ def change(rng: np.random.Generator, file: Path, sound: Sound) -> str:
     return damage
 
 
+@pytest.mark.slow
 def test_a_spoiled_library_is_never_loaded_but_compiled_again(
     cache: Path, sound: Sound, capsys: pytest.CaptureFixture[str]
 ) -> None:

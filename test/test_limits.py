@@ -151,6 +151,7 @@ def test_the_error_at_limits_vanishes_with_the_step(tmp_path: Path, seed: int, s
     assert errors[1] < max(0.45 * errors[0], 1e-3 * np.abs(truth).max()), errors
 
 
+@pytest.mark.slow
 def test_a_limit_far_beyond_reach_changes_no_bit() -> None:
     voltages = np.random.default_rng(5).uniform(-20.0, 20.0, size=(50, 3))
     runs = []

@@ -27,6 +27,7 @@ def sized_arms(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Scen
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", with_slow(some([0.01, 0.05, 0.005, 0.02, 0.1], 2), 1))
 @pytest.mark.parametrize("arm", some(ARMS, 1))
 def test_links_keep_their_accelerations(

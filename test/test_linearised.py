@@ -222,6 +222,7 @@ def test_a_gear_with_play_pulls_where_it_touches() -> None:
         linearise(in_three_axis(gravity=[0, -9.81, 0], **LOOSE), [0.0, 0.5, 0.8])
 
 
+@pytest.mark.slow
 def test_a_current_at_its_limit_stays_there() -> None:
     plant = in_three_axis(**LOOSE)
     plant.advance([40.0, 0.0, 0.0], 5)

@@ -20,6 +20,7 @@ def located(scheme: str, dt: float, period: float) -> dict[str, Any]:
     return {"servo_period": period, "integrator": integrator}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", with_slow(SECOND_ORDER, 1))
 def test_a_rotor_reverses_with_its_link_on_parabolas(tmp_path: Path, scheme: str) -> None:
     """A constant torque against dry friction, then the opposite one, behind a rigid gear.
@@ -134,6 +135,7 @@ def test_a_scene_without_energy_flow_reports_none() -> None:
     assert plant.t == 0.0, "a refused call lets time pass"
 
 
+@pytest.mark.slow
 def test_powers_are_those_of_the_equations(tmp_path: Path) -> None:
     """A motor within its limit and one at it, both with friction and a damped gear."""
     motor = {

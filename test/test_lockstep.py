@@ -205,6 +205,7 @@ def test_late_responses_are_counted_and_no_fault() -> None:
         assert health.values["joint_targets before the reset"] == 1 and health.refused == before
 
 
+@pytest.mark.slow
 def test_a_killed_servo_is_waited_for_and_the_next_continues(three_nodes: SharedNetwork) -> None:
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))
@@ -253,6 +254,7 @@ def test_a_killed_motion_controller_is_waited_for_and_the_next_continues(
         user.wait("the tool", lambda: user.printed("motion_controller", "moving the tool"))
 
 
+@pytest.mark.slow
 def test_a_new_emulator_restarts_with_the_old_partners(three_nodes: SharedNetwork) -> None:
     with three_nodes() as (user, nodes):
         begin(user, target_of("three_axis"))

@@ -94,6 +94,7 @@ def running(log: Path, **emulator: object) -> Iterator[tuple[User, Bringup, list
         yield user, nodes, [Client(user, name) for name in NODES]
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_after_a_node_was_inactive(tmp_path: Path) -> None:
     """Time stands, commands are dropped, services refuse; after servo and emulator: equal bits."""
     with running(tmp_path) as (user, _, clients):

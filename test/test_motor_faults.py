@@ -128,6 +128,7 @@ def test_every_kind_of_motor_is_tried() -> None:
     assert {motor.get("kind", "dc") for motor in KINDS.values()} == {motor.kind for motor in MOTORS}
 
 
+@pytest.mark.slow
 def test_each_fault_of_each_kind_of_motor_acts_or_is_refused(scene: Scene, tmp_path: Path) -> None:
     plant = Plant(scene)
     drive(plant, range(BEGIN))

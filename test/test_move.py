@@ -32,6 +32,7 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(status, "NAMED_WITHIN", PATIENCE)
 
 
+@pytest.mark.slow
 def test_a_target_is_sent_and_its_end_is_the_exit_code(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,6 +152,7 @@ def test_malformed_targets_are_refused(
     assert code == 2 and not out and errors.count("\n") == 1 and reason in errors, errors
 
 
+@pytest.mark.slow
 def test_a_target_with_a_time_gives_the_bits_of_every_repeated_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

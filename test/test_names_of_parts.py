@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.encoder import Encoder, LinkEncoder
@@ -115,6 +117,7 @@ def list_occurrences() -> dict[str, set[str]]:
     return dict(sources())
 
 
+@pytest.mark.slow
 def test_no_room_names_a_part() -> None:
     assert len(list_occurrences()) > 500, "the rooms are there"
     named = {

@@ -222,6 +222,7 @@ def test_garbage_and_huge_messages_change_nothing(lockstep: SharedNetwork) -> No
         assert_same_bits(user.motor_states(), reference(), TICKS)
 
 
+@pytest.mark.slow
 def test_tool_targets_for_different_times_may_come_at_once(lockstep: SharedNetwork) -> None:
     _, p_WT = load_offline_run("three_axis").controller.kinematics.forward([0.0, 0.5, 0.8])
     there, back = p_WT + np.array([0.0, 0.02, 0.0]), p_WT - np.array([0.0, 0.01, 0.0])
@@ -302,6 +303,7 @@ def test_the_first_actions_of_a_page_are_answered(lockstep: SharedNetwork) -> No
             controls.close()
 
 
+@pytest.mark.slow
 def test_nodes_follow_the_emulators_clock(lockstep: SharedNetwork) -> None:
     """One of ours beside the others, which commands another arm, and one of the test's."""
     renamed = ("-r", "__node:=other", "-r", "joint_targets:=other_targets")

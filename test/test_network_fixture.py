@@ -29,6 +29,7 @@ TARGET = 0.43, 0.05, 0.64
 ANGLES = {"waist": 0.1, "shoulder": 0.6, "elbow": 0.9}
 
 
+@pytest.mark.slow
 def test_a_failure_leaves_a_bag_that_is_driven_again_to_equal_bits(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,6 +75,7 @@ def test_a_motor_loses_its_torque(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert "equal to the last bit" in capfd.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call",
     with_slow(

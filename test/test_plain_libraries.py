@@ -287,6 +287,7 @@ def test_long_calls_give_the_same_bits_in_pieces(
     assert PIECE % 16 == 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_call_that_would_take_years() -> None:
     code = """
 from arm_emulator.machine.plant.plant import Plant

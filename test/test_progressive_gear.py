@@ -167,6 +167,7 @@ def test_wind_up_solves_the_cubic() -> None:
     assert RigidGear(ratio=1.0).wind_up(5.0) == 0.0, "rigid"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 def test_without_a_cube_the_gear_is_the_linear_gear(tmp_path: Path, scheme: str) -> None:
     """A part that is absent is not compiled; one of no effect changes rounding alone."""
@@ -214,6 +215,7 @@ def test_a_gear_too_stiff_for_the_step_is_followed_or_diverges(tmp_path: Path, s
     assert set(outcomes) == {"diverged", "followed"}, outcomes
 
 
+@pytest.mark.slow
 def test_a_gear_that_is_wrongly_declared_linear_does_not_compile(tmp_path: Path) -> None:
     """A part that fails to declare its nonlinearity does not compile."""
     core = shutil.copytree(CORE, tmp_path / "core")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from draws import some
+from draws import some, with_slow
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.base.config_files import find_scene
@@ -135,6 +135,7 @@ def truth_of(plant: Plant) -> dict[str, Any]:
     return values_by_name
 
 
+@pytest.mark.slow
 def test_a_row_has_the_time_and_the_tick_of_its_measurement(scene: Scene) -> None:
     plant = Plant(scene)
     row = RecordRow(plant)
@@ -222,7 +223,9 @@ def on_ethercat(file: Path) -> tuple[Plant, Callable[[], None]]:
     return segment.drives.plant, go
 
 
-@pytest.mark.parametrize("door", [in_real_time, in_lock_step, on_canopen, on_ethercat])
+@pytest.mark.parametrize(
+    "door", with_slow([in_real_time, in_lock_step, on_canopen, on_ethercat], 2)
+)
 def test_loops_in_c_are_recorded_period_by_period(
     tmp_path: Path, door: Callable[[Path], tuple[Plant, Callable[[], None]]]
 ) -> None:
@@ -318,6 +321,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_a_full_disk_is_reported_and_leaves_a_complete_file_or_none(
     small_disk: Path, suffix: str

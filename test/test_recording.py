@@ -174,6 +174,7 @@ def network_of(listener: User, log: Path, **options: Any) -> Iterator[None]:
         assert set(codes.values()) == {0}, f"exit codes {codes}"
 
 
+@pytest.mark.slow
 def test_a_recorder_that_is_often_away_misses_nothing(
     lockstep_bags: tuple[Path, Path, Path, str],
 ) -> None:

@@ -224,6 +224,7 @@ def test_recorders_on_a_disk_that_becomes_full_leave_complete_bags(
         assert_complete(bag, readable)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [errno.EIO, errno.EDQUOT, errno.ENOSPC, None])
 @pytest.mark.parametrize("heals", with_slow([False, True], 1))
 def test_no_row_is_written_after_the_first_failure(

@@ -282,6 +282,7 @@ assert "rerun" not in sys.modules
     run(code)
 
 
+@pytest.mark.slow
 def test_a_file_that_does_not_take_data_costs_samples_and_nothing_else(tmp_path):
     """A pipe that nobody reads any more stands for a disk that hangs."""
     pipe = tmp_path / "pipe"
@@ -346,6 +347,7 @@ while True:
     assert (values == 0.5).all()
 
 
+@pytest.mark.slow
 def test_a_process_that_forgets_to_close_writes_everything(tmp_path):
     file = tmp_path / "a.rrd"
     code = f"""

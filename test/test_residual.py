@@ -119,6 +119,7 @@ def test_residual_stays_within_the_bound_and_the_bound_is_tight() -> None:
     assert np.max(ratios) > 0.6
 
 
+@pytest.mark.slow
 def test_gravity_adds_the_wind_up_of_the_gears() -> None:
     """The arm with its weight: encoders do not see the gears wind up, the prediction does."""
     experiment = Experiment("three_axis", gravity=[0.0, 0.0, -9.81])

@@ -148,6 +148,7 @@ def test_a_stuck_rotor_holds_up_to_its_breakaway_torque(
     assert plant.state.theta_m[0] > 0.0, "an overloaded rotor is still stuck"
 
 
+@pytest.mark.slow
 def test_friction_of_a_rotor_that_moves_with_its_link_is_that_of_the_link(tmp_path: Path) -> None:
     """Behind a rigid gear the same motion as with that friction at the link, to rounding."""
     motor = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05}

@@ -209,6 +209,7 @@ def test_ten_milliseconds_are_enough_for_rosenbrock() -> None:
 # Limits
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated"], 1))
 def test_stiff_gears_converge_to_the_rigid_gear(scheme: str) -> None:
     """The wind-up is T / Kg."""

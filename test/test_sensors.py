@@ -162,6 +162,7 @@ def test_readings_of_a_unit_are_lost_independently(scene: Scene) -> None:
     )
 
 
+@pytest.mark.slow
 def test_without_sensors_the_core_has_none(scene: Scene, tmp_path: Path) -> None:
     """A plain encoder is not compiled; and sensors change nothing of the motion."""
     file = write(tmp_path)

@@ -46,6 +46,7 @@ def test_its_motors_hold_it_within_their_dry_friction(capsys: pytest.CaptureFixt
         assert (np.max(moved, axis=0) < 1e-9).all() == holds
 
 
+@pytest.mark.slow
 def test_its_test_motion_ends_within_a_count_of_its_encoders() -> None:
     assert run("so_arm100", displacement=(-0.0032, 0.0078, 0.0248), seconds=4.0) == 0
 

@@ -103,6 +103,7 @@ def strangers(rng: random.Random, user: User) -> dict[str, Any]:
     return messages
 
 
+@pytest.mark.slow
 def test_messages_of_strangers_do_not_change_a_motion(mover: Mover) -> None:
     """Also none that would reset time: a motion goes on, as slowly as it was commanded."""
     user = mover.user

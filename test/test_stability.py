@@ -45,6 +45,7 @@ def small_motions(seed: int) -> SmallMotions:
 PAIRS = [(scheme, seed) for seed in range(2) for scheme in SCHEMES]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "seed"), with_slow(some(PAIRS, len(SCHEMES)), 1))
 def test_small_motions_move_as_the_matrix_of_the_scheme(scheme: str, seed: int) -> None:
     overrides = {**random_overrides(seed), "integrator.scheme": scheme}

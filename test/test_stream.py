@@ -105,7 +105,7 @@ EVERY = list(product(SCENES, PERIODS, some(range(30), 2)))
 CASES = [*ONCE, *(case for case in EVERY if case not in ONCE)]
 
 
-@pytest.mark.parametrize(("scene", "period", "seed"), with_slow(CASES, 2))
+@pytest.mark.parametrize(("scene", "period", "seed"), with_slow(CASES, 1))
 def test_a_stream_is_followed_closely(scene: str, period: float, seed: int) -> None:
     """200 Hz at 0.3 m/s, whatever the motion period; then the tool rests where it has ended."""
     arm = Streamed(scene, period)
@@ -135,6 +135,7 @@ def test_shaking_targets_do_not_shake_the_tool_off(scene: str) -> None:
     assert max(arm.behind) < 2.0 * BEHIND
 
 
+@pytest.mark.slow
 def test_single_targets_are_no_stream() -> None:
     """Targets far apart, or with pauses between them, are gone to and rested at as ever."""
     arm = Streamed("ur5")

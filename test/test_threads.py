@@ -55,6 +55,7 @@ def thread_count() -> int:
     return len(list(Path("/proc/self/task").iterdir()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("exchange", "depth"), with_slow([("predict", 2), ("lag", 1), ("predict", 1)], 1)
 )
@@ -71,6 +72,7 @@ def test_same_bits_every_time_under_load(exchange: str, depth: int) -> None:
     assert len(states) == 1, "different last states of equal runs"
 
 
+@pytest.mark.slow
 def test_lag_is_an_error_of_first_order_below_the_papers() -> None:
     """Table 1 for our scene: first order for every joint, no joint above the paper's figure."""
     differences = {}

@@ -65,6 +65,7 @@ def test_a_constant_current_heats_along_the_exponential(locked: Path) -> None:
     assert steady == pytest.approx(rise(np.inf), rel=1e-9), "steady state"
 
 
+@pytest.mark.slow
 def test_a_drive_beyond_its_limit_states_so_and_is_off_until_it_is_below(locked: Path) -> None:
     scene = load_scene(locked)
     plant, restored = Plant(scene), Plant(scene)

@@ -73,6 +73,7 @@ def test_an_empty_entry_in_pythonpath_is_not_followed(folder: Path) -> None:
     command(folder, "run", "three_axis", "--seconds", "0.05", path=":")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "node", with_slow(["emulator_node", "servo_node", "motion_controller_node"], 1)
 )
@@ -86,6 +87,7 @@ def test_a_node_imports_nothing_of_the_working_folder(node: str, folder: Path) -
     assert done.returncode == 2 or "Refusal" not in done.stderr, done.stderr
 
 
+@pytest.mark.slow
 def test_a_network_imports_nothing_of_the_working_folder(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from draws import with_slow
 from machines import own_three_axis
 from network import User, user
 from rclpy.serialization import deserialize_message
@@ -188,7 +189,9 @@ def emulator(folder: Path, clock: str) -> Iterator[User]:
         assert set(nodes.stop().values()) == {0}
 
 
-@pytest.mark.parametrize(("door", "clock"), [(ByRos, "lockstep"), (ByRosInRealTime, "realtime")])
+@pytest.mark.parametrize(
+    ("door", "clock"), with_slow([(ByRos, "lockstep"), (ByRosInRealTime, "realtime")], 1)
+)
 def test_an_emulator_node(door: Callable[[User], Door], clock: str, tmp_path: Path) -> None:
     with emulator(tmp_path, clock) as client:
         check(door(client))

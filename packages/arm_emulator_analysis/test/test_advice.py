@@ -68,6 +68,7 @@ def true_error(method: IntegrationMethod, steps: int) -> float:
     return float(np.abs(q - truth).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("expected", some([1e-5, 1e-4, 3e-6, 1e-7, 1e-8], 1))
 def test_settings_keep_the_error_by_an_independent_solution(expected: float) -> None:
     judge, _ = demo()
@@ -155,6 +156,7 @@ def test_a_reserve_grows_where_a_motion_stands_out() -> None:
     assert reserve(np.append(even, np.inf)) == np.inf, "one diverges"
 
 
+@pytest.mark.slow
 def test_divergence_is_an_infinite_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Stiff undamped gears: `paper` diverges down to steps that nobody would choose."""
     try_only(monkeypatch, "paper", "rosenbrock")
@@ -201,6 +203,7 @@ def three_motors(folder: Path, kinds: tuple[str, ...]) -> Scene:
     return load_scene(write_scene(folder, gantry_urdf(1e6), joints, integrator=integrator))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kinds", some([("dc", "loop", "pmsm"), ("torque", "current", "unlimited")], 1)
 )

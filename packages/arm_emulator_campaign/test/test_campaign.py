@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from test_command_line import run as command
 
 from arm_emulator.base.refusal import Refusal
@@ -88,7 +88,7 @@ def changed(data, path, value):
 # ------------------------------------------------------------------------------------------ runs
 
 
-@pytest.mark.parametrize("data", [TABLE, MOVES])
+@pytest.mark.parametrize("data", with_slow([TABLE, MOVES], 1))
 def test_a_run_is_a_function_of_its_index(tmp_path, data):
     definition = load_campaign(written(tmp_path, data))
     first = Simulator(definition)
@@ -278,6 +278,7 @@ def digest_alone(file, count=None):
     return compute_digest(results.columns()), results.columns()
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
     """The campaign stops when it knows enough."""
     file = written(tmp_path, changed(TABLE, "stop", {"width": 0.16, "confidence": 0.9}))
@@ -306,6 +307,7 @@ def test_results_do_not_depend_on_how_they_were_divided(tmp_path):
         Results(tmp_path / "two", load_campaign(written(tmp_path, changed(TABLE, "seed", 1))))
 
 
+@pytest.mark.slow
 def test_damaged_parts_are_set_aside_and_their_runs_simulated_again(tmp_path, capsys):
     data = changed(changed(TABLE, "count", 70), "scenario/seconds", 0.004)
     for k, fault in enumerate(data["faults"].values()):  # of the machine of all other tests

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from test_campaign import MOVES, digest_alone, written
 from test_campaign_lanes import VARIED, campaign_of, cases_of, rows_of
 from test_splitting import DRIFTS
@@ -20,7 +20,7 @@ from arm_emulator_campaign.results.outcome import Outcomes
 from arm_emulator_campaign.results.parts import Results, compute_digest
 
 
-@pytest.mark.parametrize("name", some(VARIED, 2))
+@pytest.mark.parametrize("name", with_slow(some(VARIED, 2), 1))
 def test_runs_on_a_device_equal_those_in_lanes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:

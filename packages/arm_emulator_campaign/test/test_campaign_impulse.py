@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from draws import with_slow
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.session.tool_chain import ToolChain
@@ -40,7 +41,7 @@ def changed_speed(campaign: Campaign) -> tuple[np.ndarray, Simulator]:
     return v - sound.session.state.v, sound
 
 
-@pytest.mark.parametrize("contact", [1, 3])
+@pytest.mark.parametrize("contact", with_slow([1, 3], 1))
 def test_speeds_change_by_the_impulse_over_inertia(tmp_path: Path, contact: int) -> None:
     changed, simulator = changed_speed(loaded(tmp_path, lasting=contact * 1e-3))
     scene, q = simulator.session.scene, simulator.session.state.q

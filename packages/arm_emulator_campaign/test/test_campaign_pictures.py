@@ -47,6 +47,7 @@ LONG = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["influences", "margins", "coordinates"])
 def test_long_names_are_neither_cut_off_nor_overlap(kind: str) -> None:
     rng = np.random.default_rng(4)

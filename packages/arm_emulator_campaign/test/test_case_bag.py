@@ -33,7 +33,7 @@ ALONE = "a gear with play, without lanes"
 NAMES = [*(name for name in VARIED if name != ALONE), "moves", ALONE]
 
 
-@pytest.mark.parametrize("name", with_slow(NAMES, len(NAMES) - 1))
+@pytest.mark.parametrize("name", with_slow(NAMES, 3))
 def test_a_run_is_repeated_from_its_bag_alone(tmp_path: Path, name: str) -> None:
     definition = campaign(tmp_path, name)
     simulator = Simulator(definition)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from draws import FULL
+from draws import FULL, with_slow
 
 from arm_emulator import Breakpoint, Condition, Plant, Refusal, Session, load_scene
 from arm_emulator.base.expression.formula import bind_signals, parse_formula
@@ -150,18 +150,19 @@ VERDICTS = (by_condition, by_breakpoint)
 MARGINS = (by_lanes, by_simulator)
 
 
-@pytest.mark.parametrize("user", VERDICTS)
+@pytest.mark.parametrize("user", with_slow(VERDICTS, 1))
 def test_verdicts(user: Callable[[Sequence[str], Path], list[bool]], tmp_path: Path) -> None:
     verdicts = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
     assert verdicts == {text: margin >= 0.0 for text, margin in TABLE.items()}
 
 
-@pytest.mark.parametrize("user", MARGINS)
+@pytest.mark.parametrize("user", with_slow(MARGINS, 1))
 def test_margins(user: Callable[[Sequence[str], Path], Verdicts], tmp_path: Path) -> None:
     margins = dict(zip(TABLE, user(list(TABLE), tmp_path), strict=True))
     assert margins == {text: reported(margin) for text, margin in TABLE.items()}
 
 
+@pytest.mark.slow
 def test_margins_of_splitting(tmp_path: Path) -> None:
     texts = [text for text in TABLE if "elbow" in text]
     margins = dict(zip(texts, by_splitting(texts, tmp_path), strict=True))

@@ -85,7 +85,7 @@ MARGINS = [
 ]
 
 
-@pytest.mark.parametrize(("margin", "p", "D"), with_slow(MARGINS, 2))
+@pytest.mark.parametrize(("margin", "p", "D"), with_slow(MARGINS, 1))
 def test_intervals_of_rare_failures_hold_as_often_as_they_claim(margin, p, D):
     method, seeds = Subset(per_level=300, confidence=0.9), 1000 if FULL else 150
     share, ratio = share_of_intervals(method, margin, p, D, seeds)
@@ -136,7 +136,7 @@ def bowl(z):
     return np.array([((point - np.linspace(-1.5, 2.5, len(point))) ** 2).sum() for point in z])
 
 
-@pytest.mark.parametrize("method", [CmaEs, Bayes])
+@pytest.mark.parametrize("method", with_slow([CmaEs, Bayes], 1))
 def test_falsification_reaches_failures_that_sampling_misses(method):
     pytest.importorskip(method.package[0], reason=f"pip install {method.package[1]}")
     some = method(most=400, below=-1e300)
@@ -241,6 +241,7 @@ def probability(campaign):
     return float(weights @ each / weights.sum())
 
 
+@pytest.mark.slow
 def test_rare_failures_of_a_machine(tmp_path):
     campaign = load_campaign(written(tmp_path, PUSHED))
     (finding,), columns = searched(campaign, tmp_path / "r", Here(), 2)
@@ -288,6 +289,7 @@ def test_the_example_agrees_with_bisection_along_lines(tmp_path):
     assert low - 4.0 * error < mean < high + 4.0 * error and error < 0.15 * mean, (mean, low, high)
 
 
+@pytest.mark.slow
 def test_a_search_does_not_depend_on_how_it_was_divided(tmp_path):
     data = json.loads(json.dumps(PUSHED))
     data["search"] |= {"per_level": 50, "repetitions": 4}

@@ -225,6 +225,7 @@ class Here:
         pass
 
 
+@pytest.mark.slow
 def test_a_search_goes_on_and_has_the_same_end(tmp_path):
     campaign = read(tmp_path, RARE)
     results = Results(tmp_path / "results", campaign)

@@ -216,7 +216,7 @@ def test_a_limit_on_a_single_side_still_holds() -> None:
     assert drives.read(0, 0x6062) == 500
 
 
-@pytest.mark.parametrize("bits", with_slow([10, 24, 14, 17, 20, 23], 2))
+@pytest.mark.parametrize("bits", with_slow([10, 24, 14, 17, 20, 23], 1))
 def test_windows_and_decelerations_scale_with_the_encoder(bits: int) -> None:
     """Angles at the motor are those of 10 bits, and the motor stops in the same time.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from machines import make_link_urdf, write_scene
 from test_command_line import run
 from torque_modes import CYCLIC_TORQUE, PROFILE_TORQUE, enabled, faults, swings
@@ -45,7 +45,7 @@ def by_voltage(more: dict[str, Any] | None = None) -> tuple[Scene, ServoConfig]:
     return scene, dataclasses.replace(servo, joints=joints)
 
 
-@pytest.mark.parametrize("name", some(SHIPPED, 2))
+@pytest.mark.parametrize("name", with_slow(some(SHIPPED, 2), 1))
 def test_every_mode_of_the_shipped_arms_is_offered_and_holds(name: str) -> None:
     scene, servo = shipped(name)
     assert withheld_modes(scene, servo, modes()) == []
@@ -84,6 +84,7 @@ def test_torques_are_as_requested_on_new_arms() -> None:
     assert bad == []
 
 
+@pytest.mark.slow
 def test_modes_that_do_not_hold_are_not_offered_and_refused() -> None:
     scene, servo = by_voltage()
     withheld = withheld_modes(scene, servo, modes())
@@ -178,6 +179,7 @@ def draw_drive(rng: np.random.Generator, folder: Path) -> tuple[Scene, ServoConf
     return load_scene(file), ServoConfig(1e-3, 0.0, 1.0, 2.0, 48.0, (servo,))
 
 
+@pytest.mark.slow
 def test_drives_behave_as_the_eigenvalues_state(tmp_path: Path) -> None:
     """In each loop, of motors slow and fast against the period, only unstable modes grow."""
     rng = np.random.default_rng(4)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import FULL, some
+from draws import FULL, some, with_slow
 from machines import CONFIG
 
 from arm_emulator import (
@@ -122,7 +122,7 @@ def predicted(scene: Scene, servo: ServoConfig, joint: int) -> np.ndarray:
     return loop.step(joint, ROWS + 1)
 
 
-@pytest.mark.parametrize("kind", dict.fromkeys(CASES))
+@pytest.mark.parametrize("kind", with_slow(dict.fromkeys(CASES), 1))
 def test_a_step_is_the_linear_prediction(kind: str) -> None:
     """Of the joint that steps and of those that feel it. The step is small, so that what is not
     linear (angles, speeds times currents) is below a hundredth."""

@@ -53,6 +53,7 @@ def test_every_kind_gives_the_requested_torque(kind: type[Motor]) -> None:
             assert used == pytest.approx(0.85 * volts, rel=0.02), "15 % are left for control"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arm", "kind"), CASES)
 def test_an_arm_with_it_goes_where_it_is_sent_and_takes_torques(
     arm: str, kind: str, tmp_path: Path

@@ -268,6 +268,7 @@ def test_code_of_users_over_rows_of_lanes(tmp_path: Path, three_axis: Scene) -> 
     assert fleets[0].state.t[0] == pytest.approx(0.095)
 
 
+@pytest.mark.slow
 def test_code_of_users_moves_arms_on_a_device_as_in_lanes(tmp_path: Path) -> None:
     """The kernels contain the same file; its arms glide, are cut, and have brakes."""
     scene = load_scene("three_axis", SENSED)

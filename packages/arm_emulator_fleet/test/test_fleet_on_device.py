@@ -396,13 +396,13 @@ def everything(fleet: Fleet) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("seed", some(range(12), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(12), 2), 1))
 def test_every_call_gives_the_bits_of_lanes(scene: Scene, seed: int) -> None:
     """In any order: what is returned, states and measurements, and what is saved at the end."""
     walk(scene, "processor", seed)
 
 
-@pytest.mark.parametrize("seed", some(range(12, 18), 2))
+@pytest.mark.parametrize("seed", with_slow(some(range(12, 18), 2), 1))
 def test_every_call_of_a_fleet_of_a_card_gives_the_bits_of_lanes(
     located: Scene, fleet_cards: Stub, seed: int
 ) -> None:

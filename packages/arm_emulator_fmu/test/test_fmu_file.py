@@ -94,6 +94,7 @@ def test_units_are_powers_of_base_units() -> None:
     assert find_powers("N m/rad3") == {"kg": 1, "m": 2, "s": -2, "rad": -3}
 
 
+@pytest.mark.slow
 def test_equal_scenes_make_equal_files(scene: Scene, fmu: Fmu, tmp_path: Path) -> None:
     files = tmp_path / "a.fmu", tmp_path / "b.fmu"
     for file in files:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from draws import with_slow
 from test_campaign_machine_faults import SENT
 
 from arm_emulator import load_scene, load_servo_config
@@ -59,7 +60,7 @@ def readings(line: str) -> dict[str, np.ndarray]:
     return dict(zip(READING, values.T, strict=True))
 
 
-@pytest.mark.parametrize("period", [1_000_000, 4_000_000])
+@pytest.mark.parametrize("period", with_slow([1_000_000, 4_000_000], 1))
 def test_each_loop_obeys_its_command(folder: Path, period: int) -> None:
     lines = run(folder, period)
     assert lines == run(folder, period)  # to the last bit

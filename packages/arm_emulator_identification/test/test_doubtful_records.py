@@ -35,7 +35,7 @@ def record(seed: int) -> tuple[Scene, MeasuredRun]:
 
 
 @pytest.mark.parametrize("seed", some(range(3), 1))
-@pytest.mark.parametrize("kind", with_slow(KINDS, 13))
+@pytest.mark.parametrize("kind", with_slow(KINDS, 6))
 def test_a_spoiled_record_is_refused_or_doubted_with_the_cause(kind: str, seed: int) -> None:
     scene, run = record(seed)
     bad, words = spoil_record(run, scene, np.random.default_rng([seed, 10, 5]))[kind]
@@ -54,6 +54,7 @@ CASES = [("three_axis", 0, effect) for effect in EFFECTS] + [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("machine", "seed", "effect"), some(CASES, 1))
 def test_effects_that_a_scene_lacks_are_named_and_widen_the_deviations(
     machine: str, seed: int, effect: str

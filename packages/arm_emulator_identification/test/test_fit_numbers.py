@@ -42,6 +42,7 @@ def record(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return rows, 2.0 * np.pi * (np.array(counts) + 0.5) / cpt
 
 
+@pytest.mark.slow
 def test_shares_of_many_numbers_are_estimated(scene: Scene) -> None:
     rows, angles = record(scene)
     fitted = fit_numbers(

@@ -156,6 +156,7 @@ def test_a_table_reads_as_the_archive(tmp_path: Path) -> None:
     np.testing.assert_array_equal(run.tau, RUN_A.tau)
 
 
+@pytest.mark.slow
 def test_the_shipped_machine_is_near_the_identification_of_run_a(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -230,6 +231,7 @@ def test_the_identified_scene_loads_with_the_identified_numbers(tmp_path: Path, 
             assert [type(part) for part in loaded.parts] == [type(part) for part in was.parts]
 
 
+@pytest.mark.slow
 def test_a_rotor_without_inertia_in_the_record_is_left_as_it_was(tmp_path: Path) -> None:
     """The bound of what must be above 0 is no finding."""
     motor = {"kind": "torque", "rotor_inertia": 1e-6, "friction": {"viscous": 0.01}}

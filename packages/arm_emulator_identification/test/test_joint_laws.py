@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from draws import some
+from draws import some, with_slow
 from machines import make_link_urdf, write_scene
 
 from arm_emulator import load_scene
@@ -51,6 +51,7 @@ def answer(
     return {number["name"].removeprefix("joints.joint."): number for number in numbers}
 
 
+@pytest.mark.slow
 def test_numbers_that_a_record_does_not_show_keep_their_values_and_state_their_needs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,7 +75,7 @@ def test_numbers_that_a_record_does_not_show_keep_their_values_and_state_their_n
         assert abs(number["value"] - LAW[key]) < 3.0 * number["deviation"], key
 
 
-@pytest.mark.parametrize("at_link", [False, True])
+@pytest.mark.parametrize("at_link", with_slow([False, True], 1))
 def test_a_loop_needs_encoders_at_the_link_and_a_linear_spring(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], at_link: bool
 ) -> None:

@@ -106,6 +106,7 @@ def commands() -> np.ndarray:
     return np.random.default_rng(5).normal(0.0, 10.0, (ROWS, 4))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "paper", "implicit", "extrapolated"], 1))
 def test_a_driven_tree_keeps_the_order_of_its_scheme(tmp_path: Path, scheme: str) -> None:
     file, rows = driven_tree(tmp_path), commands()

@@ -60,6 +60,7 @@ def wrong(kind: str) -> Scene:
     return load_scene("kuka_kr300", changes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", with_slow(SHIPPED[::-1], 1), ids=lambda path: path.stem)
 def test_the_identified_machine_keeps_every_limit(path: Path) -> None:
     assert not failures(load_scene("kuka_kr300"), path)
