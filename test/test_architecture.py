@@ -17,6 +17,7 @@ STATIONS = [station for band in (*architecture.TICK, architecture.NEWTON_EULER)
             for station in (*band.down, *band.up)]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_matrix_has_the_imports_that_import_linter_sees() -> None:
     """Truth: the graph of grimp, by which import-linter judges the contracts."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]

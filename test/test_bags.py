@@ -284,6 +284,7 @@ def listener(domain: int, actual: list[bytes]) -> Iterator[Callable[[], None]]:
         rclpy.try_shutdown(context=context)
 
 
+@pytest.mark.slow
 def test_a_late_listener_gets_a_replayed_description(
     recording: tuple[Path, str], tmp_path: Path
 ) -> None:

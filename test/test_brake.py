@@ -165,7 +165,7 @@ def quick_brake(torque: float, dt: float, scheme: str = "rosenbrock") -> dict[st
 
 @pytest.mark.parametrize("scheme", some(["rosenbrock", "implicit", "extrapolated", "paper"], 1))
 @pytest.mark.parametrize("dt", [1e-3, 1e-4])
-@pytest.mark.parametrize("torque", some([0.05, 0.5, 2.0, 50.0], 2))
+@pytest.mark.parametrize("torque", with_slow(some([0.05, 0.5, 2.0, 50.0], 2), 1))
 def test_a_brake_that_closes_at_rest_moves_nothing(torque: float, dt: float, scheme: str) -> None:
     """Rotors without friction stand but for rounding: some 1e-12 rad/s of either sign."""
     plant = Plant(load_scene("three_axis", quick_brake(torque, dt, scheme)))

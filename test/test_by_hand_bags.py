@@ -81,6 +81,7 @@ def spoil(which: int, change: Callable[[MachineEvent], None]) -> Callable[[BagMe
     return changed("/emulator/events", MachineEvent, lambda event: event.number == which, change)
 
 
+@pytest.mark.slow
 def test_a_spoiled_event_is_named(
     bag: Path, tmp_path: Path, varied: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -202,6 +202,7 @@ def test_without_a_compiler_the_remedy_is_printed(
         load_machine(load_scene("three_axis"))
 
 
+@pytest.mark.slow
 def test_a_library_compiled_ahead_serves_a_machine_without_a_compiler(
     cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

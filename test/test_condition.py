@@ -81,6 +81,7 @@ def by_python(text: str, values: dict[str, float]) -> bool | None:
         return None
 
 
+@pytest.mark.slow
 def test_random_conditions_hold_where_python_finds_them_true() -> None:
     rng, outcomes = np.random.default_rng(1), list[bool]()
     sessions = [some_session(seed) for seed in range(4)]

@@ -129,6 +129,7 @@ def test_the_links_move_as_by_explicit_constraints(name: str, tmp_path: Path) ->
         np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(list(ARMS), 1))
 def test_the_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
     """Rotors, gears, friction of rotors and shafts, on the right side of the coupling: order 2."""
@@ -163,6 +164,7 @@ def test_the_machine_moves_as_its_equations(name: str, tmp_path: Path) -> None:
     assert 3.2 < errors[0] / errors[1] < 4.8, f"order 2: {errors}"
 
 
+@pytest.mark.slow
 def test_mimic_joints_between_base_and_tool_move_along(tmp_path: Path) -> None:
     """Kinematics, limits, torques and dynamics of a telescope, by its description alone."""
     text = write_mimic(write_serial("arm", BOOM), "j4", "j3", 0.5, 0.02)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from sensed_machine import (
     DRAWS,
     SIGMAS,
@@ -27,7 +28,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return load_scene(write(tmp_path_factory.mktemp("sensed")))
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0], ids=["up", "down"])
+@pytest.mark.parametrize("direction", with_slow([1.0, -1.0], 1), ids=["up", "down"])
 def test_index_pulses_come_where_a_turn_is_full(scene: Scene, direction: float) -> None:
     """As often as the disc passes a multiple of a turn between ticks; the newest is latched."""
     plant = Plant(scene)

@@ -278,12 +278,15 @@ def test_a_joint_without_weight_is_taken_to_be_as_wrong_as_those_that_it_carries
 
 @pytest.mark.parametrize(
     ("knowledge", "bound"),
-    [
-        (AssumedNumbers("full"), 0.5e-3),
-        # Claimed bounds for numbers that are 30 % off, to either side.
-        (AssumedNumbers("full", stiffness=0.7, friction=0.7, inertia=0.7), 2e-3),
-        (AssumedNumbers("full", stiffness=1.3, friction=1.3, inertia=1.3), 2e-3),
-    ],
+    with_slow(
+        [
+            (AssumedNumbers("full"), 0.5e-3),
+            # Claimed bounds for numbers that are 30 % off, to either side.
+            (AssumedNumbers("full", stiffness=0.7, friction=0.7, inertia=0.7), 2e-3),
+            (AssumedNumbers("full", stiffness=1.3, friction=1.3, inertia=1.3), 2e-3),
+        ],
+        1,
+    ),
 )
 def test_the_tool_follows_a_fast_line(knowledge: AssumedNumbers, bound: float) -> None:
     """300 mm at 1 m/s with ur5: the true tool beside its reference, through the whole machine."""

@@ -43,7 +43,7 @@ def growing() -> set[str]:
     }
 
 
-@pytest.mark.parametrize("name", with_slow(some(TRIED, len(CASES) - len(SPARED)), 2))
+@pytest.mark.parametrize("name", with_slow(some(TRIED, len(CASES) - len(SPARED)), 1))
 def test_hard_case(name: str) -> None:
     """The bounds stand in hard_cases.py, each beside its truth and reason."""
     case = CASES[name]

@@ -83,7 +83,7 @@ def row(which: slice, values: np.ndarray) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("m", with_slow([(0.2, 0.7, 0.95), (0.95, 0.4, 0.6)], 1))
+@pytest.mark.parametrize("m", with_slow([((0.2, 0.7, 0.95),), ((0.95, 0.4, 0.6),)], 1))
 def test_a_free_rotor_swings_in_a_tooth_as_a_pendulum(
     slides: Path, m: tuple[float, float, float]
 ) -> None:

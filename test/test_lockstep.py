@@ -287,6 +287,7 @@ def test_a_motion_controller_that_comes_last_still_gets_the_robot(
         assert_same_bits(user.motor_states(), offline_states(run, 100), 100)
 
 
+@pytest.mark.slow
 def test_a_reset_while_the_servo_waits_for_targets(
     without_motion_controller: SharedNetwork,
 ) -> None:

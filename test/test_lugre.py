@@ -113,6 +113,7 @@ def test_every_scheme_keeps_its_order(tmp_path: Path, side: str, scheme: str) ->
     assert errors[-1] < 0.02 * np.abs(expected[:, 1]).max(), errors
 
 
+@pytest.mark.slow
 @sides
 def test_before_it_slides_a_shaft_yields_as_on_a_spring(tmp_path: Path, side: str) -> None:
     """Under a tenth of the breakaway torque by torque / s0, and a bit for what has slipped."""

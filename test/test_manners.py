@@ -302,6 +302,7 @@ def test_numbers_of_every_kind_are_accepted_by_value(seed: int, scene: Scene) ->
     assert np.array_equal(copy.copy(plant).commanded, plant.commanded)
 
 
+@pytest.mark.slow
 def test_dynamics_of_links_agree_among_themselves(scene: Scene) -> None:
     """M is that of the kinetic energy's Hessian: columns by accelerations, and its inverse."""
     rng = np.random.default_rng(3)

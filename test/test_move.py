@@ -72,6 +72,7 @@ def test_a_target_is_sent_and_its_end_is_the_exit_code(
         assert code == 1 and "no end within 0.001 s" in out, out
 
 
+@pytest.mark.slow
 def test_without_a_network_a_line_names_the_remedy() -> None:
     with own_domain():
         started = {

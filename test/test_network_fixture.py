@@ -120,6 +120,7 @@ def test_a_target_is_heard_when_the_node_that_acts_on_it_listens() -> None:
             context.try_shutdown()
 
 
+@pytest.mark.slow
 def test_a_node_that_was_met_gets_every_single_publication() -> None:
     """By a best-effort subscription, which loses what comes from a publisher not known yet."""
     with own_domain() as domain:

@@ -128,6 +128,7 @@ def test_every_scheme_keeps_its_order_on_random_arms(tmp_path: Path, seed: int) 
         assert np.abs(end[2]).max() < size, "speeds beside the truth"
 
 
+@pytest.mark.slow
 def test_the_gear_winds_up_by_its_torque(tmp_path: Path) -> None:
     """At rest under gravity: torque, wind-up and Kg w + Kg3 w^3 agree."""
     rng = np.random.default_rng(8)

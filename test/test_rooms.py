@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import pytest
 from banned_words import ROOMS
 from documents import ROOT
 
@@ -70,6 +71,7 @@ def test_every_room_has_a_row_in_the_table() -> None:
     assert named == rooms | set(BESIDE) | {"arm_emulator_hardware"}
 
 
+@pytest.mark.slow
 def test_no_room_imports_the_public_names() -> None:
     """They lie above all rooms; the contracts do not see an import of the namespace itself."""
     for room in (*packages(ROOT) - {"bench", "oracles"},):

@@ -74,6 +74,7 @@ def test_parameters_are_set_atomically_between_two_ticks_or_refused(
         assert_same_bits(user.motor_states(), states, tick + 200)
 
 
+@pytest.mark.slow
 def test_a_pace_slows_lock_step_down_without_changing_a_bit(three_nodes: SharedNetwork) -> None:
     states = offline_states(load_offline_run("three_axis"), 400)
     with three_nodes() as (user, _):

@@ -282,7 +282,7 @@ def sliding(folder: Path, scheme: str, dt: float, friction: dict[str, float]) ->
     return Plant(load_scene(file, {"integrator.scheme": scheme, "integrator.dt": dt}))
 
 
-@pytest.mark.parametrize(("scheme", "twice"), [("paper", -1), ("implicit", 1)])
+@pytest.mark.parametrize(("scheme", "twice"), with_slow([("paper", -1), ("implicit", 1)], 1))
 def test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end(
     tmp_path: Path, scheme: str, twice: int
 ) -> None:
@@ -306,6 +306,7 @@ def test_euler_s_methods_go_by_the_speed_at_the_step_s_begin_or_end(
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", some(SCHEMES, 1))
 @pytest.mark.parametrize("viscous", [0.0, 0.4])
 def test_a_sliding_joint_comes_to_rest(tmp_path: Path, scheme: str, viscous: float) -> None:

@@ -8,7 +8,7 @@ from draws import FULL
 from spoiled_files import KINDS, case, verdict
 
 CASES = range(3000 if FULL else 25)
-FIRST = 4  # draws of `make test`
+FIRST = 2  # draws of `make test`
 SLOW = ("xacro",)  # a process for each
 NEEDS = dict.fromkeys(("board", "firmware"), ("elftools", "unicorn"))  # `make test-peers` has them
 

@@ -121,6 +121,7 @@ def test_a_trajectory_is_followed_and_then_its_end_stays(
     assert nodes.nodes["servo"]._drives.state is WatchdogState.OK
 
 
+@pytest.mark.slow
 def test_a_threshold_above_the_error_at_rest_leads_to_a_cut(nodes: InProcess) -> None:
     """The component is silent then, as a dead controller is."""
     scene = load_scene("three_axis")

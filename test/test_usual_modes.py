@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from machines import DC, GANTRY, gantry_urdf, write_scene
 
 from arm_emulator.machine.plant.compiler import load_machine_with
@@ -54,6 +55,7 @@ void ask(int joint, int open, int count, int* usual) {
 """
 
 
+@pytest.mark.slow
 def test_drives_that_state_they_are_in_regular_modes_are(tmp_path: Path) -> None:
     joints = dict(zip(GANTRY, JOINTS, strict=True))
     scene = load_scene(write_scene(tmp_path, gantry_urdf(), joints))

@@ -31,6 +31,7 @@ def set_all(plant: Plant, deltas: Deltas) -> None:
         plant.set_parameter(name, value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", with_slow(some(range(8), 3), 1))
 def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
     """At the values of the scene and at others; chains, branches, turning and sliding joints."""

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from arm_emulator.machine.plant.compiler import (
     build_equations_unit,
     build_machine_unit,
@@ -71,6 +73,7 @@ def printed(*words: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_our_libraries_call_their_own_functions(tmp_path: Path) -> None:
     scene = load_scene("three_axis")
     units = (

@@ -191,6 +191,7 @@ def test_kernels_of_campaigns_are_compiled_ahead(
         assert load_ptx(unit, "sm_90") in file.read_bytes()
 
 
+@pytest.mark.slow
 @needs_clang
 def test_judges_call_nothing_that_a_card_has_not(tmp_path: Path) -> None:
     ptx = load_ptx(build_judges_unit(), "sm_90")

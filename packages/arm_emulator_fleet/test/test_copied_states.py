@@ -79,6 +79,7 @@ def test_copies_of_an_arm_of_another_fleet_move_as_it_does(
     assert set(states(fleet)) == {states(source)[-1]}, "noise and numbers, too"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_a_saved_plant_is_restored_in_chosen_arms(device: str | None, scene: Scene) -> None:
     fleet, plant = move(scene, device, 1), Plant(scene)

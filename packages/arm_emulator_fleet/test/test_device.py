@@ -523,6 +523,7 @@ print(open_device("test", "gpu").name, opened())
 """
 
 
+@pytest.mark.slow
 def test_the_driver_is_opened_for_a_card_alone(stub: Stub) -> None:
     """And found by its own name, as the loader finds libraries."""
     folders = os.pathsep.join(filter(None, sys.path))

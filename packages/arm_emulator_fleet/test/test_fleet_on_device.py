@@ -89,7 +89,7 @@ SCENES: dict[str, Callable[[Path], Scene]] = {
 }
 
 
-@pytest.fixture(scope="module", params=with_slow(some(SCENES, 5), 2))
+@pytest.fixture(scope="module", params=with_slow(some(SCENES, 5), 1))
 def scene(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return SCENES[request.param](tmp_path_factory.mktemp("scene"))
 

@@ -261,6 +261,7 @@ def test_motion_control_takes_the_place_of_links_by_counts_and_wind_up(tmp_path:
     assert rest.q == pytest.approx(arm.run.session.state.q, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_the_command_prints_its_measurements(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

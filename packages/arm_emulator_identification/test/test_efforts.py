@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from draws import with_slow
 from machines import MOVED, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
@@ -78,7 +79,7 @@ def taken(joint: Joint, moved: float, t: np.ndarray, of_link: list[np.ndarray],
     return Ng * on_link + sum((effort for effort in efforts if effort is not None), none)
 
 
-@pytest.mark.parametrize("drives", MACHINES, ids=["rigid", "elastic"])
+@pytest.mark.parametrize("drives", with_slow(MACHINES, 1), ids=["rigid", "elastic"])
 def test_parts_state_the_torque_that_the_core_gives(
     tmp_path: Path, drives: list[dict[str, Any]]
 ) -> None:
