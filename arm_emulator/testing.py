@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import ArrayLike
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.coerce import coerce_array, coerce_kind

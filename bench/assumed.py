@@ -17,7 +17,7 @@ import numpy as np
 
 from arm_emulator import Diverged, OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from bench.measure import show_progress
 from bench.origins import NumberOrigin, list_origins

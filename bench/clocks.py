@@ -13,8 +13,8 @@ import numpy as np
 
 from arm_emulator import load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.cpu_load import load_processors
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.servo_step import ServoStep
 from arm_emulator.runs.table_run import TableRun

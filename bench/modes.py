@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.cli.commands.check_scene import build_mode_rows, format_page_table
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "modes.md"

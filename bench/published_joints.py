@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from arm_emulator import ExternalWrench, Plant, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from bench.measure import show_progress
 from bench.pictures import make_figure, save
 from bench.tables import format_table

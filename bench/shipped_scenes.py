@@ -9,7 +9,7 @@ import numpy as np
 
 from arm_emulator import Plant, Pose, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.runs.offline import load_offline_run
 from bench.bare import BARE

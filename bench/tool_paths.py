@@ -16,7 +16,7 @@ import numpy as np
 
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.executor.path_monitor import measure_distances
 from bench.measure import show_progress
 from bench.pictures import make_figure

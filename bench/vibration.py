@@ -18,7 +18,7 @@ import numpy as np
 from arm_emulator import OfflineRun, Plant, Pose, load_gains, load_scene
 from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.design.new_scene import list_drive_parameters
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.config import MotionConfig

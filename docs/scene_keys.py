@@ -6,7 +6,7 @@ What reads them is `scene.py`; `test_documents.py` compares the names.
 from collections.abc import Sequence
 
 from arm_emulator.base.calibration.deviation import Deviation
-from arm_emulator.base.config_files import BESIDE
+from arm_emulator.base.io.config_files import BESIDE
 from arm_emulator.base.name_rule import LONGEST_NAME, SCENE_MARKS
 from arm_emulator.base.validation.number import Number, list_numbers
 from arm_emulator.machine.parts.key import Key

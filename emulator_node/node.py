@@ -23,8 +23,8 @@ from typing import Any
 
 from rclpy.publisher import Publisher
 
-from arm_emulator.base.address import LOCAL
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.address import LOCAL
 from arm_emulator.base.validation.parameters import parameter
 from arm_emulator.machine.plant.build_facts import build_facts
 from arm_emulator.machine.scene.scene import load_scene

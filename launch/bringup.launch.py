@@ -15,7 +15,7 @@ from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.session.pace import parse_factor

@@ -25,7 +25,7 @@ import pinocchio as pin
 
 from arm_emulator import Diverged, Plant, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, remove_kind

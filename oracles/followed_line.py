@@ -19,7 +19,7 @@ import numpy as np
 
 from arm_emulator import OfflineRun, Pose, Scene, load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.design.new_scene import list_drive_parameters
 from arm_emulator.motion.model.elastic_arm import ElasticArm
 from arm_emulator.motion.model.link_torques import LinkTorques

@@ -14,7 +14,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from arm_emulator import Plant, load_scene
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.motion.executor.goal_status import GoalReports
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.message_reader import MessageReader

@@ -19,7 +19,7 @@ import yaml
 
 from arm_emulator import Diverged, Plant, Refusal, Scene, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.machine.schemes.known import KNOWN, SCHEMES
 from oracles.reference import make_links_model, solve_positions
 

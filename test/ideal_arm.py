@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Pose, load_gains
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.joint_reference import JointSetpoint
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint

@@ -16,7 +16,7 @@ import rclpy
 from network import bits_of, question
 from rclpy.serialization import deserialize_message, serialize_message
 
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.ros.c import MIDDLEWARE
 from arm_emulator.ros.messages.message_types import read_definition
 from arm_emulator.ros.messages.middleware import get_middleware

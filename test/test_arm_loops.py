@@ -14,7 +14,7 @@ from test_servo_loop import Rng, draw_axis, log_uniform
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops, compute_growth_rate
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, ServoGains, make_joint_servo
 from arm_emulator.servo.servo import ServoConfig
 from arm_emulator.servo.servo_arm import ServoArm, Target

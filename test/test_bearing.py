@@ -25,7 +25,7 @@ from arm_emulator import (
     load_scene,
     sensitivities,
 )
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.design.tuned import compute_falls
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.machine.schemes.known import SCHEMES

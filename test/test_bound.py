@@ -13,7 +13,7 @@ from draws import with_slow
 from random_messages import huge, number, random_urdf
 
 from arm_emulator import OfflineRun, Pose, Refusal, Servo, Session, load_scene, load_servo_config
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.base.validation.bound import (
     COMMAND,
     CURRENT,

@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rewritten_bags import rewrite
 from test_command_line import run
 
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.ros.messages.message_types import get_message_class
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds, to_stamp
 from arm_emulator.ros.process.ros_domain import own_domain

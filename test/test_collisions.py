@@ -11,7 +11,7 @@ from draws import some, with_slow
 from scipy.spatial import ConvexHull
 
 from arm_emulator import Kinematics, OfflineRun, Pose, Refusal, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.collision import collisions
 from arm_emulator.motion.collision.collisions import OWN_SHARE, Collisions
 from arm_emulator.motion.executor.goal_status import GoalState, GoalStatus

@@ -11,8 +11,8 @@ import pytest
 from draws import some
 
 from arm_emulator import Refusal, load_gains, load_scene
-from arm_emulator.base import config_files
-from arm_emulator.base.config_files import BESIDE, find_beside, find_scene
+from arm_emulator.base.io import config_files
+from arm_emulator.base.io.config_files import BESIDE, find_beside, find_scene
 from arm_emulator.cli.command_line import main
 from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.demo.demo_plan import DemoPlan

@@ -7,7 +7,7 @@ import pytest
 
 from arm_emulator import OfflineRun, Pose, Session, load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.servo.servo_arm import ServoArm, Target
 from oracles.convergence import compute_convergence_factor, predict_errors
 

@@ -26,7 +26,7 @@ from arm_emulator import (
     Session,
     load_scene,
 )
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator_fleet import Fleet
 

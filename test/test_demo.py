@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from draws import some
 
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.demo.demo_plan import DemoPlan
 from arm_emulator.demo.predicted_rest import NEAR, predict_rest
 from arm_emulator.machine.scene.scene import Scene, load_scene

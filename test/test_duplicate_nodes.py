@@ -14,7 +14,7 @@ from rclpy.serialization import serialize_message
 from test_network import go, pause_at
 
 from arm_emulator import load_scene
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.ros.node import duplicate_nodes
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.runs.offline import load_offline_run

@@ -10,7 +10,7 @@ from draws import some, with_slow
 from machines import make_link_urdf
 
 from arm_emulator import Kinematics, Refusal, load_scene, load_servo_config
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.design.new_scene import list_drive_parameters
 from arm_emulator.motion.executor.feedforward import Feedforward
 from arm_emulator.motion.model.config import MotionConfig, load_motion_config

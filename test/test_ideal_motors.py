@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from arm_emulator import Plant, Refusal, Scene, load_scene, load_servo_config
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.runs.gains import check_joints
 from oracles.reference import solve_positions
 

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.executor.jog import JogCommand
 from arm_emulator.motion.executor.motion_executor import MotionExecutor

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, Int8
 
 from arm_emulator import Kinematics, OfflineRun, Refusal, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.executor.controllers import make_jerk_limited_velocity
 from arm_emulator.motion.executor.goal_status import GoalState, Kind
 from arm_emulator.motion.executor.jog import (

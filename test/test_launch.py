@@ -16,7 +16,7 @@ import rclpy
 from draws import some
 from network import PATIENCE
 
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.process.end_with_parent import VARIABLE
 from arm_emulator.ros.process.ros_domain import own_domain

@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from arm_emulator import LinearMachine, Plant, Refusal, Scene, linearise, load_scene
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.parts.drive_stages.current_loop import CurrentLoop
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor

@@ -10,7 +10,7 @@ from draws import with_slow
 from ideal_arm import SECOND, Ideal
 
 from arm_emulator import Pose, Refusal, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.executor.goal_status import GoalState, Kind
 from arm_emulator.motion.executor.motion_executor import MotionExecutor
 from arm_emulator.motion.model.link_torques import LinkTorques

@@ -11,7 +11,7 @@ from machines import MOTOR, list_moving_joints, write_random_chain, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.analysis.servo_loop import ServoLoops, check_loops
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.design.joint_gains import GearData, MotorData, design
 from arm_emulator.machine.schemes.known import SCHEMES
 from arm_emulator.runs.gains import check_fit, check_joints

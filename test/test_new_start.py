@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from draws import some, with_slow
 
-from arm_emulator.base.config_files import find_beside
+from arm_emulator.base.io.config_files import find_beside
 from arm_emulator.design import new_scene
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.machine.scene.scene import load_scene

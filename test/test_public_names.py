@@ -34,7 +34,7 @@ from arm_emulator import (
     sensitivities,
     testing,
 )
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet

@@ -20,7 +20,7 @@ import pytest
 from draws import some, with_slow
 
 from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.io.record_file import open_record
 from arm_emulator.base.run_outputs import SUFFIXES, RunOutputs
 from arm_emulator.cli.command import command_names, load_command

@@ -19,7 +19,7 @@ from arm_emulator import (
     load_scene,
     load_servo_config,
 )
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.motion.planner.tool_controller import make_controller

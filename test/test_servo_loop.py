@@ -11,7 +11,7 @@ from draws import some
 from arm_emulator import Refusal, Servo, Session, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import INPUTS, STATES, LinearServo
 from arm_emulator.analysis.sampled_loop import Margins, SampledLoop
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.design.joint_gains import (
     GearData,
     MotorData,

@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from arm_emulator import Plant, load_scene
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.cli.commands.run import run
 from arm_emulator.view.rerun_batches import LinkPositions
 

@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from arm_emulator import OfflineRun, Pose, load_gains, load_scene
-from arm_emulator.base.config_files import find_config, find_scene
+from arm_emulator.base.io.config_files import find_config, find_scene
 from arm_emulator.motion.executor.controllers import make_joint_limits
 from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.model.joint_reference import JointSetpoint, Reference

@@ -7,7 +7,7 @@ import pytest
 from draws import some, with_slow
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.collision.collisions import Collisions
 from arm_emulator.motion.executor.goal_status import GoalState
 from arm_emulator.motion.executor.jog import make_joint_command, make_twist_command

@@ -9,7 +9,7 @@ import pytest
 from draws import some, with_slow
 
 from arm_emulator import Kinematics, OfflineRun, Pose, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.executor.goal_status import GoalState
 
 SPEED = 0.3  # m/s

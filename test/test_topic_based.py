@@ -17,7 +17,7 @@ from in_process import InProcess, in_process
 from sensor_msgs.msg import JointState
 
 from arm_emulator import load_scene
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.servo.watchdog import WatchdogState
 
 PERIOD = 10  # ticks of 1 ms: controllers at 100 Hz

@@ -9,7 +9,7 @@ import pytest
 from arm_emulator import OfflineRun, Plant, Refusal, load_gains, load_scene
 from arm_emulator.analysis.residual_vibration import find_reference_end, measure_vibration
 from arm_emulator.analysis.vibration_modes import find_vibration_modes
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.motion.model.input_shaper import ShapedMode
 from arm_emulator.motion.trajectory.joint_trajectory import TrajectoryPoint
 

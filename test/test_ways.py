@@ -9,7 +9,7 @@ from draws import some, with_slow
 from scipy.spatial.transform import Rotation
 
 from arm_emulator import Kinematics, Pose, load_scene
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.machine.scene.urdf_file import find_example_robot_data
 from arm_emulator.motion.ik.inverse_kinematics import compute_directions
 from arm_emulator.motion.model.arm_tree import ArmTree

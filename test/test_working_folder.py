@@ -9,7 +9,7 @@ import pytest
 from draws import with_slow
 from network import network
 
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 
 OURS = ("arm_emulator_msgs bench emulator_node motion_controller_node oracles servo_node").split()
 OTHERS = (

@@ -5,7 +5,7 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message
 
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.build_facts import COMPILED_WITH

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from arm_emulator.bags.recorded_machine import RecordedMachine
 from arm_emulator.bags.recorded_ticks import RecordedChange
 from arm_emulator.bags.recorded_topics import RecordedTopics
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.bound import EFFORT, POSITION, VELOCITY
 from arm_emulator.base.validation.count import check_count

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from arm_emulator.base.config_files import find_beside
+from arm_emulator.base.io.config_files import find_beside
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.validation.number import Number
 from arm_emulator.base.validation.section import Section

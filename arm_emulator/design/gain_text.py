@@ -4,7 +4,7 @@ from pathlib import Path
 
 import yaml
 
-from arm_emulator.base.config_files import check_own
+from arm_emulator.base.io.config_files import check_own
 from arm_emulator.base.io.text_file import read_text
 from arm_emulator.base.io.yaml_file import MAX_BYTES, edit_yaml, read_nodes
 from arm_emulator.base.refusal import Refusal

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from arm_emulator.base.config_files import find_config_folder
+from arm_emulator.base.io.config_files import find_config_folder
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.number import Number

@@ -12,7 +12,7 @@ import yaml
 
 from arm_emulator.analysis.holding import Overload, find_overloads
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import check_own
+from arm_emulator.base.io.config_files import check_own
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import UNLIMITED, parse_urdf
 from arm_emulator.base.validation.number import list_numbers

@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
 
-from arm_emulator.base.config_files import ROBOTS
+from arm_emulator.base.io.config_files import ROBOTS
 from arm_emulator.base.io.text_file import explain_missing_file
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.urdf.urdf_text import MAX_BYTES, read_urdf

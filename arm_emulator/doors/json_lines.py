@@ -13,8 +13,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from arm_emulator.base.address import refuse_taken_address
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.address import refuse_taken_address
 from arm_emulator.machine.plant.inputs import list_further_inputs
 from arm_emulator.machine.plant.outputs import list_outputs, list_units
 from arm_emulator.machine.session.command_buffer import DuplicateCommand

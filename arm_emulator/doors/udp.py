@@ -12,9 +12,9 @@ import zlib
 
 import numpy as np
 
-from arm_emulator.base.address import refuse_taken_address
 from arm_emulator.base.escape import escape_c_comment, escape_c_string
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.address import refuse_taken_address
 from arm_emulator.machine.parts.output import AXES
 from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_units
 from arm_emulator.machine.plant.measured import Measured

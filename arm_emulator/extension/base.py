@@ -1,11 +1,9 @@
 """Refusals, declared numbers, files, formulas: what every package needs."""
 
-from arm_emulator.base.address import parse_address, refuse_taken_address
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.column import Column
 from arm_emulator.base.column import Rows as ColumnRows
-from arm_emulator.base.config_files import check_own, find_beside, find_config_folder, find_scene
 from arm_emulator.base.escape import (
     escape_c_string,
     escape_html,
@@ -29,6 +27,7 @@ from arm_emulator.base.expression.formula import (
     parse_formula,
 )
 from arm_emulator.base.io.atomic_write import name_hidden_file, write_atomically
+from arm_emulator.base.io.config_files import check_own, find_beside, find_config_folder, find_scene
 from arm_emulator.base.io.table_file import read_table
 from arm_emulator.base.io.text_file import open_file, read_bytes, read_text
 from arm_emulator.base.io.yaml_file import MAX_BYTES as LARGEST_YAML_FILE
@@ -43,6 +42,7 @@ from arm_emulator.base.run_outputs import NOTHING as KEEP_NOTHING
 from arm_emulator.base.run_outputs import RunOutputs
 from arm_emulator.base.synchronized import Synchronized, synchronized
 from arm_emulator.base.urdf.shafts import Shafts, read_shaft_limits
+from arm_emulator.base.validation.address import parse_address, refuse_taken_address
 from arm_emulator.base.validation.bound import (
     ANY_COMMAND,
     ANY_COMMANDS,

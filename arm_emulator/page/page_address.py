@@ -11,8 +11,8 @@ import secrets
 import socket
 from dataclasses import dataclass
 
-from arm_emulator.base.address import LOCAL, parse_address
 from arm_emulator.base.refusal import Refusal
+from arm_emulator.base.validation.address import LOCAL, parse_address
 
 EVERY = ("0.0.0.0", "::")  # all interfaces of this machine
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.warning import warn
 from arm_emulator.machine.scene.scene import Scene

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.non_copyable import NonCopyable
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import Saved, SavedObjects
 from arm_emulator.base.validation.count import check_count

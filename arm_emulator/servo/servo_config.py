@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from arm_emulator.base.config_files import find_config
+from arm_emulator.base.io.config_files import find_config
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.saved_objects import SharedObject
 from arm_emulator.base.validation.bound import bound_encoder_counts

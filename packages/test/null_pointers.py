@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from arm_emulator import Breakpoint, Plant, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.plant.call_arguments import make_options
 from arm_emulator.machine.plant.compiler import (
     load_equations,

@@ -42,7 +42,7 @@ from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.motion.model.config import load_motion_config
 from arm_emulator.servo.servo_config import load_servo_config
 from torque_modes import enabled
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 scene, file = load_scene("three_axis"), find_scene("three_axis")
 servo = load_servo_config(find_beside(file, "servo"))
 offline = OfflineRun(scene, servo, load_motion_config(find_beside(file, "motion")))

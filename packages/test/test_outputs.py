@@ -12,7 +12,7 @@ from machines import GRAVITY, LINK, write_scene
 from rclpy.serialization import deserialize_message
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import make_data_sheet
 from arm_emulator.machine.parts.known import MOTORS, PARTS

@@ -9,7 +9,7 @@ import pytest
 from documents import ROOT
 
 from arm_emulator import Breakpoint, Diverged, Plant, Refusal, Session, load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.session.control_code import ControlCode
 from arm_emulator.machine.session.firmware_loop import FirmwareLoop
 from arm_emulator.machine.session.real_time import RealTimeLoop

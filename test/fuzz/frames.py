@@ -12,7 +12,7 @@ import traceback
 from pathlib import Path
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.servo.c import FOLDER
 from arm_emulator.toolchain.c_header import Header, Library, text

@@ -26,8 +26,8 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
-from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.cpu_load import load_processors
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.scene.scene import load_scene
 from arm_emulator.ros.messages.time_stamp import to_nanoseconds
 from arm_emulator.ros.node.network_client import NetworkClient

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from arm_emulator.analysis.holding import find_overloads
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.servo_loop import warn_of_loops
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.packages import MODES, load_all
 from arm_emulator.base.refusal import Refusal

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import ROBOTS, find_scene
+from arm_emulator.base.io.config_files import ROBOTS, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.commands.new import find_or_make_scene

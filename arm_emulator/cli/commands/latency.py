@@ -14,8 +14,8 @@ import yaml
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
-from arm_emulator.base.config_files import find_beside, find_scene
 from arm_emulator.base.cpu_load import load_processors
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.validation.count import check_count

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from arm_emulator.analysis.servo_loop import warn_of_loops
 from arm_emulator.analysis.stability import explain
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.packages import find_page_entry
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.base.run_outputs import NOTHING, RunOutputs

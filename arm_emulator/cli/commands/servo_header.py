@@ -6,8 +6,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.config_files import find_scene
 from arm_emulator.base.escape import escape_c_string
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName

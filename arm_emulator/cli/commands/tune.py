@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from arm_emulator.base.config_files import check_own, find_beside, find_scene
+from arm_emulator.base.io.config_files import check_own, find_beside, find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import SceneName

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from arm_emulator.base.address import parse_address
 from arm_emulator.base.run_outputs import NOTHING
+from arm_emulator.base.validation.address import parse_address
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, Keep, PageAt, SceneName
 from arm_emulator.cli.output import output

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import rclpy  # noqa: F401  # where it is missing nothing is started
 from cyclopts import Parameter
 
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.command import command
 from arm_emulator.cli.options import Clock, PageAt, SceneName

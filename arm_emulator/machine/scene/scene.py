@@ -17,7 +17,7 @@ import numpy as np
 from arm_emulator.base.array_equality import ArrayEquality
 from arm_emulator.base.arrays import Array
 from arm_emulator.base.calibration.calibration import Calibration
-from arm_emulator.base.config_files import BESIDE, find_config
+from arm_emulator.base.io.config_files import BESIDE, find_config
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.name_rule import check_joint_name, check_scene_name
 from arm_emulator.base.refusal import Refusal

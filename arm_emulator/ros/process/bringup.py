@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Self
 
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.ros.process.ctrl_c import CtrlC, block_signals

@@ -11,7 +11,7 @@ import yaml
 from machines import CONFIG
 
 from arm_emulator import Refusal, load_scene
-from arm_emulator.base.config_files import BESIDE, check_own
+from arm_emulator.base.io.config_files import BESIDE, check_own
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
 from arm_emulator_analysis.commands.advise import advise as advise_scene

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import pytest
 
 from arm_emulator import Plant, Scene, load_gains
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator_fieldbus.canopen_node import CanFrame
 from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.drives import Drives

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator_fieldbus.ethercat import Segment
 
 PERIOD = 1_000_000  # ns

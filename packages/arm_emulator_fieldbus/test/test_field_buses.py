@@ -10,7 +10,7 @@ from draws import some
 from ethercat_master import Aborted, Master
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.machine.plant.outputs import KNOWN
 from arm_emulator_fieldbus import object_dictionary as dictionaries
 from arm_emulator_fieldbus.canopen_node import CanFrame

@@ -17,7 +17,7 @@ from arm_emulator import Plant, Refusal, Scene, load_gains, load_scene
 from arm_emulator.analysis.linear_servo import Loop
 from arm_emulator.analysis.mode_loops import LoopFigure, ModeLoops, withheld_modes, withheld_words
 from arm_emulator.analysis.stability import SmallMotions
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.design.joint_gains import GearData, MotorData, design, make_joint_servo
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.servo.servo_config import ServoConfig

@@ -21,7 +21,7 @@ from arm_emulator import (
     load_servo_config,
 )
 from arm_emulator.analysis.servo_loop import ServoLoops
-from arm_emulator.base.config_files import find_beside, find_scene
+from arm_emulator.base.io.config_files import find_beside, find_scene
 from arm_emulator.design.tuned import compute, compute_link_inertias, make_data_sheet, run
 from arm_emulator.machine.parts.known import MOTORS, SIZED_MOTORS
 from arm_emulator.machine.parts.motors.motor import Motor

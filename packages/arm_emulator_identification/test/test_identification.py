@@ -9,7 +9,7 @@ from draws import some
 from machines import make_link_urdf, write_scene
 
 from arm_emulator import Refusal, Scene, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator_identification import inertia
 from arm_emulator_identification.commands.identify import identify
 from arm_emulator_identification.filtered import filter_run

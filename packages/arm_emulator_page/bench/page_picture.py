@@ -20,7 +20,7 @@ import yaml
 from arm_emulator import OfflineRun, Pose, Refusal, Timeline
 from arm_emulator.analysis.torque_terms import TermsNow
 from arm_emulator.base.arrays import Array
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.ros.process.bringup import Bringup
 from arm_emulator.ros.process.ros_domain import own_domain
 from arm_emulator.runs.offline import load_offline_run

@@ -18,7 +18,7 @@ from documents import page_of
 from draws import FULL
 
 from arm_emulator import Plant, load_gains
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator_fieldbus.can_bus import BusService, open_bus
 from arm_emulator_fieldbus.canopen_segment import CanSegment
 from arm_emulator_fieldbus.commands.canopen import load_segment, write_eds

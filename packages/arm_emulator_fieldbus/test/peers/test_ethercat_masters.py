@@ -24,7 +24,7 @@ from draws import FULL
 from ethercat_master import Master
 
 from arm_emulator import load_gains, load_scene
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator_fieldbus.drives_unit import ETHERCAT
 from arm_emulator_fieldbus.ethercat import Segment
 

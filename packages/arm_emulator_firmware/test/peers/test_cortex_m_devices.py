@@ -21,7 +21,7 @@ from cortex_m import (
 )
 from visits import states
 
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.core import BOUNDARY
 from arm_emulator.machine.session.firmware import Firmware

@@ -8,7 +8,7 @@ import pytest
 from cortex_m import EXAMPLE, SCENE, chip_of, cross, random_table, tiny, write_board
 from visits import random_visits
 
-from arm_emulator.base.config_files import find_scene
+from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.cli.commands.servo_header import write_header
 from arm_emulator.machine.scene.scene import load_scene

@@ -15,7 +15,7 @@ ROBOTS = (".urdf", ".xacro")  # endings of robot descriptions, from which scenes
 
 def find_config_folder() -> Path:
     """Return the folder `config`: of the checkout, or installed with the ROS package."""
-    checkout = Path(__file__).resolve().parents[2] / "config"
+    checkout = Path(__file__).resolve().parents[3] / "config"
     if checkout.is_dir():
         return checkout
     for installed in _list_installed_folders():
