@@ -27,11 +27,11 @@ from arm_emulator.machine.parts.gears.backlash_gear import BacklashGear
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.gears.gear import RigidGear
 from arm_emulator.machine.parts.joint_effects.end_stops import EndStops
-from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.parts.motors.current_motor import CurrentMotor
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.pmsm import Pmsm
 from arm_emulator.machine.parts.motors.torque_motor import TorqueMotor
+from arm_emulator.machine.scene.known_parts import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator_analysis.advice import Advice, Judge, advise, step_counts
 from arm_emulator_analysis.judged_motions import (

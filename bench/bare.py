@@ -10,7 +10,8 @@ from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.frictions.friction import LinkFriction
 from arm_emulator.machine.parts.gears.elastic_gear import ElasticGear
 from arm_emulator.machine.parts.gears.gear import RigidGear
-from arm_emulator.machine.parts.known import (
+from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator.machine.scene.known_parts import (
     DECORATORS,
     EXTRAS,
     GEARS,
@@ -18,7 +19,6 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     remove_kind,
 )
-from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.scene.scene import Scene
 
 # The parts that a bare scene has.

@@ -12,7 +12,6 @@ from arm_emulator.machine.parts.fault import Fault
 from arm_emulator.machine.parts.gears.gear import RATIO_UNIT, Gear
 from arm_emulator.machine.parts.input import Input
 from arm_emulator.machine.parts.key import Key
-from arm_emulator.machine.parts.known import LINK_FRICTIONS, MOTORS, PARTS, ROTOR_FRICTIONS
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.measuring.sensors import IMU_SENSORS, SENSORS
 from arm_emulator.machine.parts.motors.motor import Motor
@@ -20,6 +19,7 @@ from arm_emulator.machine.parts.output import COMMAND, FURTHER, READINGS, Output
 from arm_emulator.machine.parts.part import Part, PartNumber
 from arm_emulator.machine.plant.outputs import ALWAYS, KNOWN
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import LINK_FRICTIONS, MOTORS, PARTS, ROTOR_FRICTIONS
 from arm_emulator.machine.schemes.known import KNOWN as SCHEMES
 from arm_emulator_fieldbus.declared import find_index
 from docs import scene_keys as scene_keys_of

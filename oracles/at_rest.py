@@ -28,7 +28,12 @@ from arm_emulator.base.arrays import Array
 from arm_emulator.base.io.config_files import find_config
 from arm_emulator.base.io.yaml_file import read_yaml
 from arm_emulator.machine.parts.frictions.brake import Brake
-from arm_emulator.machine.parts.known import EXTRAS, LINK_FRICTIONS, ROTOR_FRICTIONS, remove_kind
+from arm_emulator.machine.scene.known_parts import (
+    EXTRAS,
+    LINK_FRICTIONS,
+    ROTOR_FRICTIONS,
+    remove_kind,
+)
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.reference import make_links_model
 

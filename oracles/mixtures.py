@@ -1,7 +1,7 @@
 """Random mixtures of all parts of a drive: order, energy and lanes.
 
 Each machine is a random chain of two links whose joints have parts drawn from all parts
-(machine/parts/known.py), moved by commands that jump, some under a wrench, some braked on the
+(machine/scene/known_parts.py), moved by commands that jump, some under a wrench, some braked on the
 way. Claims, with rosenbrock and events located:
 
 - halving the step twice shows order 2 in the positions, or `Diverged` is raised;
@@ -33,7 +33,9 @@ from arm_emulator.machine.parts.bearing import SECTION, Deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
 from arm_emulator.machine.parts.gears.gear import Gear
-from arm_emulator.machine.parts.known import (
+from arm_emulator.machine.parts.motors.motor import Motor
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.known_parts import (
     DECORATORS,
     EXTRAS,
     GEARS,
@@ -42,8 +44,6 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     read_motor,
 )
-from arm_emulator.machine.parts.motors.motor import Motor
-from arm_emulator.machine.parts.part import Part
 from arm_emulator_fleet import Fleet
 from oracles.part_samples import draw_part, draw_scaled, fit_friction_to_gear
 from oracles.random_chain import list_moving_joints, write_random_chain

@@ -34,7 +34,9 @@ from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.bearing import Deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import DriveStage
 from arm_emulator.machine.parts.frictions.brake import Brake
-from arm_emulator.machine.parts.known import (
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
+from arm_emulator.machine.scene.known_parts import (
     DECORATORS,
     DEFLECTIONS,
     EXTRAS,
@@ -45,8 +47,6 @@ from arm_emulator.machine.parts.known import (
     ROTOR_FRICTIONS,
     read_motor,
 )
-from arm_emulator.machine.parts.part import Part
-from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
 from oracles.mixtures import (
     LARGEST,

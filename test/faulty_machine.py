@@ -7,9 +7,9 @@ import numpy as np
 from machines import GRAVITY, MOTOR, PMSM, write_scene
 
 from arm_emulator import Scene, load_scene
-from arm_emulator.machine.parts.known import DECORATORS, EXTRAS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.parts.measuring.thermometer import Thermometer
+from arm_emulator.machine.scene.known_parts import DECORATORS, EXTRAS
 from oracles.part_samples import draw_part
 from oracles.random_chain import LINK
 

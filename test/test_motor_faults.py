@@ -10,9 +10,9 @@ from machines import slides_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
 from arm_emulator.machine.faults.known import FAULTS
-from arm_emulator.machine.parts.known import MOTORS
 from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.plant.outputs import KNOWN
+from arm_emulator.machine.scene.known_parts import MOTORS
 
 ROTOR = {"rotor_inertia": 1e-4}
 DC = {"resistance": 1.0, "torque_constant": 0.05, "back_emf_constant": 0.05, **ROTOR}

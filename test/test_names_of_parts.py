@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from arm_emulator.machine.parts.frictions.brake import Brake
-from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.encoder import Encoder, LinkEncoder
 from arm_emulator.machine.parts.measuring.imu import Imu
 from arm_emulator.machine.parts.measuring.sensors import SENSORS
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.known_parts import MOTORS, PARTS
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = ("arm_emulator/machine/parts/", "arm_emulator/core/parts/")

@@ -16,8 +16,8 @@ from machines import GRAVITY, slides_urdf
 
 from arm_emulator import Plant, Scene, load_scene
 from arm_emulator.machine.parts.bearing import Deflection
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.known_parts import PARTS
 from oracles.mixtures import (
     PERIOD,
     STEPS,

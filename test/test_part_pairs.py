@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from draws import FULL, some
 
-from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES, SCHEMES
 from oracles import part_pairs
 

@@ -16,11 +16,11 @@ from arm_emulator.base.validation.number import LARGEST, REQUIRED, SMALLEST
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
 from arm_emulator.machine.parts.joint_effects.torque_table import TorqueTable
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.measuring.encoder import Encoder
 from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.parts.part import Part, PartNumber
+from arm_emulator.machine.scene.known_parts import PARTS
 from oracles.part_samples import draw_part
 
 # Other sensors have more than numbers, and a table has none: test_sensors.py, test_torque_table.py.

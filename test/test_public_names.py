@@ -35,8 +35,8 @@ from arm_emulator import (
     testing,
 )
 from arm_emulator.base.io.config_files import find_config
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator_fleet import Fleet, FleetWay, ServoFleet
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ import pytest
 from draws import with_slow
 
 from arm_emulator.cli.commands.check_scene import check_scene
-from arm_emulator.machine.parts.known import LINK_FRICTIONS, ROTOR_FRICTIONS
+from arm_emulator.machine.scene.known_parts import LINK_FRICTIONS, ROTOR_FRICTIONS
 from arm_emulator.machine.scene.scene import load_scene
 
 # Sections of each law of friction alone; whether a shaft at rest is held by it.

@@ -21,8 +21,8 @@ from arm_emulator.analysis.sensitivities import (
     numbers_of,
 )
 from arm_emulator.base.arrays import Array
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator.machine.varied import Varied
 from oracles.mixtures import PERIOD, draw_alone, draw_commands, write_mixture, write_scene
 

@@ -39,9 +39,9 @@ from arm_emulator.design.scene_text import (
 from arm_emulator.design.sizing import Demand, Sized, choose_full_speed, size
 from arm_emulator.design.survey import Survey, survey
 from arm_emulator.design.tuned import make_data_sheet, tuned_servo
-from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motors.motor import Motor
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import SIZED_MOTORS
 from arm_emulator.machine.scene.scene import Scene, load_scene
 from arm_emulator.machine.scene.urdf_bodies import LARGEST_MASS
 from arm_emulator.machine.scene.urdf_chain import MovedBody, collect_moved_bodies

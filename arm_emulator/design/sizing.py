@@ -12,11 +12,11 @@ from typing import TypeVar
 import numpy as np
 
 from arm_emulator.design.data_sheets import JointSheet
-from arm_emulator.machine.parts.known import DECORATORS, MOTORS, find_gear, link_friction_of
 from arm_emulator.machine.parts.measuring.sensors import JointSensors
 from arm_emulator.machine.parts.motors.motor import Motor, Rating
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import DECORATORS, MOTORS, find_gear, link_friction_of
 
 # Largest plausible limits of a description. Larger ones mean "unknown".
 MAX_SPEED = {"revolute": 30.0, "prismatic": 10.0}  # rad/s, m/s

@@ -23,7 +23,6 @@ from arm_emulator.machine.cxx_literals import format_number as cxx_number
 from arm_emulator.machine.faults.scene_faults import SceneFault
 from arm_emulator.machine.parts.input import VOLTAGE as VOLTAGE_INPUT
 from arm_emulator.machine.parts.input import Input
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.output import AXES as OUTPUT_AXES
 from arm_emulator.machine.parts.output import COMMAND as COMMAND_OUTPUT
 from arm_emulator.machine.parts.output import FURTHER as FURTHER_OUTPUT
@@ -79,6 +78,7 @@ from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.integrator import EVENTS as INTEGRATOR_EVENTS
 from arm_emulator.machine.scene.integrator import Integrator, format_mismatch
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator.machine.scene.overrides import override_keys
 from arm_emulator.machine.scene.scene import LARGEST_SEED, Scene, coerce_scene, load_scene
 from arm_emulator.machine.schemes.known import KNOWN as KNOWN_SCHEMES

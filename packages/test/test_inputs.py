@@ -16,10 +16,10 @@ from rclpy.serialization import serialize_message
 
 from arm_emulator import Plant, Refusal, Scene, Session, load_scene
 from arm_emulator.cli.commands.check_bag import check_bag
-from arm_emulator.machine.parts.known import DECORATORS, MOTORS
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.inputs import list_further_inputs, list_input_units, list_modes
 from arm_emulator.machine.plant.outputs import KNOWN
+from arm_emulator.machine.scene.known_parts import DECORATORS, MOTORS
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.toolchain.c_header import text
 from arm_emulator_fieldbus.converter import COMMANDED, RegisterConverter, list_blocks

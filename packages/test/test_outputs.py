@@ -15,7 +15,6 @@ from arm_emulator import Plant, Refusal, Scene, Session, load_gains, load_scene
 from arm_emulator.base.io.config_files import find_scene
 from arm_emulator.core import BOUNDARY
 from arm_emulator.design.tuned import make_data_sheet
-from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG, SENSOR_PARTS
 from arm_emulator.machine.parts.measuring.torque_sensor import TorqueSensor
 from arm_emulator.machine.parts.output import Output
@@ -31,6 +30,7 @@ from arm_emulator.machine.plant.outputs import (
     list_reported_by_parts,
 )
 from arm_emulator.machine.plant.scene_unit import write_scene_unit
+from arm_emulator.machine.scene.known_parts import MOTORS, PARTS
 from arm_emulator.machine.session.real_time import open_real_time_session
 from arm_emulator.ros.messages.fixed_layout import FixedLayout
 from arm_emulator.ros.messages.middleware import Outgoing, get_middleware

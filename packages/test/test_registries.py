@@ -8,9 +8,9 @@ import pytest
 
 from arm_emulator import Refusal, load_scene
 from arm_emulator.base.registry import Registry
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.registry import list_kinds, register_part
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator.machine.schemes.paper import Paper
 from arm_emulator_campaign.definition.fault import list_faults
@@ -32,7 +32,7 @@ for package in (parts, schemes, faults):
                 if issubclass(kind, (Part, schemes.scheme.Scheme, fault.Fault)):
                     made.append(type("My" + kind.__name__, (kind,), {}))
 assert len(made) > 50, len(made)
-from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator.machine.parts.measuring.sensors import ANALOG
 from arm_emulator.machine.schemes.known import KNOWN
 from arm_emulator import load_scene

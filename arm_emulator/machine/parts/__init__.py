@@ -1,1 +1,1 @@
-"""The parts of a drive, one per file, and the list of them (known.py)."""
+"""The parts of a drive, one per file."""

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Iterator
 from typing import ClassVar, Protocol
 
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.parts.known import MOTORS, PARTS
 from arm_emulator.machine.parts.measuring.sensors import SENSORS
 from arm_emulator.machine.parts.output import COMMAND, FAULTS, FURTHER, READINGS, Output
 from arm_emulator.machine.plant.core_calls import ARM
 from arm_emulator.machine.plant.inputs import find_input, list_further_inputs, list_input_units
+from arm_emulator.machine.scene.known_parts import MOTORS, PARTS
 from arm_emulator.machine.scene.scene import Scene
 
 # Of every drive, whatever its parts.

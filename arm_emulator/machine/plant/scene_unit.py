@@ -13,7 +13,6 @@ from arm_emulator.machine.cxx_literals import format_fields, format_number, form
 from arm_emulator.machine.faults.scene_faults import put_faults
 from arm_emulator.machine.parts.bearing import name_deflection
 from arm_emulator.machine.parts.drive_stages.drive_stage import Supply
-from arm_emulator.machine.parts.known import DEFLECTIONS, rotor_friction_of
 from arm_emulator.machine.parts.line import write_lines
 from arm_emulator.machine.parts.measuring.sensors import (
     list_measured_kinds,
@@ -25,6 +24,7 @@ from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.plant.inputs import find_input, list_further_inputs
 from arm_emulator.machine.plant.outputs import list_readings
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import DEFLECTIONS, rotor_friction_of
 from arm_emulator.machine.scene.scene import Scene
 from arm_emulator.machine.varied import AXES, TENSOR, Varied, write_expressions
 from arm_emulator.machine.varied_places import SECTION as CALIBRATION

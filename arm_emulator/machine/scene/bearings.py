@@ -11,7 +11,7 @@ import numpy as np
 from arm_emulator.base.urdf.joint_tree import MOVING_KINDS, parse_joints
 from arm_emulator.base.validation.section import Section
 from arm_emulator.machine.parts.bearing import SECTION, Deflection, name_deflection
-from arm_emulator.machine.parts.known import DEFLECTIONS
+from arm_emulator.machine.scene.known_parts import DEFLECTIONS
 
 ACROSS = 1e-9  # cosine of the largest angle that is still a right one
 _UNLIMITED = {"lower": "-10000", "upper": "10000", "effort": "0", "velocity": "0"}

@@ -19,7 +19,11 @@ from arm_emulator.machine.parts.gears.gear import Gear
 from arm_emulator.machine.parts.gears.gear_stage import GearStage
 from arm_emulator.machine.parts.input import VOLTAGE, Input
 from arm_emulator.machine.parts.joint_effects.joint_effect import JointEffect
-from arm_emulator.machine.parts.known import (
+from arm_emulator.machine.parts.measuring.encoder import Encoder
+from arm_emulator.machine.parts.measuring.sensors import JointSensors
+from arm_emulator.machine.parts.motors.motor import Motor, ServoData
+from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.known_parts import (
     LINK_FRICTIONS,
     ROTOR_FRICTIONS,
     find_gear,
@@ -32,10 +36,6 @@ from arm_emulator.machine.parts.known import (
     read_gear_stages,
     read_motor,
 )
-from arm_emulator.machine.parts.measuring.encoder import Encoder
-from arm_emulator.machine.parts.measuring.sensors import JointSensors
-from arm_emulator.machine.parts.motors.motor import Motor, ServoData
-from arm_emulator.machine.parts.part import Part
 
 Kind = TypeVar("Kind", bound=Part)
 

@@ -301,7 +301,7 @@ def test_the_motor_type_is_that_of_the_motor() -> None:
 
     Table of 0x6402 at techoverflow.net, "CiA 402: How to write the motor type".
     """
-    from arm_emulator.machine.parts.known import MOTORS as ALL
+    from arm_emulator.machine.scene.known_parts import MOTORS as ALL
 
     types = {kind.kind: kind.cia_type for kind in ALL}
     assert types == {"dc": 13, "pmsm": 10, "stepper": 9, "torque": 0, "current": 0}

@@ -13,9 +13,9 @@ from arm_emulator.cli.commands.check_scene import check_scene
 from arm_emulator.cli.commands.tune import tune
 from arm_emulator.design.new_scene import write_new
 from arm_emulator.design.sizing import Demand, size
-from arm_emulator.machine.parts.known import SIZED_MOTORS
 from arm_emulator.machine.parts.motors.dc_motor import DcMotor
 from arm_emulator.machine.parts.motors.motor import Motor
+from arm_emulator.machine.scene.known_parts import SIZED_MOTORS
 from arm_emulator.runs.gains import check_fit
 from arm_emulator_fieldbus.object_dictionary import modes
 from oracles.any_arm import draw_reachable, list_arms, move

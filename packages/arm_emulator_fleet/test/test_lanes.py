@@ -10,8 +10,8 @@ from draws import some
 from machines import DC, GANTRY, PMSM, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Scene, load_scene
-from arm_emulator.machine.parts.known import DEFLECTIONS, PARTS
 from arm_emulator.machine.parts.part import Part
+from arm_emulator.machine.scene.known_parts import DEFLECTIONS, PARTS
 from arm_emulator_fleet import Fleet
 from oracles.mixtures import LARGEST, draw_alone
 

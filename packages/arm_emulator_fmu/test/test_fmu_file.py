@@ -16,7 +16,7 @@ from random_scenes import NAMES as ODD_NAMES
 from random_scenes import draw
 
 from arm_emulator import Refusal, Scene, load_scene
-from arm_emulator.machine.parts.known import PARTS
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator_fmu.commands.fmu import fmu as write_fmu
 from arm_emulator_fmu.export import export
 from arm_emulator_fmu.model_description import describe_model, describe_model_2

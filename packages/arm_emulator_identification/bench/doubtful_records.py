@@ -22,9 +22,9 @@ from arm_emulator.machine.parts.frictions.friction import RotorFriction
 from arm_emulator.machine.parts.frictions.lugre import RotorLuGre
 from arm_emulator.machine.parts.frictions.stribeck import RotorStribeck
 from arm_emulator.machine.parts.input import TORQUE
-from arm_emulator.machine.parts.known import EXTRAS, MOTORS, remove_kind
 from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import EXTRAS, MOTORS, remove_kind
 from arm_emulator.machine.varied import vary_child
 from arm_emulator_identification import inertia
 from arm_emulator_identification.found import list_numbers

@@ -9,10 +9,10 @@ from draws import with_slow
 from machines import MOVED, gantry_urdf, write_scene
 
 from arm_emulator import Plant, Refusal, Scene, load_scene
-from arm_emulator.machine.parts.known import PARTS
 from arm_emulator.machine.parts.part import Part
 from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 from arm_emulator.machine.scene.joint import Joint
+from arm_emulator.machine.scene.known_parts import PARTS
 from arm_emulator_identification.torque_model import TorqueModel
 
 DT, EVERY, STEPS = 2e-5, 25, 4000  # s, steps per sample, samples
