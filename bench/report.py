@@ -44,9 +44,7 @@ BY_NAME = (
     "assumed",
     "left_out",
     "beside_mujoco",
-    "portable_arithmetic",
     "shipped_scenes",
-    "at_rest",
     "identification",
     "doubtful_records",
 )
