@@ -6,7 +6,7 @@
     python -m bench.claims advice --count 20
 
 Claims and truths stand in oracles/random_machines.py, oracles/mixtures.py, oracles/alone.py and
-bench/advice.py.
+packages/arm_emulator_analysis/bench/advice.py.
 """
 
 from __future__ import annotations

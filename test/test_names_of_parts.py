@@ -59,7 +59,7 @@ ALLOWED = {
     "oracles/alone.py": "draws what the smoothed reference solves",
     "bench/bare.py": "the parts that peers have, too",
     "bench/mujoco_peer.py": INDEPENDENT,
-    "bench/advice.py": ABOUT,
+    "packages/arm_emulator_analysis/bench/advice.py": ABOUT,
     "packages/arm_emulator_identification/bench/doubtful_records.py": ABOUT,
     "arm_emulator/motion/model/elastic_arm.py": "the key of a number of its own data sheet",
     "arm_emulator/servo/servo_numbers.py": "a coefficient of the servo's law, called winding",

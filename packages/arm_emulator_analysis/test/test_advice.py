@@ -132,7 +132,7 @@ def test_a_truth_that_events_at_the_ends_of_steps_deny_is_dropped() -> None:
     assert not is_confirmed(judge.runs, commands, result, 1e-6, 4096), "off by 1 mrad at the end"
 
 
-# Every fifth scene is of the same class (bench/advice.py): these are one each.
+# Every fifth scene is of the same class (bench/advice.py of this package): these are one each.
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(len(CLASSES)), 1))
 def test_the_stated_errors_hold_and_hardly_any_setting_is_cheaper(

@@ -36,7 +36,7 @@ INPUTS = 3  # motions; the error is the root mean square over them
 TARGET = 1e-5  # rad, the largest error
 COARSEST, FINEST, FINEST_THEIRS = SERVO_PERIOD, 2e-5, 1e-5  # s
 PART = 20  # of the second, that rollout is timed for: each of its steps takes the same
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "vector_env.py"
+EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "vector_env.py"
 ENV_ARMS, ENV_STEPS, ENV_TICKS = 1024, 40, 10  # the arms' episodes have 20 steps of 10 ticks
 CHUNK = 2000  # steps of one call of rollout: of its states, which it keeps, some 30 MB
 

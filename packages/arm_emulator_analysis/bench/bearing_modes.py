@@ -17,7 +17,7 @@ from bench.tables import format_table
 
 TITLE = "Bearings that tilt"
 
-SCENE = Path(__file__).resolve().parents[1] / "config" / "validation" / "kr560" / "kr560.yaml"
+SCENE = Path(__file__).resolve().parents[3] / "config" / "validation" / "kr560" / "kr560.yaml"
 TILTING = ("joint_1", "joint_2", "joint_3")
 DIRECTIONS = "tilt_x", "tilt_y"  # across the axes of the joints, which are all z
 STIFFNESS = (None, 10.0, 3.0, 1.0)  # times that of the joint's gear; None: rigid
