@@ -25,14 +25,14 @@ from arm_emulator.machine.scene.scene import Scene
 PLAIN = (DcMotor, ElasticGear, RigidGear, LinkFriction)
 
 DRY = ("coulomb", "breakaway")
-_PLAIN_KEYS = {key for kind in PLAIN for key in kind.numbers()} - {*DRY}
+_PLAIN_KEYS = {key for kind in PLAIN for key in kind.list_numbers()} - {*DRY}
 
 BARE = {
     **remove_kind((Brake, *EXTRAS, *DECORATORS, *ROTOR_FRICTIONS)),
     **{
         f"joints.*.{kind.section}.{key}": None
         for kind in (*GEARS, *LINK_FRICTIONS)
-        for key in kind.numbers()
+        for key in kind.list_numbers()
         if key not in _PLAIN_KEYS
     },
     "joints.*.motor.current_limit": None,

@@ -205,7 +205,7 @@ def _list_key_rows(kind: type[Part] | type[Imu]) -> list[list[str]]:
         rows.append(_write_row(kind.section, own_section))
     rows += [_write_row(f"{kind.section}.{key.name}", key) for key in kind.keys]
     moves = kind.owners == Part.owners and (kind.shaft == "link" or issubclass(kind, Gear))
-    for key, number in kind.numbers().items():
+    for key, number in kind.list_numbers().items():
         if key in getattr(kind, "named_by", ()):
             number = replace(number, default=None)  # the part is another one then
         rows.append(_write_row(f"{kind.section}.{key}", number, moves))

@@ -48,7 +48,7 @@ class RealTimeTicks:
         truth = REAL_TIME_TICKS.ffi.addressof(self._snapshot, "truth")
         q, v, gear_torque = rows
         REAL_TIME_TICKS.fill(truth, q=q, v=v, gear_torque=gear_torque)
-        self._messages = reports.create_messages(place.view(), rows)
+        self._messages = reports.create_messages(place.make_view(), rows)
         motor_state, joint_state, time = self._messages
         self._joint, self._stack = make_commands(scene), ExitStack()
         self._command = REAL_TIME_TICKS.new("arm_command", tick=-1, joint=self._joint)

@@ -76,7 +76,7 @@ class Reports:
         motor_state, joint_state, clock = self._of_ticks
         rows = list(zip(TRUTH, truth, strict=True))
         return (
-            Outgoing(motor_state, self._empty_motor_state(), 0, self._fields.places(measured)),
+            Outgoing(motor_state, self._empty_motor_state(), 0, self._fields.list_places(measured)),
             Outgoing(joint_state, self._empty_truth(), 1, rows),
             Outgoing(clock, Clock(), 2),
         )
@@ -166,7 +166,7 @@ class Reports:
             machine=get_start_time(),
             imu_names=[imu.name for imu in scene.imus],
         )
-        self._fields.begin(message, measured)
+        self._fields.size_message(message, measured)
         return message
 
     def _put_motor_state(self) -> None:
@@ -174,7 +174,7 @@ class Reports:
         set_stamp(message.header.stamp, session.logical_ns)
         message.tick = session.tick
         message.powered = session.powered
-        self._fields.fill(message, session.measured)
+        self._fields.fill_message(message, session.measured)
         self._gate.published += 1
         if self._outgoing.record is not None:
             self._outgoing.record.count(session.tick)

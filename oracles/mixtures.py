@@ -135,7 +135,7 @@ def is_suitable(kind: type[DriveStage], motor: Numbers) -> bool:
     section = draw_part(kind, np.random.default_rng(0))
     try:
         bare = read_motor(Section(motor, "mixture"))
-        kind.read(Section(section, "mixture")).check_motor(bare, joint)
+        kind.read_section(Section(section, "mixture")).check_motor(bare, joint)
     except Refusal:
         return False
     return True

@@ -103,7 +103,7 @@ class RandomJoint:
     def put(self, kind: Kind, rng: Rng) -> None:
         """Add a part where the section has its place."""
         if issubclass(kind, DriveStage):
-            kind = kind.of(read_motor(Section(self.section["motor"], "pair")))
+            kind = kind.find_kind(read_motor(Section(self.section["motor"], "pair")))
         place = place_of(self.section, kind)
         if place is not None:
             place[get_section_key(kind)] = {
@@ -214,7 +214,7 @@ def draw(scene: Scene, joints: tuple[RandomJoint, RandomJoint], seed: int) -> Dr
             zero = rng.random() < SHARE_ZERO
             if is_off:
                 off.append(f"{name}.{kind.__name__}")
-            for key in kind.numbers():
+            for key in kind.list_numbers():
                 full = f"joints.{name}.{kind.section}.{key}"
                 if full not in varied:
                     continue

@@ -86,7 +86,7 @@ def draw_part(part: type[Part], rng: Rng) -> Numbers:
 def _draw_typical(part: type[Part], typical: dict[str, tuple[float, float]], rng: Rng) -> Numbers:
     """Return the section of a part, with half of what may be absent."""
     numbers: Numbers = {}
-    for key, number in part.numbers().items():
+    for key, number in part.list_numbers().items():
         needed = number.default is REQUIRED
         if not needed and key not in typical:
             continue
@@ -256,7 +256,7 @@ def _draw_motor(part: type[Part], rng: Rng) -> Numbers:
         bandwidth=200.0,
     )
     motor = part.size_part(rating)
-    values = {key: getattr(motor, key) for key in part.numbers()}
+    values = {key: getattr(motor, key) for key in part.list_numbers()}
     limit = motor.limit if motor.circuit is not None else ""  # it would need a loop
     return {
         key: value

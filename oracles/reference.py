@@ -146,7 +146,7 @@ def _check_smooth(scene: Scene, motors: Sequence[DcMotor | None]) -> None:
         limited = motor is not None and motor.current_limit is not None and motor.inductance > 0.0
         for quantity, there in (
             ("friction.coulomb", joint.friction.coulomb > 0.0),
-            ("motor.current_limit", limited and joint.find(CurrentLoop) is None),
+            ("motor.current_limit", limited and joint.find_part(CurrentLoop) is None),
         ):
             if there:
                 where = f"joints.{joint.name}.{quantity}"
@@ -186,7 +186,7 @@ class ReferenceMachine:
             ]
         ).T
         limits = np.array([(m and m.current_limit) or np.inf for m in motors])
-        loops = [joint.find(CurrentLoop) for joint in scene.joints]
+        loops = [joint.find_part(CurrentLoop) for joint in scene.joints]
         self.looped = np.array([loop is not None for loop in loops])
         self.supply = scene.supply_voltage
         # With a current loop the limit is one of the command.

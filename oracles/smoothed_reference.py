@@ -122,7 +122,7 @@ class SmoothJoint:
             if isinstance(self.motor, DcMotor)
             else getattr(self.motor, "bandwidth", None) is not None
         )
-        self.of_motor = lags + (joint.find(CurrentLoop) is not None)
+        self.of_motor = lags + (joint.find_part(CurrentLoop) is not None)
         self.states = self.of_motor + 2 * self.elastic + len(self.bristles)
         self.armature = (
             getattr(self.motor, "rotor_inertia", 0.0) / self.Ng**2 if not self.elastic else 0.0
@@ -152,7 +152,7 @@ class SmoothJoint:
         self, motor: DcMotor, u: float, wm: float, z: list[float]
     ) -> tuple[float, list[float]]:
         R, L, emf = motor.resistance, motor.inductance, motor.back_emf_constant * wm
-        if (loop := self.joint.find(CurrentLoop)) is not None:
+        if (loop := self.joint.find_part(CurrentLoop)) is not None:
             rate = 2.0 * math.pi * (loop.bandwidth or 0.0)
             P = loop.proportional_gain or rate * L
             I = loop.integral_gain if loop.integral_gain is not None else rate * R  # noqa: E741

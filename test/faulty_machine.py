@@ -41,7 +41,9 @@ def everything(folder: Path, **more: Any) -> Scene:
     heated = {"winding": {"heat_capacity": 50.0, "thermal_resistance": 2.0, "limit": 120.0}}
     rng = np.random.default_rng(0)
     around = {
-        kind.section.partition(".")[2]: draw_part(kind, rng) for kind in DECORATORS if kind.faults()
+        kind.section.partition(".")[2]: draw_part(kind, rng)
+        for kind in DECORATORS
+        if kind.list_faults()
     }
     friction = {"viscous": 0.1, "coulomb": 0.3, "load": 0.02}
     shoulder = {
@@ -73,7 +75,7 @@ def everything(folder: Path, **more: Any) -> Scene:
     further = {
         kind.section: draw_part(kind, rng)
         for kind in EXTRAS
-        if kind.faults()
+        if kind.list_faults()
         and kind.shaft == "link"
         and "." not in kind.section
         and kind.section not in {**shoulder, **elbow}

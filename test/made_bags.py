@@ -45,7 +45,7 @@ class EmulatorBag:
             fields["header"] = Header(stamp=to_stamp(self._session.logical_ns))
         message = self._kinds[topic](**fields)
         if topic == "/motor_states":
-            self._measured.begin(message, self._session.measured)
+            self._measured.size_message(message, self._session.measured)
         data = serialize_message(message)
         self._writer.write(self._numbers[topic], self._clock, self._clock, data)
 

@@ -91,7 +91,7 @@ def test_shapes_are_integrated(tmp_path: Path) -> None:
         np.testing.assert_allclose(actual[0], mass, rtol=1e-5)
         np.testing.assert_allclose(actual[1], xyz, rtol=1e-5)
         np.testing.assert_allclose(actual[2], at.R @ tensor @ at.R.T, rtol=1e-4, atol=1e-6)
-        full = full + Body.from_center(mass, np.zeros(3), tensor).transform(at)
+        full = full + Body.from_center(mass, np.zeros(3), tensor).transform_to(at)
         inside += shape(text, *words)
     actual = body_of(assumed(inside, tmp_path))
     np.testing.assert_allclose(actual[0], full.mass, rtol=1e-5)

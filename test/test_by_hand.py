@@ -226,12 +226,12 @@ def test_periods_in_which_the_loop_stands_still_are_lost_and_counted() -> None:
     plant, period = Plant(load_scene("three_axis")), 1_000_000  # ns
     loop = RealTimeLoop(plant, period, -1)
     began = time.monotonic_ns()
-    loop.start(0)
+    loop.start_time(0)
     draw = np.random.default_rng(3)
     for _ in range(5):
         while loop.figures.tick < draw.integers(5, 20):
             pass
-        loop.stop()
+        loop.stop_time()
         stands = time.monotonic_ns() + int(draw.uniform(3, 40)) * period
         before = loop.figures
         while time.monotonic_ns() < stands:
@@ -243,7 +243,7 @@ def test_periods_in_which_the_loop_stands_still_are_lost_and_counted() -> None:
         # It began the newest period before it stopped.
         assert loop.figures.tick >= before.tick + 1, "ticks go on where they were"
     smallest = time.monotonic_ns() - began
-    loop.stop()
+    loop.stop_time()
     figures, largest = loop.figures, time.monotonic_ns() - began
     passed = (figures.tick + figures.lost_periods) * period
     # All time is either a tick or a lost period, but for the one that has begun, and for what the

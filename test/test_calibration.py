@@ -135,7 +135,7 @@ def test_the_machine_stands_as_its_calibration_has_it(tmp_path: Path, seed: int)
         a = links.accelerations(q, v, tau)
         assert a == pytest.approx(oracle.aba(q, v, tau), rel=1e-9), "condition numbers below 1e5"
         place = tool_by_pinocchio(expected, scene, q)
-        p = ToolChain(scene).positions(q[:, None])[:, 0]
+        p = ToolChain(scene).compute_positions(q[:, None])[:, 0]
         assert p == pytest.approx(place[:3, 3], abs=ROUNDING), "the machine's tool"
         nominal = tool_by_pinocchio(scene.urdf, scene, q)
         assert nominal == pytest.approx(tool_by_pinocchio(urdf, scene, q), abs=ROUNDING)
@@ -213,7 +213,7 @@ def test_deltas_are_added_to_the_numbers_of_denavit_and_hartenberg(
         expected = dh_tool(rows + deltas, kinds, q, flange)
         actual = tool_by_pinocchio(scene.true_urdf, scene, q)
         assert actual == pytest.approx(expected, abs=1e-11), "rows where axes are parallel to 1e-4"
-        p = ToolChain(scene).positions(q[:, None])[:, 0]
+        p = ToolChain(scene).compute_positions(q[:, None])[:, 0]
         assert p == pytest.approx(expected[:3, 3], abs=1e-11)
 
 
@@ -234,7 +234,7 @@ def test_a_planar_arm_has_the_closed_form(tmp_path: Path) -> None:
         t_1, t_2 = q_1 + 1e-3, q_1 + q_2 + 1e-3 - 2e-3
         expected = [0.502 * np.cos(t_1) + 0.299 * np.cos(t_2),
                     0.502 * np.sin(t_1) + 0.299 * np.sin(t_2), 0.0]  # fmt: skip
-        p = ToolChain(scene).positions(np.array([[q_1], [q_2]]))[:, 0]
+        p = ToolChain(scene).compute_positions(np.array([[q_1], [q_2]]))[:, 0]
         assert p == pytest.approx(expected, abs=1e-14)
 
 

@@ -324,7 +324,9 @@ def test_wrenches_units_numbers_and_faults_act_on_any_link(name: str, tmp_path: 
         np.testing.assert_allclose(actual.angular_rate[0], rotations, rtol=0.0, atol=1e-11 * scale)
     pin.framesForwardKinematics(model, data, q)
     there = data.oMf[model.getFrameId("tool0")].translation
-    np.testing.assert_allclose(ToolChain(scene).positions(x.q[:, None])[:, 0], there, atol=1e-12)
+    np.testing.assert_allclose(
+        ToolChain(scene).compute_positions(x.q[:, None])[:, 0], there, atol=1e-12
+    )
     for axis, at_axis in zip("xyz", there, strict=True):
         for off in (-1e-9, 1e-9):
             stop = Breakpoint(plant, f"tool.{axis} > {float(at_axis + off)!r}")

@@ -100,7 +100,7 @@ def declarations() -> Iterator[tuple[str, dict[str, Row]]]:
     """Yield what parts, scenes, nodes and messages declare, by the headings of the table."""
     for part in list_kinds(Part):
         beside = (key for key in part.keys if isinstance(key, Number))
-        yield part.name_place(), rows_of((*part.numbers().values(), *beside))
+        yield part.name_place(), rows_of((*part.list_numbers().values(), *beside))
     yield "imus.NAME", rows_of(key for key in Imu.keys if isinstance(key, Number))
     yield "joints.NAME", of_class(Joint)
     yield "scene", of_class(Scene)

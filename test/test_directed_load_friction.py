@@ -285,7 +285,7 @@ def test_the_law_in_python_is_the_budget_at_random_torques_and_speeds() -> None:
             law(np.sign(w), w, A, S, abs(A) > abs(S))
             for w, A, S in zip(at.speed, tau, gear, strict=True)
         ]
-        dry = RotorLoadFriction(**law.section(0.5)).sliding(at)
+        dry = RotorLoadFriction(**law.section(0.5)).compute_dry_torque(at)
         assert dry == pytest.approx(np.array(budget), rel=1e-12)
 
 

@@ -207,7 +207,7 @@ def test_weights_of_all_bodies_are_gravity(
         body = joint.body
         if joint is pushed.chain.joints[-1]:  # the payload's mass is varied
             assert pushed.load is not None
-            body = pushed.load.bare + pushed.load.per_kg.scale(MASS)
+            body = pushed.load.bare + pushed.load.per_kg.scale_mass(MASS)
         com = joint.axes.T @ body.moment / body.mass
         weight = ExternalWrench(body.mass * np.array(GRAVITY), point=com, axes="world")
         second.set_external_wrench(joint.link, weight)

@@ -91,7 +91,7 @@ def test_a_joint_has_the_published_friction_and_motor(name: str) -> None:
         for w, A, S in zip(speed, tau, outside, strict=True)
     ]
     # The figures have six digits.
-    assert friction.effort(at) / Ng == pytest.approx(np.array(budget), rel=2e-5)
+    assert friction.compute_effort(at) / Ng == pytest.approx(np.array(budget), rel=2e-5)
     numbers = vars(joint.motor)
     constant, inertia = MOTORS[name]
     assert numbers["torque_constant"] / Ng == pytest.approx(constant, rel=2e-5)

@@ -39,7 +39,7 @@ def places(scene: Scene) -> list[tuple[int, int]]:
     for j, joint in enumerate(scene.joints):
         if isinstance(joint.motor, DcMotor) and joint.motor.inductance > 0.0:
             own.append((CURRENT, j))
-        if joint.find(CurrentLoop) is not None:
+        if joint.find_part(CurrentLoop) is not None:
             own.append((INTEGRAL, j))
         if joint.motor is not None and joint.gear.stiffness is not None:
             own += [(TM, j), (WM, j)]

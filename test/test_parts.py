@@ -52,7 +52,7 @@ def draw_section(part: type[Part], rng: np.random.Generator) -> dict[str, float]
 
 def draw_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]:
     data: dict[str, float] = {}
-    for key, number in part.numbers().items():
+    for key, number in part.list_numbers().items():
         if number.default is not REQUIRED and rng.random() < 0.3:
             continue
         value = draw_number(number, rng)
@@ -66,7 +66,7 @@ def draw_numbers(part: type[Part], rng: np.random.Generator) -> dict[str, float]
 
 def read(part: type[Part], data: dict[str, Any]) -> Part:
     section = Section(data, "drawn.yaml", f"joints.elbow.{part.section}")
-    part_read = part.read(section)
+    part_read = part.read_section(section)
     section.finish()
     return part_read
 
@@ -92,7 +92,7 @@ def test_numbers_are_read_from_the_file_or_take_their_defaults(part: type[Part])
     for _ in range(20):
         data = draw_section(part, rng)
         part_read = read(part, data)
-        for key, number in part.numbers().items():
+        for key, number in part.list_numbers().items():
             followed = number.follows and getattr(part_read, number.follows)
             expected = data.get(key, number.default if followed is None else followed)
             assert getattr(part_read, key) == expected, f"{key} of {data}"
@@ -101,7 +101,7 @@ def test_numbers_are_read_from_the_file_or_take_their_defaults(part: type[Part])
 @parts
 def test_a_number_out_of_bounds_is_refused_by_its_key_in_a_line(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 2])
-    for key, number in part.numbers().items():
+    for key, number in part.list_numbers().items():
         data = draw_section(part, rng)
         if number.follows is not None:
             data.setdefault(number.follows, 1.0)
@@ -117,7 +117,7 @@ def test_a_number_out_of_bounds_is_refused_by_its_key_in_a_line(part: type[Part]
 def test_a_missing_number_and_an_unknown_number_are_refused(part: type[Part]) -> None:
     rng = np.random.default_rng([len(part.__name__), 3])
     data = draw_section(part, rng)
-    for key, number in part.numbers().items():
+    for key, number in part.list_numbers().items():
         if number.default is REQUIRED:
             rest = {name: value for name, value in data.items() if name != key}
             with pytest.raises(
@@ -127,7 +127,7 @@ def test_a_missing_number_and_an_unknown_number_are_refused(part: type[Part]) ->
     with pytest.raises(Refusal, match=f"key joints.elbow.{part.section}.colour") as refusal:
         read(part, data | {"colour": 1.0})
     valid = str(refusal.value).split("valid: ")[1].split(", ")
-    assert set(part.numbers()) <= set(valid), "keys that are named as valid"
+    assert set(part.list_numbers()) <= set(valid), "keys that are named as valid"
 
 
 @parts
@@ -142,7 +142,7 @@ def test_varied_numbers_stand_in_their_places_in_cxx(part: type[Part]) -> None:
         p = [could[name].value for name in chosen]
         text = instance.write_initialiser("elbow", places)
         members = dict(re.findall(r"\.(\w+) = ([^,{}]+)", text))
-        for key, quantity in part.numbers().items():
+        for key, quantity in part.list_numbers().items():
             value, at = getattr(instance, key), f"joints.elbow.{part.section}.{key}"
             assert (at in could) == (
                 quantity.varied
@@ -208,9 +208,9 @@ def test_the_table_of_a_part_has_the_keys_that_its_reader_knows(part: type[Part]
     section = ReadSection(supply(part, np.random.default_rng(3)), "drawn.yaml", part.section)
     if issubclass(part, JointEffect):
         part.put_limits(section, None)
-    part.read(section)
+    part.read_section(section)
     rows = keys_of(part)
-    declared = {*part.numbers(), *(key.name for key in part.keys)}
+    declared = {*part.list_numbers(), *(key.name for key in part.keys)}
     assert declared <= rows.keys() and all(rows[key][3] for key in declared), "what each is"
     of_others = {kind.section.partition(".")[2] for kind in PARTS}
     sections = {key.partition(".")[0] for key in declared}

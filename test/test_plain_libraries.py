@@ -134,7 +134,7 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
     before = as_bytes(plant)
     for _ in range(300):
         count = no_count(rng)
-        refused(loop.start, count)
+        refused(loop.start_time, count)
         refused(RealTimeLoop, plant, count, -1)
         refused(RealTimeLoop, plant, 1_000_000, count)
         refused(check_count, "here", "count", count, 0, 10**15)
@@ -142,7 +142,7 @@ def test_wrong_counts_change_nothing(plant: Plant) -> None:
             refused(offline.advance, count)
         if count not in (0, -1):
             refused(session.offer, count, names, zero)
-            refused(loop.command, -2 if isinstance(count, int) else count, zero)
+            refused(loop.hold_command, -2 if isinstance(count, int) else count, zero)
     assert as_bytes(plant) == before
     assert (session.tick, session.is_answered, offline.session.tick) == (0, False, 0)
 
@@ -176,7 +176,7 @@ def test_wrong_arrays_change_nothing(plant: Plant, controller: JacobianControlle
     calls: list[Callable[[Any], object]] = [
         lambda x: plant.put("here", {"q": x}),
         lambda x: plant.put("here", {"v": good, "current": x}),
-        lambda x: loop.command(0, x),
+        lambda x: loop.hold_command(0, x),
         lambda x: servo.observe(x, good),
         lambda x: servo.observe(counts, x),
         servo.control,

@@ -137,7 +137,7 @@ def test_the_gear_winds_up_by_its_torque(tmp_path: Path) -> None:
         gear = draw_gear(rng, torque=6.0) | {"damping": 5.0, "ratio": 0.02}
         motor = draw_motor(rng, inductance=True)
         plant = plant_with(file, motor=motor, gear=gear, friction={"viscous": 2.0})
-        unwound, A = plant.energy, ProgressiveGear(**gear).wind_up(6.0)
+        unwound, A = plant.energy, ProgressiveGear(**gear).compute_wind_up(6.0)
         plant.put("the gear", {"theta_m": [A / gear["ratio"]]})
         stored = 0.5 * gear["stiffness"] * A**2 + 0.25 * gear["cubic_stiffness"] * A**4
         assert plant.energy - unwound == pytest.approx(stored, rel=1e-9), "of the wound gear"
@@ -152,7 +152,7 @@ def test_the_gear_winds_up_by_its_torque(tmp_path: Path) -> None:
         assert x.gear_torque[0] == pytest.approx(T, rel=1e-9), "the torque that is reported"
         weight = -2.0 * 0.3 * 9.81 * np.cos(x.q[0])  # q turns the link down
         assert x.gear_torque[0] == pytest.approx(weight, rel=1e-6), "the torque of the weight"
-        assert ProgressiveGear(**gear).wind_up(T) == pytest.approx(w, rel=1e-9), "wind_up"
+        assert ProgressiveGear(**gear).compute_wind_up(T) == pytest.approx(w, rel=1e-9), "wind_up"
 
 
 def test_wind_up_solves_the_cubic() -> None:
@@ -160,12 +160,13 @@ def test_wind_up_solves_the_cubic() -> None:
     for _ in range(200):
         Kg, Kg3, T = 10 ** rng.uniform((-2.0, -15.0, -6.0), (8.0, 15.0, 6.0))
         T *= rng.choice([-1.0, 1.0])
-        w = ProgressiveGear(ratio=1.0, stiffness=Kg, cubic_stiffness=Kg3).wind_up(T)
+        w = ProgressiveGear(ratio=1.0, stiffness=Kg, cubic_stiffness=Kg3).compute_wind_up(T)
         assert Kg * w + Kg3 * w**3 == pytest.approx(T, rel=1e-9), (Kg, Kg3, T)
-    assert ProgressiveGear(ratio=1.0, stiffness=100.0, cubic_stiffness=0.0).wind_up(5.0) == 0.05, (
-        "no cube"
-    )
-    assert RigidGear(ratio=1.0).wind_up(5.0) == 0.0, "rigid"
+    assert (
+        ProgressiveGear(ratio=1.0, stiffness=100.0, cubic_stiffness=0.0).compute_wind_up(5.0)
+        == 0.05
+    ), "no cube"
+    assert RigidGear(ratio=1.0).compute_wind_up(5.0) == 0.0, "rigid"
 
 
 @pytest.mark.slow

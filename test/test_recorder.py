@@ -140,7 +140,7 @@ def test_a_row_has_the_time_and_the_tick_of_its_measurement(scene: Scene) -> Non
     plant = Plant(scene)
     row = RecordRow(plant)
     for tick in range(3):
-        taken = row.take()
+        taken = row.take_row()
         assert taken["tick"].tolist() == [tick]
         assert taken["t"] == pytest.approx(tick * scene.servo_period, rel=1e-12)
         plant.exchange(np.zeros(len(scene.joints)))
@@ -177,7 +177,7 @@ def test_a_file_has_truth_and_measurement_of_every_tick(
 
 
 def test_a_missing_number_is_an_empty_cell_and_null(scene: Scene, tmp_path: Path) -> None:
-    rows = RecordRow(Plant(scene)).take()
+    rows = RecordRow(Plant(scene)).take_row()
     rows["q"][0, 1], rows["v"][0, 0] = np.nan, -np.inf
     for suffix in (".csv", ".mcap"):
         record = open_record("test", tmp_path / f"odd{suffix}", list_columns(scene))

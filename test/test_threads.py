@@ -170,13 +170,13 @@ def test_in_real_time_no_thread_waits_for_a_less_urgent_thread() -> None:
 
     two = plant(2)
     loop = RealTimeLoop(two, 1_000_000, -1)
-    loop.start(0)
-    assert loop.wait(10.0), "the loop does not begin"
+    loop.start_time(0)
+    assert loop.wait_for_tick(10.0), "the loop does not begin"
     if not loop.figures.fifo:
-        loop.stop()
+        loop.stop_time()
         pytest.skip("the system does not permit SCHED_FIFO")
     assert urgent() == 2, "urgent threads while the loop runs"
-    loop.stop()
+    loop.stop_time()
     assert urgent() == 0, "urgent threads when it has ended"
 
 

@@ -197,7 +197,7 @@ def constants(scene: Scene, values: dict[str, float]) -> dict[str, float]:
     built = {name: value for name, value in values.items() if not name.startswith("links.")}
     for joint in scene.joints:
         for part in joint.parts:
-            for key, number in part.numbers().items():
+            for key, number in part.list_numbers().items():
                 place = f"joints.{joint.name}.{part.section}."
                 followed = None if number.follows is None else getattr(part, number.follows)
                 if followed:

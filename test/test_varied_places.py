@@ -54,7 +54,7 @@ def test_set_places_equal_pinocchio(tmp_path: Path, seed: int) -> None:
             q, v, tau = rng.normal(size=(3, len(names)))
             a = plant.links.accelerations(q, v, tau)
             assert a == pytest.approx(oracle.aba(q, v, tau), rel=1e-9), "condition below 1e5"
-            p = ToolChain(scene, values).positions(q[:, None])[:, 0]
+            p = ToolChain(scene, values).compute_positions(q[:, None])[:, 0]
             place = tool_by_pinocchio(expected, scene, q)
             assert p == pytest.approx(place[:3, 3], abs=1e-13), "products of ten frames"
 

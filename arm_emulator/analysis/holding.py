@@ -69,7 +69,7 @@ def find_overloads(scene: Scene) -> list[Overload]:
 
 def largest_torque(joint: Joint, supply_voltage: float) -> float:
     """Return the largest torque that a joint's motor puts on its link at rest [N m or N]."""
-    largest = joint.largest_command(supply_voltage)
+    largest = joint.compute_largest_command(supply_voltage)
     torque = math.inf if largest is None else abs(joint.torque_per_command) * largest
     current, data = getattr(joint.motor, "current_limit", None), joint.servo_data
     if current is not None and data is not None:
@@ -84,7 +84,7 @@ def _compute_spring_torques(scene: Scene, q: Array) -> Array:
         at = ShaftMotion(none, q[j : j + 1], none, none, none, none, joint.gear.ratio)
         for part in joint.extras:
             if part.of_angle and part.shaft == "link":
-                effort = part.effort(at)
+                effort = part.compute_effort(at)
                 assert effort is not None, "its angle determines it"
                 torque[j] += float(effort[0])
     return torque

@@ -25,7 +25,7 @@ from arm_emulator.machine.plant.compiler import DIRECTIONS, load_sensitivities
 from arm_emulator.machine.plant.core_calls import SENSITIVITY
 from arm_emulator.machine.scene.fault_catalogue import list_variable_numbers
 from arm_emulator.machine.scene.scene import Scene, coerce_scene
-from arm_emulator.machine.varied import Varied, choose
+from arm_emulator.machine.varied import Varied, choose_names
 from arm_emulator.machine.varied_places import SECTION as CALIBRATION
 
 WHERE = "sensitivities"
@@ -75,7 +75,7 @@ class SensitiveMachine:
         starts = [f"start.{which}.{joint}" for which in "qv" for joint in scene.joint_names]
         rule = "name numbers of the scene, or start.q.JOINT and start.v.JOINT"
         every = {name: name for name in (*possible, *starts)}
-        self.names = choose(by, every, WHERE, "by", rule)
+        self.names = choose_names(by, every, WHERE, "by", rule)
         self._scene = scene
         self._varied = tuple(possible[name] for name in self.names if name in possible)
         self._core = load_sensitivities(make_differentiable(scene, self._varied))

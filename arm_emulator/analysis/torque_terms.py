@@ -69,10 +69,10 @@ class TorqueTerms:
         plant, scene = self._plant, self._scene
         plant.restore(saved)
         N, joints, places = len(scene.joints), scene.machine_joints, scene.joint_places
-        of_machine = np.zeros((plant.equation("arm_torque_terms", NULL, NULL), len(joints)))
+        of_machine = np.zeros((plant.call_equation("arm_torque_terms", NULL, NULL), len(joints)))
         powered_command = np.zeros(len(joints))
         powered_command[places] = np.asarray(command) * plant.powered
-        plant.equation("arm_torque_terms", pointer(powered_command), pointer(of_machine))
+        plant.call_equation("arm_torque_terms", pointer(powered_command), pointer(of_machine))
         out = of_machine[:, places]
         k, n = len(_OF_LINK), len(_OF_LINK) + len(_OF_ROTOR)
         link, rotor = (

@@ -132,7 +132,7 @@ class BagRepetition:
         try:
             names, inputs = command.joint_names, (command.input_names, command.inputs)
             further = name_inputs("motor_commands", *inputs, len(names))
-            rows = self._buffer.arrange(names, command.command, further)
+            rows = self._buffer.arrange_rows(names, command.command, further)
         except Refusal:
             self.tally.refused += 1
             return

@@ -136,6 +136,6 @@ class RunBag:
             header=Header(stamp=to_stamp(session.logical_ns)), **values
         )
         if topic == "motor_states":
-            self._fields.begin(message, session.measured)
+            self._fields.size_message(message, session.measured)
         data = serialize_message(message)
         self._writer.write(self._numbers[topic], self._clock, self._clock, data)

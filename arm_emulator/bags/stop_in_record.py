@@ -58,7 +58,8 @@ def measure_stop(
         machine.advance(1)
     chain, period = ToolChain(scene), scene.servo_period
     by_truth, by_encoders = (
-        measure_vibration(chain.positions(np.array(q).T).T, period, band) for q in (true, measured)
+        measure_vibration(chain.compute_positions(np.array(q).T).T, period, band)
+        for q in (true, measured)
     )
     return end, by_truth, by_encoders
 

@@ -68,7 +68,7 @@ def assume_bodies(
             if stated > 0.0:
                 scale, how = stated / body.mass, f"{how}, with the mass given"
             link.remove(old)
-        link.insert(0, inertial_of(body.scale(scale)))
+        link.insert(0, inertial_of(body.scale_mass(scale)))
         out.append(AssumedBody(name, how))
     return out
 
@@ -118,7 +118,7 @@ def _read_shape(element: ET.Element, folder: Path) -> tuple[Body, str]:
         body = _make_centred_body(4.0 / 3.0 * math.pi * r**3, (r * r,) * 3, 2.5)
     else:
         raise Refusal("new", "shape", "be known", shape.tag)
-    return body.transform(at), "convex hull" if shape.tag == "mesh" else shape.tag
+    return body.transform_to(at), "convex hull" if shape.tag == "mesh" else shape.tag
 
 
 def _read_row(element: ET.Element, key: str, default: str = "", count: int = 3) -> list[float]:
@@ -166,7 +166,7 @@ def _make_hull(points: Array) -> Body:
     S = (volume[:, None, None] * second).sum(axis=0) / 20.0
     h = (volume[:, None] * total).sum(axis=0) / 4.0
     inertia = np.trace(S) * np.eye(3) - S
-    return Body(float(volume.sum()), h, inertia).transform(Frame(p=centre))
+    return Body(float(volume.sum()), h, inertia).transform_to(Frame(p=centre))
 
 
 def _read_points(mesh: ET.Element, folder: Path) -> Array:

@@ -72,10 +72,10 @@ def list_doubtful_inertias(
     for joint in chain.bodies.values():
         own: list[Doubt] = []
         parts = [name for name in joint.links if name not in unchecked]
-        alone = {name: bodies.body(places[name]) for name in parts}
+        alone = {name: bodies.get_body(places[name]) for name in parts}
         arm_body = Body()
         for name, frame in joint.links.items():
-            arm_body = arm_body + bodies.body(places[name]).transform(frame)
+            arm_body = arm_body + bodies.get_body(places[name]).transform_to(frame)
         for name, body in alone.items():
             if elements[name].find("inertial") is not None:
                 shape = _read_shape(elements[name], folder)

@@ -410,7 +410,7 @@ def _read_drive_numbers(joint: Joint) -> DriveParameters:
     gear, values = joint.gear, dict[str, float]()
     names = list_numbers(DriveParameters)
     if gear.stiffness is not None:
-        values |= {key: getattr(gear, key) for key in gear.numbers() if key in names}
+        values |= {key: getattr(gear, key) for key in gear.list_numbers() if key in names}
     for law, prefix, per in (
         (joint.friction, "", 1.0),
         (joint.rotor_friction, "rotor_", abs(gear.ratio)),

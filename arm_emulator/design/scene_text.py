@@ -182,7 +182,7 @@ def _format_motor(motor: Motor, decorators: tuple[Part, ...]) -> list[str]:
 
 def _format_numbers(part: Part, indent: str) -> list[str]:
     """Return the numbers of a part that are not what an absent key gives, a line each."""
-    values = {key: (getattr(part, key), number) for key, number in part.numbers().items()}
+    values = {key: (getattr(part, key), number) for key, number in part.list_numbers().items()}
     return [
         f"{indent}{key}: {value!r}  # {number.unit}"
         for key, (value, number) in values.items()

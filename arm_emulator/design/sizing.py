@@ -256,7 +256,7 @@ def _size_drive(
         bandwidth=CURRENT_BANDWIDTH,
     )
     motor = kind.size_part(rating)
-    around = (decorator.of(motor).size_part(motor, rating) for decorator in DECORATORS)
+    around = (decorator.find_kind(motor).size_part(motor, rating) for decorator in DECORATORS)
     joint = Joint(
         name=demand.name,
         start=demand.start,
@@ -283,7 +283,9 @@ _Kind = TypeVar("_Kind", bound=Part)
 
 def _round_part(part: _Kind) -> _Kind:
     """Return a part with numbers as a data sheet would give them."""
-    values = {key: getattr(part, key) for key, number in part.numbers().items() if not number.whole}
+    values = {
+        key: getattr(part, key) for key, number in part.list_numbers().items() if not number.whole
+    }
     return dataclasses.replace(
         part, **{key: round_figure(value) for key, value in values.items() if value is not None}
     )

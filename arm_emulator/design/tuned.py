@@ -234,7 +234,7 @@ def make_data_sheet(joint: Joint, supply_voltage: float) -> dict[str, Any]:
     """
     motor, data = joint.motor, joint.servo_data
     assert motor is not None and data is not None, "check_joints has refused others"
-    voltage = motor.largest_command(supply_voltage) if joint.unit == "V" else None
+    voltage = motor.compute_largest_command(supply_voltage) if joint.unit == "V" else None
     limits = {
         "current_limit": motor.command_limit,
         "voltage_limit": None if voltage == supply_voltage else voltage,

@@ -25,22 +25,22 @@ class Body:
     @classmethod
     def from_center(cls, mass: float, com: Array, inertia: Array) -> Body:
         """Return the body of `mass` whose `inertia` is given about its centre of mass `com`."""
-        return Bodies.from_center(np.array([mass]), com[None], inertia[None]).body(0)
+        return Bodies.from_center(np.array([mass]), com[None], inertia[None]).get_body(0)
 
     def __add__(self, other: Body) -> Body:
         return Body(
             self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia
         )
 
-    def scale(self, factor: float) -> Body:
+    def scale_mass(self, factor: float) -> Body:
         """Return a body of that many times this one."""
         return Body(factor * self.mass, factor * self.moment, factor * self.inertia)
 
-    def transform(self, frame: Frame) -> Body:
+    def transform_to(self, frame: Frame) -> Body:
         """Return this body in the frame from which its own is seen as `frame`."""
         mass, moment = np.array([self.mass]), self.moment[None]
         alone = Bodies(mass, moment, self.inertia[None])
-        return alone.transform(frame.R[None], frame.p[None]).body(0)
+        return alone.transform_to(frame.R[None], frame.p[None]).get_body(0)
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Bodies:
         c, m = compute_cross(com), mass[:, None, None]
         return cls(mass, mass[:, None] * com, inertia - multiply_matrices(m * c, c))
 
-    def transform(self, R: Array, p: Array) -> Bodies:
+    def transform_to(self, R: Array, p: Array) -> Bodies:
         """Return them in frames from which their own are seen as R (K, 3, 3), p (K, 3)."""
         h = apply_matrix(R, self.moment)
         p_x, h_x = compute_cross(p), compute_cross(h)
@@ -66,15 +66,15 @@ class Bodies:
         inertia = multiply_matrices(R, self.inertia, R.transpose(0, 2, 1)) - shift
         return Bodies(self.mass, h + self.mass[:, None] * p, inertia)
 
-    def body(self, index: int) -> Body:
+    def get_body(self, index: int) -> Body:
         """Return one of them."""
         return Body(float(self.mass[index]), self.moment[index], self.inertia[index])
 
-    def select(self, indices: list[int]) -> Bodies:
+    def select_bodies(self, indices: list[int]) -> Bodies:
         """Return those at `indices`."""
         return Bodies(self.mass[indices], self.moment[indices], self.inertia[indices])
 
-    def sum(self) -> Body:
+    def sum_bodies(self) -> Body:
         """Return all of them as one, added one after the other."""
         return Body(
             float(self.mass.cumsum()[-1]),

@@ -29,7 +29,7 @@ class Varied:
         return self.number.name
 
 
-def choose(
+def choose_names(
     patterns: Sequence[object], possible: Mapping[str, Kind], where: str, key: str, rule: str
 ) -> tuple[Kind, ...]:
     """Return what is named, each once and in the order of the scene.
@@ -81,7 +81,7 @@ def read_body_numbers(body: Body) -> dict[str, float]:
 
 def vary_child(joint: ChainJoint, body: Body | None = None) -> dict[str, float]:
     """Return the numbers of what a joint moves, in the frame of its child link in the URDF."""
-    return read_body_numbers((body or joint.body).transform(Frame(joint.axes.T)))
+    return read_body_numbers((body or joint.body).transform_to(Frame(joint.axes.T)))
 
 
 def vary_body(joint: ChainJoint) -> list[Varied]:
@@ -118,7 +118,7 @@ def write_expressions(joint: ChainJoint, places: Mapping[str, str]) -> dict[str,
     turned = {
         f"inertia_{xx}": _write_tensor(R, AXES.index(xx[0]), AXES.index(xx[1])) for xx in TENSOR
     }
-    sums = {name: _sum(parts, terms) for name, parts in (vector | turned).items()}
+    sums = {name: _sum_terms(parts, terms) for name, parts in (vector | turned).items()}
     return {"mass": terms["mass"], **sums}
 
 
@@ -132,7 +132,7 @@ def _write_tensor(R: Array, i: int, j: int) -> list[tuple[str, float]]:
     return parts
 
 
-def _sum(parts: list[tuple[str, float]], terms: Mapping[str, str]) -> str:
+def _sum_terms(parts: list[tuple[str, float]], terms: Mapping[str, str]) -> str:
     # Exactly 1 and 0: a chain's axes have them wherever rounding alone is the difference.
     products = []
     for name, factor in parts:

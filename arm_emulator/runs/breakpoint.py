@@ -5,7 +5,7 @@ from typing import Any
 from arm_emulator.base.validation.coerce import coerce_kind
 from arm_emulator.machine.plant.formula_rows import CONDITION, formula_library
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.session.listeners import leave, listen
+from arm_emulator.machine.session.listeners import add_listener, remove_listener
 from arm_emulator.runs.condition import Condition, MonitoredCondition
 
 
@@ -32,7 +32,7 @@ class Breakpoint:
         self.struct = CONDITION.new("breakpoint", what=self._monitored.struct, tick=-1)
         with plant.turn:  # it stops where it begins to hold
             self.struct.held = self._monitored.is_met()
-            listen(plant, formula_library().breakpoint_take, self.struct)
+            add_listener(plant, formula_library().breakpoint_take, self.struct)
 
     def __repr__(self) -> str:
         return f"<Breakpoint {self.condition.text}>"
@@ -59,4 +59,4 @@ class Breakpoint:
 
     def close(self) -> None:
         """Look no more."""
-        leave(self._plant, self.struct)
+        remove_listener(self._plant, self.struct)

@@ -85,11 +85,11 @@ class MonitoredCondition:
         self._columns = {column.name: column for column in list_columns(plant.scene)}
         self._inputs: list[tuple[str, int]] = []
         self._rows = FormulaRows(self._row_of_signal)
-        self._rows.of_formula(formula)  # whose row is the last one
+        self._rows.add_formula(formula)  # whose row is the last one
         inputs = CONDITION.rows("condition_input", max(1, len(self._inputs)))
         for row, (kind, offset) in zip(inputs, self._inputs, strict=False):
             row["kind"], row["offset"] = CONDITION.constant(f"CONDITION_{kind}"), offset
-        rows, values = self._rows.struct(), np.zeros(len(self._rows))
+        rows, values = self._rows.make_struct(), np.zeros(len(self._rows))
         record, ffi = self._record.rows, CONDITION.ffi
         self._owned = rows, values, inputs
         self.struct = CONDITION.new(
@@ -122,7 +122,7 @@ class MonitoredCondition:
             source = self._place(self._columns[name])
         if source not in self._inputs:
             self._inputs.append(source)
-        return self._rows.input(self._inputs.index(source))
+        return self._rows.add_input(self._inputs.index(source))
 
     def _place(self, column: Column) -> tuple[str, int]:
         place = column.of(self._record.rows)

@@ -19,7 +19,7 @@ from typing import IO, NoReturn, TypeVar
 
 from arm_emulator.base.process import signal_at_end_of_parent
 from arm_emulator.base.refusal import Refusal
-from arm_emulator.machine.session.firmware import RunningCode, new_progress
+from arm_emulator.machine.session.firmware import RunningCode, make_progress
 from arm_emulator.tick.c import FIRMWARE_CONTROLLER
 from arm_emulator.toolchain.c_header import CData
 
@@ -42,8 +42,8 @@ def run_guarded(name: str, work: Callable[[CData], Outcome]) -> Outcome:
         Refusal: the library has ended the process, or what the work raises.
     """
     if is_debugged():
-        return work(new_progress())
-    progress = new_progress(mmap.mmap(-1, FIRMWARE_CONTROLLER.sizeof("firmware_progress")))
+        return work(make_progress())
+    progress = make_progress(mmap.mmap(-1, FIRMWARE_CONTROLLER.sizeof("firmware_progress")))
     sys.stdout.flush()
     sys.stderr.flush()
     watcher = os.getpid()

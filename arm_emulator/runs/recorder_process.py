@@ -53,7 +53,7 @@ def _take_all(
     over = False
     try:
         while True:
-            rows = ring.take()
+            rows = ring.take_rows()
             if len(rows):
                 show(rows)
                 for file in files:

@@ -86,7 +86,7 @@ class Recording(NonCopyable):
 
     def take(self) -> None:
         """Take a row: the machine as it is now."""
-        self._taken.append(self._row.take())
+        self._taken.append(self._row.take_row())
 
     def run(self, commands: ArrayLike, steps: int, *, every: int = 1) -> None:
         """Apply rows of commands as `Plant.run` does, and take a row after each or some of them.

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 
 from arm_emulator.base.refusal import Refusal
 from arm_emulator.machine.plant.plant import Plant
-from arm_emulator.machine.session.listeners import leave, listen
+from arm_emulator.machine.session.listeners import add_listener, remove_listener
 from arm_emulator.machine.session.record_ring import RingWriter, SharedRing
 from arm_emulator.machine.session.record_row import RecordRow, list_columns
 from arm_emulator.runs.view_of import get_view
@@ -77,7 +77,7 @@ class RowProcess:
         row = RecordRow(plant)
         memory = os.memfd_create("record_ring")
         try:
-            os.ftruncate(memory, SharedRing.size(row.rows.dtype))
+            os.ftruncate(memory, SharedRing.compute_size(row.rows.dtype))
             self._ring = ring = SharedRing(memory, row.rows.dtype)
             about = _describe_plant(plant, memory)
             process, responses = _start_process(module, about | dict(task), (memory, *files))
@@ -91,7 +91,7 @@ class RowProcess:
             raise self.ready
         self._writer = RingWriter(ring, plant.core, row, process.stdin.fileno(), waits)
         self.take()
-        listen(plant, self._writer.take, self._writer.struct)
+        add_listener(plant, self._writer.take, self._writer.struct)
         _all.add(self)
 
     @property
@@ -119,7 +119,7 @@ class RowProcess:
         """End the input of the process, the first time; return its deadline, which is then set."""
         if self._deadline is None:
             self._deadline = time.monotonic() + self._patience
-            leave(self.plant, self._writer.struct)
+            remove_listener(self.plant, self._writer.struct)
             self._close_input()
         return self._deadline
 

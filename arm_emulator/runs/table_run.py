@@ -50,7 +50,7 @@ class TableRun:
     ) -> None:
         self.session = session = Session(scene, "lockstep", "first_answer")
         self._servo = servo  # it must not go before the loop
-        servo.start(session.plant, session.period_ns)
+        servo.start_on(session.plant, session.period_ns)
         targets = None if table is None else self._targets(table)
         self._loop = FirmwareLoop(session.plant, servo, targets)
         self._saved = SavedObjects()
@@ -75,7 +75,7 @@ class TableRun:
 
     def aim(self, table: TargetTable) -> None:
         """Follow another table from the present tick on."""
-        self._loop.aim(self._targets(table))
+        self._loop.set_targets(self._targets(table))
 
     def advance(self, ticks: int) -> None:
         """Advance by so many servo periods, or fewer up to a breakpoint.
@@ -89,7 +89,7 @@ class TableRun:
         session = self.session
         for done in range(0, ticks, _PIECE):
             try:
-                with self._servo.stepping():
+                with self._servo.mark_steps():
                     session.advance_in(self._loop, min(_PIECE, ticks - done))
             except Refusal as no:
                 name = self._servo.name

@@ -149,7 +149,7 @@ INPUTS = {
 
 def test_outputs_and_inputs_have_the_units_of_the_table() -> None:
     kinds = ("revolute", "prismatic")
-    assert {name: tuple(map(output.unit_at, kinds)) for name, output in KNOWN.items()} == UNITS
+    assert {name: tuple(map(output.choose_unit, kinds)) for name, output in KNOWN.items()} == UNITS
     assert {
         (kind.kind, input.name): input.unit for kind in MOTORS for input in kind.inputs
     } == INPUTS
@@ -178,7 +178,7 @@ def test_an_output_without_a_place_in_c_is_refused(
 def test_draws_of_sensors_are_their_own() -> None:
     """No two draw the same noise, at any joints."""
     draws = [range(first, first + stride * 100, stride) for first, stride in
-             (kind.draws() for kind in ANALOG)]  # fmt: skip
+             (kind.list_streams() for kind in ANALOG)]  # fmt: skip
     everyone = [who for draw in draws for who in draw]
     encoders = {4 * j + k for j in range(100) for k in (0, 1)}
     assert len(set(everyone) | encoders) == len(everyone) + len(encoders)
@@ -206,7 +206,7 @@ def test_c_describes_its_readings(scene: Scene, plant: Plant) -> None:
             result = plant.core.arm_describe_reading(row, joint, reading)
             assert result == (row == len(rows) or joint == 2), "refused"
             if result == 0:
-                expected = rows[row].unit_at(scene.chain.joints[joint].kind)
+                expected = rows[row].choose_unit(scene.chain.joints[joint].kind)
                 assert (text(reading.name), text(reading.unit)) == (rows[row].name, expected)
                 is_rigid = rows[row].name == f"bearing_{(*ALONG.values(),)[joint]}"
                 assert reading.present == (not is_rigid)
@@ -228,15 +228,15 @@ def test_messages_carry_all_that_parts_report(scene: Scene, plant: Plant) -> Non
     }
     assert not fields.absent
     empty = MotorState()
-    fields.begin(empty, Plant(scene).measured)
+    fields.size_message(empty, Plant(scene).measured)
     layout = FixedLayout(empty)
-    fields.fill(layout.message, measured)
+    fields.fill_message(layout.message, measured)
     message = deserialize_message(layout.data(), MotorState)
     for name in (*fields.in_all, *own):
         np.testing.assert_array_equal(getattr(message, name), getattr(measured, name).ravel())
-    fields.begin(empty, Plant(scene).measured)
+    fields.size_message(empty, Plant(scene).measured)
     unpublished: Any = None
-    sent = Outgoing(unpublished, empty, further=fields.places(plant.measured_place))
+    sent = Outgoing(unpublished, empty, further=fields.list_places(plant.measured_place))
     get_middleware().ros_fill(sent.struct, 0, 0, NULL)
     copied = deserialize_message(bytes(sent.layout.bytes), MotorState)
     assert copied == message, "C copies the same"

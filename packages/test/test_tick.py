@@ -120,14 +120,14 @@ def by_clock(command: np.ndarray) -> Door:
         end = Breakpoint(plant, f"tick > {plant.ticks.tick + ticks - 1}")
         own = plant.ticks.stop or end.stop
         plant.ticks.stop = own
-        loop.command(-1, command)
-        loop.start(plant.ticks.tick)
+        loop.hold_command(-1, command)
+        loop.start_time(plant.ticks.tick)
         reached, fault = plant.ticks.tick, -1
-        while not own[0] and fault < 0 and loop.wait(1.0):
-            while (result := loop.take()) is not None:
+        while not own[0] and fault < 0 and loop.wait_for_tick(1.0):
+            while (result := loop.take_tick()) is not None:
                 reached, fault = result.tick, result.fault
-        loop.stop()
-        while (result := loop.take()) is not None:
+        loop.stop_time()
+        while (result := loop.take_tick()) is not None:
             reached = result.tick
         plant.ticks.tick = reached
         end.close()

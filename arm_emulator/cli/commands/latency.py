@@ -185,11 +185,11 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
     late, spent = list[int](), list[int]()
 
     def take() -> None:
-        while (reached := loop.take()) is not None:
+        while (reached := loop.take_tick()) is not None:
             late.append(reached.lateness)
             spent.append(reached.spent)
 
-    loop.start(0)
+    loop.start_time(0)
     begun = time.monotonic()
     try:
         while (passed := time.monotonic() - begun) < seconds or not late:
@@ -199,10 +199,10 @@ def measure_wake_up_latency(scene: Scene, period: float, seconds: float) -> Wake
                     f"wake up within {PATIENCE:g} s",
                 )
                 raise Refusal("latency", thread_name, rule, "no wake-up")
-            loop.wait(0.1)
+            loop.wait_for_tick(0.1)
             take()
     finally:
-        loop.stop()
+        loop.stop_time()
     take()  # wake-ups between the last look and the stop, which have lost periods, too
     figures = loop.figures
     late_s, spent_s = (np.array(times, np.float64) * 1e-9 for times in (late, spent))

@@ -16,7 +16,7 @@ def _list_declared() -> Iterator[Fault]:
         module = importlib.import_module(f"{faults.__name__}.{info.name}")
         yield from getattr(module, "FAULTS", ())
     for kind in list_kinds(Part):
-        yield from kind.faults()
+        yield from kind.list_faults()
 
 
 def _list_kinds() -> tuple[Fault, ...]:

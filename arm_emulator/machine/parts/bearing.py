@@ -11,7 +11,7 @@ from arm_emulator.machine.parts.shaft_motion import ShaftMotion
 SECTION = "bearing"
 
 
-def _declare(symbol: str, unit: str, **declared: Any) -> float:
+def _declare_number(symbol: str, unit: str, **declared: Any) -> float:
     value: float = number(symbol, unit, text=f"{symbol}, in this direction", **declared)
     return value
 
@@ -30,7 +30,7 @@ class Deflection(Part):
         """Return its key below the joint's bearing."""
         return cls.section.partition(".")[2]
 
-    def effort(self, motion: ShaftMotion) -> Array | None:
+    def compute_effort(self, motion: ShaftMotion) -> Array | None:
         """None: the motion of its joint does not determine the deflection."""
         return None
 
@@ -40,8 +40,8 @@ class Tilt(Deflection):
 
     slides = False
 
-    stiffness: float = _declare("K", "N m/rad", above=0.0)
-    damping: float = _declare("D", "N m s/rad", at_least=0.0, default=0.0)
+    stiffness: float = _declare_number("K", "N m/rad", above=0.0)
+    damping: float = _declare_number("D", "N m s/rad", at_least=0.0, default=0.0)
 
 
 class Shift(Deflection):
@@ -49,8 +49,8 @@ class Shift(Deflection):
 
     slides = True
 
-    stiffness: float = _declare("K", "N/m", above=0.0)
-    damping: float = _declare("D", "N s/m", at_least=0.0, default=0.0)
+    stiffness: float = _declare_number("K", "N/m", above=0.0)
+    damping: float = _declare_number("D", "N s/m", at_least=0.0, default=0.0)
 
 
 def _declare_direction(base: type[Deflection], axis: str) -> type[Deflection]:

@@ -43,10 +43,10 @@ class Line(Part):
     swapped: float | None = _declare_probability("swapped")
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:
+    def list_faults(cls) -> tuple[Fault, ...]:
         """Faults of the line, and of the controller at its end."""
 
-        def kind(name: str, text: str, key: str, size: Number, to: str = HOLDS) -> Fault:
+        def make_kind(name: str, text: str, key: str, size: Number, to: str = HOLDS) -> Fault:
             sets = {f"line.{key}": to}
             return Fault(name, text, sets=sets, magnitude=size, absent=0.0)
 
@@ -55,25 +55,25 @@ class Line(Part):
             fault
             for flow, receiver in (("command", "the drive"), ("measurement", "the controller"))
             for fault in (
-                kind(f"{flow}_late", f"{receiver} receives each {flow} whole periods late",
+                make_kind(f"{flow}_late", f"{receiver} receives each {flow} whole periods late",
                      f"{flow}_late", late, RISES),
-                kind(f"{flow}_lost", f"{flow}s are lost with a probability, and the one before "
+                make_kind(f"{flow}_lost", f"{flow}s are lost with a probability, and the one before "
                      "stands", f"{flow}_lost", bound_share(0.3)),
-                kind(f"{flow}_repeated", f"the {flow} before comes once more, behind the newest",
+                make_kind(f"{flow}_repeated", f"the {flow} before comes once more, behind the newest",
                      f"{flow}_repeated", bound_share(0.3)),
-                kind(f"{flow}_overtaken", f"{flow}s come a period later, behind the one that "
+                make_kind(f"{flow}_overtaken", f"{flow}s come a period later, behind the one that "
                      "follows", f"{flow}_overtaken", bound_share(0.3)),
-                kind(f"{flow}_corrupted", f"a bit of a {flow} is received wrong",
+                make_kind(f"{flow}_corrupted", f"a bit of a {flow} is received wrong",
                      f"{flow}_corrupted", bound_share(0.1)),
             )
         )  # fmt: skip
         return (
             *faults,
-            kind("controller_frozen", "the controller stops, and its last command stands",
+            make_kind("controller_frozen", "the controller stops, and its last command stands",
                  "command_lost", bound_share()),
-            kind("controller_restarts", "no command comes, and the drive is disabled", "silent",
+            make_kind("controller_restarts", "no command comes, and the drive is disabled", "silent",
                  bound_share()),
-            kind("encoders_swapped", "the plugs of its encoders and the next joint's are swapped",
+            make_kind("encoders_swapped", "the plugs of its encoders and the next joint's are swapped",
                  "swapped", bound_share()),
         )  # fmt: skip
 
@@ -88,7 +88,7 @@ def list_line_numbers(joints: Mapping[str, bool]) -> dict[str, None]:
     return {
         f"joints.{name}.{Line.section}.{key}": None
         for name, driven in joints.items()
-        for key in Line.numbers()
+        for key in Line.list_numbers()
         if (driven or not key.startswith(COMMANDED)) and (name != last or key != "swapped")
     }
 

@@ -41,7 +41,7 @@ class Output:
     per_unit: bool = False
     cia: int = 0
 
-    def unit_at(self, kind: str) -> str:
+    def choose_unit(self, kind: str) -> str:
         """Return its unit at a joint.
 
         Args:

@@ -98,8 +98,8 @@ class Part(Declared):
         return self.outputs
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:
-        """Return the kinds of faults of such a part, beside those of the package `faults`."""
+    def list_faults(cls) -> tuple[Fault, ...]:
+        """Return the kinds of faults of such a part, beside those of the package `list_faults`."""
         return ()
 
     @property
@@ -108,12 +108,12 @@ class Part(Declared):
         return False
 
     @classmethod
-    def numbers(cls) -> dict[str, PartNumber]:
+    def list_numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key."""
         return list_numbers(cls)
 
     @classmethod
-    def read(cls, section: Section) -> Self:
+    def read_section(cls, section: Section) -> Self:
         """Return the part that a section describes.
 
         Raises:
@@ -121,24 +121,24 @@ class Part(Declared):
         """
         values = cls.read_numbers(section)
         part = cls(**values)
-        part.check(section)
+        part.check_numbers(section)
         return part
 
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:
         """Return the values of the declared numbers by key."""
         values: dict[str, Any] = {}
-        for key, number in cls.numbers().items():
+        for key, number in cls.list_numbers().items():
             if number.follows is not None:
                 reference = values[number.follows]
                 number = dataclasses.replace(number, default=reference, at_least=reference)
             values[key] = section.number(number)
         return values
 
-    def check(self, section: Section) -> None:
+    def check_numbers(self, section: Section) -> None:
         """Refuse inconsistent numbers."""
 
-    def effort(self, motion: ShaftMotion) -> Array | None:
+    def compute_effort(self, motion: ShaftMotion) -> Array | None:
         """Return the torque (K,) that a motion of its shaft takes because of this part [N m].
 
         The motor must supply it. None: the motion alone does not determine it; callers refuse the
@@ -146,7 +146,7 @@ class Part(Declared):
         """
         return None
 
-    def bend(self, twist: Array) -> Array:
+    def compute_loop_torque(self, twist: Array) -> Array:
         """Return the torque on the link (K,) [N m] of a part that has a loop.
 
         Args:
@@ -154,9 +154,9 @@ class Part(Declared):
         """
         raise NotImplementedError
 
-    def with_numbers(self, **values: float) -> Self:
+    def replace_numbers(self, **values: float) -> Self:
         """Return the part with other numbers; those that follow one keep their ratio to it."""
-        for key, number in self.numbers().items():
+        for key, number in self.list_numbers().items():
             if number.follows in values and key not in values:
                 reference = getattr(self, number.follows)
                 ratio = getattr(self, key) / reference if reference > 0.0 else 1.0
@@ -167,7 +167,7 @@ class Part(Declared):
         """Return the numbers that a scene may list as varied."""
         of = f"{self.owners}.{joint}.{self.section}"
         return [
-            Varied(self.numbers()[key].named(f"{of}.{key}"), value)
+            Varied(self.list_numbers()[key].named(f"{of}.{key}"), value)
             for key, value in self.list_own_numbers().items()
             if value is not None
         ]
@@ -176,7 +176,7 @@ class Part(Declared):
         """Return the numbers that may be data of each machine, by key; None: it is left out."""
         return {
             key: getattr(self, key)
-            for key, number in self.numbers().items()
+            for key, number in self.list_numbers().items()
             if number.varied and not number.whole and number.follows is None
         }
 
@@ -184,7 +184,7 @@ class Part(Declared):
         """Return the numbers that faults may change, by key: its own, and states of no section."""
         return self.list_own_numbers()
 
-    def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:
+    def list_headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:
         """Return the headers that its C++ needs; arguments as of `write_initialiser`."""
         return (self.header,)
 
@@ -208,7 +208,7 @@ class Part(Declared):
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
         """Return the members of the C++ part and their values, in C++'s order."""
         members = []
-        for key, number in self.numbers().items():
+        for key, number in self.list_numbers().items():
             value = getattr(self, key)
             place = places.get(f"{self.owners}.{joint}.{self.section}.{number.follows or key}")
             if value is None and (place is None or number.follows is not None):

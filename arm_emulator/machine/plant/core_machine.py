@@ -67,7 +67,7 @@ class CoreMachine(Synchronized):
         self._places = scene.joint_places  # of these among the joints of the machine
         self._of_machine = len(scene.chain.shafts)
         self._owner = of.owner if of else None  # it must not go before
-        self.machine = of.machine if of else self._new()
+        self.machine = of.machine if of else self._make_machine()
         self._rows = np.zeros((len(ROWS), N))
         self._energy = np.zeros(1)
         # Separate requests: quantities without an output array are not computed.
@@ -76,7 +76,7 @@ class CoreMachine(Synchronized):
         self._truth = make_truth(**dict(zip(ROWS, self._rows, strict=True)))
         self.bounds = bound_state(scene)
 
-    def _new(self) -> CData:
+    def _make_machine(self) -> CData:
         values = np.array([number.value for number in self.scene.varied], np.float64)
         return self.core.arm_new(make_options(self.scene, values))
 
@@ -88,7 +88,7 @@ class CoreMachine(Synchronized):
     def restart_threads(self) -> None:  # noqa: D102
         self.core.arm_begin_threads(self.machine)
 
-    def equation(self, name: str, *arguments: Any) -> Any:
+    def call_equation(self, name: str, *arguments: Any) -> Any:
         """Call a function of core/boundary/equations.h at the machine's numbers and state now.
 
         The first call compiles the scene's equations.
@@ -115,7 +115,7 @@ class CoreMachine(Synchronized):
     @synchronized
     def parameters(self) -> dict[str, float]:
         """The numbers that the scene lists as varied, by name, with this machine's values."""
-        return {number.name: self._parameter(number.name) for number in self.scene.varied}
+        return {number.name: self._get_parameter(number.name) for number in self.scene.varied}
 
     @synchronized
     def set_parameter(self, name: str, value: float) -> None:
@@ -128,9 +128,9 @@ class CoreMachine(Synchronized):
         number = find_varied(self.scene.varied, name, where)
         taken = number.number.take(where, value)
         if self.core.arm_set_parameter(self.machine, name.encode(), taken) == REFUSED:
-            raise self._refusal(where, "another value")
+            raise self._make_refusal(where, "another value")
 
-    def _parameter(self, name: str) -> float:
+    def _get_parameter(self, name: str) -> float:
         value = np.zeros(1)
         self.core.arm_get_parameter(self.machine, name.encode(), pointer(value))
         return float(value[0])
@@ -154,7 +154,7 @@ class CoreMachine(Synchronized):
         vectors = {name: getattr(wrench, name) for name in ("point", "force", "moment")}
         raw = ARM.new("arm_wrench", axes=AXES.index(wrench.axes), **vectors)
         if self.core.arm_set_external_wrench(self.machine, place, raw) == REFUSED:
-            raise self._refusal(where, "another one")
+            raise self._make_refusal(where, "another one")
 
     @property
     @synchronized
@@ -189,19 +189,19 @@ class CoreMachine(Synchronized):
             raise Refusal("Plant.restore", "saved machine", "be bytes of `save`", saved)
         saved = bytes(saved)
         if self.core.arm_restore(self.machine, saved, len(saved)) == REFUSED:
-            raise self._refusal("Plant.restore", "another one")
+            raise self._make_refusal("Plant.restore", "another one")
 
     @property
     @synchronized
     def t(self) -> float:
         """Logical time [s]."""
-        return float(self._look(self._clock).time)
+        return float(self._read_truth(self._clock).time)
 
     @property
     @synchronized
     def energy(self) -> float:
         """Kinetic, potential, elastic and magnetic energy [J]; potential is 0 at the base link."""
-        self._look(self._energy_alone)
+        self._read_truth(self._energy_alone)
         return float(self._energy[0])
 
     @property
@@ -219,7 +219,7 @@ class CoreMachine(Synchronized):
             Refusal: wrong shapes, not finite, too large, or a motor that contradicts its link;
                 nothing has changed.
         """
-        self._look(self._truth)
+        self._read_truth(self._truth)
         rows = self._rows.copy()
         rows.flags.writeable = False  # a number set in a copy would not move the machine
         current, theta_m, omega_m, q, v, gear_torque = rows
@@ -251,7 +251,7 @@ class CoreMachine(Synchronized):
         for name, values in given.items():
             rows[name] = self.bounds[name].row(where, values, self._N)
         if self.core.arm_set_truth(self.machine, make_truth(**rows)) == REFUSED:
-            raise self._refusal(where, "another one")
+            raise self._make_refusal(where, "another one")
 
     @property
     @synchronized
@@ -294,16 +294,16 @@ class CoreMachine(Synchronized):
             loaded: whether a tooth is in contact in gears with play.
         """
         loaded = coerce_flag(loaded, "Plant.linear_drives", "loaded")
-        K = self.equation("arm_linear_drives", loaded, NULL)
+        K = self.call_equation("arm_linear_drives", loaded, NULL)
         numbers = np.zeros((self._of_machine, 2 + K + (K + 3) * (K + 3)))
-        self.equation("arm_linear_drives", loaded, pointer(numbers))
-        return [LinearDrive.of(row, K) for row in numbers]
+        self.call_equation("arm_linear_drives", loaded, pointer(numbers))
+        return [LinearDrive.from_row(row, K) for row in numbers]
 
-    def _refusal(self, where: str, otherwise: str) -> Refusal:
+    def _make_refusal(self, where: str, otherwise: str) -> Refusal:
         """Return the refusal of a call."""
         return build_refusal(self.core, self.machine, self.scene, where, otherwise)
 
-    def _look(self, truth: CData) -> CData:
+    def _read_truth(self, truth: CData) -> CData:
         """Have what has a place in `truth` written there."""
         self.core.arm_get_truth(self.machine, truth)
         return truth
@@ -327,7 +327,7 @@ class LinearDrive(ArrayEquality):
     motor_angle: Array  # (n + 3,), rad
 
     @classmethod
-    def of(cls, row: Array, size: int) -> LinearDrive:
+    def from_row(cls, row: Array, size: int) -> LinearDrive:
         """Return the drive from a row of ``arm_linear_drives``, with places for `size` states."""
         n, D, rows = int(row[0]), row[2 : 2 + size], row[2 + size :].reshape(size + 3, size + 3)
         rows = rows[:, [*range(n), size, size + 1, size + 2]]
@@ -360,7 +360,7 @@ class Equations(ArrayEquality):
     sticks: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, x: Array, u: Array, numbers: Array) -> Equations:
+    def from_numbers(cls, x: Array, u: Array, numbers: Array) -> Equations:
         """Return what ``arm_linearise`` has written."""
         N = len(u)
         K, rows = len(x) // N - 2, len(x) + N

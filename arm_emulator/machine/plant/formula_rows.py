@@ -39,7 +39,7 @@ class FormulaRows:
     """Rows of values, each of which is computed once whatever formulas ask for it.
 
     Args:
-        row_of_signal: returns the row of a signal, by its name, from `input` or `of`.
+        row_of_signal: returns the row of a signal, by its name, from `add_input` or `of`.
     """
 
     def __init__(self, row_of_signal: Callable[[str], int]) -> None:
@@ -49,27 +49,27 @@ class FormulaRows:
     def __len__(self) -> int:
         return len(self._rows)
 
-    def input(self, place: int) -> int:
+    def add_input(self, place: int) -> int:
         """Return the row of an input, by its place among those that the caller measures."""
-        return self._row("INPUT", place)
+        return self._add_row("INPUT", place)
 
-    def of(self, expression: Expression) -> int:
+    def add_expression(self, expression: Expression) -> int:
         """Return the row of arithmetic."""
-        return fold(expression, self._row_of_part)
+        return fold(expression, self._add_part)
 
-    def of_formula(self, formula: Formula) -> int:
+    def add_formula(self, formula: Formula) -> int:
         """Return the row of the truth value of a formula at one instant, without windows."""
         assert not isinstance(formula, Window), "a window is no row"
         if isinstance(formula, Margin):
-            return self._row(
-                "ABOVE" if formula.strict else "AT_LEAST", *map(self.of, formula.sides)
+            return self._add_row(
+                "ABOVE" if formula.strict else "AT_LEAST", *map(self.add_expression, formula.sides)
             )
-        parts = [self.of_formula(part) for part in formula.of]
+        parts = [self.add_formula(part) for part in formula.of]
         if formula.sign == "not":
-            return self._row("NOT", parts[0], parts[0])
+            return self._add_row("NOT", parts[0], parts[0])
         return self._join_rows(formula.sign.upper(), parts)
 
-    def struct(self) -> NDArray[Any]:
+    def make_struct(self) -> NDArray[Any]:
         """Return them as ``formula_row``, one at least."""
         rows = FORMULA.rows("formula_row", max(1, len(self._rows)))
         for row, (kind, left, right, value) in zip(rows, self._rows, strict=False):
@@ -77,21 +77,21 @@ class FormulaRows:
             row["left"], row["right"], row["value"] = left, right, value
         return rows
 
-    def _row_of_part(self, part: Expression, operands: Sequence[int]) -> int:
+    def _add_part(self, part: Expression, operands: Sequence[int]) -> int:
         if isinstance(part, Constant):
-            return self._row("CONSTANT", value=part.value)
+            return self._add_row("CONSTANT", value=part.value)
         if isinstance(part, Signal):
             return self._row_of_signal(part.name)
         kind = _KINDS[part.sign]
         if len(operands) == 1:
-            return self._row(kind, operands[0], operands[0])
+            return self._add_row(kind, operands[0], operands[0])
         return self._join_rows(kind, operands)
 
     def _join_rows(self, kind: str, rows: Sequence[int]) -> int:
         """Return the row of an operation on several rows, from the first one on."""
-        return functools.reduce(lambda left, right: self._row(kind, left, right), rows)
+        return functools.reduce(lambda left, right: self._add_row(kind, left, right), rows)
 
-    def _row(self, kind: str, left: int = 0, right: int = 0, value: float = 0.0) -> int:
+    def _add_row(self, kind: str, left: int = 0, right: int = 0, value: float = 0.0) -> int:
         return self._rows.setdefault((kind, left, right, value), len(self._rows))
 
 

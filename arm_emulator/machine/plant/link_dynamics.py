@@ -50,7 +50,7 @@ class LinkDynamics:
         Raises:
             Refusal: see `LinkDynamics`.
         """
-        rows = self._rows("accelerations", {"q": q, "v": v, "tau": tau})
+        rows = self._convert_rows("accelerations", {"q": q, "v": v, "tau": tau})
         a = np.empty_like(rows[0])
         self._call("arm_forward_dynamics", a.size // self._N, *map(pointer, (*rows, a)))
         return _check_finite(a, "accelerations", "a")
@@ -61,7 +61,7 @@ class LinkDynamics:
         Raises:
             Refusal: see `LinkDynamics`.
         """
-        rows = self._rows("inverse_dynamics", {"q": q, "v": v, "a": a})
+        rows = self._convert_rows("inverse_dynamics", {"q": q, "v": v, "a": a})
         tau = np.empty_like(rows[0])
         self._call("arm_inverse_dynamics", tau.size // self._N, *map(pointer, (*rows, tau)))
         return _check_finite(tau, "inverse_dynamics", "tau")
@@ -72,8 +72,8 @@ class LinkDynamics:
         Raises:
             Refusal: see `LinkDynamics`.
         """
-        (at,) = self._rows("mass_matrix", {"q": q})
-        return self._dynamics(at, np.zeros_like(at))[0]
+        (at,) = self._convert_rows("mass_matrix", {"q": q})
+        return self._compute_dynamics(at, np.zeros_like(at))[0]
 
     def nle(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the nonlinear effects [N m or N]: gravity, centrifugal and Coriolis, wrenches.
@@ -81,15 +81,15 @@ class LinkDynamics:
         Raises:
             Refusal: see `LinkDynamics`.
         """
-        at = self._rows("nle", {"q": q, "v": v})
-        return _check_finite(self._dynamics(*at)[1], "nle", "nle")
+        at = self._convert_rows("nle", {"q": q, "v": v})
+        return _check_finite(self._compute_dynamics(*at)[1], "nle", "nle")
 
-    def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
+    def _compute_dynamics(self, q: Array, v: Array) -> tuple[Array, Array]:
         M, nle = np.empty((*q.shape, self._N)), np.empty_like(q)
         self._call("arm_link_dynamics", q.size // self._N, *map(pointer, (q, v, M, nle)))
         return M, nle
 
-    def _rows(self, of: str, arguments: dict[str, ArrayLike]) -> Sequence[Array]:
+    def _convert_rows(self, of: str, arguments: dict[str, ArrayLike]) -> Sequence[Array]:
         # The control code of one arm hands over rows, each period: those are taken at once.
         converted: list[Array] = []
         numbers: list[float] = []

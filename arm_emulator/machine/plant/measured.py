@@ -93,11 +93,11 @@ class MeasuredPlace:
         self.arrays: dict[str, NDArray[Any]] = {name: self._record[name] for name in kinds}
         self.joints = self.arrays["joint"]
 
-    def read(self) -> Measured:
+    def read_values(self) -> Measured:
         """Return the present values, as a copy."""
         return Measured(np.ndarray((), self._type, self._bytes.copy().data), self._rows)
 
-    def view(self) -> Measured:
+    def make_view(self) -> Measured:
         """Return a view of the arrays."""
         return Measured(self._record, self._rows)
 

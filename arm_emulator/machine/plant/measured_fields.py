@@ -39,26 +39,26 @@ class MeasuredFields:
         self.absent = tuple(name for name in KNOWN if name in types and name not in self._names)
         self._types = types
 
-    def begin(self, message: Any, measured: Measured) -> None:
+    def size_message(self, message: Any, measured: Measured) -> None:
         """Give a message its names and the lengths of its arrays."""
         for name in self._names:
             kind = "d" if "double" in self._types[name] else "q"
             setattr(message, name, array(kind, getattr(measured, name).tobytes()))
         message.reading_names = list(self.listed)
-        message.readings = array("d", self._readings(measured).tobytes())
+        message.readings = array("d", self._join_readings(measured).tobytes())
 
-    def fill(self, message: Any, measured: Measured) -> None:
+    def fill_message(self, message: Any, measured: Measured) -> None:
         """Write measurements into a message with these lengths."""
         for name in self._names:
             getattr(message, name)[:] = getattr(measured, name).ravel()
         if self.listed:
-            message.readings[:] = self._readings(measured)
+            message.readings[:] = self._join_readings(measured)
 
-    def places(self, measured: Measured) -> list[tuple[str, NDArray[Any]]]:
-        """Return the views from which `fill` writes, with the fields of a message, in order."""
+    def list_places(self, measured: Measured) -> list[tuple[str, NDArray[Any]]]:
+        """Return the views from which `fill_message` writes, with the fields of a message, in order."""
         into = [(name, name) for name in self._names] + [("readings", name) for name in self.listed]
         return [(field, measured.place(KNOWN[name])) for field, name in into]
 
-    def _readings(self, measured: Measured) -> NDArray[np.float64]:
+    def _join_readings(self, measured: Measured) -> NDArray[np.float64]:
         rows = [getattr(measured, name).astype(np.float64) for name in self.listed]
         return np.concatenate(rows) if rows else np.zeros(0)

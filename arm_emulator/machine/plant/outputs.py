@@ -123,4 +123,4 @@ def list_units(scene: Scene, output: Output) -> tuple[str, ...]:
         return list_input_units(scene, find_output_input(scene, output))
     if not output.unit:
         return ()
-    return tuple(output.unit_at(joint.kind) for joint in scene.chain.joints)
+    return tuple(output.choose_unit(joint.kind) for joint in scene.chain.joints)

@@ -179,12 +179,12 @@ class Plant(CoreMachine):
             result = advance(machine, applied, min(steps, PIECE))
             if result == REFUSED:
                 self._applied[:] = before
-                raise self._refusal("Plant.advance", "a number")
+                raise self._make_refusal("Plant.advance", "a number")
             while result == OK and steps > PIECE:
                 steps -= PIECE
                 result = advance(machine, applied, min(steps, PIECE))
             if result == DIVERGED:
-                raise self._diverged(self._applied)
+                raise self._describe_divergence(self._applied)
 
     def exchange(
         self, command: Commands, tick: int = -1, *, came: bool = False, **further: Commands
@@ -224,9 +224,9 @@ class Plant(CoreMachine):
                 commands, inputs = before
                 self._commands[:] = np.frombuffer(commands, self._commands.dtype)
                 self._further[:] = np.frombuffer(inputs).reshape(self._further.shape)
-                raise self._refusal(where, "a number")
+                raise self._make_refusal(where, "a number")
             if result == DIVERGED:
-                raise self._diverged(self._measured["applied"])
+                raise self._describe_divergence(self._measured["applied"])
 
     def _convert_command(self, command: Commands, where: str) -> Array:
         """Return commands (N,), however they are given."""
@@ -257,9 +257,9 @@ class Plant(CoreMachine):
         with self.turn:
             result = loop()
             if result == REFUSED:
-                raise self._refusal("Plant.exchange_in", "a number")
+                raise self._make_refusal("Plant.exchange_in", "a number")
             if result == DIVERGED:
-                raise self._diverged(self._measured["applied"])
+                raise self._describe_divergence(self._measured["applied"])
 
     def measure_time(self) -> None:
         """Measure from now on the wall time that steps take, for `spent_ns`."""
@@ -286,12 +286,12 @@ class Plant(CoreMachine):
         Joints without sensors (docs/reference/parts/sensors.md) report their present values.
         """
         self.core.arm_measure(self.machine, self.measurement)
-        return self._place.read()
+        return self._place.read_values()
 
     @property
     def measured_place(self) -> Measured:
         """Readings as a view of the memory into which `exchange` writes, for doors in C."""
-        return self._place.view()
+        return self._place.make_view()
 
     @property
     def links(self) -> LinkDynamics:
@@ -299,7 +299,7 @@ class Plant(CoreMachine):
 
         Their arrays have the joints of the machine, `scene.machine_joints`.
         """
-        return LinkDynamics(self.equation, self._of_machine)
+        return LinkDynamics(self.call_equation, self._of_machine)
 
     @property
     @synchronized
@@ -317,8 +317,8 @@ class Plant(CoreMachine):
     @synchronized
     def diverged(self) -> Diverged | None:
         """Why the machine stays where it is; None if it goes on."""
-        diverged = self._look(self._clock).fault >= 0
-        return self._diverged(self._measured["applied"]) if diverged else None
+        diverged = self._read_truth(self._clock).fault >= 0
+        return self._describe_divergence(self._measured["applied"]) if diverged else None
 
     @synchronized
     def run(self, commands: ArrayLike, steps: int) -> Array:
@@ -352,7 +352,7 @@ class Plant(CoreMachine):
             pointers = pointer(some), len(some), steps, pointer(q[first:])
             if self.core.arm_run(self.machine, *pointers) == DIVERGED:
                 done = int((self.t - began) / (max(1, steps) * self.scene.integrator.dt) + 1e-6)
-                raise self._diverged(some[min(done, len(some) - 1)])
+                raise self._describe_divergence(some[min(done, len(some) - 1)])
         return q
 
     def build_divergence(
@@ -373,7 +373,7 @@ class Plant(CoreMachine):
         scene = replace(self.scene, varied=varied)
         return Diverged(scene.joint_names[joint], t, scene, q, v, final)
 
-    def _diverged(self, applied: ArrayLike) -> Diverged:
+    def _describe_divergence(self, applied: ArrayLike) -> Diverged:
         state = self.state
         return self.build_divergence(self._truth.fault, state.t, state.q, state.v, applied)
 
@@ -387,7 +387,7 @@ class Plant(CoreMachine):
         where, out = "Plant.powers", np.zeros((2, self._N))
         u = ANY_COMMAND.row(where, order_by_joint(command, self.scene, where), self._N)
         if self.core.arm_powers(self.machine, pointer(u), pointer(out)) == REFUSED:
-            raise self._refusal(where, "false")
+            raise self._make_refusal(where, "false")
         return EnergyFlow(*out)
 
     @synchronized
@@ -411,9 +411,9 @@ class Plant(CoreMachine):
             meter, applied = self.core.arm_advance_metered, self._applied_pointer
             result = meter(self.machine, applied, count, pointer(out))
             if result == REFUSED:
-                raise self._refusal(where, "false")
+                raise self._make_refusal(where, "false")
             if result == DIVERGED:
-                raise self._diverged(self._applied)
+                raise self._describe_divergence(self._applied)
             total += out
         return EnergyFlow(*total)
 
@@ -457,9 +457,9 @@ class Plant(CoreMachine):
         )
         slides = coerce_flag(slides, where, "slides")
         follows = coerce_flag(follows, where, "follows")
-        size = N * (self.equation("arm_linear_drives", False, NULL) + 2)
+        size = N * (self.call_equation("arm_linear_drives", False, NULL) + 2)
         at = np.zeros(size) if x is None else ANY_STATE.row(where, x, size).copy()
         numbers = np.zeros((size + N) * (size + N + 1) + size)
         places = pointer(at), pointer(u), x is None, slides, follows, pointer(numbers)
-        self.equation("arm_linearise", *places)
-        return Equations.of(at, u, numbers)
+        self.call_equation("arm_linearise", *places)
+        return Equations.from_numbers(at, u, numbers)

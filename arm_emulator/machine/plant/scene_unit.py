@@ -61,7 +61,7 @@ def write_scene_unit(scene: Scene, boundary: str = "boundary/boundary.hpp") -> s
   static constexpr int N = {len(joints)};
   static constexpr int L = {len(scene.chain.links)};
 {_write_coupling(scene.chain)}{_write_joints(scene)}\
-  using Scheme = {scene.integrator.method.cxx_type()};
+  using Scheme = {scene.integrator.method.write_cxx_type()};
   template <class Stepper>
   using Threads = arm::{kind}<Scene, Stepper>;
   static constexpr arm::Exchange exchange = arm::Exchange::{scene.integrator.exchange};
@@ -122,7 +122,7 @@ def _write_includes(scene: Scene, places: Mapping[str, str]) -> str:
             f"parts/{header}"
             for joint in scene.joints
             for part in joint.parts
-            for header in part.headers(joint.name, places)
+            for header in part.list_headers(joint.name, places)
         }
     )
     if scene.has_sensor_errors:
@@ -192,7 +192,7 @@ def _write_readings(scene: Scene) -> str:
     rows = list_readings(scene)
     if not rows:
         return "  static constexpr int readings = 0;\n"
-    texts = ((row.name, row.unit, row.unit_at("prismatic")) for row in rows)
+    texts = ((row.name, row.unit, row.choose_unit("prismatic")) for row in rows)
     lines = ",\n".join(f"      {{{', '.join(map(escape_c_string, row))}}}" for row in texts)
     return f"""\
   static constexpr int readings = {len(rows)};
@@ -323,7 +323,7 @@ def _write_brakes(scene: Scene) -> str:
 
 
 def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float) -> str:
-    def part(piece: Part) -> str:
+    def write_part(piece: Part) -> str:
         return piece.write_initialiser(joint.name, places)
 
     def wrap_law(kind: str, values: str) -> tuple[str, str]:
@@ -336,22 +336,22 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
     rotor = joint.rotor_friction
     kind, values = "arm::FreeRotor", "{}"
     if joint.brake or rotor:
-        law, of_law = wrap_law(*(rotor or rotor_friction_of()).law(joint.name, places))
+        law, of_law = wrap_law(*(rotor or make_rotor_friction()).write_law(joint.name, places))
         if joint.brake:
             closed = places[f"joints.{joint.name}.brake.closed"]
-            law, of_law = joint.brake.wrap_law(law, of_law, part(joint.brake), closed)
+            law, of_law = joint.brake.wrap_law(law, of_law, write_part(joint.brake), closed)
         kind, values = f"arm::RotorFriction<{law}>", f"{{{of_law}}}"
-    friction = wrap_law(joint.friction.cxx_type, part(joint.friction))
+    friction = wrap_law(joint.friction.cxx_type, write_part(joint.friction))
     motor = CxxMotor("arm::NoMotor", "arm::NoMotor{}")
     if joint.motor is not None:
-        motor = CxxMotor(joint.motor.cxx_type, part(joint.motor))
+        motor = CxxMotor(joint.motor.cxx_type, write_part(joint.motor))
         for decorator in joint.decorators:
             supply = Supply(supply_voltage, places.get("supply.share", ""))
-            motor = decorator.wrap_motor(joint.motor, motor, part(decorator), supply)
+            motor = decorator.wrap_motor(joint.motor, motor, write_part(decorator), supply)
         motor = joint.motor.wrap_motor(motor, joint.name, places)
-    gear = joint.gear.cxx_type, part(joint.gear)
+    gear = joint.gear.cxx_type, write_part(joint.gear)
     for stage in joint.gear_stages:
-        gear = stage.wrap_gear(*gear, part(stage))
+        gear = stage.wrap_gear(*gear, write_part(stage))
     kinds = [
         motor.type,
         gear[0],
@@ -359,7 +359,7 @@ def _write_drive(joint: Joint, places: Mapping[str, str], supply_voltage: float)
         kind,
         *(extra.cxx_type for extra in (*joint.extras, *joint.bearing)),
     ]
-    extras = ", ".join(map(part, (*joint.extras, *joint.bearing)))
+    extras = ", ".join(map(write_part, (*joint.extras, *joint.bearing)))
     return f"""\
       arm::Drive<{", ".join(kinds)}>{{
           .motor = {motor.value},

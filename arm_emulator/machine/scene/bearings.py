@@ -44,7 +44,7 @@ def add_bearings(
         if joint.kind in MOVING_KINDS:
             slides, axis = joint.kind == "prismatic", joint.axis
             kinds = _read_directions(joints.required_section(joint.name), slides, axis)
-            added += _insert(robot, element, kinds)
+            added += _insert_deflections(robot, element, kinds)
     return robot, tuple(added)
 
 
@@ -78,7 +78,9 @@ def _read_directions(
     return kinds
 
 
-def _insert(robot: ET.Element, joint: ET.Element, kinds: list[type[Deflection]]) -> list[str]:
+def _insert_deflections(
+    robot: ET.Element, joint: ET.Element, kinds: list[type[Deflection]]
+) -> list[str]:
     """Put deflections between a joint and its link; return their names."""
     child = joint.find("child")
     assert child is not None

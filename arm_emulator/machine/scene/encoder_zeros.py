@@ -41,11 +41,11 @@ def _turn_discs(joint: Joint, zero: float) -> Joint:
         joint,
         sensors=replace(
             sensors,
-            encoder=_turn(sensors.counting, zero / joint.gear.ratio),
-            link_encoder=None if at_link is None else _turn(at_link, zero),
+            encoder=_turn_encoder(sensors.counting, zero / joint.gear.ratio),
+            link_encoder=None if at_link is None else _turn_encoder(at_link, zero),
         ),
     )
 
 
-def _turn(encoder: AnyEncoder, angle: float) -> AnyEncoder:
+def _turn_encoder(encoder: AnyEncoder, angle: float) -> AnyEncoder:
     return replace(encoder, offset=(encoder.offset or 0.0) + angle)

@@ -43,7 +43,7 @@ class Integrator:
         return KNOWN[self.scheme]
 
     @classmethod
-    def read(cls, section: Section) -> Self:
+    def read_section(cls, section: Section) -> Self:
         """Read the section."""
         return cls(
             scheme=section.choice("scheme", SCHEMES, default=SCHEMES[0]),

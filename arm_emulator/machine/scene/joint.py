@@ -80,7 +80,7 @@ class Joint:
             *self.bearing,
         )
 
-    def find(self, kind: type[Kind]) -> Kind | None:
+    def find_part(self, kind: type[Kind]) -> Kind | None:
         """Return its part of a kind, None if it has none."""
         return next((part for part in self.parts if isinstance(part, kind)), None)
 
@@ -141,13 +141,13 @@ class Joint:
             return 0.0
         return self.motor.torque_per_command * self._of_motor_per_command / self.gear.ratio
 
-    def largest_command(self, supply_voltage: float) -> float | None:
+    def compute_largest_command(self, supply_voltage: float) -> float | None:
         """Return its drive's largest command in either direction; None: unlimited.
 
         Args:
             supply_voltage: of the scene [V].
         """
-        largest = 0.0 if self.motor is None else self.motor.largest_command(supply_voltage)
+        largest = 0.0 if self.motor is None else self.motor.compute_largest_command(supply_voltage)
         return None if largest is None else largest / self._of_motor_per_command
 
     @property
@@ -239,13 +239,13 @@ def read_joint(name: str, kind: str, section: Section, limits: tuple[float, floa
         motor=driven,
         gear=find_gear(ratio=1.0) if gear is None else read_gear(gear),
         gear_stages=read_gear_stages(section),
-        sensors=JointSensors.read(section, kind),
+        sensors=JointSensors.read_section(section, kind),
         friction=link_friction_of()
         if friction is None
         else read_friction(friction, LINK_FRICTIONS),
         rotor_friction=None if of_rotor is None else read_friction(of_rotor, ROTOR_FRICTIONS),
         decorators=read_decorators(driven, motor) if driven and motor else (),
-        brake=None if brake is None else Brake.read(brake),
+        brake=None if brake is None else Brake.read_section(brake),
         extras=read_extras(section, limits),
         bearing=read_bearing(section),
     )

@@ -74,14 +74,14 @@ def remove_kind(kinds: Iterable[type[Part]]) -> dict[str, None]:
 def read_motor(section: Section) -> Motor:
     """Return the motor that a section describes."""
     kinds = {motor.kind: motor for motor in MOTORS}
-    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read(section)
+    return kinds[section.choice("kind", tuple(kinds), default=MOTORS[0].kind)].read_section(section)
 
 
 def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
     """Return the decorators of a motor's section, innermost first."""
     sections = ((kind, section.section(kind.section.partition(".")[2])) for kind in DECORATORS)
     return tuple(
-        kind.of(motor).read(part_section)
+        kind.find_kind(motor).read_section(part_section)
         for kind, part_section in sections
         if part_section is not None
     )
@@ -90,10 +90,10 @@ def read_decorators(motor: Motor, section: Section) -> tuple[DriveStage, ...]:
 def read_gear(section: Section) -> Gear:
     """Return the gear that a section describes."""
     kind = next(gear for gear in GEARS if all(map(section.has, gear.named_by)))
-    gear = kind.read(section)
+    gear = kind.read_section(section)
     if gear.stiffness is None:
-        for key in {key: None for gear in GEARS for key in gear.numbers()}:
-            if key not in kind.numbers() and section.has(key):
+        for key in {key: None for gear in GEARS for key in gear.list_numbers()}:
+            if key not in kind.list_numbers() and section.has(key):
                 rule = "come with a stiffness (a rigid gear has none)"
                 raise section.refusal(key, rule, "alone")
     return gear
@@ -102,7 +102,7 @@ def read_gear(section: Section) -> Gear:
 def read_gear_stages(joint: Section) -> tuple[GearStage, ...]:
     """Return the parts within the gear of a joint."""
     sections = ((kind, joint.below(kind.section)) for kind in GEAR_STAGES)
-    return tuple(kind.read(section) for kind, section in sections if section is not None)
+    return tuple(kind.read_section(section) for kind, section in sections if section is not None)
 
 
 def find_gear(**numbers: float) -> Gear:
@@ -115,14 +115,14 @@ def link_friction_of(**numbers: float) -> LinkFriction:
     return next(kind for kind in LINK_FRICTIONS if set(kind.named_by) <= set(numbers))(**numbers)
 
 
-def rotor_friction_of(**numbers: float) -> OfRotor:
+def make_rotor_friction(**numbers: float) -> OfRotor:
     """Return the friction of a rotor that has these numbers."""
     return next(kind for kind in ROTOR_FRICTIONS if set(kind.named_by) <= set(numbers))(**numbers)
 
 
 def read_friction(section: Section, kinds: Sequence[type[AnyFriction]]) -> AnyFriction:
     """Return the friction that a section describes, of a link or of a rotor."""
-    return next(kind for kind in kinds if kind.is_named_in(section)).read(section)
+    return next(kind for kind in kinds if kind.is_named_in(section)).read_section(section)
 
 
 def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[JointEffect, ...]:
@@ -137,11 +137,11 @@ def read_extras(joint: Section, limits: tuple[float, float] | None) -> tuple[Joi
         section = joint.below(kind.section)
         if section is not None:
             kind.put_limits(section, limits)
-            effects.append(kind.read(section))
+            effects.append(kind.read_section(section))
     return tuple(effects)
 
 
 def read_bearing(joint: Section) -> tuple[Deflection, ...]:
     """Return the directions in which the bearing of a joint gives way."""
     sections = ((kind, joint.below(kind.section)) for kind in DEFLECTIONS)
-    return tuple(kind.read(section) for kind, section in sections if section is not None)
+    return tuple(kind.read_section(section) for kind, section in sections if section is not None)

@@ -47,6 +47,6 @@ def load_of(light: Chain, heavy: Chain) -> Load | None:
     """Return the load of 1 and 2 kg in two chains; None where it rests on the base."""
     for link, (empty, two) in enumerate(zip(light.links, heavy.links, strict=True)):
         if empty.body.mass != two.body.mass:
-            per_kg = two.body + empty.body.scale(-1.0)
-            return Load(link, empty.body + per_kg.scale(-1.0), per_kg)
+            per_kg = two.body + empty.body.scale_mass(-1.0)
+            return Load(link, empty.body + per_kg.scale_mass(-1.0), per_kg)
     return None

@@ -37,7 +37,7 @@ from arm_emulator.machine.scene.overrides import convert_to_plain, override_keys
 from arm_emulator.machine.scene.payload import MASS, Load
 from arm_emulator.machine.scene.scene_links import SceneLinks
 from arm_emulator.machine.schemes.known import LOCATING_SCHEMES
-from arm_emulator.machine.varied import Varied, choose
+from arm_emulator.machine.varied import Varied, choose_names
 from arm_emulator.machine.varied_places import SECTION as CALIBRATION
 from arm_emulator.machine.varied_places import vary_places
 
@@ -148,7 +148,7 @@ class Scene(ArrayEquality, SharedObject):
             [
                 self.supply_voltage
                 if joint.motor is None
-                else joint.motor.largest_command(self.supply_voltage)
+                else joint.motor.compute_largest_command(self.supply_voltage)
                 if joint.unit == "V"
                 else joint.motor.command_limit or math.inf
                 for joint in self.joints
@@ -168,7 +168,7 @@ class Scene(ArrayEquality, SharedObject):
     def wind_up(self, torques: Iterable[float]) -> Array:
         """Return the wind-up of the gears at rest under torques (N,), at the links (N,)."""
         pairs = zip(self.joints, torques, strict=True)
-        return np.array([joint.gear.wind_up(torque) for joint, torque in pairs])
+        return np.array([joint.gear.compute_wind_up(torque) for joint, torque in pairs])
 
     @property
     def warnings(self) -> list[str]:
@@ -190,7 +190,7 @@ class Scene(ArrayEquality, SharedObject):
 
     def _warn_of_loads_of_motors(self) -> Iterator[str]:
         rigid = [joint for joint in self.joints if joint.gear.stiffness is None]
-        names = [joint.name for joint in rigid if joint.find(LoadFriction) is not None]
+        names = [joint.name for joint in rigid if joint.find_part(LoadFriction) is not None]
         if names:
             yield (
                 f"{self.where}: load friction behind a rigid gear ({', '.join(names)}) takes the "
@@ -229,7 +229,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     payload = data.get("payload")
     if isinstance(payload, int | float) and not isinstance(payload, bool):
         data["payload"] = {"mass": payload}
-    return _build(Section(data, file.name), file)
+    return _build_scene(Section(data, file.name), file)
 
 
 def coerce_scene(scene: Scene | str | Path, where: str) -> Scene:
@@ -245,7 +245,7 @@ def coerce_scene(scene: Scene | str | Path, where: str) -> Scene:
     return load_scene(scene)
 
 
-def _build(root: Section, file: Path) -> Scene:
+def _build_scene(root: Section, file: Path) -> Scene:
     where = file.name
     name = check_scene_name(where, root.text("name"))
     links = SceneLinks(root, file)
@@ -253,7 +253,7 @@ def _build(root: Section, file: Path) -> Scene:
     gravity, numbers = root.vector(GRAVITY), root.numbers(Scene)
     joints = read_joints(root, chain, links.urdf_file.name, links.limits)
     joints = put_zeros(joints, links.calibration)
-    integrator = Integrator.read(root.required_section("integrator"))
+    integrator = Integrator.read_section(root.required_section("integrator"))
     dt = suggest_divisors(numbers["servo_period"], integrator.dt, where)
     integrator = replace(integrator, dt=dt)
     unfit = format_mismatch(integrator, numbers["threads"])
@@ -269,7 +269,7 @@ def _build(root: Section, file: Path) -> Scene:
         names = {number.name for number in varied}
         possible = list_faults(joints, chain, imus, mass, gravity, names)
     rule = "name faults that this scene can have"
-    faults = choose(root.entries("faults"), possible, where, "faults", rule)
+    faults = choose_names(root.entries("faults"), possible, where, "faults", rule)
     varied += tuple(fault.varied for fault in faults)
     scene = Scene(
         name=name,
@@ -322,7 +322,7 @@ def _read_varied(
         possible.append(Varied(seed_number, seed))
     by_name = {number.name: number for number in possible}
     rule = "name numbers of this scene that can be varied"
-    return choose(root.entries("varied"), by_name, root.where, "varied", rule)
+    return choose_names(root.entries("varied"), by_name, root.where, "varied", rule)
 
 
 def _read_varied_load(
@@ -335,7 +335,7 @@ def _read_varied_load(
     """
     changed = {change.number: fault.name for fault in faults for change in fault.changes}
     changed |= {number.name: number.name for number in varied}
-    load = links.load() if MASS_NAME in changed else None
+    load = links.make_load() if MASS_NAME in changed else None
     if load is None:
         return None
     link = links.chain.links[load.link].link
@@ -373,4 +373,6 @@ def _read_imus(root: Section, chain: Chain) -> tuple[Imu, ...]:
         return ()
     for name in section.keys():
         check_joint_name(root.where, "name in imus", name)
-    return tuple(Imu.read(name, section.required_section(name), chain) for name in section.keys())
+    return tuple(
+        Imu.read_section(name, section.required_section(name), chain) for name in section.keys()
+    )

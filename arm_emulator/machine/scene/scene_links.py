@@ -64,13 +64,13 @@ class SceneLinks:
         self.payload_mass = None if body is None else body.mass
         _apply_coupling(root.section("couplings"), self.robot)
         self._true_robot = self.robot
-        self.calibration = self._calibrate(root.section("calibration"), file)
+        self.calibration = self._calibrate_robot(root.section("calibration"), file)
         joints = root.section("joints")
         self._true_robot, self._deflections = add_bearings(
             self._true_robot, joints, self.urdf_file.name
         )
-        self.chain = self._chain(body)
-        twice = None if body is None else self._chain(body.scale(2.0))
+        self.chain = self._read_chain(body)
+        twice = None if body is None else self._read_chain(body.scale_mass(2.0))
         self.bare = _remove_payload(self.chain, twice)
         locks = lock_joints(self.robot, self._locked, self.urdf_file.name)
         if locks or root.has("couplings"):
@@ -85,13 +85,13 @@ class SceneLinks:
             of_shafts = read_shaft_limits(self.urdf, coupling.shafts)
             self.limits = {name: of_shafts[name] for name in coupling.apart & of_shafts.keys()}
 
-    def load(self) -> Load | None:
+    def make_load(self) -> Load | None:
         """Return the payload as a function of its mass; None: no joint moves it."""
         assert self._payload is not None
         bodies = [read_payload(self._payload, mass=kg) for kg in (1.0, 2.0)]
-        return load_of(*map(self._chain, bodies))
+        return load_of(*map(self._read_chain, bodies))
 
-    def _calibrate(self, section: Section | None, file: Path) -> Calibration:
+    def _calibrate_robot(self, section: Section | None, file: Path) -> Calibration:
         """Read the calibration, and put it into the description of the machine."""
         if section is None:
             return Calibration()
@@ -102,7 +102,7 @@ class SceneLinks:
         self._true_robot = displace_joints(self.robot, frames, file.name)
         return calibration
 
-    def _chain(self, load: Body | None) -> Chain:
+    def _read_chain(self, load: Body | None) -> Chain:
         return read_chain(
             self._true_robot,
             self.urdf_file.name,
@@ -125,7 +125,7 @@ def _remove_payload(chain: Chain, twice: Chain | None) -> tuple[Body, ...]:
         return tuple(link.body for link in chain.links)
     # Bodies are linear in the payload: two with one payload, less one with two, have none.
     pairs = zip(chain.links, twice.links, strict=True)
-    return tuple(single.body.scale(2.0) + two.body.scale(-1.0) for single, two in pairs)
+    return tuple(single.body.scale_mass(2.0) + two.body.scale_mass(-1.0) for single, two in pairs)
 
 
 def _apply_coupling(section: Section | None, robot: ET.Element) -> None:

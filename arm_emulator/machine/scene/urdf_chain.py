@@ -82,7 +82,7 @@ def read_chain(
     ]
     if faults:
         raise _collect_links(faults, where)
-    return _assemble(moving, coupling, deflections)
+    return _assemble_chain(moving, coupling, deflections)
 
 
 @dataclass(frozen=True)
@@ -155,15 +155,15 @@ def _add_bodies(
     bodies = read_bodies(robot, where)
     for moved in moving:
         moved.body = (
-            bodies.select([links[link] for link in moved.links])
-            .transform(
+            bodies.select_bodies([links[link] for link in moved.links])
+            .transform_to(
                 np.array([frame.R for frame in moved.frames]),
                 np.array([frame.p for frame in moved.frames]),
             )
-            .sum()
+            .sum_bodies()
         )
         if payload is not None and tool in moved.links:
-            moved.body += payload.transform(moved.frames[moved.links.index(tool)])
+            moved.body += payload.transform_to(moved.frames[moved.links.index(tool)])
     return moving
 
 
@@ -264,7 +264,9 @@ def _sort_joints(moving: list[_Moving]) -> list[_Moving]:
     return [dataclasses.replace(moving[k], parent=places[moving[k].parent]) for k in order]
 
 
-def _assemble(moving: list[_Moving], coupling: Coupling, deflections: tuple[str, ...]) -> Chain:
+def _assemble_chain(
+    moving: list[_Moving], coupling: Coupling, deflections: tuple[str, ...]
+) -> Chain:
     """Choose each link's frame: z along its joint, x so that the next joint's tilt is about x.
 
     With z fixed, one free turn gamma about z is left per link. It is spent so that the axis of the
@@ -315,7 +317,7 @@ def _assemble(moving: list[_Moving], coupling: Coupling, deflections: tuple[str,
                 sin_alpha=float(-R[1, 2]),
                 theta_0=compute_atan2(-float(R[0, 1]), float(R[0, 0])),
                 p=p,
-                body=moved.body.transform(Frame(turned[index].T)),
+                body=moved.body.transform_to(Frame(turned[index].T)),
                 axes=turned[index].T,
                 links=dict(zip(moved.links, moved.frames, strict=True)),
             )

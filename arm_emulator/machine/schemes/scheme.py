@@ -21,7 +21,7 @@ class Scheme:
     default: ClassVar[bool] = False  # whether scenes have it that name no scheme
 
     @classmethod
-    def cxx_type(cls) -> str:
+    def write_cxx_type(cls) -> str:
         """Return its C++ type."""
         return f"arm::{cls.__name__}"
 

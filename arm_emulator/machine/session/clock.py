@@ -62,28 +62,28 @@ class Clock:
         """Punctuality; zeros if no deadline is kept."""
         return RealTimeFigures()
 
-    def begin(self) -> None:
+    def restart_clock(self) -> None:
         """Restart at tick 0, without the commands and ticks of the last run."""
 
-    def command(self, answered: int, command: Array, further: Array | None = None) -> None:
+    def hold_command(self, answered: int, command: Array, further: Array | None = None) -> None:
         """Hold commands (N,) [V, N m, A] that answer a tick, from now on.
 
         Further inputs (I, N) are 0 if None.
         """
 
-    def start(self, tick: int) -> None:
+    def start_time(self, tick: int) -> None:
         """Start time at a tick."""
 
-    def stop(self) -> None:
+    def stop_time(self) -> None:
         """Stop time. Ticks not taken yet stay."""
 
     def go_on(self) -> None:
         """Continue as if time had not been stopped."""
 
-    def wait(self, timeout: float) -> bool:
+    def wait_for_tick(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick."""
         return False
 
-    def take(self, *, newest: bool = False) -> ReachedTick | None:
+    def take_tick(self, *, newest: bool = False) -> ReachedTick | None:
         """Return the oldest tick not taken yet, or the newest; None after the last."""
         return None

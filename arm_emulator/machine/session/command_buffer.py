@@ -59,34 +59,34 @@ class CommandBuffer:
             newest=self._newest,
             before=self._before,
         )
-        self.begin(-1)
+        self.begin_run(-1)
 
     def __getstate__(self) -> tuple[Any, ...]:
-        return self._scene, self._lockstep, self.save()
+        return self._scene, self._lockstep, self.save_commands()
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         scene, lockstep, saved = state
         self.__init__(scene, lockstep)  # type: ignore[misc]
-        self.restore(saved)
+        self.restore_commands(saved)
 
-    def begin(self, left: int) -> None:
+    def begin_run(self, left: int) -> None:
         """Begin a run without commands; the run before was left at the tick `left`."""
         self.pointer.left = left
         self.pointer.tick = self.pointer.tick_before = -1
         self.pointer.known = 0
 
-    def put(self, tick: int, rows: Array) -> None:
+    def set_command(self, tick: int, rows: Array) -> None:
         """Let this command (1 + I, N) be the only one that is known, as the answer to a tick."""
         self.pointer.tick, self.pointer.known = tick, 1
         self._newest[:] = rows
 
-    def save(self) -> tuple[object, ...]:
-        """Return the commands that are known now, for `restore`."""
+    def save_commands(self) -> tuple[object, ...]:
+        """Return the commands that are known now, for `restore_commands`."""
         fields = tuple(getattr(self.pointer, name) for name in _SAVED_FIELDS)
         return *fields, self._newest.tobytes(), self._before.tobytes()
 
-    def restore(self, saved: tuple[Any, ...]) -> None:
-        """Know the commands that were known when `save` returned this."""
+    def restore_commands(self, saved: tuple[Any, ...]) -> None:
+        """Know the commands that were known when `save_commands` returned this."""
         *fields, newest, before = saved
         for row, numbers in ((self._newest, newest), (self._before, before)):
             row[:] = np.frombuffer(numbers).reshape(row.shape)
@@ -108,7 +108,7 @@ class CommandBuffer:
         """The newest command with further inputs, 0 before the first one (1 + I, N)."""
         return self._newest.copy() if self.has_command else self._zero
 
-    def take(
+    def take_command(
         self,
         now: int,
         tick: int,
@@ -118,7 +118,7 @@ class CommandBuffer:
     ) -> Array:
         """Take a command at the tick `now`, and return it arranged; see `Session.offer`."""
         check_count("motor_commands", "tick", tick, -LARGEST, 2 * LARGEST + 1)
-        rows = self.arrange(joint_names, command, further)
+        rows = self.arrange_rows(joint_names, command, further)
         newest_tick = self.pointer.tick
         # Messages have room for ticks that the core's integer has not: they are of the future.
         result = self._take(self.pointer, now, min(tick, LARGEST), pointer(rows))
@@ -139,7 +139,7 @@ class CommandBuffer:
             "repeated", "be answered once" if is_newest else not_before, f"{tick}"
         )
 
-    def arrange(
+    def arrange_rows(
         self,
         joint_names: Sequence[str],
         command: Sequence[float],

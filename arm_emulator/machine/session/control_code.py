@@ -30,7 +30,7 @@ class ControlCode:
         """Reason for which it cannot continue; None: it can."""
         return None
 
-    def start(self, plant: Plant, period_ns: int) -> None:
+    def start_on(self, plant: Plant, period_ns: int) -> None:
         """Take a machine, before the first step.
 
         Raises:
@@ -49,7 +49,7 @@ class ControlCode:
     def restore(self, saved: Any) -> None:
         """Go on from what `save` of this code has returned."""
 
-    def stepping(self) -> contextlib.AbstractContextManager[None]:
+    def mark_steps(self) -> contextlib.AbstractContextManager[None]:
         """Context in which the loop runs its steps."""
         return contextlib.nullcontext()
 

@@ -52,7 +52,7 @@ class RunningCode(enum.IntEnum):
         }[self]
 
 
-def new_progress(memory: mmap.mmap | None = None) -> CData:
+def make_progress(memory: mmap.mmap | None = None) -> CData:
     """Return a ``firmware_progress``, in memory that others share if some is given."""
     if memory is None:
         return FIRMWARE_CONTROLLER.new("firmware_progress")
@@ -78,13 +78,13 @@ class Firmware(ControlCode):
 
     def __init__(self, file: Path, progress: CData | None = None) -> None:
         self.name = file.name
-        self.progress = progress or new_progress()
+        self.progress = progress or make_progress()
         content = read_bytes(file, LARGEST)
         reason = explain_no_library(content, (ENTRY,))
         if reason:
             raise Refusal(self.name, "file", f"be a shared library with {ENTRY}", reason)
         self.progress.doing = RunningCode.LOADING
-        self._threads = _threads()
+        self._threads = _count_threads()
         try:
             self._library = Library(file.resolve(), (FIRMWARE,), unload=True)
         except OSError as error:
@@ -104,7 +104,7 @@ class Firmware(ControlCode):
         self._firmware, self.with_ = at, FIRMWARE.ffi.cast("void *", at)
         self.struct = FIRMWARE_CONTROLLER.ffi.addressof(self.progress, "controller")
 
-    def start(self, plant: Plant, period_ns: int) -> None:
+    def start_on(self, plant: Plant, period_ns: int) -> None:
         """Pass the machine's description to the code.
 
         Raises:
@@ -144,7 +144,7 @@ class Firmware(ControlCode):
         self._memory.restore(saved)
 
     @contextlib.contextmanager
-    def stepping(self) -> Iterator[None]:
+    def mark_steps(self) -> Iterator[None]:
         """Context that shows an observer that the library runs its steps."""
         self.progress.doing = RunningCode.STEP
         try:
@@ -154,14 +154,14 @@ class Firmware(ControlCode):
 
     def close(self) -> None:
         """Unload the library, unless threads of it still run."""
-        if _threads() > self._threads:
+        if _count_threads() > self._threads:
             return
         self.progress.doing = RunningCode.ENDING
         self._library.close()
         self.progress.doing = RunningCode.OURS
 
 
-def _threads() -> int:
+def _count_threads() -> int:
     return len(os.listdir("/proc/self/task"))
 
 

@@ -48,14 +48,14 @@ class FirmwareLoop:
         with_ = {"with": TICK.ffi.cast("void *", self.pointer)}
         answer = calls.firmware_controller_answer
         self._controller = TICK.new("tick_controller", answer=answer, **with_)
-        self.aim(targets or ((), np.zeros((0, len(plant.scene.joints)))))
+        self.set_targets(targets or ((), np.zeros((0, len(plant.scene.joints)))))
 
-    def aim(self, targets: tuple[Sequence[int], Array]) -> None:
+    def set_targets(self, targets: tuple[Sequence[int], Array]) -> None:
         """Restart with other targets, see above."""
         ticks, rows = targets
-        self._put(np.array(ticks, np.int64), np.array(rows, np.float64, order="C"), -1)
+        self._set_rows(np.array(ticks, np.int64), np.array(rows, np.float64, order="C"), -1)
 
-    def _put(self, row_tick: NDArray[np.int64], rows: Array, row: int) -> None:
+    def _set_rows(self, row_tick: NDArray[np.int64], rows: Array, row: int) -> None:
         """Let these rows be the targets, which stay where they are, from one of them on."""
         self._row_tick, self._rows = row_tick, rows
         FIRMWARE_CONTROLLER.fill(
@@ -64,17 +64,17 @@ class FirmwareLoop:
 
     def save(self) -> tuple[Any, ...]:
         """Return targets and commands as they are now, for `restore` of this loop."""
-        commands = tuple(bytes(command) for command in self._commands())
+        commands = tuple(bytes(command) for command in self._read_commands())
         return self._row_tick, self._rows, int(self.pointer.row), commands
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Go on from what `save` has returned."""
         *targets, commands = saved
-        self._put(*targets)
-        for now, then in zip(self._commands(), commands, strict=True):
+        self._set_rows(*targets)
+        for now, then in zip(self._read_commands(), commands, strict=True):
             now[:] = then
 
-    def _commands(self) -> tuple[Any, Any]:
+    def _read_commands(self) -> tuple[Any, Any]:
         """Return what the control code has written last, which holds until it writes again."""
         command, joints = self._plant.command, self._plant.ticks.joints
         room = FIRMWARE_CONTROLLER.ffi.buffer
@@ -89,7 +89,7 @@ class FirmwareLoop:
         """Whether a breakpoint ends runs now."""
         return bool(self._stops(self._plant.ticks))
 
-    def run(self, ticks: int) -> None:
+    def run_periods(self, ticks: int) -> None:
         """Run so many periods, or fewer up to a breakpoint.
 
         Raises:

@@ -10,7 +10,7 @@ from arm_emulator.toolchain.c_header import NULL
 _all: weakref.WeakKeyDictionary[Plant, Any] = weakref.WeakKeyDictionary()
 
 
-def listen(plant: Plant, call: Any, with_: Any) -> None:
+def add_listener(plant: Plant, call: Any, with_: Any) -> None:
     """Let a function in C be called at the end of each exchange, after those that listen already.
 
     Args:
@@ -27,7 +27,7 @@ def listen(plant: Plant, call: Any, with_: Any) -> None:
         plant.core.arm_listen(plant.machine, record_ring().listeners_call, every)
 
 
-def leave(plant: Plant, with_: Any) -> None:
+def remove_listener(plant: Plant, with_: Any) -> None:
     """End the listening of what is called with `with_`."""
     with plant.turn:
         every = _all.get(plant)

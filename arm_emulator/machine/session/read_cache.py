@@ -11,7 +11,7 @@ class ReadCache:
 
     Args:
         plant: the machine.
-        is_self_clocked: whether a loop drives it; `forget` then reads it while it stands still.
+        is_self_clocked: whether a loop drives it; `clear_values` then reads it while it stands still.
     """
 
     def __init__(self, plant: Plant, *, is_self_clocked: bool) -> None:
@@ -20,14 +20,14 @@ class ReadCache:
         self._measured: Measured | None = None
         self._energy: float | None = None
 
-    def forget(self) -> None:
+    def clear_values(self) -> None:
         """Forget what was read: the machine is at another tick, or was changed."""
         self._state = self._measured = self._energy = None
         if self._is_self_clocked:
             plant = self._plant
             self._state, self._measured, self._energy = plant.state, plant.measured, plant.energy
 
-    def take(self, reached: ReachedTick) -> PlantState:
+    def take_values(self, reached: ReachedTick) -> PlantState:
         """Take the values of a tick that a loop has reached; return the state."""
         self._energy, self._measured = reached.energy, reached.measured
         t = reached.tick * self._plant.scene.servo_period

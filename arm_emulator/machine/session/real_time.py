@@ -36,7 +36,7 @@ class RealTimeLoop(Clock, Synchronized):
         plant: the machine. While the loop runs nobody else may touch it.
         period_ns: wall time of a servo period [ns].
         core: processor core for the thread, -1 for any.
-        readers: who takes its snapshots: 1, `take` alone; 2, code in C beside it.
+        readers: who takes its snapshots: 1, `take_tick` alone; 2, code in C beside it.
 
     Attributes:
         handle: ``arm_real_time *``.
@@ -107,27 +107,27 @@ class RealTimeLoop(Clock, Synchronized):
             **{field.name: getattr(figures, field.name) for field in fields(RealTimeFigures)}
         )
 
-    def begin(self) -> None:
-        """Restart at tick 0, see `Clock.begin`."""
-        while self.take() is not None:
+    def restart_clock(self) -> None:
+        """Restart at tick 0, see `Clock.restart_clock`."""
+        while self.take_tick() is not None:
             pass
-        self.command(-1, np.zeros(self._N))
+        self.hold_command(-1, np.zeros(self._N))
         self._calls.arm_real_time_clear_figures(self.handle)
 
-    def start(self, tick: int) -> None:
-        """Run from `tick` on, until `stop` or a fault.
+    def start_time(self, tick: int) -> None:
+        """Run from `tick` on, until `stop_time` or a fault.
 
         Raises:
             Refusal: no count, or a forked child.
         """
-        where = "RealTimeLoop.start"
+        where = "RealTimeLoop.start_time"
         check_count(where, "tick", tick, 0, LARGEST // (2 * self._period_ns))
         if not self.handle:
             raise Refusal(where, "the process", "be the one that made it", "a forked child")
         self.running = True
         self._calls.arm_real_time_start(self.handle, tick)
 
-    def stop(self) -> None:
+    def stop_time(self) -> None:
         """Stop within a period. Ticks not taken yet stay."""
         self._calls.arm_real_time_stop(self.handle)
         self.running = False
@@ -137,27 +137,27 @@ class RealTimeLoop(Clock, Synchronized):
         self.running = True
         self._calls.arm_real_time_go_on(self.handle)
 
-    def command(self, answered: int, command: Array, further: Array | None = None) -> None:
-        """Hold commands for the periods to come, see `Clock.command`; -1 answers no tick.
+    def hold_command(self, answered: int, command: Array, further: Array | None = None) -> None:
+        """Hold commands for the periods to come, see `Clock.hold_command`; -1 answers no tick.
 
         Raises:
             Refusal: wrong shape, not finite, or no count.
         """
-        where = "RealTimeLoop.command"
+        where = "RealTimeLoop.hold_command"
         check_count(where, "answered", answered, -1)
         self._commands["value"] = COMMAND.row(where, command, self._N)
         self._further[:] = 0.0 if further is None else further
         self._command.tick = answered
         self._calls.arm_real_time_command(self.handle, self._command)
 
-    def wait(self, timeout: float) -> bool:
+    def wait_for_tick(self, timeout: float) -> bool:
         """Wait for a snapshot, at most `timeout` [s], without Python's lock."""
         if not select.select([self.descriptor], [], [], timeout)[0]:
             return False
         os.read(self.descriptor, 8)
         return True
 
-    def take(self, *, newest: bool = False) -> ReachedTick | None:
+    def take_tick(self, *, newest: bool = False) -> ReachedTick | None:
         """Return the oldest tick not taken yet, or the newest; None after the last."""
         skipped = self._calls.arm_real_time_skip(self.handle, 0) if newest else 0
         if not self._calls.arm_real_time_take(self.handle, 0, self._snapshot):
@@ -169,7 +169,7 @@ class RealTimeLoop(Clock, Synchronized):
             self._snapshot.truth.fault,
             float(self._energy[0]),
             self._rows.copy(),
-            self._place.read(),
+            self._place.read_values(),
         )
         self._spent_ns += reached.spent
         if reached.fault >= 0:
@@ -182,7 +182,7 @@ def open_real_time_session(
 ) -> Session:
     """Return a session whose ticks come from the real-time loop, see `Session`."""
 
-    def loop(plant: Plant) -> RealTimeLoop:
+    def make_loop(plant: Plant) -> RealTimeLoop:
         return RealTimeLoop(plant, int(plant.ticks.period), scene.cores[0], readers)
 
-    return Session(scene, "realtime", start, loop, inactive=inactive)
+    return Session(scene, "realtime", start, make_loop, inactive=inactive)

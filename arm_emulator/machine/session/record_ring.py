@@ -34,19 +34,19 @@ class SharedRing:
         rows: all its places (CAPACITY,).
 
     Args:
-        descriptor: of the memory, of `size` bytes.
+        descriptor: of the memory, of `compute_size` bytes.
         kind: of a row.
     """
 
     def __init__(self, descriptor: int, kind: np.dtype[Any]) -> None:
-        self._memory = mmap.mmap(descriptor, SharedRing.size(kind))
+        self._memory = mmap.mmap(descriptor, SharedRing.compute_size(kind))
         head = RING.sizeof("record_ring")
         self.pointer = RING.ffi.cast("record_ring *", RING.ffi.from_buffer(self._memory))
         self.rows: Rows = np.frombuffer(self._memory, kind, CAPACITY, head)
         self._calls = record_ring()
 
     @staticmethod
-    def size(kind: np.dtype[Any]) -> int:
+    def compute_size(kind: np.dtype[Any]) -> int:
         """Return the bytes of a ring."""
         return RING.sizeof("record_ring") + CAPACITY * kind.itemsize
 
@@ -55,7 +55,7 @@ class SharedRing:
         """Rows that found no room."""
         return int(self.pointer.dropped)
 
-    def take(self) -> Rows:
+    def take_rows(self) -> Rows:
         """Return the rows that wait, as a copy, which may be none; their places are free then."""
         count = self._calls.record_waiting(self.pointer)
         places = (self.pointer.taken + np.arange(count)) % CAPACITY

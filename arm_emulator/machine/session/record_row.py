@@ -39,7 +39,7 @@ class RecordRow(Synchronized):
         self.measurement = ARM.new("arm_measurement", **places)
 
     @synchronized
-    def take(self) -> Rows:
+    def take_row(self) -> Rows:
         """Return the machine as it is now, one row."""
         plant, rows = self._plant, self.rows
         plant.core.arm_measure(plant.machine, self.measurement)

@@ -144,12 +144,12 @@ class Session(Synchronized):
     def reset(self) -> None:
         """Restart at tick 0, as after construction. Power is unchanged."""
         with self.between_ticks():
-            self._command_buffer.begin(self.tick)
+            self._command_buffer.begin_run(self.tick)
             self.plant.reset()
             self._paused = self._start == "paused"
             self.fault: Diverged | EndOfTime | None = None
-            self._read.forget()
-            self._clock.begin()
+            self._read.clear_values()
+            self._clock.restart_clock()
             self._goes_on = False
 
     @property
@@ -195,7 +195,7 @@ class Session(Synchronized):
             yield
             return
         self._goes_on = self._clock.running
-        self._clock.stop()
+        self._clock.stop_time()
         self._is_between = True
         try:
             yield
@@ -225,7 +225,7 @@ class Session(Synchronized):
         """Return all that decides how the session goes on, its tick included, for `return_to`."""
         with self.between_ticks():
             fields = {name: getattr(self, name) for name in _PLACE}
-            saved = {"machine": self.plant.save(), "answers": self._command_buffer.save()}
+            saved = {"machine": self.plant.save(), "answers": self._command_buffer.save_commands()}
             return fields | saved | {"tick": self.tick}
 
     @synchronized
@@ -243,7 +243,7 @@ class Session(Synchronized):
         with self.between_ticks():
             self.plant.restore(saved["machine"])
             self.take_note()
-            self._command_buffer.restore(saved["answers"])
+            self._command_buffer.restore_commands(saved["answers"])
             self.plant.ticks.tick = saved["tick"]
             for name in _PLACE:
                 setattr(self, name, saved[name])
@@ -263,7 +263,7 @@ class Session(Synchronized):
         """
         state = StateOfJoints(self.plant, joint_names, given)
         with self.between_ticks():
-            self.plant.put(state.where, state.rows())
+            self.plant.put(state.where, state.make_rows())
             self.take_note()
 
     @synchronized
@@ -303,7 +303,7 @@ class Session(Synchronized):
         """Take note of a machine that was changed, or that code in C has advanced."""
         self._powered = self.plant.powered
         self.fault = self.plant.diverged
-        self._read.forget()
+        self._read.clear_values()
 
     @property
     @synchronized
@@ -379,8 +379,10 @@ class Session(Synchronized):
                 finite or too large.
         """
         self._check_open()
-        rows = self._command_buffer.take(self.tick, tick, joint_names, command, further or {})
-        self._clock.command(tick, rows[0], rows[1:])
+        rows = self._command_buffer.take_command(
+            self.tick, tick, joint_names, command, further or {}
+        )
+        self._clock.hold_command(tick, rows[0], rows[1:])
         self._follow_phase()
 
     @synchronized
@@ -414,7 +416,7 @@ class Session(Synchronized):
             self.plant.exchange(rows[0], answered, came=came, **further)
         except Diverged as fault:
             self.fault = fault
-        self._read.forget()
+        self._read.clear_values()
 
     @synchronized
     def advance_in(self, loop: FirmwareLoop, ticks: int) -> None:
@@ -428,14 +430,14 @@ class Session(Synchronized):
         self._check_open()
         left = (END_OF_TIME - 1 - self.logical_ns) // self.period_ns
         try:
-            loop.run(min(ticks, left))
+            loop.run_periods(min(ticks, left))
             if ticks > left:
                 self.fault = EndOfTime()
         except Diverged as fault:
             self.fault = fault
         finally:
-            self._read.forget()
-            self._command_buffer.put(self.tick - 1, self.plant.commanded)
+            self._read.clear_values()
+            self._command_buffer.set_command(self.tick - 1, self.plant.commanded)
 
     @property
     def last_tick(self) -> int:
@@ -461,7 +463,7 @@ class Session(Synchronized):
     @synchronized
     def close(self) -> None:
         """Stop the machine for good: it can be read, and no longer changed."""
-        self._clock.stop()
+        self._clock.stop_time()
         self._ended = True
 
     def _check_open(self) -> None:
@@ -480,16 +482,16 @@ class Session(Synchronized):
 
     def wait(self, timeout: float) -> bool:
         """Wait at most `timeout` [s] for a tick of a loop."""
-        return self._clock.wait(timeout)
+        return self._clock.wait_for_tick(timeout)
 
     @synchronized
     def take(self, *, newest: bool = False) -> bool:
         """Take the next tick that a loop has reached, or the newest; False after the last."""
-        reached = self._clock.take(newest=newest)
+        reached = self._clock.take_tick(newest=newest)
         if reached is None:
             return False
         self.plant.ticks.tick = reached.tick
-        state = self._read.take(reached)
+        state = self._read.take_values(reached)
         if reached.fault >= 0:
             applied = reached.measured.applied
             self.fault = self.plant.build_divergence(
@@ -501,11 +503,11 @@ class Session(Synchronized):
         if self._is_between:
             return
         if not self.may_advance:
-            self._clock.stop()
+            self._clock.stop_time()
         elif not self._clock.running:
             while self.take():  # ticks that were reached before the loop was stopped
                 pass
-            self._clock.start(self.tick)
+            self._clock.start_time(self.tick)
 
     @synchronized
     def step(self) -> str:

@@ -48,7 +48,7 @@ class StateOfJoints:
                 rule = f"have one value per joint name ({len(names)})"
                 raise Refusal(where, plant.bounds[quantity].name, rule, f"{np.size(row)} values")
 
-    def rows(self) -> dict[str, Array]:
+    def make_rows(self) -> dict[str, Array]:
         """Return rows of all joints (N,), by quantity: the others' values as they are now."""
         now = self._plant.state
         rows = {quantity: getattr(now, quantity).copy() for quantity in self._values}

@@ -59,7 +59,7 @@ class ToolChain:
             R=chain.R_BW.T.ravel().tolist(),
         )
 
-    def positions(self, q: Array) -> Array:
+    def compute_positions(self, q: Array) -> Array:
         """Return p_WT (3, K) [m] for joint positions (N, K) [rad or m]."""
         q = np.ascontiguousarray(q, np.float64)
         p_WT = np.empty((3, q.shape[1]))

@@ -49,7 +49,7 @@ class ExcitationMotions:
             [SLIDE if joint.kind == "prismatic" else TURN for joint in scene.chain.joints]
         )
         self._gain = np.array([joint.torque_per_command for joint in scene.joints])
-        limits = [joint.largest_command(scene.supply_voltage) for joint in scene.joints]
+        limits = [joint.compute_largest_command(scene.supply_voltage) for joint in scene.joints]
         self._limit = np.array([np.inf if limit is None else limit for limit in limits])
         motors = [(joint.motor, joint.gear.ratio) for joint in scene.joints]
         self._rotors = np.array(

@@ -215,7 +215,7 @@ def test_commands_are_in_the_unit_of_each_motor(kinds: tuple[str, ...], tmp_path
     plant.advance(commands, 3000)  # until currents and gears have settled; the links are heavy
     expected = commands * [joint.torque_per_command for joint in scene.joints]
     assert plant.state.gear_torque == pytest.approx(expected, rel=2e-2), "torques of the links"
-    limits = [joint.largest_command(scene.supply_voltage) for joint in scene.joints]
+    limits = [joint.compute_largest_command(scene.supply_voltage) for joint in scene.joints]
     amplitude = 48.0 / math.sqrt(3.0)  # of which the core clamps commands of a pmsm
     target = {"dc": 48.0, "loop": 48.0, "pmsm": amplitude, "torque": 0.2, "current": 3.0}
     assert limits == [target.get(kind) for kind in kinds], "limits [V, A, N m]"

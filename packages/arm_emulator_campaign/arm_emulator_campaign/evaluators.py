@@ -221,7 +221,7 @@ class Evaluators:
                 Robustness(
                     judges(),
                     requirement,
-                    rows.of_formula,
+                    rows.add_formula,
                     period,
                     2**40 if longest is None else longest,
                     where,
@@ -232,10 +232,14 @@ class Evaluators:
             for _ in range(runs)
         ]
         traced_rows = [
-            rows.of(Signal(name)) for value in self._checked.values() for name in value.names
+            rows.add_expression(Signal(name))
+            for value in self._checked.values()
+            for name in value.names
         ]
         reduced = [
-            (measure.kind, rows.of(each)) for measure in self._measures for each in measure.of
+            (measure.kind, rows.add_expression(each))
+            for measure in self._measures
+            for each in measure.of
         ]
         self.program = make_program(rows, requirements, reduced, traced_rows, room)
         self._traces: list[list[Array]] = [[] for _ in range(runs)]  # of those that need all of it

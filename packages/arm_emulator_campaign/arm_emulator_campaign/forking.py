@@ -52,7 +52,7 @@ class ForkingRun(Simulator):
         self._from = math.ceil(formula.begin / period - 1e-6)
         self._to = math.inf if math.isinf(formula.end) else math.floor(formula.end / period + 1e-6)
         rows = Rows(scene.joint_names, scene.integrator.dt, scene.steps_per_period)
-        self._margin = Program(rows, [()], (), [rows.of_formula(of)], ROOM)
+        self._margin = Program(rows, [()], (), [rows.add_formula(of)], ROOM)
         self._sampler = Sampler(self.session.plant, rows.samples, ROOM)
         self._look = self._longest_look = max(1, count_ticks(campaign.search.look, period))
 

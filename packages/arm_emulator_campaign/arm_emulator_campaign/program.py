@@ -75,11 +75,13 @@ class Rows(FormulaRows):
         if name == "tick":
             return self._add_input("TICK")
         if name == "t":
-            return self.of(self._time)
+            return self.add_expression(self._time)
         if head == "target":
             return self._add_input("TARGET", self._joints.index(joint))
         if head == "error":
-            return self.of(Operation("-", (Signal(f"q.{joint}"), Signal(f"target.{joint}"))))
+            return self.add_expression(
+                Operation("-", (Signal(f"q.{joint}"), Signal(f"target.{joint}")))
+            )
         if name not in self.samples:
             self.samples.append(name)
         return self._add_input("SAMPLE", self.samples.index(name))
@@ -87,7 +89,7 @@ class Rows(FormulaRows):
     def _add_input(self, kind: str, place: int = 0) -> int:
         if (kind, place) not in self._inputs:
             self._inputs.append((kind, place))
-        return self.input(self._inputs.index((kind, place)))
+        return self.add_input(self._inputs.index((kind, place)))
 
 
 @dataclass(frozen=True)
@@ -150,7 +152,7 @@ class Program:
         self._robustness = np.zeros((runs, len(requirements[0])))
         self._reduced = np.zeros((runs, len(measures)))
         values = np.zeros((max(1, len(rows)), BLOCK))  # of one run at a time
-        traced_rows, of_rows = np.array([*traced, 0], np.int32), rows.struct()
+        traced_rows, of_rows = np.array([*traced, 0], np.int32), rows.make_struct()
         inputs = rows.inputs()
         at = JUDGES.ffi.new("double const *[]", max(1, len(rows)))
         self._referenced = own, values, traced_rows, of_rows, inputs, at

@@ -141,7 +141,7 @@ class Samples:
             arms = np.array_split(np.arange(len(counts)), len(self._chains))
             for chain, some in zip(self._chains, arms, strict=True):
                 q = np.moveaxis(self._samples[some][:, self._q, :longest], 1, 0)
-                p_WT = chain.positions(q.reshape(len(self._q), -1))
+                p_WT = chain.compute_positions(q.reshape(len(self._q), -1))
                 for row, axis in self._tool.items():
                     self._samples[some, row, :longest] = p_WT[axis].reshape(len(some), longest)
         return self._samples, counts

@@ -68,7 +68,7 @@ class VibrationRequirement:
         rows = np.concatenate(trace, axis=1)
         read, targets = rows[: self._joints], rows[self._joints :]
         end = find_reference_end(targets.T)
-        places = self._chain.positions(self._scale[:, None] * read[:, end:]).T
+        places = self._chain.compute_positions(self._scale[:, None] * read[:, end:]).T
         try:
             vibration = measure_vibration(places, self._period, self._band)
         except Refusal:

@@ -46,7 +46,7 @@ def test_speeds_change_by_the_impulse_over_inertia(tmp_path: Path, contact: int)
     changed, simulator = changed_speed(loaded(tmp_path, lasting=contact * 1e-3))
     scene, q = simulator.session.scene, simulator.session.state.q
     steps = q[:, None] + np.hstack([1e-6 * np.eye(3), -1e-6 * np.eye(3)])
-    p = ToolChain(scene).positions(steps)
+    p = ToolChain(scene).compute_positions(steps)
     J = (p[:, :3] - p[:, 3:]) / 2e-6
     M = simulator.session.plant.links.mass_matrix(q)
     expected = np.linalg.solve(M, J.T @ HIT["impulse"])

@@ -40,11 +40,14 @@ def make_program(
     rows = Rows(["arm"], PERIOD)
     formulas = [parse_formula(text, "test", "formula") for text in texts]
     requirements = [
-        [Robustness(judges(), formula, rows.of_formula, PERIOD, longest) for formula in formulas]
+        [Robustness(judges(), formula, rows.add_formula, PERIOD, longest) for formula in formulas]
         for _ in range(runs)
     ]
-    measures = [(kind, rows.of(Signal("a"))) for kind in REDUCTIONS]
-    measures += [("max", rows.of(Signal("target.arm"))), ("last", rows.of(Signal("t")))]
+    measures = [(kind, rows.add_expression(Signal("a"))) for kind in REDUCTIONS]
+    measures += [
+        ("max", rows.add_expression(Signal("target.arm"))),
+        ("last", rows.add_expression(Signal("t"))),
+    ]
     return program(rows, requirements, measures, [], ROOM), rows.samples
 
 

@@ -120,7 +120,7 @@ class Judged:
 
     def __init__(self, formula, longest, quantity="formula", room=None):
         self.rows = Rows([], PERIOD)
-        row_of = self.rows.of_formula
+        row_of = self.rows.add_formula
         robustness = Robustness(judges(), formula, row_of, PERIOD, longest, "c.yaml", quantity)
         self.program = Program(self.rows, [[robustness]], [], [], room or longest)
         self.program.begin()
@@ -244,7 +244,7 @@ def test_stars_stand_for_all_joints():
     assert list_signals(bind_signals(formula, signal_names, "c", "r")) == set(signal_names[:4])
     rows = Rows(["elbow", "waist"], PERIOD)
     formula = bind_signals(formula, signal_names, "c", "r")
-    requirement = Robustness(judges(), formula, rows.of_formula, PERIOD, 3)
+    requirement = Robustness(judges(), formula, rows.add_formula, PERIOD, 3)
     program = Program(rows, [[requirement]], [], [], 3)
     program.begin()
     positions = {"q.elbow": 0.0, "q.waist": 0.5}
@@ -296,7 +296,7 @@ def test_arithmetic_of_signals_equals_numpy(seed):
     rows = Rows(joints, PERIOD)
     with np.errstate(all="ignore"):
         expressions = [draw_arithmetic(rng, 4, signals) for _ in range(8)]
-    traced = [rows.of(expression) for expression, _ in expressions]
+    traced = [rows.add_expression(expression) for expression, _ in expressions]
     measures = [(kind, row) for kind in REDUCED for row in traced]
     program = Program(rows, [()], measures, traced, count)
     samples = np.array([signals[name] for name in rows.samples]).reshape(-1, count)

@@ -46,7 +46,7 @@ def test_every_kind_gives_the_requested_torque(kind: type[Motor]) -> None:
         assert torque == pytest.approx(drive.peak_torque, rel=0.02)
         data = joint.servo_data
         assert data is not None and (data.current_bandwidth or data.torque_bandwidth) == 1000.0
-        volts = motor.largest_command(supply)
+        volts = motor.compute_largest_command(supply)
         if joint.decorators and volts is not None:
             speed = drive.speed / joint.gear.ratio
             used = data.back_emf_constant * speed + data.resistance * motor.command_limit

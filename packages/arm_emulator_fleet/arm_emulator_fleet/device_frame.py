@@ -80,7 +80,7 @@ class DeviceMeasured:
     def __init__(self, scene: Scene, count: int, core: DeviceCore) -> None:
         self._core = core
         # Nothing is ever written to it: it knows where each output is.
-        self._layout: Measured = MeasuredPlace(scene, count).view()
+        self._layout: Measured = MeasuredPlace(scene, count).make_view()
         record = self._layout.arrays
         self._begin = _get_address(record)
         self._memory: Memory = core.device.allocate(record.itemsize)

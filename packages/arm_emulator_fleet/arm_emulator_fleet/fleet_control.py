@@ -108,7 +108,7 @@ class FleetFrame:
         self.of: tuple[Scene, int, str | None] = scene, count, None
         shape = count, len(scene.joints)
         place = MeasuredPlace(scene, count)
-        self.measured: Measured = place.view()
+        self.measured: Measured = place.make_view()
         self.faults: NDArray[np.int32] = np.full(count, -1, np.int32)
         self.t: Array = np.zeros(count)
         self.current: Array = np.zeros(shape)

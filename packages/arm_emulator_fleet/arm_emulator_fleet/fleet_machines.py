@@ -231,7 +231,7 @@ class CoreMachines(Synchronized):
         As `Plant.measured`, with arrays (count, N).
         """
         self._measure()
-        return self._place.read()
+        return self._place.read_values()
 
     def _measure(self) -> None:
         self.core.arm_fleet_measure(self._fleet, self._measurement)

@@ -325,11 +325,11 @@ def _list_varied_units(scene: Scene) -> dict[str, str]:
         if geometry.kind == "prismatic":
             continue
         for part in (*joint.parts, *joint.sensors.parts.values()):
-            for key, number in part.numbers().items():
+            for key, number in part.list_numbers().items():
                 units[f"{part.owners}.{joint.name}.{part.section}.{key}"] = number.unit
     for imu in scene.imus:
         for three in (imu.accelerometer, imu.gyroscope):
             if three is not None:
-                for key, number in three.numbers().items():
+                for key, number in three.list_numbers().items():
                     units[f"imus.{imu.name}.{three.section}.{key}"] = number.unit
     return units

@@ -87,7 +87,7 @@ def test_the_description_of_any_scene_is_sound(tmp_path: Path) -> None:
 
 def test_units_are_powers_of_base_units() -> None:
     for part in PARTS:
-        for key, number in part.numbers().items():
+        for key, number in part.list_numbers().items():
             if number.varied and not number.whole:
                 assert find_powers(number.unit) is not None, (part.__name__, key, number.unit)
     assert find_powers("V s/rad") == {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}

@@ -198,7 +198,7 @@ class DataMistakes:
         for j, joint in enumerate(self.scene.joints):
             at = ShaftMotion(view.t, view.q[:, j], none, none, none, none, joint.gear.ratio)
             for part in joint.parts:
-                taken = part.effort(at) if part.shaft == "link" else None
+                taken = part.compute_effort(at) if part.shaft == "link" else None
                 locked[:, j] += 0.0 if taken is None else taken
         return locked
 

@@ -146,7 +146,7 @@ def list_unfitted(scene: Scene, unknowns: Sequence[Unknown], is_requested: Calla
     for joint in scene.joints:
         own_names = [name for name in fitted_names if name.startswith(f"joints.{joint.name}.")]
         for part in joint.parts:
-            for key, number in part.numbers().items():
+            for key, number in part.list_numbers().items():
                 name, value = f"joints.{joint.name}.{part.section}.{key}", getattr(part, key)
                 if value is None or name in fitted_names or not is_requested(name):
                     continue

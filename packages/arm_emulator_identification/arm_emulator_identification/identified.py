@@ -193,13 +193,13 @@ def add_followers(scene: Scene, numbers: Mapping[str, float]) -> dict[str, float
     for joint in scene.joints:
         for part in joint.parts:
             place = f"joints.{joint.name}.{part.section}"
-            own_numbers = part.numbers()
+            own_numbers = part.list_numbers()
             own = {
                 key: extended[f"{place}.{key}"]
                 for key in own_numbers
                 if f"{place}.{key}" in extended
             }
-            new = part.with_numbers(**own)
+            new = part.replace_numbers(**own)
             for key, number in own_numbers.items():
                 if number.follows in own and getattr(part, key) != getattr(part, number.follows):
                     extended[f"{place}.{key}"] = getattr(new, key)
@@ -249,7 +249,7 @@ def _check_written(scene: Scene, numbers: Mapping[str, float]) -> None:
     """Refuse a scene without the numbers that were to be written."""
     for joint in scene.joints:
         for part in joint.parts:
-            for key in part.numbers():
+            for key in part.list_numbers():
                 name = f"joints.{joint.name}.{part.section}.{key}"
                 expected, actual = numbers.get(name), getattr(part, key)
                 if expected is not None and abs(actual - expected) > 1e-6 * abs(expected):
@@ -303,4 +303,4 @@ def rotate_to_links(scene: Scene, bodies: Sequence[Body]) -> dict[str, Body]:
         bodies: of its chain, in the core's frames.
     """
     pairs = zip(scene.chain.links, bodies, strict=True)
-    return {joint.link: body.transform(Frame(joint.axes.T)) for joint, body in pairs}
+    return {joint.link: body.transform_to(Frame(joint.axes.T)) for joint, body in pairs}

@@ -55,6 +55,6 @@ def compute_link_torques(scene: Scene, t: Array, q: Array, v: Array, a: Array) -
         parts = [part for part in joint.parts if part.shaft == "link"]
         for _ in range(ROUNDS):
             at = ShaftMotion(t, q[:, j], v[:, j], a[:, j], tau[:, j], none, joint.gear.ratio)
-            taken = (part.effort(at) for part in parts)
+            taken = (part.compute_effort(at) for part in parts)
             tau[:, j] = alone[:, j] + sum(effort for effort in taken if effort is not None)
     return tau

@@ -86,14 +86,14 @@ def list_loops(scene: Scene, run: MeasuredRun, motion: Filtered, loads: GearLoad
             widths = before * [trust if is_requested(name) else FIXED for name in numbers]
             values, off = _Loop(j, joint, run, motion).fit(loads, before, widths)
         loop_kind = next(
-            part.numbers()[key].excitation for part, key in numbers.values() if part.loop_keys
+            part.list_numbers()[key].excitation for part, key in numbers.values() if part.loop_keys
         )
         for k, (name, (part, key)) in enumerate(numbers.items()):
             if is_requested(name):
                 width = trust * float(before[k])
                 identified = bool(off[k] < IDENTIFIED * width)
                 loops.append(
-                    Found(name, part.numbers()[key].unit, float(before[k]), float(values[k]),
+                    Found(name, part.list_numbers()[key].unit, float(before[k]), float(values[k]),
                           float(off[k]), identified, width, left, loop_kind)
                 )  # fmt: skip
     return loops
@@ -134,9 +134,13 @@ class _Loop:
         Elements that slip follow the peaks of noise, which makes loops narrower: by as much as the
         same noise again does.
         """
-        part = self.part.with_numbers(**dict(zip(self.part.loop_keys, (1.0, shape), strict=True)))
-        once = part.bend(self.twist)
-        taken = self.settle(once - np.mean([part.bend(twist) for twist in self.noisy], axis=0))
+        part = self.part.replace_numbers(
+            **dict(zip(self.part.loop_keys, (1.0, shape), strict=True))
+        )
+        once = part.compute_loop_torque(self.twist)
+        taken = self.settle(
+            once - np.mean([part.compute_loop_torque(twist) for twist in self.noisy], axis=0)
+        )
         return self.settle(once) + taken, taken
 
     def fit(self, loads: GearLoads, before: Array, widths: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ At the link, per joint, with motors that turn along with their links:
         tau / Ng = Y phi + sum of the torques of parts at the link + of those at the rotor / Ng + e
 
 phi follows from log-Cholesky parameters. Each part declares its torque as a function of its numbers
-(`Part.effort`); trials show in which of them it is linear. e is the offset of the measured torque,
+(`Part.compute_effort`); trials show in which of them it is linear. e is the offset of the measured torque,
 and not a number of the machine.
 """
 
@@ -129,7 +129,7 @@ class TorqueModel:
             per = abs(joint.gear.ratio) if part.shaft == "rotor" else 1.0
             torque, speed = typical[0] * per, typical[1] / per
             for key in piece.keys:
-                number, value = part.numbers()[key], float(getattr(part, key))
+                number, value = part.list_numbers()[key], float(getattr(part, key))
                 if number.prior == "unknown":
                     width = UNKNOWN * (torque / speed if number.unit == "N m s/rad" else torque)
                 else:
@@ -198,7 +198,7 @@ def _check_stated(scene: Scene) -> None:
     for joint in scene.joints:
         at_rest = ShaftMotion(t, none, none, none, none, none, joint.gear.ratio)
         for part in joint.parts:
-            if part.effort(at_rest) is None:
+            if part.compute_effort(at_rest) is None:
                 rule = "be without parts whose torque does not follow from the measured motion"
                 valid = "the scene without this section, where the motion was recorded without it"
                 place = f"joints.{joint.name}.{part.section}"
@@ -213,13 +213,15 @@ def _choose_keys(joint: Joint) -> dict[str, list[str]]:
     """
     ranked = sorted(joint.parts, key=lambda part: part.shaft != "rotor")
     keys = dict[str, list[str]]()
-    for key in {key: None for part in ranked for key in part.numbers()}:
-        having = [part for part in ranked if key in part.numbers() and part.numbers()[key].prior]
+    for key in {key: None for part in ranked for key in part.list_numbers()}:
+        having = [
+            part for part in ranked if key in part.list_numbers() and part.list_numbers()[key].prior
+        ]
         having = [part for part in having if getattr(part, key) is not None]
         if not having:
             continue
         part_with_value = next((part for part in having if getattr(part, key)), having[0])
-        if getattr(part_with_value, key) or part_with_value.numbers()[key].prior == "unknown":
+        if getattr(part_with_value, key) or part_with_value.list_numbers()[key].prior == "unknown":
             keys.setdefault(part_with_value.section, []).append(key)
     return keys
 
@@ -351,7 +353,7 @@ class MotionTorques:
             fine.t, fine.q[:, j] / per, fine.v[:, j] / per, fine.a[:, j] / per,
             self.load[:, j] * per, self.motor[:, j] * per, ratio,
         )  # fmt: skip
-        effort = piece.part.with_numbers(**numbers).effort(at)
+        effort = piece.part.replace_numbers(**numbers).compute_effort(at)
         assert effort is not None, "checked at the beginning"
         gains: Array = effort / per
         return gains

@@ -59,7 +59,7 @@ def compute_wind_up(run: MeasuredRun, scene: Scene) -> WindUp:
         if np.isnan(run.q_link[:, j]).any():
             continue
         give = (run.q_motor - run.q_link)[inside, j]
-        own = np.array([joint.gear.wind_up(torque) for torque in load[:, j]])
+        own = np.array([joint.gear.compute_wind_up(torque) for torque in load[:, j]])
         zero = np.mean(give - own)
         measured[:, j], computed[:, j] = give - zero, own
         residual[j] = np.sqrt(np.mean((give - own - zero) ** 2))

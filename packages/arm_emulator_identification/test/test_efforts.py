@@ -71,11 +71,11 @@ def taken(joint: Joint, moved: float, t: np.ndarray, of_link: list[np.ndarray],
     T = command / Ng if joint.gear.stiffness is None else link.copy()
     for _ in range(8):  # friction under load is part of what loads it
         at = ShaftMotion(t, of_link[0], of_link[1], a, T, command / Ng, Ng)
-        efforts = [part.effort(at) for part in joint.parts if part.shaft == "link"]
+        efforts = [part.compute_effort(at) for part in joint.parts if part.shaft == "link"]
         on_link = link + sum(effort for effort in efforts if effort is not None)
         T = T if joint.gear.stiffness is None else on_link
     at = ShaftMotion(t, of_rotor[0], of_rotor[1], of_rotor[2], Ng * T, command, Ng)
-    efforts = [part.effort(at) for part in joint.parts if part.shaft == "rotor"]
+    efforts = [part.compute_effort(at) for part in joint.parts if part.shaft == "rotor"]
     return Ng * on_link + sum((effort for effort in efforts if effort is not None), none)
 
 
@@ -117,7 +117,7 @@ def test_parts_state_the_torque_that_the_core_gives(
 def test_every_part_states_its_torque_or_is_refused(tmp_path: Path) -> None:
     """No part passes for one that takes nothing because nobody thought of it."""
     inherited = [
-        part.__name__ for part in PARTS if part.effort is Part.effort
+        part.__name__ for part in PARTS if part.compute_effort is Part.compute_effort
     ]  # fmt: skip
     assert inherited == [], "these are refused by `identify`: state an effort, or decline in words"
     motor = {

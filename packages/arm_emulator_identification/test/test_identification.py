@@ -221,7 +221,7 @@ def test_the_identified_scene_loads_with_the_identified_numbers(tmp_path: Path, 
         again, numbers = fitted(tmp_path, scene, find_scene(name), seed)
         for joint in again.joints:
             for part in joint.parts:
-                for key in part.numbers():
+                for key in part.list_numbers():
                     expected = numbers.get(f"joints.{joint.name}.{part.section}.{key}")
                     if expected is not None:
                         assert getattr(part, key) == pytest.approx(expected, rel=1e-8), (

@@ -220,6 +220,6 @@ def test_loads_regressors_and_places_of_a_tree_are_those_of_pinocchio(
         assert relative(tau[k], M @ a[k] + nle) < TOLERANCE, "torques"
     for link in scene.chain.carried:
         tool = dataclasses.replace(scene, tool=link)
-        p = ToolChain(tool).positions(q.T)
+        p = ToolChain(tool).compute_positions(q.T)
         expected = [oracle.place(position, link) for position in q]
         assert p.T == pytest.approx(np.array(expected), abs=1e-12), f"place of {link} [m]"

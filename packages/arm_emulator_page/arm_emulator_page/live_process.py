@@ -38,7 +38,7 @@ def _show_all(end: RowEnd, ring: SharedRing, page: LivePage) -> None:
     """Show rows until the run is over, whatever a browser has made of the controls."""
     reported = ""
     while not end.is_over(FRAME):
-        page.take(ring.take(), ring.dropped)
+        page.take(ring.take_rows(), ring.dropped)
         try:
             page.draw()
         except Exception as error:

@@ -64,10 +64,10 @@ class SignalHistory:
     def __init__(self, line: Timeline[Any], last: int) -> None:
         every = max(1, -(-last // MAX_SAMPLES))
         row = RecordRow(line.run.session.plant)
-        rows, ticks = [row.take()], [line.tick]
+        rows, ticks = [row.take_row()], [line.tick]
         while line.tick < last:
             line.advance(min(every, last - line.tick))
-            rows.append(row.take())
+            rows.append(row.take_row())
             ticks.append(line.tick)
         self.ticks = np.array(ticks)
         self._rows = np.concatenate(rows)

@@ -53,11 +53,11 @@ class CurrentLoop(DriveStage):
         text="E, share of the induced voltages that the drive compensates",
     )
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """None: measured torques are those behind it."""
         return np.zeros_like(motion.t)
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         gains = {"proportional_gain": self.proportional_gain, "integral_gain": self.integral_gain}
         for key, value in gains.items():
             if self.bandwidth is not None and value is not None:

@@ -36,7 +36,7 @@ class DriveStage(Part):
         return " of ".join([super().name_place(), *[cls.around_kind] * bool(cls.around_kind)])
 
     @classmethod
-    def of(cls, motor: Motor) -> type[Self]:
+    def find_kind(cls, motor: Motor) -> type[Self]:
         """Return the kind of it that goes around a motor, which may be for such motors alone."""
         from arm_emulator.machine.parts.registry import list_kinds
 

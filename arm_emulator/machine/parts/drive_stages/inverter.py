@@ -24,12 +24,12 @@ class Inverter(DriveStage):
     voltage_error: float = number("U", "V", at_least=0.0, text="U, lost along the current")
     knee: float = number("knee", "A", above=0.0, text="current at which 0.71 U are lost")
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """None: measured torques are those behind it."""
         return np.zeros_like(motion.t)
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         text = "the inverter's transistors switch later or conduct worse"
         sets = {"motor.inverter.voltage_error": GROWS}
         return (Fault("inverter_ages", text, sets=sets, magnitude=bound_rise("1", 1.0, 1e3)),)

@@ -38,7 +38,7 @@ class TorqueRipple(DriveStage):
 
     waves: tuple[Wave, ...] = ()  # of 1
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """The torque that the ripple takes from the motor's."""
         torque: Array = -compute_wave_sum(self.waves, motion.angle) * motion.motor_torque
         return torque
@@ -47,7 +47,7 @@ class TorqueRipple(DriveStage):
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {"waves": read_waves(section, "waves", "1")}
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         # More would turn the torque about at some angles.
         amplitude_sum = sum(abs(amplitude) for _, amplitude, _ in self.waves)
         if amplitude_sum > 0.9:

@@ -67,12 +67,12 @@ class Winding(DriveStage):
         text="the drive is off above it; must exceed `ambient`",
     )
 
-    def effort(self, motion: ShaftMotion) -> Array | None:
+    def compute_effort(self, motion: ShaftMotion) -> Array | None:
         """Known only if the magnets are constant: then heat changes the resistance alone."""
         return None if self.magnet_coefficient else np.zeros_like(motion.t)
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "cooling_fails",
@@ -88,7 +88,7 @@ class Winding(DriveStage):
             ),
         )
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.limit is not None and self.limit <= self.ambient:
             rule = f"be above the ambient, {self.ambient:g} degC"
             raise section.refusal("limit", rule, self.limit)

@@ -44,12 +44,12 @@ class Brake(Part):
         text="from power on to open",
     )
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """None: in motion it is open."""
         return np.zeros_like(motion.t)
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:
+    def list_faults(cls) -> tuple[Fault, ...]:
         """Faults of the brake; the drive reports its command, not these."""
         return (
             Fault(

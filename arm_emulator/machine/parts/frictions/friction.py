@@ -44,18 +44,18 @@ class Friction(Part):
         """Whether the keys of a section name this law."""
         return all(map(section.has, cls.named_by))
 
-    def sliding(self, motion: ShaftMotion) -> Array:
+    def compute_dry_torque(self, motion: ShaftMotion) -> Array:
         """Return the dry torque (K,) against a shaft that turns [N m]."""
         return np.full_like(motion.speed, self.coulomb)
 
-    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
-        return self.viscous * motion.speed + self.sliding(motion) * np.sign(motion.speed)
+    def compute_effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        return self.viscous * motion.speed + self.compute_dry_torque(motion) * np.sign(motion.speed)
 
     @property
     def can_stick(self) -> bool:  # noqa: D102
         return self.coulomb > 0.0
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.breakaway > 0.0 and self.coulomb == 0.0:
             raise section.refusal("breakaway", "come with a coulomb friction", self.breakaway)
 
@@ -86,9 +86,9 @@ class OfRotor(Friction):
         return f"arm::RotorFriction<{super().cxx_type}>"
 
     def write_initialiser(self, joint: str, places: Mapping[str, str]) -> str:  # noqa: D102
-        return f"{self.cxx_type}{{{self.law(joint, places)[1]}}}"
+        return f"{self.cxx_type}{{{self.write_law(joint, places)[1]}}}"
 
-    def law(self, joint: str, places: Mapping[str, str]) -> tuple[str, str]:
+    def write_law(self, joint: str, places: Mapping[str, str]) -> tuple[str, str]:
         """Return type and initialiser of the law alone."""
         kind = super().cxx_type
         members = ", ".join(

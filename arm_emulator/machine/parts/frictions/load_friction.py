@@ -133,8 +133,8 @@ class LoadFriction(Friction):
             return super().cxx_type
         return f"arm::DirectedLoadFriction<{'true' if self.exponent is None else 'false'}>"
 
-    def check(self, section: Section) -> None:  # noqa: D102
-        super().check(section)
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
+        super().check_numbers(section)
         if self.exponent is not None and self.stribeck is None:
             raise section.refusal("exponent", "come with a stribeck speed", self.exponent)
 
@@ -153,8 +153,8 @@ class LoadFriction(Friction):
                 rule = f"come with an elastic gear (a rigid one has the motor's torque: {instead})"
                 raise joint.refusal(f"{self.section}.{key}", rule, getattr(self, key))
 
-    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
-        dry = super().sliding(motion)
+    def compute_dry_torque(self, motion: ShaftMotion) -> Array:  # noqa: D102
+        dry = super().compute_dry_torque(motion)
         if not self.is_directed:
             if self.stribeck is not None:
                 dry = compute_stribeck_torque(
@@ -165,15 +165,15 @@ class LoadFriction(Friction):
         sign = np.where(motion.speed < 0.0, -1.0, 1.0)
         T = sign * motion.gear_torque
         A = sign * motion.motor_torque if self.shaft == "rotor" else T
-        torque = dry + self._under_load(A, T, self.load, self.back_load, self.motor_load)
+        torque = dry + self._compute_load_torque(A, T, self.load, self.back_load, self.motor_load)
         if self.stribeck is not None:
-            torque += self._fading(A, T) * self._remaining(motion.speed)
+            torque += self._compute_fading(A, T) * self._compute_remaining_share(motion.speed)
         return torque
 
-    def _fading(self, A: Array, T: Array) -> Array:
+    def _compute_fading(self, A: Array, T: Array) -> Array:
         """Return what is added to the sliding torque at rest [N m]."""
         fading = self.breakaway - self.coulomb
-        of_load = self._under_load(
+        of_load = self._compute_load_torque(
             A, T, self.rest_load or 0.0, self.rest_back_load, self.rest_motor_load
         )
         # Behind a rigid gear both are the motor's torque, up to rounding.
@@ -184,7 +184,7 @@ class LoadFriction(Friction):
         )
         return np.asarray(fading + of_load + np.where(A * T > 0.0, square, 0.0))
 
-    def _remaining(self, speed: Array) -> Array:
+    def _compute_remaining_share(self, speed: Array) -> Array:
         """Return the share of the fading terms that remains at a speed."""
         assert self.stribeck is not None
         with np.errstate(over="ignore"):
@@ -194,7 +194,7 @@ class LoadFriction(Friction):
         return np.asarray(np.exp(-np.minimum(power, 700.0)))
 
     @staticmethod
-    def _under_load(
+    def _compute_load_torque(
         A: Array, T: Array, forward: float, backward: float | None, of_motor: float | None
     ) -> Array:
         """Return the torque of a load friction, of torques in the direction of motion [N m]."""

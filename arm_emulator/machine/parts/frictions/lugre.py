@@ -33,7 +33,7 @@ class LuGre(JointEffect):
         text="s1; √(s0 times the inertia that moves) damps its swing on the bristles",
     )
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """Bend the bristles along the motion, from straight ones."""
         w = motion.speed
         g = compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, w)
@@ -51,7 +51,7 @@ class LuGre(JointEffect):
         return torque
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "seal_grips",

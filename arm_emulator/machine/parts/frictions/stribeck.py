@@ -33,7 +33,7 @@ class Stribeck(Friction):
         text="vs: speed at which 63 % of the fall from Ds to Dc has happened",
     )
 
-    def sliding(self, motion: ShaftMotion) -> Array:  # noqa: D102
+    def compute_dry_torque(self, motion: ShaftMotion) -> Array:  # noqa: D102
         return compute_stribeck_torque(self.coulomb, self.breakaway, self.stribeck, motion.speed)
 
 

@@ -24,7 +24,7 @@ class BacklashGear(ElasticGear):
     )
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "backlash_grows",
@@ -34,7 +34,7 @@ class BacklashGear(ElasticGear):
             ),
         )
 
-    def wind_up(self, torque: float) -> float:
+    def compute_wind_up(self, torque: float) -> float:
         """Return the gear's wind-up at rest, with the play."""
         free = math.copysign(0.5 * self.backlash, torque) if torque else 0.0
-        return free + super().wind_up(torque)
+        return free + super().compute_wind_up(torque)

@@ -27,5 +27,5 @@ class ElasticGear(Gear):
         text="Dg, seen at the link; refused without a stiffness",
     )
 
-    def wind_up(self, torque: float) -> float:  # noqa: D102
+    def compute_wind_up(self, torque: float) -> float:  # noqa: D102
         return torque / self.stiffness

@@ -35,7 +35,7 @@ class Gear(Part):
     stiffness: float | None = None  # at the link, not wound up; None: rigid
     damping: float = 0.0  # at the link
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """None: rotor and link move alike below the resonances."""
         return np.zeros_like(motion.t)
 
@@ -44,7 +44,7 @@ class Gear(Part):
         """Return its section and the keys that distinguish it."""
         return " with ".join([super().name_place(), *sorted(cls.named_by)])
 
-    def wind_up(self, torque: float) -> float:
+    def compute_wind_up(self, torque: float) -> float:
         """Return the wind-up of the gear at rest [rad], at the link."""
         raise NotImplementedError
 
@@ -56,5 +56,5 @@ class RigidGear(Gear):
     header = "gears/gear.hpp"
     cxx = "RigidGear"
 
-    def wind_up(self, torque: float) -> float:  # noqa: D102
+    def compute_wind_up(self, torque: float) -> float:  # noqa: D102
         return 0.0

@@ -56,11 +56,11 @@ class Hysteresis(GearStage):
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return super().read_numbers(section) | {"elements": section.integer(_ELEMENTS)}
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """None: rotor and link pass the torque on."""
         return np.zeros_like(motion.t)
 
-    def bend(self, twist: Array) -> Array:  # noqa: D102
+    def compute_loop_torque(self, twist: Array) -> Array:  # noqa: D102
         n, bent = self.elements, np.zeros_like(twist)
         for i in range(n):
             limit = self.twist * (2 * i + 1) / (2 * n)

@@ -40,7 +40,7 @@ class KinematicErrorGear(ElasticGear):
     motor: tuple[Wave, ...] = ()
     link: tuple[Wave, ...] = ()
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """Torque on the rotor from the gear's torque, beside that by the nominal ratio."""
         by_motor = compute_wave_slope(self.motor, motion.angle) / self.ratio
         by_link = compute_wave_slope(self.link, motion.angle * self.ratio)
@@ -54,7 +54,7 @@ class KinematicErrorGear(ElasticGear):
             values |= {shaft: read_waves(errors, shaft, "rad") for shaft in ("motor", "link")}
         return values
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         # A steeper error would turn the gear back at some angles.
         for shaft, limit in (("motor", abs(self.ratio)), ("link", 1.0)):
             waves: tuple[Wave, ...] = getattr(self, shaft)

@@ -24,9 +24,9 @@ class ProgressiveGear(ElasticGear):
         text="Kg3, seen at the link: the gear stiffens as it winds up; refused without a stiffness",
     )
 
-    def wind_up(self, torque: float) -> float:  # noqa: D102
+    def compute_wind_up(self, torque: float) -> float:  # noqa: D102
         if not self.cubic_stiffness:
-            return super().wind_up(torque)
+            return super().compute_wind_up(torque)
         # Kg w + Kg3 w^3 = T as 4 s^3 + 3 s = sinh(3 t), s = sinh(t): its only real root.
         scale = math.sqrt(4.0 * self.stiffness / (3.0 * self.cubic_stiffness))
         three_t = math.asinh(3.0 * torque / (self.stiffness * scale))

@@ -33,7 +33,7 @@ class Cogging(JointEffect):
 
     waves: tuple[Wave, ...] = ()  # N m
 
-    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+    def compute_effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         return compute_wave_sum(self.waves, motion.angle)
 
     @classmethod

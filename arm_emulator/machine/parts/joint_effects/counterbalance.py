@@ -63,7 +63,7 @@ class Counterbalance(JointEffect):
         "compressed beyond `length`, or more, and no `stiffness`",
     )
 
-    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+    def compute_effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         a, b, at = self.base_distance, self.link_distance, motion.angle - self.angle
         l = np.sqrt(a * a + b * b - 2.0 * a * b * np.cos(at))  # noqa: E741
         longer = l - self.length
@@ -75,7 +75,7 @@ class Counterbalance(JointEffect):
         return torque
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "counterbalance_weakens",
@@ -85,7 +85,7 @@ class Counterbalance(JointEffect):
             ),
         )
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         smallest = 0.01 * self.base_distance
         if abs(self.link_distance - self.base_distance) < smallest:
             rule = f"differ by {smallest:g} m from base_distance, so that the spring keeps a length"

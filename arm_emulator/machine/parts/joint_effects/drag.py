@@ -27,7 +27,7 @@ class Drag(JointEffect):
     )
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "drag_grows",
@@ -37,6 +37,6 @@ class Drag(JointEffect):
             ),
         )
 
-    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+    def compute_effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         torque: Array = self.coefficient * np.abs(motion.speed) * motion.speed
         return torque

@@ -58,7 +58,7 @@ class EndStops(JointEffect):
     stiffness: float = number("K", "N m/rad", above=0.0, text="K, at the link")
     damping: float = number("D", "N m s/rad", at_least=0.0, default=0.0, text="D, at the link")
 
-    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+    def compute_effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         q, v = motion.angle, motion.speed
         K, D = self.stiffness, self.damping
         above = np.where(q > self.upper, np.maximum(K * (q - self.upper) + D * v, 0.0), 0.0)
@@ -67,7 +67,7 @@ class EndStops(JointEffect):
         return torque
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "stop_softens",
@@ -104,7 +104,7 @@ class EndStops(JointEffect):
         if limits is None:
             raise section.refusal("at", "be absent: the URDF has no limits of this joint", "limits")
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.lower >= self.upper:
             rule = f"be > {self.lower:g} rad, the lower one"
             raise section.refusal("upper", rule, self.upper)

@@ -62,7 +62,7 @@ class GearTemperature(JointEffect):
         text="Rw, from the winding (`motor.winding`) to the gear",
     )
 
-    def effort(self, motion: ShaftMotion) -> Array | None:
+    def compute_effort(self, motion: ShaftMotion) -> Array | None:
         """None: the motion of now does not determine the temperature."""
         return None
 
@@ -73,7 +73,7 @@ class GearTemperature(JointEffect):
             raise joint.refusal(f"{self.section}.winding_resistance", rule, "none")
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "air_around_gear_warms",

@@ -62,12 +62,12 @@ class TorqueTable(JointEffect):
     @classmethod
     def read_numbers(cls, section: Section) -> dict[str, Any]:  # noqa: D102
         return {
-            "angles": _read(section, _ANGLES),
-            "torques": _read(section, _TORQUES),
+            "angles": _read_row(section, _ANGLES),
+            "torques": _read_row(section, _TORQUES),
             "periodic": section.is_true("periodic"),
         }
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         if len(self.torques) != len(self.angles):
             rule = f"have as many numbers as angles, {len(self.angles)}"
             raise section.refusal("torques", rule, len(self.torques))
@@ -85,7 +85,7 @@ class TorqueTable(JointEffect):
         return f"arm::{self.cxx}<{len(self.angles) - 1}, {periodic}>"
 
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102
-        q, T = np.array(self.angles), self.coefficients()
+        q, T = np.array(self.angles), self.compute_coefficients()
         h = np.diff(q)
         works = h * (T[0] + h * (T[1] / 2.0 + h * (T[2] / 3.0 + h * T[3] / 4.0)))
         U = [0.0, *np.cumsum(-works)]
@@ -99,17 +99,17 @@ class TorqueTable(JointEffect):
             ("U_end", cxx_literals.format_number(U[-1])),
         ]
 
-    def effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
+    def compute_effort(self, motion: ShaftMotion) -> Array:  # noqa: D102
         from scipy.interpolate import PPoly
 
         at, q = np.array(self.angles), motion.angle
         within = np.clip(q, at[0], at[-1])
         if self.periodic:
             within = at[0] + np.mod(q - at[0], at[-1] - at[0])
-        torque: Array = -PPoly(self.coefficients()[::-1], at)(within)
+        torque: Array = -PPoly(self.compute_coefficients()[::-1], at)(within)
         return torque
 
-    def coefficients(self) -> Array:
+    def compute_coefficients(self) -> Array:
         """Return T0 to T3 of each piece (4, pieces), by PCHIP of the table with what is beyond it.
 
         Source: F. N. Fritsch and J. Butland, SIAM J. Sci. Stat. Comput. 5, 1984.
@@ -132,7 +132,7 @@ class TorqueTable(JointEffect):
         return cubics[:, before : before + len(self.angles) - 1]
 
 
-def _read(section: Section, number: Number) -> tuple[float, ...]:
+def _read_row(section: Section, number: Number) -> tuple[float, ...]:
     entries = section.entries(number.name)
     rule = f"have {MIN_POINTS} to {MAX_POINTS} {number.range.replace('number', 'numbers')}"
     if not MIN_POINTS <= len(entries) <= MAX_POINTS:

@@ -60,16 +60,16 @@ class AnalogConverter(Part):
     )
 
     @classmethod
-    def numbers(cls) -> dict[str, PartNumber]:
+    def list_numbers(cls) -> dict[str, PartNumber]:
         """Return the declared numbers by key; without a unit they are in that of the quantity."""
         units = {"": cls.unit, "/s": f"{cls.unit}/s"}
         return {
             key: dataclasses.replace(number, unit=units.get(number.unit, number.unit))
-            for key, number in super().numbers().items()
+            for key, number in super().list_numbers().items()
         }
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         about = cls.section.replace("_", " ")
         kind = partial(declare_sensor_fault, cls.section, about, of=cls.owners)
         return (
@@ -104,7 +104,7 @@ class AnalogSensor(AnalogConverter):
     keys = (DELAY,)
 
     @classmethod
-    def draws(cls) -> tuple[int, int]:
+    def list_streams(cls) -> tuple[int, int]:
         """Return its noise stream at joint 0, and the increment per joint."""
         if cls.channel is not None:
             return cls.channel, JOINT_CHANNELS
@@ -121,7 +121,7 @@ class AnalogSensor(AnalogConverter):
     delay: int = 0  # servo periods
 
     @classmethod
-    def read(cls, section: Section) -> Self:  # noqa: D102
+    def read_section(cls, section: Section) -> Self:  # noqa: D102
         return cls(delay=section.integer(DELAY), **cls.read_numbers(section))
 
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:  # noqa: D102

@@ -172,7 +172,7 @@ class Encoder(Part):
     )
 
     @classmethod
-    def read(cls, section: Section, turn: float = 2.0 * math.pi) -> Self:
+    def read_section(cls, section: Section, turn: float = 2.0 * math.pi) -> Self:
         """Return the encoder that a section describes.
 
         Args:
@@ -211,7 +211,7 @@ class Encoder(Part):
         )
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         kind = partial(declare_sensor_fault, cls.section, cls.about)
         return (
             kind("slips", "the disc turns on its shaft", "offset",

@@ -121,7 +121,7 @@ class Imu:
     gyroscope: Gyroscope | None
 
     @classmethod
-    def read(cls, name: str, section: Section, chain: Chain) -> Self:
+    def read_section(cls, name: str, section: Section, chain: Chain) -> Self:
         """Return the unit that a section describes.
 
         Raises:
@@ -140,8 +140,10 @@ class Imu:
             place=place,
             frame=frame @ frame_of(xyz, rpy),
             delay=section.integer(DELAY),
-            accelerometer=None if accelerometer is None else Accelerometer.read(accelerometer),
-            gyroscope=None if gyroscope is None else Gyroscope.read(gyroscope),
+            accelerometer=None
+            if accelerometer is None
+            else Accelerometer.read_section(accelerometer),
+            gyroscope=None if gyroscope is None else Gyroscope.read_section(gyroscope),
         )
 
     def list_variable_numbers(self) -> list[Varied]:

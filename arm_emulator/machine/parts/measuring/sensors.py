@@ -39,7 +39,7 @@ class JointSensors:
     analog: tuple[AnalogSensor, ...] = ()
 
     @classmethod
-    def read(cls, joint: Section, kind: str) -> Self:
+    def read_section(cls, joint: Section, kind: str) -> Self:
         """Return the sensors that a joint's section describes.
 
         Args:
@@ -60,9 +60,11 @@ class JointSensors:
         sections = ((kind, joint.section(kind.section)) for kind in ANALOG)
         turn = 1.0 if kind == "prismatic" else 2.0 * math.pi
         return cls(
-            encoder=None if motor is None else Encoder.read(motor),
-            link_encoder=None if link is None else LinkEncoder.read(link, turn),
-            analog=tuple(kind.read(section) for kind, section in sections if section is not None),
+            encoder=None if motor is None else Encoder.read_section(motor),
+            link_encoder=None if link is None else LinkEncoder.read_section(link, turn),
+            analog=tuple(
+                kind.read_section(section) for kind, section in sections if section is not None
+            ),
         )
 
     @property
@@ -146,7 +148,7 @@ def write_suite(
         f"all.seed = {seed};",
     ]
     for k, kind in enumerate(kinds):
-        first, stride = kind.draws()
+        first, stride = kind.list_streams()
         row = f"std::get<{k}>(all.analog)"
         lines.append(f"{row}.first = {first}, {row}.stride = {stride};")
     rows = {kind.section: f"std::get<{k}>(all.analog).at" for k, kind in enumerate(kinds)}

@@ -61,7 +61,7 @@ class CurrentMotor(Motor):
     def torque_per_command(self) -> float:  # noqa: D102
         return self.torque_constant
 
-    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+    def compute_largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return self.current_limit
 
     def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102

@@ -90,7 +90,7 @@ class DcMotor(Motor):
     def torque_per_command(self) -> float:  # noqa: D102
         return self.torque_constant / self.resistance
 
-    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+    def compute_largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return supply_voltage
 
     def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102

@@ -99,7 +99,7 @@ class Motor(Part):
         """Return a motor of this kind that gives what is asked for."""
         raise NotImplementedError
 
-    def effort(self, motion: ShaftMotion) -> Array:
+    def compute_effort(self, motion: ShaftMotion) -> Array:
         """The rotor's inertia; what is measured is the torque that the windings give."""
         torque: Array = self.inertia * motion.acceleration
         return torque
@@ -112,14 +112,14 @@ class Motor(Part):
             joint: the joint's name.
             places: where the values of varied numbers stand, by their name.
         """
-        opened = self._opened(joint, places)
+        opened = self._find_opening(joint, places)
         if not opened or not self.regulated:
             return inner
         kind = f"arm::OpenedMotor<{inner.type}>"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {opened}}}")
 
-    def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
-        opened = self.regulated and self._opened(joint, places)
+    def list_headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
+        opened = self.regulated and self._find_opening(joint, places)
         return (self.header, *(["drive_stages/open_winding.hpp"] if opened else []))
 
     def list_members(self, joint: str, places: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -130,7 +130,7 @@ class Motor(Part):
         series = []
         if contact := places.get(f"joints.{joint}.{self.section}.contact"):
             series.append(contact)
-        if opened := self._opened(joint, places):
+        if opened := self._find_opening(joint, places):
             series.append(f"{OPEN:g} * {dict(members)['R']} * {opened}")
         return [*members, ("R_contact", " + ".join(series))] if series else members
 
@@ -142,7 +142,7 @@ class Motor(Part):
         contact = {} if self.regulated else {"contact": 0.0}
         return {**super().list_fault_numbers(), **contact, "open": 0.0}
 
-    def _opened(self, joint: str, places: Mapping[str, str]) -> str | None:
+    def _find_opening(self, joint: str, places: Mapping[str, str]) -> str | None:
         """Return how far its winding is open, in C++; None: no fault of it is listed."""
         return places.get(f"joints.{joint}.{self.section}.open")
 
@@ -190,7 +190,7 @@ class Motor(Part):
         """Torque at rest for a unit of its command [N m/V, N m/(N m), N m/A]."""
         raise NotImplementedError
 
-    def largest_command(self, supply_voltage: float) -> float | None:
+    def compute_largest_command(self, supply_voltage: float) -> float | None:
         """Return its largest command in either direction; None: unlimited.
 
         Args:

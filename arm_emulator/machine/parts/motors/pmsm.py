@@ -67,7 +67,7 @@ class Pmsm(Motor):
         text="of the commands of its [current loops](field_oriented_loop.md); refused without them",
     )
 
-    def check(self, section: Section) -> None:  # noqa: D102
+    def check_numbers(self, section: Section) -> None:  # noqa: D102
         if self.current_limit is not None and not section.has("current_loop"):
             rule = "come with a current_loop, whose commands it bounds"
             raise section.refusal("current_limit", rule, self.current_limit)
@@ -89,7 +89,7 @@ class Pmsm(Motor):
         )
 
     @classmethod
-    def faults(cls) -> tuple[Fault, ...]:  # noqa: D102
+    def list_faults(cls) -> tuple[Fault, ...]:  # noqa: D102
         return (
             Fault(
                 "phase_lost",
@@ -104,9 +104,9 @@ class Pmsm(Motor):
         """Its numbers, and how far one of its phases is lost."""
         return {**super().list_fault_numbers(), "phase_lost": 0.0}
 
-    def headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
-        ripple = ["drive_stages/torque_ripple.hpp"] if self._lost(joint, places) else []
-        return (*super().headers(joint, places), *ripple)
+    def list_headers(self, joint: str, places: Mapping[str, str]) -> tuple[str, ...]:  # noqa: D102
+        ripple = ["drive_stages/torque_ripple.hpp"] if self._find_lost_share(joint, places) else []
+        return (*super().list_headers(joint, places), *ripple)
 
     def wrap_motor(self, inner: CxxMotor, joint: str, places: Mapping[str, str]) -> CxxMotor:
         """Return it with the ripple of a lost phase.
@@ -116,7 +116,7 @@ class Pmsm(Motor):
         ``k iq (1 - 2/3 sin^2 p tm) = k iq 2/3 (1 + cos(2 p tm) / 2)``, and of the induced voltage
         the same share: a smaller flux with a ripple.
         """
-        lost = self._lost(joint, places)
+        lost = self._find_lost_share(joint, places)
         if not lost:
             return inner
         kind = f"arm::RippledMotor<{inner.type}, 1>"
@@ -126,7 +126,7 @@ class Pmsm(Motor):
         wave = f"{{{order}, {lost} / (3.0 - {lost}), {quarter}}}"
         return CxxMotor(kind, f"{kind}{{{inner.value}, {{{{{wave}}}}}}}")
 
-    def _lost(self, joint: str, places: Mapping[str, str]) -> str | None:
+    def _find_lost_share(self, joint: str, places: Mapping[str, str]) -> str | None:
         """Return the share of a phase that is lost, in C++; None: no fault of it is listed."""
         return places.get(f"joints.{joint}.{self.section}.phase_lost")
 
@@ -154,7 +154,7 @@ class Pmsm(Motor):
     def torque_per_command(self) -> float:  # noqa: D102
         return 1.5 * self.pole_pairs * self.flux / self.resistance
 
-    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+    def compute_largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return supply_voltage / AMPLITUDE
 
     def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102

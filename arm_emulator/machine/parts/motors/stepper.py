@@ -50,7 +50,7 @@ class Stepper(Motor):
         """The most of the first phase."""
         return self.torque_per_current
 
-    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+    def compute_largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return self.current_limit
 
     def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102

@@ -55,7 +55,7 @@ class TorqueMotor(Motor):
     def torque_per_command(self) -> float:  # noqa: D102
         return 1.0
 
-    def largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
+    def compute_largest_command(self, supply_voltage: float) -> float | None:  # noqa: D102
         return self.torque_limit
 
     def reflect_to_link(self, ratio: float) -> dict[str, float]:  # noqa: D102

@@ -62,7 +62,7 @@ class Live:
 
     def take(self, dropped: int = 0) -> None:
         """Show the machine as it is."""
-        self.page.take(self._row.take(), dropped)
+        self.page.take(self._row.take_row(), dropped)
 
     def advance(self, ticks: int) -> None:
         for _ in range(ticks):
